@@ -95,7 +95,6 @@ from .server.host import (
 )
 from .server.loop import (
     ClosedLoop as ClosedLoop,
-    select as select,
 )
 from .server.motion_gate import (
     Clamp as Clamp,

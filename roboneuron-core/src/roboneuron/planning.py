@@ -132,6 +132,20 @@ class KindEntry:
             make = cast("Callable[[Config, Registry], Plan]", named)
         return make(config, registry)
 
+    def check(self, config: Config, registry: Registry) -> Plan:
+        """What is configured, as it can be started.
+
+        Raises:
+            RoboNeuronError: as `plan` and `Plan.checked`.
+            ConfigurationError: unknown or unusable options.
+        """
+        plan = self.plan(config, registry).checked(registry)
+        python = getattr(plan.config, self.kind).python
+        _check_options(plan.spec, plan.options, python, f"plugins.{plan.plugin}")
+        for part in plan.others:
+            _check_options(part, plan.config.options(part.name), python)
+        return plan
+
 
 _ENTRIES = (
     KindEntry(
@@ -245,21 +259,6 @@ _PLANS: Mapping[ModuleKind, Callable[[Config, Registry], Plan]] = {
 }
 
 
-def check_module(kind: ModuleKind, config: Config, registry: Registry) -> Plan:
-    """What is configured, as it can be started.
-
-    Raises:
-        RoboNeuronError: as `KindEntry.plan` and `Plan.checked`.
-        ConfigurationError: unknown or unusable options.
-    """
-    plan = KIND_ENTRIES[kind].plan(config, registry).checked(registry)
-    python = getattr(plan.config, kind).python
-    _check_options(plan.spec, plan.options, python, f"plugins.{plan.plugin}")
-    for part in plan.others:
-        _check_options(part, plan.config.options(part.name), python)
-    return plan
-
-
 def _check_options(
     spec: Spec | DriverSpec,
     options: Mapping[str, object],
@@ -279,7 +278,7 @@ def check_configuration(config: Config, registry: Registry) -> None:
     server starts.
 
     Raises:
-        ConfigurationError, PlanningError: as `check_module`; all that is wrong.
+        ConfigurationError, PlanningError: as `KindEntry.check`; all that is wrong.
     """
     checks: list[Callable[[], None]] = [
         partial(_check_kind, kind, config, registry)
@@ -303,7 +302,7 @@ def check_configuration(config: Config, registry: Registry) -> None:
 
 def _check_kind(kind: ModuleKind, config: Config, registry: Registry) -> None:
     try:
-        check_module(kind, config, registry)
+        KIND_ENTRIES[kind].check(config, registry)
     except InvalidInputError as error:  # a checkpoint may be named later, by the agent
         if error.path != "checkpoint":
             raise ConfigurationError(error.message, hint=error.hint) from error

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from roboneuron.config import Config, LimitsConfig, ModuleSettings
+from roboneuron.config import Config, LimitsConfig
 from roboneuron.errors import InternalError, StateError
 from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
-from roboneuron.planning import check_module
+from roboneuron.planning import KIND_ENTRIES
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.tool import Arguments
@@ -78,15 +78,8 @@ class RobotFacts:
 
 Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Selection]
 """Selects what a client asks for; called with kind, configuration, plugins, request and role;
-raises as `select`.
+raises as `KindEntry.check`.
 """
-
-
-def select(kind: ModuleKind, config: Config, registry: Registry) -> Selection:
-    """What is configured, checked. Raises as `check_module`."""
-    plan = check_module(kind, config, registry)
-    settings = ModuleSettings(kind=kind, node_name=kind, config=plan.config)
-    return Selection(settings=settings, names=plan.names, plan=plan)
 
 
 def choose_configured(
@@ -97,7 +90,7 @@ def choose_configured(
         raise InternalError(
             f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
         )
-    return select(kind, config, registry)
+    return Selection.of(kind, KIND_ENTRIES[kind].check(config, registry))
 
 
 class ClosedLoop:

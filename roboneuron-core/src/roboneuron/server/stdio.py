@@ -79,8 +79,8 @@ class LineWriter:
                 return
 
 
-class MessageReader(ObjectReceiveStream[SessionMessage]):
-    """The read stream of a stdio server: messages of a descriptor, until it ends.
+class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[SessionMessage]):
+    """Both streams of a stdio server: messages of a descriptor, until it ends, and lines out.
 
     What is no message is answered here. So are requests whose id is still at work, and those that
     come while too many wait. An emergency stop and a cancellation overtake the rest, and pings let
@@ -88,7 +88,7 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
 
     Args:
         descriptor: read by a thread of its own.
-        answer: gets the answers to what is refused; called from that thread.
+        answer: takes a line for the client without waiting; called from that thread too.
         most: requests that are at work at once; more wait here, where others can overtake them.
         on_end: called from that thread when the client has left.
     """
@@ -130,7 +130,7 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
             if isinstance(message, JSONRPCRequest):
 
                 async def settled(request_id: int | str = message.id) -> None:
-                    self.settle(request_id)
+                    self._settle(request_id)
 
                 return SessionMessage(message, ServerMessageMetadata(on_request_unanswered=settled))
             if message is not None:
@@ -139,7 +139,14 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
                 raise EndOfStream
             await self._changed.wait()
 
-    def settle(self, request_id: int | str | None) -> None:
+    async def send(self, item: SessionMessage) -> None:
+        """Write one message."""
+        message = item.message
+        self._answer(message.model_dump_json(by_alias=True, exclude_unset=True))
+        if isinstance(message, JSONRPCResponse | JSONRPCError):
+            self._settle(message.id)
+
+    def _settle(self, request_id: int | str | None) -> None:
         """A request was answered, or never will be: its id is free."""
         if request_id is None:
             return
@@ -243,24 +250,6 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
                 loop.call_soon_threadsafe(self._changed.set)
 
 
-class MessageWriter(ObjectSendStream[SessionMessage]):
-    """The write stream of a stdio server; tells the reader which requests were answered."""
-
-    def __init__(self, lines: LineWriter, reader: MessageReader) -> None:
-        self._lines = lines
-        self._reader = reader
-
-    async def send(self, item: SessionMessage) -> None:
-        """Write one message."""
-        message = item.message
-        self._lines.write(message.model_dump_json(by_alias=True, exclude_unset=True))
-        if isinstance(message, JSONRPCResponse | JSONRPCError):
-            self._reader.settle(message.id)
-
-    async def aclose(self) -> None:
-        """The lines are closed by whoever opened them."""
-
-
 async def serve_stdio(
     server: AnnouncingServer,
     most_calls: int,
@@ -278,7 +267,7 @@ async def serve_stdio(
         leave: ends it.
     """
     writer = LineWriter(wire[1])
-    reader = MessageReader(wire[0], writer.write, 2 * most_calls + 64, on_end)
+    stream = MessageStream(wire[0], writer.write, 2 * most_calls + 64, on_end)
     writer.start()
 
     async def end(scope: anyio.CancelScope) -> None:
@@ -287,10 +276,8 @@ async def serve_stdio(
 
     async with anyio.create_task_group() as group:
         group.start_soon(end, group.cancel_scope)
-        reader.start()
+        stream.start()
         log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
-        await server.run(
-            reader, MessageWriter(writer, reader), server.create_initialization_options()
-        )
+        await server.run(stream, stream, server.create_initialization_options())
         group.cancel_scope.cancel()
     writer.close()

@@ -18,7 +18,6 @@ from roboneuron.feature import (
     ModuleKind,
     Registry,
     Selection,
-    select,
 )
 
 
@@ -71,7 +70,8 @@ def choose(
     checkpoint = getattr(request, "checkpoint", None)
     if checkpoint is not None and policy is not None and policy.takes_checkpoint:
         check_may_load(config, checkpoint)
-    selection = select(kind, config.model_copy(update=update), registry)
+    plan = KIND_ENTRIES[kind].check(config.model_copy(update=update), registry)
+    selection = Selection.of(kind, plan)
     return (
         selection
         if model is None

@@ -20,7 +20,6 @@ from roboneuron.feature import (
     ModuleKind,
     Registry,
     Selection,
-    select,
 )
 
 
@@ -94,7 +93,7 @@ def choose_instruction(
     """What is configured, with the instruction that a request names; whatever the role.
 
     Raises:
-        RoboNeuronError: as `select`.
+        RoboNeuronError: as `KindEntry.check`.
         InternalError: the request is none of these tools.
     """
     if not isinstance(request, NoArguments | StartInference | None):
@@ -105,7 +104,7 @@ def choose_instruction(
         section = KIND_ENTRIES[kind].configured(config, registry)
         update = {"instruction": request.instruction}
         config = config.model_copy(update={kind: section.model_copy(update=update)})
-    return select(kind, config, registry)
+    return Selection.of(kind, KIND_ENTRIES[kind].check(config, registry))
 
 
 def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
