@@ -114,7 +114,7 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
         self._ids: dict[int | str, int] = {}
         self._at_work = {_URGENT: 0, _OTHER: 0, _PING: 0}
         self._has_ended = False
-        self._loop: asyncio.AbstractEventLoop | None = None
+        self._loop: asyncio.AbstractEventLoop  # of `start`
         self._changed = asyncio.Event()
 
     def start(self) -> None:
@@ -244,10 +244,8 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
                     return
 
     def _wake(self) -> None:
-        loop = self._loop
-        if loop is not None and not loop.is_closed():
-            with suppress(RuntimeError):  # it was closed since
-                loop.call_soon_threadsafe(self._changed.set)
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(self._changed.set)
 
 
 async def serve_stdio(
