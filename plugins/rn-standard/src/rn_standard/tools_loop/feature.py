@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 from rn_standard.tools_loop.reset import reset_tool
@@ -20,7 +21,7 @@ class LoopTools(Feature[None]):
         def changed(*_: object) -> None:
             host.events.resource.tell(STATUS_URI)
 
-        host.loop.choose = choose_instruction
+        host.loop.choose = partial(choose_instruction, host.loop.choose)
         host.events.health.listen(changed)
         host.events.fault.listen(changed)
         return [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from pydantic import Field
 from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.tools_loop.instructing import give_instruction
 from rn_standard.tools_loop.results import InstructionResult, StartResult
-from roboneuron import Arguments, CallContext, InternalError, NoArguments, Tool
+from roboneuron import Arguments, CallContext, NoArguments, Tool
 from roboneuron.feature import (
     KIND_ENTRIES,
     ClosedLoop,
@@ -88,23 +88,26 @@ class StartInference(Arguments):
 
 
 def choose_instruction(
-    kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None, role: str
+    otherwise: Callable[..., Selection],
+    kind: ModuleKind,
+    config: Config,
+    registry: Registry,
+    request: Arguments | None,
+    role: str,
 ) -> Selection:
-    """What is configured, with the instruction that a request names; whatever the role.
+    """What `otherwise` selects without a request, with the instruction that a request of these
+    tools names.
 
-    Raises:
-        RoboNeuronError: as `KindEntry.check`.
-        InternalError: the request is none of these tools.
+    Args:
+        otherwise: what selected until now, see `ClosedLoop.choose`; also raises for other requests.
+        kind, config, registry, request, role: as there.
     """
-    if not isinstance(request, NoArguments | StartInference | None):
-        raise InternalError(
-            f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
-        )
     if isinstance(request, StartInference) and request.instruction is not None:
         section = KIND_ENTRIES[kind].configured(config, registry)
         update = {"instruction": request.instruction}
         config = config.model_copy(update={kind: section.model_copy(update=update)})
-    return Selection.of(kind, KIND_ENTRIES[kind].check(config, registry))
+    is_of_these_tools = isinstance(request, NoArguments | StartInference)
+    return otherwise(kind, config, registry, None if is_of_these_tools else request, role)
 
 
 def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
