@@ -48,11 +48,11 @@ import os, time
 import anyio
 from mcp import types
 from mcp.server import Server
-from roboneuron.server.stdio import LineWriter, MessageReader, MessageWriter
+from roboneuron.server.stdio import LineWriter, MessageStream
 
 async def main():
     writer = LineWriter(os.dup(1))
-    reader = MessageReader(os.dup(0), writer.write, 192)
+    reader = MessageStream(os.dup(0), writer.write, 192)
     reader.start()
     writer.start()
     schema = {"type": "object"}
@@ -62,7 +62,7 @@ async def main():
         at = {"at_ns": time.monotonic_ns()}
         return types.CallToolResult(content=[types.TextContent(type="text", text="{}")], structured_content=at)
     server = Server("trivial", on_list_tools=listing, on_call_tool=call)
-    await server.run(reader, MessageWriter(writer, reader), server.create_initialization_options())
+    await server.run(reader, reader, server.create_initialization_options())
 
 anyio.run(main)
 """  # noqa: E501

@@ -17,9 +17,8 @@ from roboneuron.cli.main import CommandModule
 from roboneuron.contract import protocols
 from roboneuron.plugins import hookspecs
 from roboneuron.plugins.specs import PLUGIN_KINDS, CameraSpec, DriverSpec, Requirement, Spec
-from roboneuron.server.events import Events
 from roboneuron.server.feature import Feature
-from roboneuron.server.host import Host
+from roboneuron.server.host import Events, Host
 from roboneuron.supervisor.changes import Event
 
 PAGE = Path(__file__).parents[1] / "docs" / "reference" / "hooks.md"

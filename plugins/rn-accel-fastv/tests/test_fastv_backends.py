@@ -23,10 +23,10 @@ from rn_backend_openvla.plugin import roboneuron_backends as openvla_backends
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.plugin import roboneuron_runtimes
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_standard.inference.planning import find_policy
 from rn_testing.fakes import make_observation
 from rn_vla.openvla.tiny import make_tiny
 from roboneuron.errors import ConfigurationError, PlanningError
-from roboneuron.planning import check_plan
 from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import BackendSpec, CameraSpec, DriverSpec, RobotSpec, RuntimeSpec
 
@@ -208,7 +208,7 @@ def _registry(*more) -> Registry:
 @pytest.mark.parametrize("backend", ["openvla", "openvla-tcp", "oft", "oft-primary"])
 @pytest.mark.parametrize("preset", [*sorted(PRESETS), "fastv"])
 def test_planning_accepts_the_presets_for_both_families(backend, preset):
-    plan = check_plan(
+    plan = find_policy(
         _registry(), robot="arm", driver="simulated", backend=backend, acceleration=preset
     )
     assert plan.runtime.name == "torch"
@@ -217,7 +217,7 @@ def test_planning_accepts_the_presets_for_both_families(backend, preset):
 def test_planning_refuses_the_presets_for_other_families():
     pi0 = BackendSpec(name="pi0", summary="s", target="x:y", family="pi0")
     with pytest.raises(PlanningError, match=r"fastv-p50.*openvla, openvla-oft.*pi0"):
-        check_plan(
+        find_policy(
             _registry(pi0), robot="arm", driver="simulated", backend="pi0", acceleration="fastv-p50"
         )
 
@@ -232,7 +232,7 @@ def test_planning_refuses_a_runtime_that_cannot_prune():
         served=True,
     )
     with pytest.raises(PlanningError, match=r"visual-token-pruning.*served.*fit: torch"):
-        check_plan(
+        find_policy(
             _registry(served),
             robot="arm",
             driver="simulated",
@@ -249,7 +249,7 @@ def test_planning_refuses_a_runtime_without_bidirectional_rows_for_oft():
     with pytest.raises(
         PlanningError, match=r"'served' executes the families openvla, but .*'openvla-oft'"
     ):
-        check_plan(
+        find_policy(
             _registry(served), robot="arm", driver="simulated", backend="oft", runtime="served"
         )
 

@@ -16,7 +16,7 @@ from rn_metrics.feature import host_rules
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenTable
 from roboneuron import ConfigurationError
-from roboneuron.server.access import Holder
+from roboneuron.server.tool import Holder
 
 pytestmark = pytest.mark.timeout(60)
 TOKEN = "0123456789abcdef"

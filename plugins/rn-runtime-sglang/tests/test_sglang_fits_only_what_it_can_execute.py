@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 
 from rn_runtime_sglang.plugin import roboneuron_runtimes
+from rn_standard.inference.planning import find_policy
 from roboneuron.errors import ConfigurationError, PlanningError
-from roboneuron.planning import check_plan
 from roboneuron.plugins.discovery import discover
 
 
@@ -14,7 +14,7 @@ def registry():
 
 
 def plan(registry, backend, **parts):
-    return check_plan(registry, robot="fr3", driver="simulated", backend=backend, **parts)
+    return find_policy(registry, robot="fr3", driver="simulated", backend=backend, **parts)
 
 
 def test_openvla_runs_with_it(registry):

@@ -313,7 +313,7 @@ def test_a_package_with_features_may_import_what_features_may_use(sample, monkey
     )
     rule = next(r for r in RULES["package"] if r.id == "package/import-direction")
     assert verify(rule, sample.case()).verdict is RuleVerdict.PASSED
-    (sample.package / "policy.py").write_text("from roboneuron.server import events\n")
+    (sample.package / "policy.py").write_text("from roboneuron.server import host\n")
     assert verify(rule, sample.case()).verdict is RuleVerdict.FAILED
     (sample.package / "policy.py").write_text("from roboneuron.feature import RosLink\n")
     assert verify(rule, sample.case()).verdict is RuleVerdict.FAILED

@@ -66,17 +66,18 @@ class TestGantry(RobotContract):
 
 
 def test_the_fake_registry_resolves_a_whole_plan():
-    from roboneuron.planning import check_plan
+    from roboneuron.config import Config
+    from roboneuron.planning import KIND_ENTRIES
 
-    plan = check_plan(
-        fakes.fake_registry(),
-        robot="gantry",
-        driver="simulated",
-        perception="controlled",
-        controller="gantry",
-        backend="instant",
-    )
-    assert plan.cameras == {"primary": "front"}
+    tables = {
+        "robot": {"name": "gantry"},
+        "perception": {"source": "controlled"},
+        "control": {"controller": "gantry"},
+        "inference": {"backend": "instant"},
+    }
+    config, registry = Config.model_validate(tables), fakes.fake_registry()
+    plans = {kind: entry.plan(config, registry) for kind, entry in KIND_ENTRIES.items()}
+    assert plans["inference"].names["cameras"] == "primary=front"
 
 
 def test_memory_topics_hand_messages_to_subscribers():

@@ -16,8 +16,8 @@ from rn_view.plugin import FEATURE
 from rn_view_attached.source import AttachedSource, Graph
 from roboneuron.config import parse_config
 from roboneuron.gate.audit import AuditRecord
-from roboneuron.server.access import Holder
 from roboneuron.server.app import Application
+from roboneuron.server.tool import Holder
 from roboneuron.supervisor.supervisor import Supervisor
 
 VIEWER, OPERATOR = Holder(who="eve", role="viewer"), Holder(who="ann", role="operator")

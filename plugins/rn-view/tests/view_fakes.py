@@ -22,7 +22,7 @@ from rn_view.options import ViewOptions
 from rn_view.source import ModuleRow, PageState
 from roboneuron import CameraCalibration, CameraProfile, JointLimits, RobotProfile, Workspace
 from roboneuron.config import Config, parse_config
-from roboneuron.server.access import Holder
+from roboneuron.server.tool import Holder
 
 URDF = """
 <robot name="twolink">

@@ -108,9 +108,6 @@ from .plugins.specs import (
     RuntimeSpec as RuntimeSpec,
     Spec as Spec,
 )
-from .server.access import (
-    Transport as Transport,
-)
 from .server.feature import (
     Feature as Feature,
 )
@@ -126,6 +123,7 @@ from .server.tool import (
     Resource as Resource,
     Result as Result,
     Tool as Tool,
+    Transport as Transport,
 )
 
 __version__: str

@@ -73,8 +73,8 @@ from .modules.settings import (
     ModuleKind as ModuleKind,
 )
 from .planning import (
-    Plan as Plan,
-    check_plan as check_plan,
+    check_configuration as check_configuration,
+    find_controller as find_controller,
 )
 from .plugins.discovery import (
     discover as discover,
@@ -97,9 +97,6 @@ from .server.app import (
 )
 from .server.registry import (
     ERROR_META as ERROR_META,
-)
-from .server.selection import (
-    check_configuration as check_configuration,
 )
 from .supervisor.changes import (
     Periodic as Periodic,

@@ -29,7 +29,6 @@ from .ros import (
     topics as topics,
 )
 from .server import (
-    access as access,
     envelope as envelope,
     schema as schema,
 )
@@ -77,6 +76,9 @@ from .modules.report import (
 from .modules.settings import (
     ModuleKind as ModuleKind,
 )
+from .planning import (
+    KIND_ENTRIES as KIND_ENTRIES,
+)
 from .plugins.registry import (
     Offer as Offer,
     Registry as Registry,
@@ -88,7 +90,7 @@ from .ros.link import (
 from .server.app import (
     Application as Application,
 )
-from .server.events import (
+from .server.host import (
     Events as Events,
 )
 from .server.loop import (
@@ -112,14 +114,11 @@ from .server.schema import (
     Schema as Schema,
     Shape as Shape,
 )
-from .server.selection import (
-    Instruction as Instruction,
-    KIND_ENTRIES as KIND_ENTRIES,
-)
 from .server.surface import (
     make_server as make_server,
 )
 from .server.tool import (
+    Holder as Holder,
     Stage as Stage,
     UnfinishedCallError as UnfinishedCallError,
 )

@@ -17,7 +17,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "to_ns",
         "models": "ControlConfig",
         "qos": "NEWEST",
-        "settings": "FUTURE_S INSTRUCTION_PARAMETER LIMITS_PARAMETER instruction_problem",
+        "settings": "FUTURE_S INSTRUCTION_PARAMETER LIMITS_PARAMETER",
         "task_space": "angle_rad distance_m",
         "topics": "ACTION EE_POSE JOINT_STATES PREDICTIONS camera_image camera_info",
     }.items()

@@ -50,7 +50,7 @@ from .modules.worker import (
 )
 from .planning import (
     Plan as Plan,
-    check_plan as check_plan,
+    find_robot as find_robot,
 )
 from .ros.host import (
     NodeTopics as NodeTopics,

@@ -1,285 +1,329 @@
-"""Does this combination fit? Answered from descriptors alone, in one sentence, before anything
-heavy is imported.
+"""Does a configured module fit? Answered from descriptors alone, in one sentence, before anything
+is started or anything heavy imported.
+
+Core plans the modules that move the arm; the features that bring the others plan those.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
-from types import MappingProxyType
-from typing import TypeVar
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import cast
 
-from roboneuron.errors import PlanningError
-from roboneuron.plugins import availability
-from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import (
-    AccelerationSpec,
-    BackendSpec,
-    ControllerSpec,
-    DriverSpec,
-    PerceptionSpec,
-    RobotSpec,
-    RuntimeSpec,
-    Spec,
+from roboneuron.config import (
+    Config,
+    ControlConfig,
+    InferenceConfig,
+    PerceptionConfig,
+    RobotConfig,
 )
-
-S = TypeVar("S", bound=Spec)
-_EMPTY: Mapping[str, str] = MappingProxyType({})
+from roboneuron.config.models import ModuleKind, Section
+from roboneuron.errors import (
+    ConfigurationError,
+    InvalidInputError,
+    MissingDependencyError,
+    PlanningError,
+    PluginError,
+    RoboNeuronError,
+)
+from roboneuron.plugins.availability import explain, missing
+from roboneuron.plugins.loading import load_attribute, load_options
+from roboneuron.plugins.registry import Registry
+from roboneuron.plugins.specs import ControllerSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Plan:
-    """A combination that fits, resolved to descriptors.
+    """A module that fits, resolved to descriptors; features derive their own.
 
     Attributes:
+        config: what its process is told.
         robot, driver: what moves.
-        perception, controller, backend: None when not asked for.
-        runtime: the one asked for, or the backend's default; None when the backend takes none.
-        acceleration: None when not asked for.
-        cameras: camera name by role, for every role the backend needs and each optional one the
-            robot has.
+        spec: of what the module runs, which reads the options.
+        names: what was chosen, for messages and the status: {"controller": "ik", ...}; the first is
+            the plugin whose options are read.
+        inputs: kinds of modules that it takes inputs from.
     """
 
+    config: Config
     robot: RobotSpec
     driver: DriverSpec
-    perception: PerceptionSpec | None = None
-    controller: ControllerSpec | None = None
-    backend: BackendSpec | None = None
-    runtime: RuntimeSpec | None = None
-    acceleration: AccelerationSpec | None = None
-    cameras: Mapping[str, str] = field(default_factory=dict)
+    spec: Spec | DriverSpec
+    names: Mapping[str, str]
+    inputs: tuple[ModuleKind, ...] = ()
 
     @property
-    def takes_checkpoint(self) -> bool:
-        """Whether the backend needs a checkpoint, or has an option for one; raises as
-        `load_options_model`.
+    def plugin(self) -> str:
+        """Name of the plugin whose options are read."""
+        return next(iter(self.names.values()))
+
+    @property
+    def options(self) -> Mapping[str, object]:
+        """Of that plugin."""
+        return self.config.options(self.plugin)
+
+    @property
+    def others(self) -> tuple[Spec, ...]:
+        """Descriptors of what it uses beside that plugin, each with options of its own."""
+        return ()
+
+    def checked(self, registry: Registry) -> Plan:
+        """The plan as it is started, with paths that are absolute. Raises RoboNeuronError for what
+        names alone do not tell, such as a missing file; called before each start.
         """
-        if self.backend is None or self.backend.needs_checkpoint:
-            return self.backend is not None
-        from roboneuron.plugins.loading import load_options_model  # heavy
+        return self
 
-        model = load_options_model(self.backend)
-        return model is not None and "checkpoint" in model.model_fields
+    def check_beside(self, running: Mapping[ModuleKind, Config]) -> None:
+        """Raise RoboNeuronError when it does not go together with the modules that run.
+
+        Args:
+            running: what each was started with; this one is among them.
+        """
 
 
-def check_plan(
-    registry: Registry,
-    *,
-    robot: str,
-    driver: str,
-    perception: str | None = None,
-    controller: str | None = None,
-    backend: str | None = None,
-    runtime: str | None = None,
-    acceleration: str | None = None,
-    cameras: Mapping[str, str] = _EMPTY,
-    elsewhere: Collection[str] = (),
-) -> Plan:
-    """Return the plan for these names.
+@dataclass(frozen=True, kw_only=True, slots=True)
+class KindEntry:
+    """One kind of module. Its section of roboneuron.toml is called as the kind is.
+
+    Attributes:
+        kind: which one; its node class is in `roboneuron.modules.plugin.module_class`.
+        noun: what such a module runs.
+        offer: kind of the plugins that offer it.
+        section: model of its section.
+        stop_text: effect of its stop tool.
+    """
+
+    kind: ModuleKind
+    noun: str
+    offer: str
+    section: type[Section]
+    stop_text: str
+
+    def configured(self, config: Config, registry: Registry) -> Section:
+        """The section of this kind. Raises InvalidInputError when there is none."""
+        section: Section | None = getattr(config, self.kind)
+        if section is None:
+            choices = ", ".join(registry.specs(self.offer))
+            raise InvalidInputError(
+                f"The configuration names no {self.noun}.",
+                hint=f"Name one: {choices}."
+                if choices
+                else f"No {self.offer} plugin is installed.",
+                path=self.noun,
+            )
+        return section
+
+    def plan(self, config: Config, registry: Registry) -> Plan:
+        """What is configured, found and compared.
+
+        Raises:
+            InvalidInputError: something needed is not named.
+            ConfigurationError: a name is not installed or cannot be used, or no feature brings such
+                modules.
+            PlanningError: the parts do not fit; the message says which two and what would.
+        """
+        self.configured(config, registry)
+        make = _PLANS.get(self.kind)
+        if make is None:
+            spec = registry.get(FeatureSpec, self.kind)  # it is called as the kind
+            named = load_attribute(spec.module_plan or "", f"`module_plan` of {spec.name!r}")
+            make = cast("Callable[[Config, Registry], Plan]", named)
+        return make(config, registry)
+
+    def check(self, config: Config, registry: Registry) -> Plan:
+        """What is configured, as it can be started.
+
+        Raises:
+            RoboNeuronError: as `plan` and `Plan.checked`.
+            ConfigurationError: unknown or unusable options.
+        """
+        plan = self.plan(config, registry).checked(registry)
+        python = getattr(plan.config, self.kind).python
+        _check_options(plan.spec, plan.options, python, f"plugins.{plan.plugin}")
+        for part in plan.others:
+            _check_options(part, plan.config.options(part.name), python)
+        return plan
+
+
+_ENTRIES = (
+    KindEntry(
+        kind="robot",
+        noun="robot",
+        offer="robot",
+        section=RobotConfig,
+        stop_text="Let the robot hold its position, and disconnect from it or end its simulation.",
+    ),
+    KindEntry(
+        kind="perception",
+        noun="source",
+        offer="perception",
+        section=PerceptionConfig,
+        stop_text="Close the cameras; a policy without images sends no more actions.",
+    ),
+    KindEntry(
+        kind="control",
+        noun="controller",
+        offer="controller",
+        section=ControlConfig,
+        stop_text="Stop the controller; the arm holds its position.",
+    ),
+    KindEntry(
+        kind="inference",
+        noun="backend",
+        offer="backend",
+        section=InferenceConfig,
+        stop_text="Stop the policy; the arm holds its position.",
+    ),
+)
+KIND_ENTRIES: Mapping[ModuleKind, KindEntry] = {entry.kind: entry for entry in _ENTRIES}
+"""The kinds in the order in which an agent starts them."""
+
+
+def find_robot(
+    registry: Registry, name: str, driver: str, *, is_elsewhere: bool
+) -> tuple[RobotSpec, DriverSpec]:
+    """A robot and its driver.
 
     Args:
         registry: what is installed.
-        robot, driver, perception, controller, backend, runtime, acceleration: names; None for "not
-            wanted", except that the backend's default runtime is taken when `runtime` is None.
-        cameras: camera name by role, where the robot's own roles are not to be used.
-        elsewhere: which of "driver", "perception", "controller" and "backend" (with its runtime and
-            acceleration) run under another interpreter: modules that they need may be absent here.
+        name, driver: of the robot, and of what moves it.
+        is_elsewhere: the driver runs under another interpreter: modules that it needs may be absent
+            here.
 
     Raises:
-        ConfigurationError: a name is not installed or cannot be used.
-        PlanningError: the parts do not fit; the message says which two and what would.
+        ConfigurationError: the robot is not installed or cannot be used.
+        PlanningError: it has no such driver, or that cannot be used.
     """
-    robot_spec = registry.get(RobotSpec, robot)
-    driver_spec = _check_driver(robot_spec, driver, "driver" in elsewhere)
-
-    def find(kind: type[S], name: str | None, part: str) -> S | None:
-        return registry.get(kind, name, elsewhere=part in elsewhere) if name else None
-
-    perception_spec = find(PerceptionSpec, perception, "perception")
-    controller_spec = find(ControllerSpec, controller, "controller")
-    backend_spec = find(BackendSpec, backend, "backend")
-    if perception_spec is not None:
-        _check_perception(perception_spec, robot_spec, driver_spec)
-    if controller_spec is not None:
-        _require(
-            robot_spec.robot_kind in controller_spec.robot_kinds,
-            f"Controller {controller!r} moves robots of kind "
-            f"{_listed(controller_spec.robot_kinds)}, "
-            f"but {robot!r} is of kind {robot_spec.robot_kind!r}.",
-        )
-    runtime_spec = acceleration_spec = None
-    if backend_spec is None:
-        for kind, name in (("runtime", runtime), ("acceleration", acceleration)):
-            _require(not name, f"The {kind} {name!r} has nothing to execute; name a backend too.")
-        chosen = _chosen_cameras(robot_spec, cameras)
-    else:
-        _check_action_width(backend_spec, robot_spec)
-        chosen = _resolve_cameras(backend_spec, robot_spec, cameras)
-        runtime_spec = _resolve_runtime(registry, backend_spec, runtime, "backend" in elsewhere)
-        acceleration_spec = find(AccelerationSpec, acceleration, "backend")
-        if acceleration_spec is not None:
-            _check_acceleration(registry, acceleration_spec, backend_spec, runtime_spec)
-    return Plan(
-        robot=robot_spec,
-        driver=driver_spec,
-        perception=perception_spec,
-        controller=controller_spec,
-        backend=backend_spec,
-        runtime=runtime_spec,
-        acceleration=acceleration_spec,
-        cameras=MappingProxyType(chosen),
-    )
-
-
-def _listed(names: Iterable[object]) -> str:
-    return ", ".join(map(str, names)) or "none"
-
-
-def _require(fits: bool, otherwise: str) -> None:
-    if not fits:
-        raise PlanningError(otherwise)
-
-
-def _check_driver(robot: RobotSpec, name: str, is_elsewhere: bool) -> DriverSpec:
-    driver = robot.driver(name)
-    if driver is None:
+    robot = registry.get(RobotSpec, name)
+    found = robot.driver(driver)
+    if found is None:
+        names = ", ".join(d.name for d in robot.drivers) or "none"
+        raise PlanningError(f"Robot {name!r} has no driver {driver!r}; choose one of: {names}.")
+    absent = missing(found.requires)
+    if absent and not is_elsewhere:
         raise PlanningError(
-            f"Robot {robot.name!r} has no driver {name!r}; choose one of: "
-            f"{_listed(d.name for d in robot.drivers)}."
+            f"Driver {driver!r} of robot {name!r} cannot be used: {explain(absent)}"
         )
-    absent = availability.missing(driver.requires)
-    _require(
-        not absent or is_elsewhere,
-        f"Driver {name!r} of robot {robot.name!r} cannot be used: {availability.explain(absent)}",
-    )
-    return driver
+    return robot, found
 
 
-def _check_perception(perception: PerceptionSpec, robot: RobotSpec, driver: DriverSpec) -> None:
-    _require(
-        not perception.robots or robot.name in perception.robots,
-        f"Perception {perception.name!r} serves only the robots {_listed(perception.robots)}, "
-        f"not {robot.name!r}.",
-    )
-    _require(
-        not perception.drivers or driver.name in perception.drivers,
-        f"Perception {perception.name!r} works only with the drivers "
-        f"{_listed(perception.drivers)}, not with {driver.name!r} of robot {robot.name!r}.",
-    )
+def find_controller(
+    registry: Registry, name: str, robot: RobotSpec, *, is_elsewhere: bool = False
+) -> ControllerSpec:
+    """The controller of that name.
 
-
-def _check_action_width(backend: BackendSpec, robot: RobotSpec) -> None:
-    width = backend.action_space.width
-    _require(
-        bool(robot.action_widths),
-        f"Robot {robot.name!r} executes no model actions, so backend {backend.name!r} cannot "
-        "drive it.",
-    )
-    # a backend that declares its channels is compared by their names: `FeatureSpec.module_check`
-    _require(
-        backend.space is not None or width in robot.action_widths,
-        f"Backend {backend.name!r} yields actions of width {width}, "
-        f"but robot {robot.name!r} executes widths {_listed(robot.action_widths)}.",
-    )
-
-
-def _chosen_cameras(robot: RobotSpec, cameras: Mapping[str, str]) -> dict[str, str]:
-    known = [c.name for c in robot.cameras]
-    for role, name in cameras.items():
-        _require(
-            name in known,
-            f"Camera {name!r} for role {role!r} is unknown; robot {robot.name!r} has: "
-            f"{_listed(known)}.",
-        )
-    return dict(cameras)
-
-
-def _resolve_cameras(
-    backend: BackendSpec, robot: RobotSpec, cameras: Mapping[str, str]
-) -> dict[str, str]:
-    chosen = _chosen_cameras(robot, cameras)
-    roles = (*backend.cameras, *backend.optional_cameras)
-    for role in chosen:
-        _require(
-            role in roles,
-            f"Backend {backend.name!r} uses no camera role {role!r}; it uses: {_listed(roles)}.",
-        )
-    # of several cameras with one role the first
-    found = {camera.role: camera.name for camera in reversed(robot.cameras)} | chosen
-    absent = [role for role in backend.cameras if role not in found]
-    has = _listed(f"{c.name} (role {c.role})" for c in robot.cameras)
-    _require(
-        not absent,
-        f"Backend {backend.name!r} needs a camera of role {_listed(absent)}, but robot "
-        f"{robot.name!r} has: {has}.",
-    )
-    return {role: found[role] for role in roles if role in found}
-
-
-def _resolve_runtime(
-    registry: Registry, backend: BackendSpec, name: str | None, is_elsewhere: bool
-) -> RuntimeSpec | None:
-    fitting = [
-        r.name
-        for r in registry.specs(RuntimeSpec).values()
-        if backend.family and backend.family in r.families
-    ]
-    wanted = name or backend.default_runtime
-    if not wanted:
-        _require(
-            not backend.runtimes_required,
-            f"Backend {backend.name!r} needs a runtime for the family {backend.family!r}; "
-            f"installed ones that fit: {_listed(fitting)}.",
-        )
-        return None
-    _require(
-        bool(backend.family),
-        f"Backend {backend.name!r} takes no runtime, but {wanted!r} was asked for.",
-    )
-    runtime = registry.get(RuntimeSpec, wanted, elsewhere=is_elsewhere)
-    _require(
-        backend.family in runtime.families,
-        f"Runtime {wanted!r} executes the families {_listed(runtime.families)}, but backend "
-        f"{backend.name!r} is of family {backend.family!r}; installed ones that fit: "
-        f"{_listed(fitting)}.",
-    )
-    return runtime
-
-
-def _check_acceleration(
-    registry: Registry,
-    acceleration: AccelerationSpec,
-    backend: BackendSpec,
-    runtime: RuntimeSpec | None,
-) -> None:
-    """The capability is offered by what executes the decoder: the runtime, or the backend when it
-    runs without one.
+    Raises:
+        ConfigurationError: it is not installed or cannot be used.
+        PlanningError: it does not move robots of that kind.
     """
-    _require(
-        bool(backend.family)
-        and (not acceleration.families or backend.family in acceleration.families),
-        f"Acceleration {acceleration.name!r} knows the families "
-        f"{_listed(acceleration.families)}, "
-        f"but backend {backend.name!r} is of family {backend.family or 'none'!r}.",
-    )
-    word = acceleration.capability
-    able = [
-        r.name
-        for r in registry.specs(RuntimeSpec).values()
-        if backend.family in r.families and (not word or word in r.capabilities)
-    ]
-    if runtime is None:
-        _require(
-            bool(word) and word in backend.capabilities,
-            f"Acceleration {acceleration.name!r} needs a runtime that offers "
-            f"{word or 'a decoder'!r}, but backend {backend.name!r} was to run without one; "
-            f"installed ones that fit: {_listed(able)}.",
+    controller = registry.get(ControllerSpec, name, elsewhere=is_elsewhere)
+    if robot.robot_kind not in controller.robot_kinds:
+        kinds = ", ".join(controller.robot_kinds) or "none"
+        raise PlanningError(
+            f"Controller {name!r} moves robots of kind {kinds}, but {robot.name!r} is of kind "
+            f"{robot.robot_kind!r}."
         )
-        return
-    where = "runs the model in another process and " if runtime.served else ""
-    _require(
-        not word or word in runtime.capabilities,
-        f"Acceleration {acceleration.name!r} needs the capability {word!r}, but runtime "
-        f"{runtime.name!r} {where}offers {_listed(runtime.capabilities)}; installed ones that "
-        f"fit: {_listed(able)}.",
+    return controller
+
+
+def _configured_robot(config: Config, registry: Registry) -> tuple[RobotSpec, DriverSpec]:
+    """The robot of `[robot]`. Raises as `find_robot`."""
+    section = config.robot
+    is_elsewhere = section.python is not None
+    return find_robot(registry, section.name, section.driver, is_elsewhere=is_elsewhere)
+
+
+def _plan_robot(config: Config, registry: Registry) -> Plan:
+    robot, driver = _configured_robot(config, registry)
+    names = {"robot": robot.name, "driver": driver.name}
+    return Plan(config=config, robot=robot, driver=driver, spec=driver, names=names)
+
+
+def _plan_control(config: Config, registry: Registry) -> Plan:
+    section = config.control
+    assert section is not None
+    robot, driver = _configured_robot(config, registry)
+    is_elsewhere = section.python is not None
+    spec = find_controller(registry, section.controller, robot, is_elsewhere=is_elsewhere)
+    names = {"controller": spec.name}
+    return Plan(
+        config=config, robot=robot, driver=driver, spec=spec, names=names, inputs=("robot",)
     )
+
+
+_PLANS: Mapping[ModuleKind, Callable[[Config, Registry], Plan]] = {
+    "robot": _plan_robot,
+    "control": _plan_control,
+}
+
+
+def _check_options(
+    spec: Spec | DriverSpec,
+    options: Mapping[str, object],
+    python: str | None,
+    section: str | None = None,
+) -> None:
+    """Validate options here when the plugin can be imported here; a module with its own environment
+    does it itself.
+    """
+    absent = () if python is None else (MissingDependencyError,)
+    with suppress(*absent):
+        load_options(spec, options, section=section)
+
+
+def check_configuration(config: Config, registry: Registry) -> None:
+    """Refuse a configuration that names what is not installed or sets what is unknown, before the
+    server starts.
+
+    Raises:
+        ConfigurationError, PlanningError: as `KindEntry.check`; all that is wrong.
+    """
+    checks: list[Callable[[], None]] = [
+        partial(_check_kind, kind, config, registry)
+        for kind in KIND_ENTRIES
+        if getattr(config, kind) is not None
+    ]
+    checks += [
+        partial(_check_section, name, options, registry) for name, options in config.plugins.items()
+    ]
+    problems: dict[str, RoboNeuronError] = {}
+    for check in checks:
+        try:
+            check()
+        except RoboNeuronError as error:
+            problems.setdefault(str(error), error)
+    if len(problems) == 1:
+        raise next(iter(problems.values()))
+    if problems:
+        raise ConfigurationError("\n".join(problems))
+
+
+def _check_kind(kind: ModuleKind, config: Config, registry: Registry) -> None:
+    try:
+        KIND_ENTRIES[kind].check(config, registry)
+    except InvalidInputError as error:  # a checkpoint may be named later, by the agent
+        if error.path != "checkpoint":
+            raise ConfigurationError(error.message, hint=error.hint) from error
+
+
+def _check_section(name: str, options: Mapping[str, object], registry: Registry) -> None:
+    """Refuse `[plugins.<name>]` of what does not exist, with unknown options, or with values that
+    no plugin of that name takes.
+
+    Options that are missing are no error: an agent may give them, or never choose that plugin.
+    """
+    registry.check_name(f"[plugins.{name}]", name)
+    refused: list[ConfigurationError] = []
+    for spec in registry.readers_of(name):
+        try:
+            load_options(spec, options, section=f"plugins.{name}", is_partial=True)
+        except ConfigurationError as error:
+            refused.append(error)
+        except (MissingDependencyError, PluginError):
+            return  # not to be judged here; told where it is chosen
+        else:
+            return
+    if refused:
+        raise refused[0]

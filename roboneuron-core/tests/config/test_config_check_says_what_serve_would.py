@@ -10,9 +10,9 @@ from rn_testing.fakes import fake_registry
 from roboneuron.cli.main import main
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
+from roboneuron.planning import check_configuration
 from roboneuron.plugins.registry import PluginRecord, Registry, Status
 from roboneuron.plugins.specs import BackendSpec
-from roboneuron.server.selection import check_configuration
 
 REGISTRY = fake_registry(BackendSpec(name="plain", summary="Takes no options.", target="nowhere:X"))
 ROBOT = '[robot]\nname = "gantry"\n'

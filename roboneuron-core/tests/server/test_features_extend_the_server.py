@@ -23,8 +23,8 @@ from roboneuron import (
 )
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
-from roboneuron.server.access import Transport
 from roboneuron.server.app import Application
+from roboneuron.server.tool import Transport
 from roboneuron.supervisor.supervisor import Supervisor
 
 TRACE: list[str] = []

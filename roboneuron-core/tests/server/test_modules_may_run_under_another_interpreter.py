@@ -8,6 +8,7 @@ import pytest
 
 from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RoboNeuronError
+from roboneuron.planning import KIND_ENTRIES
 from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import (
     BackendSpec,
@@ -19,7 +20,6 @@ from roboneuron.plugins.specs import (
     Requirement,
     RobotSpec,
 )
-from roboneuron.server.selection import KIND_ENTRIES
 
 TARGET = "never_imported_module:Thing"
 ABSENT = (Requirement(module="absent_x", install="pip install x"),)
@@ -36,7 +36,13 @@ PARTS = (
     BackendSpec(name="policy", summary="P.", target=TARGET, requires=ABSENT),
 )
 FEATURES = tuple(
-    FeatureSpec(name=kind, summary="F.", target=TARGET, module=TARGET)
+    FeatureSpec(
+        name=kind,
+        summary="F.",
+        target=TARGET,
+        module=TARGET,
+        module_plan=f"rn_standard.{kind}.planning:plan_{kind}",
+    )
     for kind in ("perception", "inference")
 )
 REGISTRY = Registry(
@@ -71,21 +77,18 @@ def test_its_plugin_needs_nothing_here(kind):
     sections = {
         name: {**section, "python": "/other/bin/python"} for name, section in SECTIONS.items()
     }
-    selection = KIND_ENTRIES[kind].select(Config.model_validate(sections), REGISTRY)
-    assert selection.python == "/other/bin/python"
+    plan = KIND_ENTRIES[kind].check(Config.model_validate(sections), REGISTRY)
+    assert getattr(plan.config, kind).python == "/other/bin/python"
     del sections[kind]["python"]
     with pytest.raises(RoboNeuronError, match="absent_x"):
-        KIND_ENTRIES[kind].select(Config.model_validate(sections), REGISTRY)
+        KIND_ENTRIES[kind].check(Config.model_validate(sections), REGISTRY)
 
 
 def test_a_module_that_no_feature_brings_is_refused_before_it_is_started():
     offers = tuple(offer for offer in REGISTRY.all_offers if offer.spec not in FEATURES)
     registry = Registry(plugins=(), all_offers=offers)
     sections = {name: {**section, "python": "/x"} for name, section in SECTIONS.items()}
-    with pytest.raises(
-        ConfigurationError, match="No feature that runs inference modules"
-    ) as caught:
-        KIND_ENTRIES["inference"].select(Config.model_validate(sections), registry)
-    assert "rn-inference" in caught.value.hint
-    selection = KIND_ENTRIES["control"].select(Config.model_validate(sections), registry)
-    assert selection.kind == "control"
+    with pytest.raises(ConfigurationError, match="the package rn-standard brings it"):
+        KIND_ENTRIES["inference"].check(Config.model_validate(sections), registry)
+    plan = KIND_ENTRIES["control"].check(Config.model_validate(sections), registry)
+    assert plan.plugin == "ik"

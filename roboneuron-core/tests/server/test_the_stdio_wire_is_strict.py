@@ -14,7 +14,7 @@ import pytest
 
 from roboneuron.errors import StateError
 from roboneuron.server.app import Application
-from roboneuron.server.stdio import MAX_LINE_BYTES, LineWriter, MessageReader, MessageWriter
+from roboneuron.server.stdio import MAX_LINE_BYTES, LineWriter, MessageStream
 from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 
 Work = Callable[["Wire"], Awaitable[None]]
@@ -75,12 +75,12 @@ def serve(application: Application) -> Callable[[Work], None]:
         client_in, server_out = os.pipe()
         lines = LineWriter(server_out)
         lines.start()
-        reader = MessageReader(server_in, lines.write, 200)
+        reader = MessageStream(server_in, lines.write, 200)
         reader.start()
         server = application.server
         async with anyio.create_task_group() as group:
             options = server.create_initialization_options()
-            group.start_soon(server.run, reader, MessageWriter(lines, reader), options)  # type: ignore[arg-type]
+            group.start_soon(server.run, reader, reader, options)  # type: ignore[arg-type]
             wire = Wire(client_out, client_in)
             await wire.send(0, "initialize", **HELLO)
             assert "tools" in (await wire.answer(0))["result"]["capabilities"]
@@ -233,7 +233,7 @@ def test_what_waits_can_be_cancelled(
     serve: Callable[[Work], None], application: Application
 ) -> None:
     slow_tool(application)
-    reader = MessageReader(0, lambda text: None, 1)
+    reader = MessageStream(0, lambda text: None, 1)
     for request_id in (1, 2):
         line = {
             "jsonrpc": "2.0",
@@ -247,13 +247,13 @@ def test_what_waits_can_be_cancelled(
     cancel = {"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": 2}}
     reader._take(json.dumps(cancel).encode())
     assert reader._next().method == "notifications/cancelled"
-    reader.settle(1)
+    reader._settle(1)
     assert reader._next() is None
 
 
 def test_too_many_waiting_requests_are_refused_and_a_stop_is_not() -> None:
     answers: list[dict[str, Any]] = []
-    reader = MessageReader(0, lambda text: answers.append(json.loads(text)), 1)
+    reader = MessageStream(0, lambda text: answers.append(json.loads(text)), 1)
     for request_id in range(1002):
         reader._take(b'{"jsonrpc": "2.0", "id": %d, "method": "tools/list"}' % request_id)
     assert [(a["id"], a["error"]["code"]) for a in answers] == [(1000, -32000), (1001, -32000)]

@@ -11,12 +11,20 @@ import pytest
 
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError, StateError
+from roboneuron.modules.settings import ModuleKind
 from roboneuron.planning import Plan
-from roboneuron.plugins.specs import DriverSpec, PerceptionSpec, RobotSpec
+from roboneuron.plugins.specs import DriverSpec, RobotSpec
 from roboneuron.supervisor.slot import Phase
 from roboneuron.supervisor.supervisor import Supervisor
 
 MakeConfig = Callable[..., Config]
+
+
+def _plan(config: Config, *inputs: ModuleKind) -> Plan:
+    driver = DriverSpec(name="simulated", summary="Simulates.", target="x:y")
+    robot = RobotSpec(name="fake", summary="Fake.", target="x:y", drivers=(driver,))
+    names = {"source": "any"}
+    return Plan(config=config, robot=robot, driver=driver, spec=driver, names=names, inputs=inputs)
 
 
 @pytest.mark.ros
@@ -25,8 +33,9 @@ def test_a_backend_without_cameras_names_the_call_that_is_missing(
     supervisor: Supervisor, make_config: MakeConfig
 ) -> None:
     started_s = time.monotonic()
+    config = make_config(45.0, inference="never-ready")
     with pytest.raises(NotReadyError, match="not running: perception") as caught:
-        supervisor.start("inference", make_config(45.0, inference="never-ready"))
+        supervisor.start("inference", config, plan=_plan(config, "perception"))
     assert caught.value.hint == "Call start_perception first."
     assert time.monotonic() - started_s < 25.0
     assert supervisor.view("inference").phase == "stopped"
@@ -41,7 +50,7 @@ def test_what_is_being_started_is_waited_for(
     starting = threading.Thread(target=lambda: supervisor.start("perception", config))
     starting.start()
     with pytest.raises(NotReadyError, match="was not ready within 12 s"):
-        supervisor.start("inference", config)
+        supervisor.start("inference", config, plan=_plan(config, "perception"))
     starting.join(30.0)
     assert supervisor.view("perception").phase == "running"
 
@@ -49,21 +58,14 @@ def test_what_is_being_started_is_waited_for(
 def test_cameras_of_a_simulation_without_the_robot_name_the_call_at_once(
     tmp_path: Path, make_config: MakeConfig
 ) -> None:
-    driver = DriverSpec(name="simulated", summary="Simulates.", target="x:y")
-    plan = Plan(
-        robot=RobotSpec(name="fake", summary="Fake.", target="x:y", drivers=(driver,)),
-        driver=driver,
-        perception=PerceptionSpec(
-            name="sim-camera", summary="Renders.", target="x:y", drivers=("simulated",)
-        ),
-    )
+    config = make_config(60.0)
     supervisor = Supervisor(tmp_path, command=lambda python: pytest.fail("nothing may be spawned"))
     started_s = time.monotonic()
     try:
         with pytest.raises(
             NotReadyError, match="come from the driver of the robot, which is not running"
         ) as caught:
-            supervisor.start("perception", make_config(60.0), plan=plan)
+            supervisor.start("perception", config, plan=_plan(config, "robot"))
     finally:
         supervisor.close()
     assert caught.value.hint == "Call start_robot first."

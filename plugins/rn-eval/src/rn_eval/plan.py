@@ -14,8 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from rn_eval.hooks import SuiteSpec
 from rn_eval.suite import Episode, Suite
-from roboneuron import ConfigurationError
-from roboneuron.command import Config, Offer, Plan, Registry, Status, build, check_plan
+from rn_standard.inference.planning import Policy, find_policy
+from roboneuron import ConfigurationError, ControllerSpec, RobotSpec
+from roboneuron.command import Config, Offer, Registry, Status, build, find_controller
 
 NO_PRESET = "none"
 _SAMPLE_BYTES = 65536
@@ -149,24 +150,36 @@ class EvalPlan(BaseModel):
         suite: Any = build(spec, self.suite_options)
         return suite  # type: ignore[no-any-return]
 
-    def check(self, registry: Registry, preset: str) -> Plan:
+    def check(self, registry: Registry, preset: str) -> Policy:
         """Whether the combination fits, as a server checks it before it starts anything.
 
         Raises:
             ConfigurationError, PlanningError: it does not; one sentence.
         """
         spec, config = self.suite_spec(registry), self.load_config()
-        assert config.control is not None
-        return check_plan(
+        policy = find_policy(
             with_body(registry, spec),
             robot=spec.robot if spec.body is None else spec.body.name,
             driver=spec.driver,
-            controller=config.control.controller if spec.body is None else None,
             backend=self.backend,
             runtime=self.runtime,
             acceleration=None if preset == NO_PRESET else preset,
             cameras=config.inference.cameras if config.inference else {},
         )
+        self.controller(registry, policy.robot)
+        return policy
+
+    def controller(self, registry: Registry, robot: RobotSpec) -> ControllerSpec | None:
+        """What moves the robot; None in a suite whose body executes actions itself.
+
+        Raises:
+            ConfigurationError, PlanningError: it is not there, or moves other robots.
+        """
+        if self.suite_spec(registry).body is not None:
+            return None
+        section = self.load_config().control
+        assert section is not None
+        return find_controller(registry, section.controller, robot)
 
     def jobs(self, episodes: Sequence[Episode]) -> Iterator[Job]:
         """Every episode under every variant."""

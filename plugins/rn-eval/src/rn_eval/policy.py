@@ -66,7 +66,6 @@ def load_backend(plan: EvalPlan, registry: Registry, preset: str) -> Backend:
         RoboNeuronError: as planning, building and loading do.
     """
     parts = plan.check(registry, preset)
-    assert parts.backend is not None
     config = plan.load_config()
     options = dict(config.options(parts.backend.name))
     if plan.checkpoint is not None:

@@ -56,16 +56,15 @@ class Runner:
     def _prepare(self) -> tuple[Setup, BackendSpec]:
         plan, config = self._plan, self._plan.load_config()
         parts = plan.check(self._registry, plan.presets[0])
-        assert parts.backend is not None
         profile = load_profile(
             with_body(self._registry, plan.suite_spec(self._registry)), parts.robot.name
         )
         controller: Controller | None = None
-        if parts.controller is not None:
+        if (spec := plan.controller(self._registry, parts.robot)) is not None:
             profile = replace(profile, collision=motion_rules(config.limits, profile).collision)
             controller = cast(
                 "Controller",
-                build(parts.controller, config.options(parts.controller.name), profile),
+                build(spec, config.options(spec.name), profile),
             )
             controller.load()
             if parts.backend.space is not None:

@@ -27,7 +27,8 @@ def installed_versions(plan: EvalPlan, registry: Registry) -> dict[str, str]:
     wanted = [("suite", plan.suite)]
     for preset in plan.presets:
         parts = plan.check(registry, preset)
-        specs = (parts.robot, parts.backend, parts.runtime, parts.controller, parts.acceleration)
+        controller = plan.controller(registry, parts.robot)
+        specs = (parts.robot, parts.backend, parts.runtime, controller, parts.acceleration)
         wanted += [(spec.kind, spec.name) for spec in specs if spec is not None]
     offers = {
         (offer.spec.kind, offer.spec.name): offer.distribution for offer in registry.all_offers

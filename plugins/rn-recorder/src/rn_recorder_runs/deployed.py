@@ -56,10 +56,11 @@ def build_backend(
         RoboNeuronError: the backend does not fit the robot, or cannot be built.
     """
     from rn_standard.inference.agreement import agree_on_space
-    from roboneuron.command import build, check_plan, discover, load_profile
+    from rn_standard.inference.planning import find_policy
+    from roboneuron.command import build, discover, load_profile
 
     registry = discover(settings.disabled_plugins)
-    plan = check_plan(
+    policy = find_policy(
         registry,
         robot=robot,
         driver=driver,
@@ -67,11 +68,12 @@ def build_backend(
         runtime=runtime,
         acceleration=acceleration,
         cameras=dict(settings.inference.cameras) if settings.inference else {},
-        elsewhere=("driver",),
+        is_driver_elsewhere=True,
     )
-    assert plan.backend is not None
     made_of = [
-        part.name for part in (plan.backend, plan.runtime, plan.acceleration) if part is not None
+        part.name
+        for part in (policy.backend, policy.runtime, policy.acceleration)
+        if part is not None
     ]
     for name in options:
         if name not in made_of:
@@ -87,19 +89,19 @@ def build_backend(
     if checkpoint is not None:
         given["checkpoint"] = str(Path(checkpoint).expanduser())
     profile = load_profile(registry, robot)
-    agreement = agree_on_space(registry, plan.backend, given, robot, settings.control)
+    agreement = agree_on_space(registry, policy.backend, given, robot, settings.control)
     parts = {
         part: None if chosen is None else build(chosen, options_of(chosen.name))
-        for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
+        for part, chosen in (("runtime", policy.runtime), ("acceleration", policy.acceleration))
     }
     cameras = {
         role: camera
-        for role, name in plan.cameras.items()
+        for role, name in policy.cameras.items()
         if (camera := profile.camera(name)) is not None
     }
     return DeployedBackend(
-        backend=cast("Backend", build(plan.backend, given, **parts)),
-        spec=plan.backend,
+        backend=cast("Backend", build(policy.backend, given, **parts)),
+        spec=policy.backend,
         profile=profile,
         cameras=cameras,
         agreement=agreement,

@@ -14,7 +14,7 @@ from rn_standard.http.feature import HttpFeature
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
-from roboneuron.server.access import LOCAL_AGENT
+from roboneuron.server.tool import LOCAL_AGENT
 
 Call = Callable[..., types.CallToolResult]
 

@@ -18,7 +18,7 @@ import pytest
 from rn_standard.http import listener as listener_module
 from rn_standard.http.listener import BoundedListener, ConnectionBounds, other_bounds, stop_bounds
 from rn_standard.http.tokens import TokenTable, shows_right
-from roboneuron.server.access import Holder
+from roboneuron.server.tool import Holder
 
 pytestmark = pytest.mark.timeout(60)
 WIDE = ConnectionBounds(

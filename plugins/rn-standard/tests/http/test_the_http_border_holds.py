@@ -26,10 +26,9 @@ from rn_standard.http.server import listen, make_server
 from rn_standard.http.tokens import TokenTable
 from rn_testing.waiting import wait_until
 from roboneuron.errors import StateError
-from roboneuron.server.access import Holder
 from roboneuron.server.app import Application
-from roboneuron.server.events import Events
-from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
+from roboneuron.server.host import Events
+from roboneuron.server.tool import CallContext, Holder, NoArguments, Result, Tool
 
 pytestmark = pytest.mark.timeout(120)
 TOKENS = {role: f"{role}-token-of-this-test" for role in ("viewer", "operator", "admin")}

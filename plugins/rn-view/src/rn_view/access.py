@@ -10,7 +10,7 @@ from rn_standard.http.options import HttpOptions
 from rn_standard.http.origins import HostRules
 from rn_standard.http.tokens import TokenTable
 from rn_view.options import ViewOptions
-from roboneuron.feature import access
+from roboneuron.feature import Holder
 
 _ANY_ADDRESS = ("0.0.0.0", "::", "")
 
@@ -27,11 +27,11 @@ class Admission:
     tokens: TokenTable
     rules: HostRules
 
-    def visitor(self, number: int) -> access.Holder | None:
+    def visitor(self, number: int) -> Holder | None:
         """Who a new page is: None until it gives a token."""
         if self.tokens:
             return None
-        return access.Holder.local(f"view {number}")
+        return Holder.local(f"view {number}")
 
     def allows(self, headers: Any) -> bool:
         """Whether a connection may be: its Host is this machine, and its page comes from there or

@@ -21,10 +21,10 @@ from roboneuron.feature import (
     FAULTS,
     Config,
     Health,
+    Holder,
     ModuleKind,
     ModuleView,
     Registry,
-    access,
     load_profile,
 )
 
@@ -166,7 +166,7 @@ class LiveOperator:
         self._lease = lease
         self.loop: asyncio.AbstractEventLoop | None = None
 
-    def call(self, holder: access.Holder, tool: str, arguments: dict[str, object]) -> Future[str]:
+    def call(self, holder: Holder, tool: str, arguments: dict[str, object]) -> Future[str]:
         """See Operator."""
         if self.loop is None:
             failed: Future[str] = Future()
@@ -174,16 +174,16 @@ class LiveOperator:
             return failed
         return asyncio.run_coroutine_threadsafe(self._call(holder, tool, arguments), self.loop)
 
-    def present(self, holder: access.Holder) -> AbstractContextManager[None]:
+    def present(self, holder: Holder) -> AbstractContextManager[None]:
         """See Operator; an open page renews the lease as an open stream does."""
         return nullcontext() if self._lease is None else self._lease.present(holder.who)
 
-    def leave(self, holder: access.Holder) -> None:
+    def leave(self, holder: Holder) -> None:
         """See Operator; somebody with a token may have other clients."""
         if holder.client and self._lease is not None:
             self._lease.release(holder.who)
 
-    async def _call(self, holder: access.Holder, tool: str, arguments: dict[str, object]) -> str:
+    async def _call(self, holder: Holder, tool: str, arguments: dict[str, object]) -> str:
         result = await self._host.tools.call(tool, arguments, _Context(holder))
         return failure_of(result.model_dump(mode="json", by_alias=True))
 
@@ -191,7 +191,7 @@ class LiveOperator:
 class _Context:
     """CallContext of a button."""
 
-    def __init__(self, holder: access.Holder) -> None:
+    def __init__(self, holder: Holder) -> None:
         self.who, self.role = holder.who, holder.role
 
     async def run(

@@ -21,7 +21,7 @@ from rn_view.plots import History, Plots
 from rn_view.scene import PageScene
 from rn_view.source import PageState, Source
 from roboneuron import RobotProfile
-from roboneuron.feature import Role, access
+from roboneuron.feature import Holder, Role
 
 _LEFT_PX = 310
 _PHONE_PX, _WIDE_PX = 576, 1100
@@ -40,17 +40,17 @@ _TRIES = 5
 class Operator(Protocol):
     """Calls tools for a page; the page of a view without one has no buttons but the stop."""
 
-    def call(self, holder: access.Holder, tool: str, arguments: dict[str, object]) -> Future[str]:
+    def call(self, holder: Holder, tool: str, arguments: dict[str, object]) -> Future[str]:
         """Call a tool as `holder`; the text of its failure, empty when it did what it says. Returns
         at once.
         """
         ...
 
-    def present(self, holder: access.Holder) -> AbstractContextManager[None]:
+    def present(self, holder: Holder) -> AbstractContextManager[None]:
         """A page of this holder is open within the block."""
         ...
 
-    def leave(self, holder: access.Holder) -> None:
+    def leave(self, holder: Holder) -> None:
         """The page of this holder was closed."""
         ...
 
@@ -66,7 +66,7 @@ class Page:
         client: viser.ClientHandle,
         sources: Mapping[str, Source],
         operators: Mapping[str, Operator],
-        admit: Callable[[str], access.Holder | None],
+        admit: Callable[[str], Holder | None],
         on_choice: Callable[[Page], object],
         on_lead: Callable[[Page, Lead, object], object],
     ) -> None:
@@ -80,7 +80,7 @@ class Page:
         on_lead: called when this page begins to lead, with what it leads as.
         """
         self.client = client
-        self.holder: access.Holder | None = None
+        self.holder: Holder | None = None
         self._sources = sources
         self._source = next(iter(sources.values()))
         self._operators = operators

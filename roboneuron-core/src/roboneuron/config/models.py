@@ -29,8 +29,6 @@ Reaction = Literal["hold", "scale", "refuse"]
 command end.
 """
 ModuleKind = Literal["robot", "perception", "inference", "control"]
-CHECKPOINT_START_S = 900.0
-"""15 GB from a slow disk, and the warm-up of a large model, take several minutes."""
 FIRST_STEP_S = 0.1
 """Time that control gives the arm for the first action after a pause [s]."""
 
@@ -296,22 +294,14 @@ class Config(Section):
         return self.plugins.get(name, {})
 
     def start_timeout_s(self, kind: str) -> float:
-        """Longest start of a module [s]: its own section's, or the supervisor's; a policy with a
-        checkpoint is given the time that large models need.
+        """Longest start of a module [s]: its own section's, or the supervisor's.
 
         Args:
             kind: of the module, as its section is called.
         """
         section = getattr(self, kind)
-        if section is not None and section.start_timeout_s is not None:
-            return float(section.start_timeout_s)
-        if (
-            kind == "inference"
-            and self.inference is not None
-            and self.inference.checkpoint is not None
-        ):
-            return max(CHECKPOINT_START_S, self.supervisor.start_timeout_s)
-        return self.supervisor.start_timeout_s
+        own_s: float | None = None if section is None else section.start_timeout_s
+        return self.supervisor.start_timeout_s if own_s is None else own_s
 
 
 class ModuleSettings(BaseModel):

@@ -55,7 +55,7 @@ from roboneuron.modules.settings import (
     NEEDS_NEW_START,
     SERVER_SILENT,
 )
-from roboneuron.planning import check_plan
+from roboneuron.planning import find_controller, find_robot
 from roboneuron.plugins.specs import ControllerSpec
 from roboneuron.ros.messages import (
     commands_from_message,
@@ -108,16 +108,10 @@ class ControlModule(Module):
         # there was no joint state to hold at: the next one is held
         self._hold_is_due = False
         section = self.config.robot
-        check_plan(
-            self.registry,
-            robot=section.name,
-            driver=section.driver,
-            controller=config.controller,
-            elsewhere=("driver",),
-        )
+        robot, _ = find_robot(self.registry, section.name, section.driver, is_elsewhere=True)
+        spec = find_controller(self.registry, config.controller, robot)
         profile = load_profile(self.registry, section.name)
         self._profile = replace(profile, collision=collision_of(self.config.limits, profile))
-        spec = self.registry.get(ControllerSpec, config.controller)
         self._controller = cast(
             "Controller", build(spec, self.config.options(spec.name), self._profile)
         )

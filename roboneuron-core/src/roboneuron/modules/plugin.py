@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import cast
 
-from roboneuron.config import ControlConfig
 from roboneuron.contract import RobotProfile
-from roboneuron.errors import ConfigurationError, PluginError
+from roboneuron.errors import PluginError
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.planning import Plan
-from roboneuron.plugins.availability import install_command, package_of
-from roboneuron.plugins.loading import load_attribute, load_options, load_target
+from roboneuron.plugins.loading import load_options, load_target
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, FeatureSpec, Spec
 
@@ -28,16 +25,7 @@ def module_class(kind: ModuleKind, registry: Registry) -> str:
     Raises:
         ConfigurationError: no installed feature brings such modules.
     """
-    brought = registry.specs(FeatureSpec).get(kind)
-    found = _CLASSES.get(kind) or (brought.module if brought is not None else None)
-    if found is None:
-        package = package_of("feature", kind)
-        raise ConfigurationError(
-            f"No feature that runs {kind} modules is installed.",
-            hint=f"For its interpreter: {install_command(*filter(None, [package]))}. "
-            f"If that is installed, take rn-{kind} out of disabled_plugins.",
-        )
-    return found
+    return _CLASSES.get(kind) or registry.get(FeatureSpec, kind).module or ""
 
 
 def build(
@@ -67,26 +55,3 @@ def load_profile(registry: Registry, robot: str) -> RobotProfile:
             "RobotProfile."
         )
     return profile
-
-
-def check_module(
-    kind: ModuleKind,
-    registry: Registry,
-    plan: Plan,
-    options: Mapping[str, object],
-    control: ControlConfig | None,
-) -> None:
-    """Let the feature that brings modules of that kind check one before it is started.
-
-    Args:
-        plan: what it consists of.
-        options: of the plugin that it runs.
-        control: section of the configuration.
-
-    Raises:
-        RoboNeuronError: as `FeatureSpec.module_check` says.
-    """
-    spec = registry.specs(FeatureSpec).get(kind)
-    if spec is not None and spec.module_check is not None:
-        check = load_attribute(spec.module_check, f"`module_check` of {spec.name!r}")
-        cast("Callable[..., object]", check)(registry, plan, options, control)

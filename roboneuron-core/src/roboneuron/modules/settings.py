@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from unicodedata import category
-
 from roboneuron.config.models import ModuleKind as ModuleKind
 
 MODULE_KINDS: tuple[ModuleKind, ...] = ("robot", "perception", "inference", "control")
@@ -28,28 +26,6 @@ LIMITS_PARAMETER = "limits"
 """ROS parameter of the control node: limits as JSON, tighter than the configured ones; empty for
 these themselves.
 """
-MAX_INSTRUCTION_LENGTH = 1000
-"""Characters: models read a few dozen words, and the status repeats it five times a second."""
-_BREAKS = "\t\n\r"
-"""Control characters that may stand between the words of an instruction."""
-
-
-def instruction_problem(text: str) -> str:
-    """Why a text can be no instruction; empty when it can be one. ROS ends a text at NUL."""
-    if len(text) > MAX_INSTRUCTION_LENGTH:
-        return (
-            f"The instruction is {len(text)} characters long, at most {MAX_INSTRUCTION_LENGTH} "
-            "are allowed"
-        )
-    for place, character in enumerate(text):
-        if category(character) in ("Cc", "Cs") and character not in _BREAKS:
-            return (
-                f"The instruction holds the control character U+{ord(character):04X} at "
-                f"position {place}"
-            )
-    return ""
-
-
 FOREIGN_REQUEST = "foreign_request"
 """Counted in `dropped`, and the newest one in words: a lifecycle or parameter request that is not
 the server's.

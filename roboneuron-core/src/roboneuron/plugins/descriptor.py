@@ -27,7 +27,7 @@ REFERENCES = (
     "on_discovery",
     "on_join",
     "module",
-    "module_check",
+    "module_plan",
     "fleet",
     "fleet_config",
 )

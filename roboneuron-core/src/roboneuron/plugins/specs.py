@@ -270,8 +270,9 @@ class FeatureSpec(Spec):
             for that.
         module: "module:attribute" of the class of the modules called as the feature ("perception"
             or "inference"), called with a `ModuleHost`.
-        module_check: "module:attribute" of a function that raises what speaks against a start of
-            such a module; light, called with Registry, `Plan`, options and section `control`.
+        module_plan: "module:attribute" of a light function that finds and compares what such a
+            module consists of: called with Config and Registry, returns its `roboneuron.node.Plan`
+            or raises a RoboNeuronError.
         fleet: "module:attribute" of what serves a configuration with several robots: called with
             the Config and the state directory, returns a `roboneuron.server.surface.Served`; None
             when it does not do that.
@@ -291,7 +292,7 @@ class FeatureSpec(Spec):
     on_discovery: str | None = None
     on_join: str | None = None
     module: str | None = None
-    module_check: str | None = None
+    module_plan: str | None = None
     fleet: str | None = None
     fleet_config: str | None = None
     switch: str | None = None

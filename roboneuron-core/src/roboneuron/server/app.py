@@ -21,21 +21,19 @@ from anyio import to_thread
 from roboneuron.config import Config, fleet_feature
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.estop.emergency import SafetyReports, press_on_signal
+from roboneuron.planning import check_configuration
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import state_directory
-from roboneuron.server.access import Transport
-from roboneuron.server.events import Events
 from roboneuron.server.feature import Features
-from roboneuron.server.host import Host
+from roboneuron.server.host import Events, Host
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.registry import ToolRegistry
-from roboneuron.server.selection import check_configuration
 from roboneuron.server.stdio import serve_stdio
 from roboneuron.server.stop_tools import emergency_tool, stop_tools
 from roboneuron.server.surface import Served, make_server
-from roboneuron.server.tool import Resource
+from roboneuron.server.tool import Resource, Transport
 from roboneuron.supervisor.health import Watch
 from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor

@@ -16,11 +16,10 @@ from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
 
 if TYPE_CHECKING:
-    from roboneuron.server.access import Transport
     from roboneuron.server.host import Host
     from roboneuron.server.motion_gate import MotionGate
     from roboneuron.server.registry import ToolRegistry
-    from roboneuron.server.tool import Resource, Tool
+    from roboneuron.server.tool import Resource, Tool, Transport
 
 log = logging.getLogger(__name__)
 OptionsT = TypeVar("OptionsT")
@@ -116,8 +115,8 @@ class Feature(Generic[OptionsT]):
         """Begin to listen for clients. Called once, after `tools`, if `[server] transport` is one
         of the descriptor's.
 
-        Modules and ROS are not started yet. `roboneuron.server.access` says what a transport leaves
-        with each request.
+        Modules and ROS are not started yet. `roboneuron.server.tool.Holder` is what a transport
+        leaves with each request.
 
         Raises:
             ConfigurationError: it cannot, such as for a port that is in use.

@@ -6,19 +6,19 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from roboneuron.config import Config, LimitsConfig
-from roboneuron.errors import InvalidInputError, StateError
+from roboneuron.errors import InternalError, StateError
 from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.estop.motion_starts import MotionStarts
-from roboneuron.modules.settings import EMERGENCY_STOP, LIMITS_PARAMETER, MODULE_KINDS, ModuleKind
+from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
+from roboneuron.planning import KIND_ENTRIES
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import RobotSpec
-from roboneuron.server.selection import Choose, choose_configured
 from roboneuron.server.tool import Arguments
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
 from roboneuron.supervisor.launching import Stage
@@ -74,6 +74,23 @@ class RobotFacts:
 
     def __str__(self) -> str:
         return f"{self.kind} robot {self.name} (driver {self.driver})"
+
+
+Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Selection]
+"""Selects what a client asks for; called with kind, configuration, plugins, request and role;
+raises as `KindEntry.check`.
+"""
+
+
+def choose_configured(
+    kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None, role: str
+) -> Selection:
+    """What is configured, whatever the role."""
+    if request is not None:
+        raise InternalError(
+            f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
+        )
+    return Selection.of(kind, KIND_ENTRIES[kind].check(config, registry))
 
 
 class ClosedLoop:
@@ -141,17 +158,10 @@ class ClosedLoop:
         return self._supervisor.tightened
 
     def tighten(self, limits: LimitsConfig | None) -> None:
-        """Start modules from now on with these limits; None: with the configured ones. See
-        `send_limits`.
+        """Start modules from now on with these limits; None: with the configured ones.
+        Those that run are told by `set_parameters`.
         """
         self._supervisor.tightened = limits
-
-    def send_limits(self, timeout_s: float, start_s: float) -> str:
-        """Have every control that runs, or is being started, move within the limits in force.
-        Arguments, answer and errors as of `set_parameters`.
-        """
-        text = "" if self.tightened is None else self.tightened.model_dump_json()
-        return self.set_parameters("control", {LIMITS_PARAMETER: text}, timeout_s, start_s)
 
     @property
     def robot_facts(self) -> RobotFacts:
@@ -194,16 +204,23 @@ class ClosedLoop:
 
         Raises:
             StateError: another module works for another robot.
-            InvalidInputError: the source of images does not serve all cameras of the backend.
             RefusedError: a backend with an instruction proves itself by an action, and the
                 emergency stop is latched.
+            RoboNeuronError: as `Plan.check_beside` of a module that runs, or of this one.
         """
         views = self.modules.views()
         if selection.kind == "robot":
             _check_namespace(selection, views)
-        running = {view.kind: view.choice for view in views if view.phase == "running"}
+        running = {
+            view.kind: view.choice
+            for view in views
+            if view.phase == "running" and view.choice is not None
+        }
         running[selection.kind] = selection
-        _check_cameras(running.get("inference"), running.get("perception"))
+        configs = {kind: choice.config for kind, choice in running.items()}
+        for choice in running.values():
+            if choice.plan is not None:
+                choice.plan.check_beside(configs)
         section = selection.config.inference
         if selection.kind == "inference" and section is not None and section.instruction:
             self.emergency_stop.check()
@@ -337,7 +354,7 @@ def _has_started(slot: Slot) -> bool:
     return slot.phase != "starting"
 
 
-def _check_namespace(robot: Selection, views: Sequence[ModuleView]) -> None:
+def _check_namespace(robot: Selection, views: Iterable[ModuleView]) -> None:
     for view in views:
         if view.choice is not None and view.choice.config.namespace != robot.config.namespace:
             raise StateError(
@@ -345,19 +362,3 @@ def _check_namespace(robot: Selection, views: Sequence[ModuleView]) -> None:
                 f"not for {robot.config.robot.name!r}.",
                 hint="Call stop_all first.",
             )
-
-
-def _check_cameras(inference: Selection | None, perception: Selection | None) -> None:
-    if inference is None or perception is None or inference.plan is None:
-        return
-    backend, section = inference.plan.backend, perception.config.perception
-    assert backend is not None
-    assert section is not None
-    needed = [inference.plan.cameras[role] for role in backend.cameras]
-    absent = [name for name in needed if name not in section.cameras]
-    if section.cameras and absent:
-        raise InvalidInputError(
-            f"Backend {backend.name!r} needs the camera {', '.join(absent)}, "
-            f"but perception serves only {', '.join(section.cameras)}.",
-            hint="Let perception serve all cameras, or name others in `cameras`.",
-        )

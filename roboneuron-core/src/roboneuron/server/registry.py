@@ -119,13 +119,6 @@ class ToolRegistry:
         if before != self._shown(owner):
             self._on_change()
 
-    def derived_tool(self, name: str) -> Tool[Any] | None:
-        """The derived tool of that name; takes as long among a thousand as among three."""
-        for owner, entries in self._owned.items():
-            if owner != _FIXED and name in entries:
-                return entries[name].tool
-        return None
-
     def listing(self, role: str = Role.ADMIN) -> list[types.Tool]:
         """What `tools/list` answers to clients of a role: what they may call."""
         return [
@@ -135,10 +128,14 @@ class ToolRegistry:
             if entry.tool.listed and entry.tool.offered() and entry.tool.least_role.is_held_by(role)
         ]
 
-    def get(self, name: str) -> Tool[Any] | None:
-        """The tool of that name, listed or not."""
-        found = [entries[name].tool for entries in self._owned.values() if name in entries]
-        return found[0] if found else None
+    def get(self, name: str, *, is_derived: bool = False) -> Tool[Any] | None:
+        """The tool of that name, listed or not, or only a derived one; takes as long among a
+        thousand as among three.
+        """
+        for owner, entries in self._owned.items():
+            if name in entries and not (is_derived and owner == _FIXED):
+                return entries[name].tool
+        return None
 
     def _shown(self, owner: str) -> list[types.Tool]:
         return [entry.shown() for entry in self._owned.get(owner, {}).values() if entry.tool.listed]

@@ -79,8 +79,8 @@ class LineWriter:
                 return
 
 
-class MessageReader(ObjectReceiveStream[SessionMessage]):
-    """The read stream of a stdio server: messages of a descriptor, until it ends.
+class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[SessionMessage]):
+    """Both streams of a stdio server: messages of a descriptor, until it ends, and lines out.
 
     What is no message is answered here. So are requests whose id is still at work, and those that
     come while too many wait. An emergency stop and a cancellation overtake the rest, and pings let
@@ -88,7 +88,7 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
 
     Args:
         descriptor: read by a thread of its own.
-        answer: gets the answers to what is refused; called from that thread.
+        answer: takes a line for the client without waiting; called from that thread too.
         most: requests that are at work at once; more wait here, where others can overtake them.
         on_end: called from that thread when the client has left.
     """
@@ -114,7 +114,7 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
         self._ids: dict[int | str, int] = {}
         self._at_work = {_URGENT: 0, _OTHER: 0, _PING: 0}
         self._has_ended = False
-        self._loop: asyncio.AbstractEventLoop | None = None
+        self._loop: asyncio.AbstractEventLoop  # of `start`
         self._changed = asyncio.Event()
 
     def start(self) -> None:
@@ -130,7 +130,7 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
             if isinstance(message, JSONRPCRequest):
 
                 async def settled(request_id: int | str = message.id) -> None:
-                    self.settle(request_id)
+                    self._settle(request_id)
 
                 return SessionMessage(message, ServerMessageMetadata(on_request_unanswered=settled))
             if message is not None:
@@ -139,7 +139,14 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
                 raise EndOfStream
             await self._changed.wait()
 
-    def settle(self, request_id: int | str | None) -> None:
+    async def send(self, item: SessionMessage) -> None:
+        """Write one message."""
+        message = item.message
+        self._answer(message.model_dump_json(by_alias=True, exclude_unset=True))
+        if isinstance(message, JSONRPCResponse | JSONRPCError):
+            self._settle(message.id)
+
+    def _settle(self, request_id: int | str | None) -> None:
         """A request was answered, or never will be: its id is free."""
         if request_id is None:
             return
@@ -237,28 +244,8 @@ class MessageReader(ObjectReceiveStream[SessionMessage]):
                     return
 
     def _wake(self) -> None:
-        loop = self._loop
-        if loop is not None and not loop.is_closed():
-            with suppress(RuntimeError):  # it was closed since
-                loop.call_soon_threadsafe(self._changed.set)
-
-
-class MessageWriter(ObjectSendStream[SessionMessage]):
-    """The write stream of a stdio server; tells the reader which requests were answered."""
-
-    def __init__(self, lines: LineWriter, reader: MessageReader) -> None:
-        self._lines = lines
-        self._reader = reader
-
-    async def send(self, item: SessionMessage) -> None:
-        """Write one message."""
-        message = item.message
-        self._lines.write(message.model_dump_json(by_alias=True, exclude_unset=True))
-        if isinstance(message, JSONRPCResponse | JSONRPCError):
-            self._reader.settle(message.id)
-
-    async def aclose(self) -> None:
-        """The lines are closed by whoever opened them."""
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(self._changed.set)
 
 
 async def serve_stdio(
@@ -278,7 +265,7 @@ async def serve_stdio(
         leave: ends it.
     """
     writer = LineWriter(wire[1])
-    reader = MessageReader(wire[0], writer.write, 2 * most_calls + 64, on_end)
+    stream = MessageStream(wire[0], writer.write, 2 * most_calls + 64, on_end)
     writer.start()
 
     async def end(scope: anyio.CancelScope) -> None:
@@ -287,10 +274,8 @@ async def serve_stdio(
 
     async with anyio.create_task_group() as group:
         group.start_soon(end, group.cancel_scope)
-        reader.start()
+        stream.start()
         log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
-        await server.run(
-            reader, MessageWriter(writer, reader), server.create_initialization_options()
-        )
+        await server.run(stream, stream, server.create_initialization_options())
         group.cancel_scope.cancel()
     writer.close()

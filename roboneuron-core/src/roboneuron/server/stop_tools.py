@@ -11,8 +11,8 @@ from pydantic import Field
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.roles import Role
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
+from roboneuron.planning import KIND_ENTRIES, KindEntry
 from roboneuron.server.loop import ClosedLoop
-from roboneuron.server.selection import KIND_ENTRIES, KindEntry
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, Tool
 from roboneuron.supervisor.health import Stopped
 

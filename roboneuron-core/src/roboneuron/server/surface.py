@@ -26,9 +26,8 @@ from mcp.shared.exceptions import MCPError
 from opentelemetry import trace
 
 from roboneuron import __version__
-from roboneuron.server.access import Transport, holder_of
 from roboneuron.server.registry import ToolRegistry
-from roboneuron.server.tool import Resource, Stage, UnfinishedCallError
+from roboneuron.server.tool import Resource, Stage, Transport, UnfinishedCallError, holder_of
 
 T = TypeVar("T")
 

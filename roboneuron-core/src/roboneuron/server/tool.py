@@ -1,10 +1,13 @@
-"""Tools and resources as data: what the agent reads of one, and the function behind it."""
+"""Tools and resources as data: what the agent reads of one, the function behind it, and who calls
+it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
 from pydantic import BaseModel, ConfigDict
 from pydantic.version import version_short
@@ -12,6 +15,9 @@ from pydantic.version import version_short
 from roboneuron.errors import RefusedError
 from roboneuron.gate.roles import Role
 from roboneuron.server.schema import Schema, Shape, model_schema, parse, with_choices
+
+if TYPE_CHECKING:
+    from anyio import Event
 
 T = TypeVar("T")
 A = TypeVar("A", bound="Arguments")
@@ -87,6 +93,57 @@ class UnfinishedCallError(Exception):
     def __init__(self, result: Any) -> None:
         super().__init__("a person is asked")
         self.result = result
+
+
+_LOCAL_CLIENT = "local HTTP client"
+Transport: TypeAlias = "Callable[[Event], Awaitable[None]]"
+"""Serves clients on the event loop until the event is set."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Holder:
+    """A client as the transport knows it.
+
+    Attributes:
+        who: for the audit and the log.
+        role: one of `Role`; anything else has no rights.
+        client: which of several clients without a token; empty for others.
+        watched: calls a listener when the connection of this request is lost within the block, or
+            was before; None where that cancels the call, as on stdio.
+        KEY: where a transport of a feature leaves the Holder in the scope of a request.
+    """
+
+    KEY: ClassVar = "roboneuron.holder"
+
+    who: str
+    role: str
+    client: str = ""
+    watched: Callable[[Callable[[], object]], AbstractContextManager[None]] | None = None
+
+    @classmethod
+    def local(cls, client: str = "") -> Holder:
+        """A client of a server on loopback that asks for no token: anybody on this machine, who
+        could start one as well. `client` tells it apart from others: "session 1a2b", "pid 123".
+        """
+        return cls(who=f"{_LOCAL_CLIENT} {client}".rstrip(), role=Role.ADMIN, client=client)
+
+    @staticmethod
+    def is_local(who: str) -> bool:
+        """Whether that client was let in without a token; no token can have such a name."""
+        return who == LOCAL_AGENT.who or who.startswith(_LOCAL_CLIENT)
+
+
+LOCAL_AGENT = Holder(who="agent on stdio", role=Role.ADMIN)
+"""The client of a stdio server: whoever started the server, so it has every role."""
+NOBODY = Holder(who="unknown", role="")
+
+
+def holder_of(request: Any) -> Holder:
+    """Who sent a request; None is stdio. A request without a Holder has no rights."""
+    if request is None:
+        return LOCAL_AGENT
+    holder = request.scope.get(Holder.KEY)
+    return holder if isinstance(holder, Holder) else NOBODY
 
 
 class CallContext(Protocol):

@@ -11,7 +11,6 @@ from pathlib import Path
 from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.planning import Plan
 from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
 from roboneuron.supervisor.changes import Lasting
 from roboneuron.supervisor.health import Modules
@@ -216,10 +215,10 @@ class Bringup:
         """Modules that this one takes inputs from and that are neither running nor being
         started.
         """
+        plan = self._choice.plan
+        inputs = plan.inputs if plan is not None else ()
         return [
-            kind
-            for kind in _needed(self._slot.kind, self._choice.plan)
-            if self._modules.slot(kind).phase not in ("starting", "running")
+            kind for kind in inputs if self._modules.slot(kind).phase not in ("starting", "running")
         ]
 
     def _check_alone(self) -> None:
@@ -283,23 +282,6 @@ class Bringup:
                 f"{self._timeout_s:g} s"
                 f"{_memory(self._process.pid)}"
             )
-
-
-def _needed(kind: ModuleKind, plan: Plan | None) -> tuple[ModuleKind, ...]:
-    """Modules that one of that kind takes inputs from.
-
-    Args:
-        kind: of the module.
-        plan: what it consists of; None where nobody has made one.
-    """
-    if kind == "control":
-        return ("robot",)
-    if kind == "inference":
-        needs_state = plan is not None and plan.backend is not None and plan.backend.needs_state
-        return ("robot", "perception", "control") if needs_state else ("perception",)
-    if kind == "perception" and plan is not None and plan.perception is not None:
-        return ("robot",) if plan.perception.drivers else ()
-    return ()
 
 
 def _left(deadline_s: float) -> float:

@@ -58,6 +58,12 @@ class Selection:
     names: Mapping[str, str] = field(default_factory=dict)
     plan: Plan | None = None
 
+    @classmethod
+    def of(cls, kind: ModuleKind, plan: Plan) -> Self:
+        """A module that was planned; what only the supervisor knows is still open."""
+        settings = ModuleSettings(kind=kind, node_name=kind, config=plan.config)
+        return cls(settings=settings, names=plan.names, plan=plan)
+
     @property
     def kind(self) -> ModuleKind:
         """Of the module."""

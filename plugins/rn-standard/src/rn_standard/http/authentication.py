@@ -18,7 +18,7 @@ from rn_standard.http.local_clients import account_of
 from rn_standard.http.peers import peer_process
 from rn_standard.http.sessions import SESSION_HEADER
 from rn_standard.http.tokens import TokenTable
-from roboneuron.feature import access
+from roboneuron.feature import Holder
 
 _CLIENT = "client"
 """Claim of a client without a token: its session or process."""
@@ -81,16 +81,16 @@ class LocalBackend(AuthenticationBackend):
             self._connections.keep(protocol)
         session = conn.headers.get(SESSION_HEADER)
         name = await _process_of(conn, protocol) if session is None else session_name(session)
-        user = AuthenticatedUser(_access_token(access.Holder.local(name)))
+        user = AuthenticatedUser(_access_token(Holder.local(name)))
         return AuthCredentials(user.scopes), user
 
 
-def holder_of(user: AuthenticatedUser) -> access.Holder:
+def holder_of(user: AuthenticatedUser) -> Holder:
     """The Holder whom one of these backends has found."""
     token = user.access_token
     if token.claims is not None:
-        return access.Holder.local(token.claims[_CLIENT])
-    return access.Holder(who=token.client_id, role=token.scopes[0])
+        return Holder.local(token.claims[_CLIENT])
+    return Holder(who=token.client_id, role=token.scopes[0])
 
 
 def protocol_of(conn: HTTPConnection) -> BoundedProtocol | None:
@@ -104,8 +104,8 @@ def session_name(session: str) -> str:
     return f"session {''.join(c for c in session[:8] if c.isalnum())}"
 
 
-def _access_token(holder: access.Holder) -> AccessToken:
-    claims = {_CLIENT: holder.client} if access.Holder.is_local(holder.who) else None
+def _access_token(holder: Holder) -> AccessToken:
+    claims = {_CLIENT: holder.client} if Holder.is_local(holder.who) else None
     return AccessToken(token="", client_id=account_of(holder), scopes=[holder.role], claims=claims)
 
 

@@ -22,7 +22,7 @@ from rn_standard.http.connections import ConnectionTable
 from rn_standard.http.local_clients import account_of
 from rn_standard.http.origins import HostRules
 from rn_standard.http.tokens import TokenTable
-from roboneuron.feature import access, envelope
+from roboneuron.feature import Holder, envelope
 
 log = logging.getLogger(__name__)
 _MOST_STOP_BYTES = 65536
@@ -83,7 +83,7 @@ class AccessMiddleware:
                 return
             self._connections.prove(protocol, account_of(holder), is_stop=True)
         connection = RequestConnection(receive)
-        inner = {**scope, access.Holder.KEY: replace(holder, watched=connection.watched)}
+        inner = {**scope, Holder.KEY: replace(holder, watched=connection.watched)}
         with self._present(holder.who):
             await self._app(inner, connection.receive, send)
 
@@ -133,7 +133,7 @@ async def _look_for_stop(receive: Receive) -> tuple[bool, Receive]:
     ), replay
 
 
-def _too_many(holder: access.Holder) -> JSONResponse:
+def _too_many(holder: Holder) -> JSONResponse:
     text = f"{account_of(holder)!r} has too many connections; emergency_stop is still taken."
     return JSONResponse(
         {

@@ -32,7 +32,7 @@ from rn_standard.http.sessions import (
 )
 from rn_standard.http.tokens import TokenTable, shows_right
 from roboneuron import __version__
-from roboneuron.feature import Events, access
+from roboneuron.feature import Events, Holder
 
 log = logging.getLogger(__name__)
 PATH = "/mcp"
@@ -54,7 +54,7 @@ def make_server(
     """
 
     def release(session: str) -> None:
-        events.client.tell(access.Holder.local(session_name(session)).who, False)
+        events.client.tell(Holder.local(session_name(session)).who, False)
 
     @contextmanager
     def present(who: str) -> Iterator[None]:

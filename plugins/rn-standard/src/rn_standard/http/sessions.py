@@ -18,7 +18,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rn_standard.http.local_clients import account_of
-from roboneuron.feature import access, envelope
+from roboneuron.feature import Holder, envelope
 
 log = logging.getLogger(__name__)
 MOST_SESSIONS, MOST_SESSIONS_OF_ONE = 256, 64
@@ -106,7 +106,7 @@ class Sessions:
     async def _serve_session(
         self, scope: Scope, receive: Receive, send: Send, request_id: int | str | None
     ) -> None:
-        holder: access.Holder = scope[access.Holder.KEY]
+        holder: Holder = scope[Holder.KEY]
         name = Headers(scope=scope).get(SESSION_HEADER)
         session = self._sessions.get(name) if name is not None else None
         request = None

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from rn_standard.http.options import TokenConfig
 from roboneuron import ConfigurationError
-from roboneuron.feature import access
+from roboneuron.feature import Holder
 
 log = logging.getLogger(__name__)
 _LEAST_CHARACTERS = 16
@@ -26,13 +26,13 @@ _NEW = "Make one with: python -c 'import secrets; print(secrets.token_urlsafe(32
 class TokenTable:
     """Holders by token; keeps digests, not tokens."""
 
-    def __init__(self, entries: Sequence[tuple[str, access.Holder]]) -> None:
+    def __init__(self, entries: Sequence[tuple[str, Holder]]) -> None:
         self._entries = _digests(entries)
 
     def __bool__(self) -> bool:
         return bool(self._entries)
 
-    def find(self, token: str) -> access.Holder | None:
+    def find(self, token: str) -> Holder | None:
         """Whose token it is; takes equally long whichever it is, or none."""
         given, found = _digest(token), None
         for digest, holder in self._entries:
@@ -59,12 +59,12 @@ class TokenFiles(TokenTable):
         """Whether a token is asked for; also when none is good at the moment."""
         return bool(self._sections)
 
-    def find(self, token: str) -> access.Holder | None:
+    def find(self, token: str) -> Holder | None:
         """As `TokenTable.find`, by what the files hold now."""
         marks = self._look()
         if marks != self._marks:
             self._marks = marks
-            good: list[tuple[str, access.Holder]] = []
+            good: list[tuple[str, Holder]] = []
             for section in self._sections:
                 try:
                     good = _entries([section], self._environment, good)
@@ -114,8 +114,8 @@ def read_tokens(sections: Sequence[TokenConfig], environment: Mapping[str, str])
 def _entries(
     sections: Sequence[TokenConfig],
     environment: Mapping[str, str],
-    before: Sequence[tuple[str, access.Holder]] = (),
-) -> list[tuple[str, access.Holder]]:
+    before: Sequence[tuple[str, Holder]] = (),
+) -> list[tuple[str, Holder]]:
     """Tokens and holders, after those before."""
     entries = list(before)
     for section in sections:
@@ -136,7 +136,7 @@ def _entries(
             raise ConfigurationError(
                 f"{where} or its name is that of another entry of [[http.tokens]].", hint=_NEW
             )
-        entries.append((token, access.Holder(who=section.name, role=section.role)))
+        entries.append((token, Holder(who=section.name, role=section.role)))
     return entries
 
 
@@ -164,7 +164,7 @@ def _read(section: TokenConfig, environment: Mapping[str, str]) -> str:
         raise ConfigurationError(f"{where}: {path} cannot be read: {error}.") from error
 
 
-def _digests(entries: Sequence[tuple[str, access.Holder]]) -> list[tuple[bytes, access.Holder]]:
+def _digests(entries: Sequence[tuple[str, Holder]]) -> list[tuple[bytes, Holder]]:
     return [(_digest(token), holder) for token, holder in entries]
 
 

@@ -27,7 +27,7 @@ from roboneuron import (
     robot_space,
 )
 from roboneuron.feature import Registry
-from roboneuron.node import Plan, load_profile, loading, models
+from roboneuron.node import load_profile, loading, models
 
 _RATE_SHARE = 0.02
 """How far the period of a chunk may be from the declared rate: rates are told in whole Hz."""
@@ -214,16 +214,3 @@ def agree_on_space(
     return agree(
         declared, profile, kinds, backend=backend.name, controller=name, longest_s=longest_s
     )
-
-
-def check_space(
-    registry: Registry,
-    plan: Plan,
-    options: Mapping[str, object],
-    control: models.ControlConfig | None,
-) -> None:
-    """Check the space of a backend before its process is started, see `FeatureSpec.module_check`;
-    raises as `agree_on_space`.
-    """
-    if plan.backend is not None and plan.backend.space is not None:
-        agree_on_space(registry, plan.backend, options, plan.robot.name, control)

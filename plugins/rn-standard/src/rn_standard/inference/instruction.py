@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from rn_standard.inference.instruction_text import instruction_problem
 from roboneuron import InvalidInputError
 from roboneuron.node import ModuleHost, settings
 
@@ -33,7 +34,7 @@ class Instruction:
         self.count = 0
         self.is_new = True
         self._actions = 0
-        if reason := settings.instruction_problem(text):
+        if reason := instruction_problem(text):
             raise InvalidInputError(reason)
         node.resources.callback(
             node.add_parameter(settings.INSTRUCTION_PARAMETER, text, self._take, self._refusal)
@@ -78,4 +79,4 @@ class Instruction:
         """Why an instruction cannot be taken; empty when it can. None (empty) is always taken."""
         if text.strip() and self._node.stopped:
             return "the emergency stop is latched"
-        return settings.instruction_problem(text)
+        return instruction_problem(text)

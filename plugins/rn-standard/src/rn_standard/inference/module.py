@@ -22,13 +22,13 @@ from rn_standard.inference.agreement import agree_on_space
 from rn_standard.inference.execution import Bounds, Prediction, Row, executor_maker
 from rn_standard.inference.inputs import NewestInputs
 from rn_standard.inference.instruction import Instruction
+from rn_standard.inference.planning import Policy, find_policy
 from rn_standard.inference.player import RowPlayer
 from rn_standard.inference.polled import PolledSubscriptions
 from roboneuron import (
     ActionChunk,
     AnyRuntime,
     Backend,
-    BackendSpec,
     CameraProfile,
     ConfigurationError,
     ControlSpace,
@@ -39,10 +39,8 @@ from roboneuron import (
 from roboneuron.node import (
     Module,
     ModuleHost,
-    Plan,
     Worker,
     build,
-    check_plan,
     load_profile,
     messages,
     topics,
@@ -101,7 +99,7 @@ class InferenceModule(Module):
         config, robot = self.config.inference, self.config.robot
         if config is None:
             raise ConfigurationError("The configuration has no [inference] section.")
-        plan = check_plan(
+        policy = find_policy(
             self.registry,
             robot=robot.name,
             driver=robot.driver,
@@ -109,11 +107,11 @@ class InferenceModule(Module):
             runtime=config.runtime,
             acceleration=config.acceleration,
             cameras=config.cameras,
-            elsewhere=("driver",),
+            is_driver_elsewhere=True,
         )
-        spec = self.registry.get(BackendSpec, config.backend)
+        spec = policy.backend
         profile = load_profile(self.registry, robot.name)
-        cameras = _cameras(plan, profile)
+        cameras = _cameras(policy, profile)
         options = dict(self.config.options(spec.name))
         if config.checkpoint is not None:
             options["checkpoint"] = config.checkpoint
@@ -123,7 +121,7 @@ class InferenceModule(Module):
         self.status.set_value("space", self._agreement.executed.label)
         parts = {
             part: None if chosen is None else build(chosen, self.config.options(chosen.name))
-            for part, chosen in (("runtime", plan.runtime), ("acceleration", plan.acceleration))
+            for part, chosen in (("runtime", policy.runtime), ("acceleration", policy.acceleration))
         }
         self.runtime = cast("AnyRuntime | None", parts["runtime"])
         self.backend = cast("Backend", build(spec, options, **parts))
@@ -132,8 +130,10 @@ class InferenceModule(Module):
         self.backend.load()
         self.status.set_value("load_s", time.monotonic() - started_s)
         self.status.set_value("backend", spec.name)
-        self.status.set_value("runtime", plan.runtime.name if plan.runtime else "")
-        self.status.set_value("acceleration", plan.acceleration.name if plan.acceleration else "")
+        self.status.set_value("runtime", policy.runtime.name if policy.runtime else "")
+        self.status.set_value(
+            "acceleration", policy.acceleration.name if policy.acceleration else ""
+        )
         self.before_prediction: list[Callable[[], None]] = []
         self.on_prediction: list[Predicted] = []
         self.accepts: list[Callable[[int], bool]] = []
@@ -373,12 +373,12 @@ class InferenceModule(Module):
         self.status.set_ready()
 
 
-def _cameras(plan: Plan, profile: RobotProfile) -> dict[str, CameraProfile]:
+def _cameras(policy: Policy, profile: RobotProfile) -> dict[str, CameraProfile]:
     """Camera by role. Raises ConfigurationError for one that the descriptor names and the profile
     does not.
     """
     cameras: dict[str, CameraProfile] = {}
-    for role, name in plan.cameras.items():
+    for role, name in policy.cameras.items():
         camera = profile.camera(name)
         if camera is None:
             raise ConfigurationError(

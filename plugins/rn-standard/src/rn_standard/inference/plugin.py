@@ -7,7 +7,7 @@ FEATURE = FeatureSpec(
     summary="Runs policies: newest images and states in, actions out.",
     target="roboneuron:Feature",
     module="rn_standard.inference.module:InferenceModule",
-    module_check="rn_standard.inference.agreement:check_space",
+    module_plan="rn_standard.inference.planning:plan_inference",
 )
 """Descriptor of the feature; it has nothing to do in the server."""
 

@@ -7,6 +7,7 @@ FEATURE = FeatureSpec(
     summary="Runs cameras: frames of a source in, images on ROS topics out.",
     target="roboneuron:Feature",
     module="rn_standard.perception.module:PerceptionModule",
+    module_plan="rn_standard.perception.planning:plan_perception",
 )
 """Descriptor of the feature; it has nothing to do in the server."""
 

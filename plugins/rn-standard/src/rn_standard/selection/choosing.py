@@ -7,10 +7,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from rn_standard.inference.planning import InferencePlan
 from rn_standard.selection.options import named_models, selection_options
 from rn_standard.selection.permission import check_addresses, check_may_load, check_may_set
 from rn_standard.selection.requests import REQUESTS
-from roboneuron import Arguments, DriverSpec, InvalidInputError, Section, Spec
+from roboneuron import Arguments, DriverSpec, InvalidInputError, RuntimeSpec, Section, Spec
 from roboneuron.feature import (
     KIND_ENTRIES,
     Config,
@@ -52,21 +53,25 @@ def choose(
     configured = _configured_names(kind, config)
     section = _section(kind, config, registry, request)
     update: dict[str, Section] = {kind: section}
-    plan, spec, names = KIND_ENTRIES[kind].plan(config.model_copy(update=update), registry)
-    config = _merge(config, next(iter(names.values())), spec, getattr(request, "options", {}), role)
+    plan = KIND_ENTRIES[kind].plan(config.model_copy(update=update), registry)
+    policy = plan.policy if isinstance(plan, InferencePlan) else None
+    spec = plan.spec
+    config = _merge(config, plan.plugin, spec, getattr(request, "options", {}), role)
     if chosen_by_agent:
         of_backend = (
-            kind == "inference"
+            policy is not None
             and getattr(request, "runtime", None) is None
             and spec.name in configured
         )
-        for part in (spec, None if of_backend else plan.runtime, plan.acceleration):
-            if part is not None and part.name not in configured:
+        for part in (spec, *plan.others):
+            is_default = of_backend and isinstance(part, RuntimeSpec)
+            if not is_default and part.name not in configured:
                 check_addresses(part, config.options(part.name))
     checkpoint = getattr(request, "checkpoint", None)
-    if checkpoint is not None and plan.takes_checkpoint:
+    if checkpoint is not None and policy is not None and policy.takes_checkpoint:
         check_may_load(config, checkpoint)
-    selection = KIND_ENTRIES[kind].select(config.model_copy(update=update), registry)
+    plan = KIND_ENTRIES[kind].check(config.model_copy(update=update), registry)
+    selection = Selection.of(kind, plan)
     return (
         selection
         if model is None

@@ -7,8 +7,9 @@ from typing import Annotated
 
 from pydantic import Field
 
+from rn_standard.inference.instruction_text import InstructionText
 from roboneuron import Arguments
-from roboneuron.feature import KIND_ENTRIES, Instruction, ModuleKind
+from roboneuron.feature import KIND_ENTRIES, ModuleKind
 
 Options = Annotated[
     dict[str, object],
@@ -79,7 +80,7 @@ class StartChosenInference(Arguments):
     model: str | None = Field(
         default=None, description="Name of a model in the configuration, instead of these four."
     )
-    instruction: Instruction | None = Field(
+    instruction: InstructionText | None = Field(
         default=None,
         description='What to do at once, such as "pick up the red cube"; set_instruction gives '
         "one later.",

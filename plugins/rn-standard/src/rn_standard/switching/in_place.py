@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 
+from rn_standard.inference.planning import InferencePlan
 from rn_standard.switching.beside import Standbys
 from rn_standard.switching.gap import Gap, action_gap
 from rn_standard.switching.standby import ACCELERATION_PARAMETER
@@ -32,12 +33,12 @@ def differs_in_acceleration_only(old: ModuleView, selection: Selection) -> bool:
     if (
         selection.kind != "inference"
         or old.choice is None
-        or old.choice.plan is None
-        or selection.plan is None
         or old.report is None
+        or not isinstance(old.choice.plan, InferencePlan)
+        or not isinstance(selection.plan, InferencePlan)
     ):
         return False
-    before, after = old.choice.plan, selection.plan
+    before, after = old.choice.plan.policy, selection.plan.policy
     section = selection.config.inference
     return (
         old.report.metrics.get("acceleration_in_place") == "true"
@@ -65,10 +66,7 @@ class AccelerationSwitch:
         self._changes = loop.modules.changes
         self._standbys = Standbys(loop)
         self._selection = selection
-        plan = selection.plan
-        self._name = (
-            plan.acceleration.name if plan is not None and plan.acceleration is not None else ""
-        )
+        self._name = selection.names.get("acceleration", "")
         self._on_stage = on_stage
 
     def run(self) -> Change:

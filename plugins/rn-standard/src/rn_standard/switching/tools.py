@@ -8,13 +8,13 @@ from typing import Literal, TypeVar
 
 from pydantic import Field, model_validator
 
+from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.selection.requests import StartChosenInference, StartControl, StartPerception
 from rn_standard.switching.replacing import Switched, Switching
 from rn_standard.tools_loop.results import ModuleSummary
 from roboneuron import Arguments, CallContext, Tool
 from roboneuron.feature import (
     ClosedLoop,
-    Instruction,
     ModuleKind,
     Stage,
 )
@@ -44,7 +44,7 @@ class Switch(Arguments):
 class SwitchInference(Switch, StartChosenInference):
     """Arguments of switch_inference."""
 
-    instruction: Instruction | None = Field(
+    instruction: InstructionText | None = Field(
         default=None,
         description="What to do; the present one when omitted.",
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.selection.choosing import choose
 from rn_standard.selection.options import NamedModelOptions, named_models
 from rn_standard.selection.requests import StartChosenInference
@@ -19,13 +20,13 @@ from roboneuron import (
     RoboNeuronError,
     Tool,
 )
-from roboneuron.feature import Instruction, ModuleKind, Registry
+from roboneuron.feature import ModuleKind, Registry
 
 
 class StartAll(Arguments):
     """Arguments of start_all."""
 
-    instruction: Instruction | None = Field(
+    instruction: InstructionText | None = Field(
         default=None,
         description='What to do at once, such as "pick up the red cube"; without it nothing moves '
         "yet.",

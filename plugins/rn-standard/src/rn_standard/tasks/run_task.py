@@ -10,6 +10,7 @@ from typing import Literal, cast
 from pydantic import Field
 
 from rn_standard.direct_path.fields import check_path, load_type
+from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.hooks import MonitorSpec
@@ -43,7 +44,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import Instruction, Stage, build, check_topic
+from roboneuron.feature import Stage, build, check_topic
 
 HOLD, STOP = "hold", "stop"
 """What is done when a task has ended, besides the names of postures and places."""
@@ -55,7 +56,7 @@ MoveTo = Callable[[str, CallContext], Awaitable[object]]
 class RunTask(Arguments):
     """Arguments of run_task."""
 
-    instruction: Instruction = Field(
+    instruction: InstructionText = Field(
         description='What to do, such as "pick up the red cube".',
     )
     until: dict[str, object] | None = Field(

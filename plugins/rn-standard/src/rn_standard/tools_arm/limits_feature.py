@@ -15,6 +15,7 @@ from rn_standard.tools_arm.limits_tools import limits_tools
 from rn_standard.tools_arm.tightening import FILE_NAME, TightenedRecord, Tightening, TighteningFile
 from roboneuron import Feature, Host, NotReadyError, RoboNeuronError, RobotProfile, Tool
 from roboneuron.feature import AuditRecord, ModuleKind, load_profile
+from roboneuron.node import settings
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.5
@@ -116,8 +117,11 @@ class LimitsFeature(Feature[None]):
         Raises:
             NotReadyError: one did not take them.
         """
+        tightened = self._host.loop.tightened
+        text = "" if tightened is None else tightened.model_dump_json()
+        values = {settings.LIMITS_PARAMETER: text}
         try:
-            refused = self._host.loop.send_limits(_SET_S, _START_S)
+            refused = self._host.loop.set_parameters("control", values, _SET_S, _START_S)
         except RoboNeuronError as error:
             refused = error.message
         if refused:

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from pydantic import Field
 
+from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.tools_loop.instructing import give_instruction
 from rn_standard.tools_loop.results import InstructionResult, StartResult
-from roboneuron import Arguments, CallContext, Tool
-from roboneuron.feature import KIND_ENTRIES, ClosedLoop, Instruction, ModuleKind
+from roboneuron import Arguments, CallContext, NoArguments, Tool
+from roboneuron.feature import (
+    KIND_ENTRIES,
+    ClosedLoop,
+    Config,
+    ModuleKind,
+    Registry,
+    Selection,
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -61,12 +69,45 @@ _TEXTS: Mapping[ModuleKind, StartTexts] = {
 class SetInstruction(Arguments):
     """Arguments of set_instruction."""
 
-    instruction: Instruction = Field(
+    instruction: InstructionText = Field(
         description='What to do, for instance "pick up the red cube".',
     )
     timeout_s: float = Field(
         default=30.0, gt=0, le=600, description="How long to wait for the first action, in seconds."
     )
+
+
+class StartInference(Arguments):
+    """Arguments of start_inference."""
+
+    instruction: InstructionText | None = Field(
+        default=None,
+        description='What to do at once, such as "pick up the red cube"; set_instruction gives '
+        "one later.",
+    )
+
+
+def choose_instruction(
+    otherwise: Callable[..., Selection],
+    kind: ModuleKind,
+    config: Config,
+    registry: Registry,
+    request: Arguments | None,
+    role: str,
+) -> Selection:
+    """What `otherwise` selects without a request, with the instruction that a request of these
+    tools names.
+
+    Args:
+        otherwise: what selected until now, see `ClosedLoop.choose`; also raises for other requests.
+        kind, config, registry, request, role: as there.
+    """
+    if isinstance(request, StartInference) and request.instruction is not None:
+        section = KIND_ENTRIES[kind].configured(config, registry)
+        update = {"instruction": request.instruction}
+        config = config.model_copy(update={kind: section.model_copy(update=update)})
+    is_of_these_tools = isinstance(request, NoArguments | StartInference)
+    return otherwise(kind, config, registry, None if is_of_these_tools else request, role)
 
 
 def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
@@ -121,7 +162,7 @@ def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool[Any]:
         description=f"{texts.effect}{which} Returns when {texts.proof}; if it fails, nothing "
         "is left running.",
         offered=loop.takes_policies if entry.kind == "inference" else lambda: True,
-        arguments=entry.request,
+        arguments=StartInference if kind == "inference" else NoArguments,
         result=StartResult,
         handler=handler,
         open_world=True,

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from rn_standard.tools_ros.options import ExposeConfig
 from roboneuron import Arguments, CallContext, RefusedError, Result, Tool
-from roboneuron.feature import Role, access
+from roboneuron.feature import Holder, Role
 
 
 class ExposeEndpoint(ExposeConfig, Arguments):
@@ -72,7 +72,7 @@ def exposing_tools(path: Exposing, local_may: bool) -> list[Tool[Any]]:
     """
 
     def admin_of(context: CallContext, tool: str, arguments: Arguments) -> Admin:
-        if access.Holder.is_local(context.who) and not local_may:
+        if Holder.is_local(context.who) and not local_may:
             raise RefusedError(
                 f"{tool} needs a token with the role '{Role.ADMIN}'; {context.who} has none.",
                 hint="Connect over HTTP with such a token, or set expose_without_token in "

@@ -233,7 +233,7 @@ class RosTools(Feature[RosToolsOptions]):
         return [tool for tool in self._host.tools.derived() if tool.name not in _DIRECTORY]
 
     def _found(self, name: str) -> Tool[Any] | None:
-        return None if name in _DIRECTORY else self._host.tools.derived_tool(name)
+        return None if name in _DIRECTORY else self._host.tools.get(name, is_derived=True)
 
     def _profile(self, robot: str) -> RobotProfile | None:
         registry = self._host.registry

@@ -37,6 +37,7 @@ _MODULES = tuple(
         summary=f"Brings {kind} modules.",
         target="roboneuron:Feature",
         module=f"rn_standard.{kind}.module:{kind.title()}Module",
+        module_plan=f"rn_standard.{kind}.planning:plan_{kind}",
     )
     for kind in ("inference", "perception")
 )

@@ -8,15 +8,16 @@ import sys
 
 import pytest
 
-from roboneuron.errors import ConfigurationError, PlanningError
-from roboneuron.planning import check_plan
+from rn_standard.inference.planning import find_policy, plan_inference
+from rn_standard.perception.planning import plan_perception
+from roboneuron.config import Config
+from roboneuron.errors import CheckpointError, ConfigurationError, InvalidInputError, PlanningError
 from roboneuron.plugins.registry import Offer, Registry, Status
 from roboneuron.plugins.specs import (
     AccelerationSpec,
     ActionSpace,
     BackendSpec,
     CameraSpec,
-    ControllerSpec,
     DriverSpec,
     PerceptionSpec,
     Requirement,
@@ -69,8 +70,6 @@ SPECS = (
     _named(PerceptionSpec, "sim-camera", drivers=("simulated",)),
     _named(PerceptionSpec, "rover-camera", robots=("rover",)),
     _named(PerceptionSpec, "real-camera", drivers=("hardware",)),
-    _named(ControllerSpec, "ik"),
-    _named(ControllerSpec, "drive", robot_kinds=("base",)),
 )
 REGISTRY = Registry(
     plugins=(),
@@ -80,21 +79,20 @@ REGISTRY = Registry(
 )
 
 
-def _plan(**names: object):
-    return check_plan(REGISTRY, **{"robot": "arm", "driver": "simulated", **names})
+def _plan(registry: Registry = REGISTRY, **names: object):
+    return find_policy(registry, **{"robot": "arm", "driver": "simulated", **names})
+
+
+def _perception(registry: Registry = REGISTRY, **section: object):
+    tables = {"robot": {"name": "arm"}, "perception": {"source": "camera", **section}}
+    return plan_perception(Config.model_validate(tables), registry)
 
 
 def test_a_fitting_combination_is_resolved():
-    plan = _plan(
-        perception="sim-camera",
-        controller="ik",
-        backend="vla",
-        runtime="local",
-        acceleration="prune",
-    )
-    names = [plan.robot.name, plan.driver.name, plan.perception.name, plan.controller.name]
+    plan = _plan(backend="vla", runtime="local", acceleration="prune")
+    names = [plan.robot.name, plan.driver.name]
     names += [plan.backend.name, plan.runtime.name, plan.acceleration.name]
-    assert names == ["arm", "simulated", "sim-camera", "ik", "vla", "local", "prune"]
+    assert names == ["arm", "simulated", "vla", "local", "prune"]
     assert plan.cameras == {"primary": "front"}
     assert "never_imported_module" not in sys.modules
 
@@ -121,9 +119,11 @@ def test_an_acceleration_may_rest_on_the_backend_itself():
     assert _plan(backend="vla-inside", acceleration="prune").acceleration.name == "prune"
 
 
-def test_a_robot_alone_is_a_plan():
-    plan = check_plan(REGISTRY, robot="rover", driver="simulated", controller="drive")
-    assert (plan.robot.name, plan.backend, dict(plan.cameras)) == ("rover", None, {})
+def test_a_source_is_resolved_with_the_cameras_that_it_serves():
+    assert dict(_perception().names) == {"source": "camera", "cameras": "front, hand"}
+    assert _perception(cameras=["hand"]).names["cameras"] == "hand"
+    assert _perception().inputs == ()
+    assert _perception(source="sim-camera").inputs == ("robot",)
 
 
 LACKING = Registry(
@@ -141,33 +141,23 @@ LACKING = Registry(
         for s in SPECS
     ),
 )
-ELSEWHERE = {
-    "driver": {"driver": "hardware"},
-    "perception": {"perception": "camera"},
-    "controller": {"controller": "ik"},
-    "backend": {"backend": "vla", "runtime": "local", "acceleration": "prune"},
-}
 
 
-@pytest.mark.parametrize("part", ELSEWHERE)
-def test_what_runs_under_another_interpreter_may_lack_its_modules_here(part):
-    names = {"robot": "arm", "driver": "simulated", **ELSEWHERE[part]}
-    plan = check_plan(LACKING, **names, elsewhere=(part,))
-    assert {name: getattr(plan, name).name for name in ELSEWHERE[part]} == ELSEWHERE[part]
-    others = set(ELSEWHERE) - {part}
-    with pytest.raises((PlanningError, ConfigurationError), match="cannot be used"):
-        check_plan(LACKING, **names, elsewhere=others)
+def test_what_runs_under_another_interpreter_may_lack_its_modules_here():
+    parts = {"backend": "vla", "runtime": "local", "acceleration": "prune"}
+    plan = _plan(LACKING, **parts, is_elsewhere=True)
+    assert {name: getattr(plan, name).name for name in parts} == parts
+    with pytest.raises(ConfigurationError, match="cannot be used"):
+        _plan(LACKING, **parts)
+    with pytest.raises(PlanningError, match="cannot be used"):
+        _plan(LACKING, **parts, driver="hardware", is_elsewhere=True)
+    assert _plan(LACKING, **parts, driver="hardware", is_elsewhere=True, is_driver_elsewhere=True)
+    assert _perception(LACKING, python="/x").spec.name == "camera"
+    with pytest.raises(ConfigurationError, match="cannot be used"):
+        _perception(LACKING)
 
 
 REFUSALS = {
-    "unknown driver": (
-        {"driver": "simulate"},
-        "no driver 'simulate'; choose one of: simulated, hardware",
-    ),
-    "driver lacks a module": (
-        {"driver": "hardware"},
-        "'hardware' of robot 'arm' cannot be used: .*pip install x",
-    ),
     "missing roles": (
         {"backend": "three-eyed"},
         r"needs a camera of role left, right, but robot 'arm' has: front \(role primary\), hand "
@@ -199,11 +189,6 @@ REFUSALS = {
         {"backend": "vla"},
         "needs a runtime for the family 'openvla'.*fit: local, remote",
     ),
-    "runtime without backend": ({"runtime": "local"}, "runtime 'local' has nothing to execute"),
-    "acceleration without backend": (
-        {"acceleration": "prune"},
-        "acceleration 'prune' has nothing to execute",
-    ),
     "acceleration family": (
         {"backend": "flow", "acceleration": "quantise"},
         "'quantise' knows the families openvla, but backend 'flow' is of family 'pi0'",
@@ -218,18 +203,6 @@ REFUSALS = {
         "'remote' runs the model in another process and offers none; installed ones that fit: "
         "local",
     ),
-    "source of another robot": (
-        {"perception": "rover-camera"},
-        "serves only the robots rover, not 'arm'",
-    ),
-    "source of another driver": (
-        {"perception": "real-camera"},
-        "works only with the drivers hardware, not with 'simulated' of robot 'arm'",
-    ),
-    "controller of another kind": (
-        {"controller": "drive"},
-        "moves robots of kind base, but 'arm' is of kind 'arm'",
-    ),
 }
 
 
@@ -242,15 +215,65 @@ def test_an_unfit_combination_is_refused_in_one_sentence(case):
     assert "never_imported_module" not in sys.modules
 
 
-@pytest.mark.parametrize(
-    "kind", ["robot", "perception", "controller", "backend", "runtime", "acceleration"]
-)
+SOURCES = {
+    "source of another robot": (
+        {"source": "rover-camera"},
+        "serves only the robots rover, not 'arm'",
+    ),
+    "source of another driver": (
+        {"source": "real-camera"},
+        "works only with the drivers hardware, not with 'simulated' of robot 'arm'",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", SOURCES)
+def test_a_source_that_does_not_fit_is_refused_in_one_sentence(case):
+    section, words = SOURCES[case]
+    with pytest.raises(PlanningError, match=words):
+        _perception(**section)
+
+
+def test_a_camera_that_the_robot_lacks_is_refused():
+    with pytest.raises(InvalidInputError, match="'arm' has no camera 'top'") as caught:
+        _perception(cameras=["top"])
+    assert "front, hand" in caught.value.hint
+
+
+@pytest.mark.parametrize("kind", ["robot", "backend", "runtime", "acceleration"])
 def test_an_unknown_name_of_any_kind_is_a_configuration_error(kind):
-    names = {"backend": "vla", "runtime": "local"} if kind != "robot" else {}
+    names = {"backend": "vla", "runtime": "local"}
     with pytest.raises(ConfigurationError, match=f"There is no {kind} 'nothing-like-it'"):
         _plan(**{**names, kind: "nothing-like-it"})
+
+
+def test_an_unknown_source_is_a_configuration_error():
+    with pytest.raises(ConfigurationError, match="There is no perception 'nothing-like-it'"):
+        _perception(source="nothing-like-it")
 
 
 def test_a_default_runtime_that_is_not_installed_is_no_silent_fallback():
     with pytest.raises(ConfigurationError, match="no runtime 'not-installed'"):
         _plan(backend="vla-lost")
+
+
+def test_a_checkpoint_is_given_more_time_to_load(tmp_path):
+    def timeout_s(**section: object) -> float:
+        tables = {"robot": {"name": "arm"}, "inference": {"backend": "trained", **section}}
+        plan = plan_inference(Config.model_validate(tables), registry).checked(registry)
+        assert plan.names["checkpoint"] == plan.config.inference.checkpoint == str(tmp_path)
+        return plan.config.start_timeout_s("inference")
+
+    trained = Offer(
+        spec=_named(BackendSpec, "trained", needs_checkpoint=True),
+        plugin="rn-test",
+        distribution="rn-test",
+        status=Status.READY,
+    )
+    registry = Registry(plugins=(), all_offers=(*REGISTRY.all_offers, trained))
+    assert timeout_s(checkpoint=str(tmp_path)) == 900.0
+    assert timeout_s(checkpoint=str(tmp_path), start_timeout_s=30.0) == 30.0
+    with pytest.raises(InvalidInputError, match="'trained' needs a checkpoint"):
+        timeout_s()
+    with pytest.raises(CheckpointError, match="does not exist"):
+        timeout_s(checkpoint=str(tmp_path / "absent"))
