@@ -19,10 +19,10 @@ import pytest
 from anyio.from_thread import start_blocking_portal
 from lerobot_lane import BIN, Served
 
-from rn_robot_lerobot.arm import HOME_RAD
+from rn_robot_lerobot.arm import SO101
 from rn_robot_lerobot.bus.arm import SerialArm
 from rn_robot_lerobot.bus.chain import BusFaults
-from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
+from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_robot_lerobot.calibration import MotorCalibration
 from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError
@@ -57,9 +57,7 @@ class Cell:
         self, folder: Path, stack: ExitStack, motors: dict[str, MotorCalibration] | None = None
     ) -> None:
         self.folder = folder
-        self.arm = stack.enter_context(
-            SerialArm(ENCODER_ZEROS, reference_calibration() if motors is None else motors)
-        )
+        self.arm = stack.enter_context(SerialArm(calibration=motors))
         config = folder / "serial.toml"
         config.write_text(
             CONFIG.format(python=BIN / "python", port=self.arm.port, folder=folder),
@@ -115,7 +113,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def cell(folder: Path) -> Iterator[Cell]:
     with ExitStack() as stack:
         cell = Cell(folder, stack)
-        cell.write_calibration(reference_calibration())
+        cell.write_calibration(ASSEMBLED_SO101.calibration())
         yield cell
 
 
@@ -129,10 +127,10 @@ def assert_still(cell: Cell, seconds: float = 1.5) -> None:
 @pytest.mark.slow
 def test_it_goes_where_it_is_sent_and_breaks_no_rule_of_the_motors(cell: Cell) -> None:
     cell.start()
-    np.testing.assert_allclose(cell.arm.position[:5], HOME_RAD, atol=0.01)
+    np.testing.assert_allclose(cell.arm.position[:5], SO101.home_rad, atol=0.01)
     cell.move(shoulder_pan=0.4, elbow_flex=-0.3, wrist_roll=-0.5)
     # the motors' dead zone is none here; a step of the encoder is 1.5 mrad
-    expected = [0.4, HOME_RAD[1], -0.3, HOME_RAD[3], -0.5]
+    expected = [0.4, SO101.home_rad[1], -0.3, SO101.home_rad[3], -0.5]
     wait_until(lambda: np.abs(cell.arm.position[:5] - expected).max() < 0.01, 5.0)
     assert cell.arm.motors.broken_rules == []
     assert cell.fault() == ""
@@ -200,9 +198,9 @@ def test_an_emergency_stop_and_a_killed_driver_leave_an_arm_at_rest(cell: Cell) 
 @pytest.mark.ros
 @pytest.mark.slow
 def test_what_is_wrong_with_a_calibration_is_said_before_anything_moves(folder: Path) -> None:
-    other = reference_calibration()
+    other = ASSEMBLED_SO101.calibration()
     other["elbow_flex"] = replace(other["elbow_flex"], homing_offset=17)
-    unknown = {**reference_calibration(), "tail": other["gripper"]}
+    unknown = {**ASSEMBLED_SO101.calibration(), "tail": other["gripper"]}
     with ExitStack() as stack:
         cell = Cell(folder, stack)
         for calibration, words in (

@@ -17,17 +17,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rn_robot_lerobot import koch
-from rn_robot_lerobot.arm import HOME_RAD
-from rn_robot_lerobot.bus.arm import KOCH, SO101, SerialArm
+from rn_robot_lerobot.bus.arm import SERIAL_KOCH, SERIAL_SO101, SerialArm
 from rn_robot_lerobot.bus.chain import BusFaults
 from rn_robot_lerobot.bus.dynamixel_motors import ALERT, DynamixelChain
-from rn_robot_lerobot.bus.reference import (
-    ENCODER_ZEROS,
-    KOCH_ENCODER_ZEROS,
-    koch_calibration,
-    reference_calibration,
-)
+from rn_robot_lerobot.bus.reference import ASSEMBLED_KOCH
 from rn_robot_lerobot.calibration import MotorCalibration
 from rn_testing.waiting import wait_until
 
@@ -46,10 +39,7 @@ REST_S = 0.5
 """From a fault to an arm at rest: the silence that is a fault, and the way that a motor still has
 to its last goal. The fault matrix allows `command_timeout_s`.
 """
-ARMS = {
-    "koch": (KOCH, KOCH_ENCODER_ZEROS, koch_calibration, koch.HOME_RAD),
-    "so101": (SO101, ENCODER_ZEROS, reference_calibration, HOME_RAD),
-}
+ARMS = {"koch": SERIAL_KOCH, "so101": SERIAL_SO101}
 THIRD = {
     "type": "thirdarm",
     "motors": {
@@ -128,10 +118,11 @@ class Cell:
     """An arm behind a port, and a driver for it."""
 
     def __init__(self, robot: str, folder: Path, driver: Process, stack: ExitStack) -> None:
-        kind, zeros, calibration, self.home_rad = ARMS[robot]
+        kind = ARMS[robot]
+        self.home_rad = kind.assembled.arm.home_rad
         self.folder, self.name, self.driver = folder, robot, driver
-        self.arm = stack.enter_context(SerialArm(zeros, calibration(), kind))
-        self.write_calibration(calibration())
+        self.arm = stack.enter_context(SerialArm(kind))
+        self.write_calibration(kind.assembled.calibration())
         # an answer may take longer than that of a real motor, see BUSY_MS
         options = {"port": self.arm.port, "calibration_dir": str(folder), "silence_s": 1.0}
         driver("new", robot, options)
@@ -247,9 +238,9 @@ def test_lost_and_late_packets_do_not_keep_it_from_arriving(koch_cell: Cell) -> 
     ("calibration", "words"),
     [
         (None, r"There is no calibration .*koch\.json\. Make it with: lerobot-calibrate"),
-        ({"tail": koch_calibration()["gripper"]}, "names the unknown motor 'tail'"),
+        ({"tail": ASSEMBLED_KOCH.calibration()["gripper"]}, "names the unknown motor 'tail'"),
         (
-            {"elbow_flex": replace(koch_calibration()["elbow_flex"], homing_offset=17)},
+            {"elbow_flex": replace(ASSEMBLED_KOCH.calibration()["elbow_flex"], homing_offset=17)},
             "hold another calibration than",
         ),
     ],
@@ -261,7 +252,7 @@ def test_what_is_wrong_with_a_calibration_is_one_sentence_and_nothing_moves(
     if calibration is None:
         (koch_cell.folder / "koch.json").unlink()
     else:
-        koch_cell.write_calibration({**koch_calibration(), **calibration})
+        koch_cell.write_calibration({**ASSEMBLED_KOCH.calibration(), **calibration})
     begun_s = time.monotonic()
     with pytest.raises(DriverError, match=f"ConfigurationError: .*{words}"):
         koch_cell.driver("open")
@@ -318,7 +309,7 @@ def test_a_version_that_the_driver_is_not_written_for_is_refused(tmp_path: Path)
 def test_options_that_lerobot_does_not_know_are_refused_by_name(
     tmp_path: Path, driver: Process, options: dict[str, object], words: str
 ) -> None:
-    text = json.dumps({name: asdict(motor) for name, motor in koch_calibration().items()})
+    text = json.dumps({name: asdict(motor) for name, motor in ASSEMBLED_KOCH.calibration().items()})
     (tmp_path / "koch.json").write_text(text, encoding="utf-8")
     driver("new", "koch", {"port": "/dev/null", "calibration_dir": str(tmp_path), **options})
     with pytest.raises(DriverError, match=f"ConfigurationError: .*{words}"):

@@ -13,17 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rn_controller_urdf.controller import UrdfController
-from rn_robot_lerobot.arm import (
-    ARM_JOINTS,
-    EFFORT_NM,
-    HOME_RAD,
-    JAW_CLOSED_RAD,
-    JAW_OPEN_RAD,
-    JOINTS,
-    LOWER_RAD,
-    UPPER_RAD,
-    VELOCITY_RAD_S,
-)
+from rn_robot_lerobot.arm import ARM_JOINTS, JOINTS, SO101
 from rn_robot_lerobot.profile import profile
 from roboneuron import JointSample
 
@@ -70,14 +60,18 @@ def place(link: str, q: F64) -> F64:
 
 def test_the_published_gripper_frame_is_where_the_table_puts_it() -> None:
     random = np.random.default_rng(7)
-    for q in (np.zeros(5), np.array(HOME_RAD), *random.uniform(LOWER_RAD, UPPER_RAD, (50, 5))):
+    for q in (
+        np.zeros(5),
+        np.array(SO101.home_rad),
+        *random.uniform(SO101.lower_rad, SO101.upper_rad, (50, 5)),
+    ):
         np.testing.assert_allclose(
             place("gripper_frame_link", q), frame_from_table(q), atol=ROUNDING
         )
 
 
 def test_home_points_down_inside_the_workspace() -> None:
-    pose, workspace = place(profile().tcp_link, np.array(HOME_RAD)), profile().workspace
+    pose, workspace = place(profile().tcp_link, np.array(SO101.home_rad)), profile().workspace
     assert workspace is not None
     # a tenth of a degree
     np.testing.assert_allclose(pose[:3, 2], [0, 0, -1], atol=2e-3)
@@ -87,15 +81,19 @@ def test_home_points_down_inside_the_workspace() -> None:
 
 def test_urdf_limits_are_those_of_the_profile() -> None:
     limits = {joint.get("name"): joint.find("limit") for joint in ET.fromstring(profile().urdf)}
-    rows = zip(ARM_JOINTS, LOWER_RAD, UPPER_RAD, VELOCITY_RAD_S, EFFORT_NM, strict=True)
-    for name, *expected in rows:
+    rows = zip(ARM_JOINTS, SO101.lower_rad, SO101.upper_rad, SO101.effort_nm, strict=True)
+    for name, lower, upper, effort in rows:
+        expected = [lower, upper, SO101.velocity_rad_s, effort]
         limit = limits[name]
         assert limit is not None
         keys = ("lower", "upper", "velocity", "effort")
         assert [float(limit.get(key, "nan")) for key in keys] == expected
     jaw = limits[JOINTS[-1]]
     assert jaw is not None
-    assert [float(jaw.get(k, "nan")) for k in ("lower", "upper")] == [JAW_CLOSED_RAD, JAW_OPEN_RAD]
+    assert [float(jaw.get(k, "nan")) for k in ("lower", "upper")] == [
+        SO101.jaw_closed_rad,
+        SO101.jaw_open_rad,
+    ]
 
 
 def test_every_link_has_a_positive_definite_inertia() -> None:
@@ -105,11 +103,11 @@ def test_every_link_has_a_positive_definite_inertia() -> None:
         assert np.linalg.eigvalsh(inertia.inertia).min() > 0, name
 
 
-@pytest.mark.parametrize("jaw_rad", [JAW_CLOSED_RAD, 0.13, JAW_OPEN_RAD])
+@pytest.mark.parametrize("jaw_rad", [SO101.jaw_closed_rad, 0.13, SO101.jaw_open_rad])
 def test_no_opening_of_the_jaws_counts_as_a_collision(jaw_rad: float) -> None:
     controller = UrdfController(None, profile())
     controller.load()
     posture = JointSample(
-        names=JOINTS, position=np.array([*HOME_RAD, jaw_rad]), stamp_ns=time.time_ns()
+        names=JOINTS, position=np.array([*SO101.home_rad, jaw_rad]), stamp_ns=time.time_ns()
     )
     assert controller.inspect(posture).near == ()

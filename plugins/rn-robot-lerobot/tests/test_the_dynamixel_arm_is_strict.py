@@ -26,7 +26,7 @@ from rn_robot_lerobot.bus.dynamixel_motors import (
     DynamixelChain,
 )
 from rn_robot_lerobot.bus.dynamixel_packets import PacketReader, packed, status
-from rn_robot_lerobot.bus.reference import KOCH_ENCODER_ZEROS, koch_calibration
+from rn_robot_lerobot.bus.reference import ASSEMBLED_KOCH
 
 MODE, OFFSET, TORQUE, GOAL, POSITION = 11, 20, 64, 116, 132
 ERROR = 8
@@ -34,8 +34,8 @@ ERROR = 8
 
 
 def chain() -> DynamixelChain:
-    motors = DynamixelChain(KOCH_ENCODER_ZEROS)
-    motors.calibrate(koch_calibration())
+    motors = DynamixelChain(ASSEMBLED_KOCH.encoder_zeros)
+    motors.calibrate(ASSEMBLED_KOCH.calibration())
     motors.measure(np.zeros(6), np.zeros(6))
     return motors
 

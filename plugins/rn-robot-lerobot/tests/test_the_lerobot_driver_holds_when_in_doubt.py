@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 
 from rn_robot_lerobot import lerobot_driver
-from rn_robot_lerobot.arm import HOME_RAD, JOINTS
+from rn_robot_lerobot.arm import JOINTS, SO101
 from rn_robot_lerobot.bus.arm import SerialArm
 from rn_robot_lerobot.bus.chain import READ, SYNC_WRITE, WRITE, BusFaults, Packet
-from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
+from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_robot_lerobot.lerobot_arm import calibration_of, connect, map_motors
 from rn_robot_lerobot.lerobot_driver import LerobotDriver
 from rn_robot_lerobot.lerobot_options import LerobotDriverOptions, MotorOption
@@ -69,7 +69,7 @@ class StandInFollower:
         self.action_features = dict.fromkeys((f"{name}.pos" for name in JOINTS), float)
         self.is_calibrated = True
         self.is_connected = False
-        self.calibration = reference_calibration()
+        self.calibration = ASSEMBLED_SO101.calibration()
         self.missed = 0
         """So many times to come it does not connect."""
         self.wild = 0
@@ -129,14 +129,14 @@ class StandInFollower:
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     path = tmp_path / "so101.json"
-    told = {name: asdict(motor) for name, motor in reference_calibration().items()}
+    told = {name: asdict(motor) for name, motor in ASSEMBLED_SO101.calibration().items()}
     path.write_text(json.dumps(told))
     return path
 
 
 @pytest.fixture
 def arm() -> Iterator[SerialArm]:
-    with SerialArm(ENCODER_ZEROS, reference_calibration()) as arm:
+    with SerialArm() as arm:
         yield arm
 
 
@@ -177,7 +177,7 @@ def test_it_reads_the_joints_and_moves_them_where_it_is_sent(
 ) -> None:
     state = driver.read()
     assert state.joints.names == JOINTS
-    np.testing.assert_allclose(state.joints.position[:5], HOME_RAD, atol=0.01)
+    np.testing.assert_allclose(state.joints.position[:5], SO101.home_rad, atol=0.01)
     assert state.gripper_open == pytest.approx(1.0, abs=0.01)
     command = JointCommand(
         names=("shoulder_pan", "wrist_roll", "gripper"),
@@ -185,7 +185,7 @@ def test_it_reads_the_joints_and_moves_them_where_it_is_sent(
         duration_s=0.5,
     )
     assert driver.send(command).duration_s >= 0.5
-    expected = [0.4, *HOME_RAD[1:4], -0.5, 0.6]
+    expected = [0.4, *SO101.home_rad[1:4], -0.5, 0.6]
     wait_until(lambda: np.abs(arm.position - expected).max() < 0.01, 10.0)
     assert arm.motors.broken_rules == []
     # a step of the encoder is 1.5 mrad, and LeRobot cuts off what is less
@@ -231,7 +231,7 @@ def test_a_bad_bus_is_a_fault_after_which_nothing_moves_by_itself(
         turn(driver)
     wait_until(later(begun_s, 1.5))
     assert arm.rest_after_s(begun_s) < REST_S
-    np.testing.assert_allclose(arm.position[1:5], HOME_RAD[1:], atol=0.02)
+    np.testing.assert_allclose(arm.position[1:5], SO101.home_rad[1:], atol=0.02)
     arm.motors.faults = BusFaults()
     over_s = time.monotonic()
     wait_until(later(over_s, 1.5))
@@ -263,7 +263,7 @@ def test_single_wild_readings_are_left_out(
         begun_s = time.monotonic()
         wait_until(later(begun_s, 0.1))
     assert driver.read().detail["fault"] == ""
-    assert np.abs(arm.position[3] - HOME_RAD[3]) < 0.02
+    assert np.abs(arm.position[3] - SO101.home_rad[3]) < 0.02
 
 
 def test_goals_stay_near_an_arm_that_does_not_follow(

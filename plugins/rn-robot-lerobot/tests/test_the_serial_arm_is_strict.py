@@ -23,15 +23,15 @@ from rn_robot_lerobot.bus.chain import (
 )
 from rn_robot_lerobot.bus.motors import OVERLOAD, FeetechChain, decode, encode
 from rn_robot_lerobot.bus.packets import PacketReader, checksum, status
-from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
+from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_testing.waiting import wait_until
 
 GOAL, TORQUE, LOCK, POSITION, LOWEST = 42, 40, 55, 56, 9
 
 
 def chain() -> FeetechChain:
-    motors = FeetechChain(ENCODER_ZEROS)
-    motors.calibrate(reference_calibration())
+    motors = FeetechChain(ASSEMBLED_SO101.encoder_zeros)
+    motors.calibrate(ASSEMBLED_SO101.calibration())
     motors.measure(np.zeros(6), np.zeros(6))
     return motors
 
@@ -121,7 +121,7 @@ def test_faults_are_what_they_say() -> None:
 
 
 def test_the_arm_follows_goals_that_come_over_its_port() -> None:
-    with SerialArm(ENCODER_ZEROS, reference_calibration()) as arm:
+    with SerialArm() as arm:
         port = os.open(arm.port, os.O_RDWR | os.O_NOCTTY)
         try:
             for number in range(1, 7):

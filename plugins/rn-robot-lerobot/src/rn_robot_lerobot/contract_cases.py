@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from std_msgs.msg import Float64MultiArray
 
-from rn_robot_lerobot.arm import NAME
+from rn_robot_lerobot.arm import SO101
 from rn_robot_lerobot.plugin import roboneuron_perceptions, roboneuron_robots
 from rn_robot_lerobot.profile import profile
 from rn_robot_lerobot.scene import random_cubes
@@ -19,7 +19,7 @@ def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
     cubes = random_cubes(seed)
     return to_message(
         SceneState(
-            robot=NAME,
+            robot=SO101.name,
             engine="mujoco",
             seed=seed,
             cubes=tuple((cube.name, cube.edge_m) for cube in cubes),

@@ -15,11 +15,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_robot_lerobot import koch
 from rn_robot_lerobot.bus import dynamixel_packets, packets
 from rn_robot_lerobot.bus.chain import MotorChain, Packet
 from rn_robot_lerobot.bus.dynamixel_motors import DynamixelChain
 from rn_robot_lerobot.bus.motors import FeetechChain
+from rn_robot_lerobot.bus.reference import ASSEMBLED_KOCH, ASSEMBLED_SO101, Assembled
 from rn_robot_lerobot.calibration import MotorCalibration
 from rn_robot_lerobot.simulation import CELL, build_world
 from rn_simulation.arm_cell import STEP_S
@@ -70,33 +70,35 @@ class SerialKind:
     """One kind of arm.
 
     Attributes:
-        start: joints at the beginning, float64 (n,) [rad].
-        plant: makes what the motors move, at `start`.
+        assembled: where its encoders are, and how it was calibrated.
+        plant: makes what the motors move, from where the joints begin, float64 (n,) [rad].
         chain: makes the motors, from the step of each encoder at the joint's position 0.
         reader: makes the reader of their packets.
     """
 
-    start: F64
-    plant: Callable[[], Plant]
+    assembled: Assembled
+    plant: Callable[[F64], Plant]
     chain: Callable[[Mapping[str, int]], MotorChain]
     reader: Callable[[], Reader]
 
 
-def _so101_world() -> Plant:
+def _so101_world(start: F64) -> Plant:
     world = build_world([])
     world.prepare_physics(STEP_S, CELL.force.tolist())
-    world.set_joints(CELL.start.tolist())
+    world.set_joints(start.tolist())
     return world
 
 
-SO101 = SerialKind(
-    start=CELL.start, plant=_so101_world, chain=FeetechChain, reader=packets.PacketReader
+SERIAL_SO101 = SerialKind(
+    assembled=ASSEMBLED_SO101,
+    plant=_so101_world,
+    chain=FeetechChain,
+    reader=packets.PacketReader,
 )
 """With MuJoCo as its physics."""
-_KOCH_START = np.array((*koch.HOME_RAD, koch.JAW_OPEN_RAD))
-KOCH = SerialKind(
-    start=_KOCH_START,
-    plant=lambda: Massless(_KOCH_START),
+SERIAL_KOCH = SerialKind(
+    assembled=ASSEMBLED_KOCH,
+    plant=Massless,
     chain=DynamixelChain,
     reader=dynamixel_packets.PacketReader,
 )
@@ -113,18 +115,20 @@ class SerialArm:
 
     def __init__(
         self,
-        encoder_zeros: Mapping[str, int],
-        calibration: Mapping[str, MotorCalibration] | None,
-        kind: SerialKind = SO101,
+        kind: SerialKind = SERIAL_SO101,
+        calibration: Mapping[str, MotorCalibration] | None = None,
     ) -> None:
         """Args:
-        encoder_zeros: see `MotorChain`.
-        calibration: what was written into the motors; None for motors fresh from the factory.
         kind: of arm.
+        calibration: what was written into the motors instead of their own; empty for motors fresh
+            from the factory.
         """
         self._kind = kind
-        self.motors = kind.chain(encoder_zeros)
-        if calibration is not None:
+        self._start = kind.assembled.arm.start_rad()
+        self.motors = kind.chain(kind.assembled.encoder_zeros)
+        if calibration is None:
+            calibration = kind.assembled.calibration()
+        if calibration:
             self.motors.calibrate(calibration)
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
@@ -138,7 +142,7 @@ class SerialArm:
         ]
 
     def __enter__(self) -> SerialArm:
-        self._plant = self._kind.plant()
+        self._plant = self._kind.plant(self._start)
         self.motors.measure(*self._plant.joint_states())
         for thread in self._threads:
             thread.start()
@@ -154,7 +158,7 @@ class SerialArm:
     @property
     def position(self) -> F64:
         """Joints now, float64 (n,) [rad]."""
-        return self.history[-1][1] if self.history else self._kind.start
+        return self.history[-1][1] if self.history else self._start
 
     def rest_after_s(self, fault_s: float, tolerance_rad: float = 5e-3) -> float:
         """Time from `fault_s` [monotonic s] until no joint was away from where it is now [s]."""
@@ -163,11 +167,9 @@ class SerialArm:
         return away[-1] - fault_s if away else 0.0
 
     def _move(self) -> None:
-        count = len(self._kind.start)
+        count = len(self._start)
         speed = np.full(count, _MOTOR_SPEED_RAD_S)
-        setpoint = JointSetpoint(
-            self._kind.start, speed, np.full(count, _MOTOR_ACCELERATION_RAD_S2)
-        )
+        setpoint = JointSetpoint(self._start, speed, np.full(count, _MOTOR_ACCELERATION_RAD_S2))
         pace = Pace(step_s=STEP_S)
         while not self._ending.is_set():
             steps = pace.due_steps(time.monotonic())
