@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rn_robot_lerobot.contract_cases import cameras_case, koch_case, robot_case
+from rn_robot_lerobot.contract_cases import cameras_case, koch_case, lekiwi_case, robot_case
 from rn_testing.cases import PackageCase, PerceptionCase, RobotCase
 from rn_testing.contracts import PackageContract, PerceptionContract, RobotContract
 
@@ -19,6 +19,12 @@ class TestKoch(RobotContract):
     @pytest.fixture
     def plugin(self) -> RobotCase:
         return koch_case()
+
+
+class TestLekiwi(RobotContract):
+    @pytest.fixture
+    def plugin(self) -> RobotCase:
+        return lekiwi_case()
 
 
 class TestSimulatedCameras(PerceptionContract):

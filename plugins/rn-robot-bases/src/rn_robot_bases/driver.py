@@ -10,11 +10,11 @@ from nav_msgs.msg import Odometry
 
 from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
-from rn_robot_bases.profile import CMD_VEL, ODOMETRY, velocity_endpoint
+from rn_robot_bases.profile import endpoints
 from rn_robot_bases.simulation import STEP_S, BaseSimulation, BaseState
 from rn_simulation.planar_motion import to_message
 from rn_simulation.real_time import RealTimeThread
-from rn_standard.direct_path.twists import TWIST_FIELDS, check_twist
+from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
 from roboneuron import (
     ConfigurationError,
     InvalidInputError,
@@ -142,15 +142,10 @@ class SimulatedBase:
         simulation = self._simulation
         if simulation is None or not self._time.is_running:
             return
-        linear, angular = message.linear, message.angular
-        values = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
         with self._time.stepping:
             try:
-                check_twist(
-                    velocity_endpoint(simulation.platform),
-                    dict(zip(TWIST_FIELDS, values, strict=True)),
-                )
-                simulation.drive(linear.x, angular.z)
+                check_twist(endpoints(simulation.platform)[0], twist_fields(message))
+                simulation.drive(message.linear.x, message.angular.z)
             except RefusedError as error:
                 simulation.hold("a command was refused")
                 self._refusal = str(error)

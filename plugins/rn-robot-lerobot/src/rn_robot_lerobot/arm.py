@@ -4,8 +4,9 @@ joints of the SO-101.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -35,6 +36,7 @@ class LerobotArm:
         workspace_m: lowest and highest corner for the TCP; at the lowest height the tips of the
             jaws, 8 mm beyond the TCP, are still above the ground.
         ground: what the arm stands on, and what is below it.
+        carried: the arm whose links are joined to those of the URDF.
         velocity_rad_s, acceleration_rad_s2: of every joint. The first is two thirds of the speed of
             an SO-101's motors without load and half of that of a Koch arm's; the second is an
             estimate, as LeRobot has the motors accelerate as fast as they can.
@@ -53,6 +55,7 @@ class LerobotArm:
     home_rad: FIVE
     workspace_m: tuple[Point, Point]
     ground: Obstacle
+    carried: LerobotArm | None = None
     velocity_rad_s: float = 3.0
     acceleration_rad_s2: float = 20.0
     jaw_effort_nm: float = 0.5
@@ -60,7 +63,12 @@ class LerobotArm:
     def urdf(self) -> str:
         """XML text: published kinematics and limits, shapes of boxes, no mesh files."""
         path = files("rn_robot_lerobot").joinpath(f"data/{self.name}.urdf")
-        return path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
+        if self.carried is None:
+            return text
+        whole = ElementTree.fromstring(text)
+        whole.extend(ElementTree.fromstring(self.carried.urdf()))
+        return ElementTree.tostring(whole, encoding="unicode")
 
     def joint_limits(self) -> JointLimits:
         """The limits of the arm's joints."""
@@ -129,4 +137,19 @@ and 5 V (61 and 103 turns a minute without load, 1.5 and 0.52 Nm).
 
 Every joint is 0 in the middle of its range, as LeRobot calibrates it, and turns as that of the
 same name of the SO-101. At home the TCP is 65 mm above the table.
+"""
+_FLOOR = Obstacle(
+    name="floor", lower_m=np.array((-1.00, -1.00, -0.60)), upper_m=np.array((1.00, 1.00, 0.00))
+)
+LEKIWI = replace(
+    SO101,
+    name="lekiwi",
+    base_link="lekiwi_base",
+    carried=SO101,
+    workspace_m=((0.10, -0.30, 0.010), (0.39, 0.30, 0.51)),
+    ground=_FLOOR,
+)
+"""An SO-101 on a mobile base. The base frame is on the floor in the middle of the three wheels.
+Source of where the arm stands: SIGRobotics-UIUC/LeKiwi, URDF (its axis 67 mm before the middle, its
+foot 90 mm above the floor).
 """

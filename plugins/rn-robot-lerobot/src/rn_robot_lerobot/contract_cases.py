@@ -40,6 +40,11 @@ def koch_case() -> RobotCase:
     return RobotCase(spec=roboneuron_robots()[1], driver=None)
 
 
+def lekiwi_case() -> RobotCase:
+    """The LeKiwi, which no driver may move either."""
+    return RobotCase(spec=roboneuron_robots()[2], driver=None)
+
+
 def cameras_case() -> PerceptionCase:
     """The simulated cameras, fed with the scene at rest."""
 

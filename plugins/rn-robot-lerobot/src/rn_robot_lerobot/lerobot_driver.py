@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -95,6 +96,7 @@ class LerobotDriver:
         motors = map_motors(robot, options, self._profile, calibration)
         connect(robot, options)
         try:
+            self._connected(robot)
             position = motors.measured(robot.get_observation())
         except RoboNeuronError:
             robot.disconnect()
@@ -185,6 +187,33 @@ class LerobotDriver:
             finally:
                 self._motors = None
 
+    @property
+    def is_open(self) -> bool:
+        """Between `open` and `close`."""
+        return self._thread is not None
+
+    def _connected(self, robot: LerobotRobot) -> None:
+        """The bus is open; called before anything else is asked of the robot."""
+
+    def _observe(self, observed: Mapping[str, float]) -> None:
+        """Take what the robot tells beside its joints.
+
+        Raises:
+            InvalidInputError: something lacks.
+        """
+
+    def _send_goals(
+        self, robot: LerobotRobot, goals: Mapping[str, float], period_s: float
+    ) -> Mapping[str, float]:
+        """Send goals by key, or nothing where there are none; returns what was really sent."""
+        return robot.send_action(dict(goals)) if goals else {}
+
+    def _begin(self) -> None:
+        """Hold the arm where it is measured, unless it is commanded; the lock is held."""
+        if not self._is_commanded and self._motors is not None:
+            self._setpoint = self._setpoint_at(self._position, self._motors)
+            self._is_commanded = True
+
     def _open_motors(self) -> MotorMap:
         if self._motors is None or self._thread is None:
             raise StateError("The driver 'lerobot' is not open.")
@@ -261,16 +290,17 @@ class LerobotDriver:
         if robot is None or motors is None:
             return
         try:
-            told = motors.measured(robot.get_observation())
+            observed = robot.get_observation()
+            told = motors.measured(observed)
+            self._observe(observed)
         except (OSError, RuntimeError, RoboNeuronError) as error:
             self._note_silence(error)
             return
-        goal = self._judge(told, period_s)
-        if goal is None:
-            return
-        wanted = motors.values(dict(zip(motors.joints, goal.tolist(), strict=True)))
+        goal, wanted = self._judge(told, period_s), {}
+        if goal is not None:
+            wanted = motors.values(dict(zip(motors.joints, goal.tolist(), strict=True)))
         try:
-            sent = robot.send_action(wanted)
+            sent = self._send_goals(robot, wanted, period_s)
         except (OSError, RuntimeError) as error:
             self._note_silence(error)
             return

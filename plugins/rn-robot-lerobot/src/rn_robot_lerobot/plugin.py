@@ -1,5 +1,5 @@
-"""What this package offers: the robots "so101" and "koch" with their drivers, and the simulated
-cameras.
+"""What this package offers: the robots "so101", "koch" and "lekiwi" with their drivers, and the
+simulated cameras.
 """
 
 from __future__ import annotations
@@ -23,11 +23,17 @@ _LEROBOT_DRIVER = DriverSpec(
     requires=(_LEROBOT,),
 )
 _KOCH_DRIVER = replace(_LEROBOT_DRIVER, config="rn_robot_lerobot.lerobot_options:KochOptions")
+_LEKIWI_DRIVER = replace(
+    _LEROBOT_DRIVER,
+    summary="The arm and its base by lerobot's own driver, in lerobot's environment",
+    target="rn_robot_lerobot.lekiwi_driver:LekiwiDriver",
+    config="rn_robot_lerobot.lerobot_options:LekiwiOptions",
+)
 
 
 @hookimpl
 def roboneuron_robots() -> Sequence[RobotSpec]:
-    """The SO-101 and the Koch follower."""
+    """The SO-101, the Koch follower and the LeKiwi."""
     return [
         RobotSpec(
             name="so101",
@@ -59,9 +65,18 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
             robot_kind="arm",
             cameras=_CAMERAS,
             action_widths=(7,),
-            drivers=(
-                replace(_LEROBOT_DRIVER, config="rn_robot_lerobot.lerobot_options:KochOptions"),
-            ),
+            drivers=(_KOCH_DRIVER,),
+        ),
+        RobotSpec(
+            name="lekiwi",
+            summary="LeKiwi: SO-101 arm on a base with three omnidirectional wheels, cameras that "
+            "are not calibrated",
+            target="rn_robot_lerobot.profile:lekiwi_profile",
+            case="rn_robot_lerobot.contract_cases:lekiwi_case",
+            robot_kind="arm",
+            cameras=_CAMERAS,
+            action_widths=(7,),
+            drivers=(_LEKIWI_DRIVER,),
         ),
     ]
 

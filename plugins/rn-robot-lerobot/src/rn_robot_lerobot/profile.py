@@ -7,8 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from rn_robot_lerobot.arm import ARM_JOINTS, GRIPPER_JOINT, KOCH, SO101, LerobotArm
+from rn_robot_lerobot.arm import ARM_JOINTS, GRIPPER_JOINT, KOCH, LEKIWI, SO101, LerobotArm
 from rn_robot_lerobot.cameras import cameras
+from rn_robot_lerobot.omni_base import BOUNDS
+from rn_standard.direct_path.twists import base_endpoints
 from roboneuron import CameraProfile, CollisionProfile, Endpoint, GripperProfile, RobotProfile
 
 MIN_DISTANCE_M = 0.005
@@ -32,6 +34,21 @@ def koch_profile() -> RobotProfile:
     which nobody has calibrated.
     """
     return profile_of(KOCH, _UNCALIBRATED)
+
+
+def lekiwi_profile() -> RobotProfile:
+    """The profile of a LeKiwi: an SO-101 on a base that drives in every direction, with a camera in
+    front and one on the gripper, which nobody has calibrated. Poses of the TCP are those on the
+    base, wherever that stands.
+    """
+    arm = profile_of(LEKIWI, _UNCALIBRATED)
+    base = base_endpoints(
+        "Drive the base: linear.x forwards and linear.y to the left [m/s], angular.z "
+        "counter-clockwise [rad/s]. It drives in every direction and turns on the spot; what is "
+        "too fast for a wheel is slowed as a whole.",
+        BOUNDS,
+    )
+    return replace(arm, endpoints=(*arm.endpoints, *base))
 
 
 def profile_of(arm: LerobotArm, named: Sequence[CameraProfile]) -> RobotProfile:

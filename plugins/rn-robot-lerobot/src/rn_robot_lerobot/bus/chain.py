@@ -194,6 +194,22 @@ class MotorChain(ABC):
         """1, or -1 for a motor that runs the other way."""
         return 1
 
+    def is_wheel(self, i: int) -> bool:
+        """Whether a motor follows a speed instead of a position."""
+        return False
+
+    def goal_steps_s(self, i: int) -> int:
+        """Speed that a wheel follows [steps/s]."""
+        return 0
+
+    def speeds(self) -> dict[int, float]:
+        """Speed [rad/s] of each wheel that has torque, by its place in the order of `joints`."""
+        return {
+            i: self.turns(i) * self.goal_steps_s(i) * 2.0 * math.pi / STEPS
+            for i in range(len(self.joints))
+            if self.is_wheel(i) and self.has_torque(i)
+        }
+
     def calibrate(self, calibration: Mapping[str, MotorCalibration]) -> None:
         """Write what `lerobot-calibrate` writes into the motors."""
         for i, name in enumerate(self.joints):
@@ -207,6 +223,8 @@ class MotorChain(ABC):
         steps = self._zeros + position_rad * STEPS / (2.0 * math.pi)
         for i, step in enumerate(steps):
             turned = self.turns(i) * round(step)
+            if self.is_wheel(i):
+                turned %= STEPS
             self.set(i, self.registers.position, turned + self._shift(i))
             speed = round(velocity_rad_s[i] * STEPS / (2.0 * math.pi))
             self.set(i, self.registers.velocity, self.turns(i) * speed)
@@ -270,6 +288,8 @@ class MotorChain(ABC):
         """Judge a goal that was written; one beyond the limits is clamped by the motor."""
         registers, name = self.registers, self.joints[i]
         goal = self.get(i, registers.goal)
+        if self.is_wheel(i):
+            self.broken_rules.append(f"{name}: goal {goal} for a motor that rolls")
         low, high = self.get(i, registers.lowest), self.get(i, registers.highest)
         if is_bounded and not low <= goal <= high:
             self.broken_rules.append(f"{name}: goal {goal} outside {low}..{high}")

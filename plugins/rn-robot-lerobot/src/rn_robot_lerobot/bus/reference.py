@@ -6,8 +6,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from rn_robot_lerobot.arm import JOINTS, KOCH, SO101, LerobotArm
+import numpy as np
+
+from rn_robot_lerobot.arm import JOINTS, KOCH, LEKIWI, SO101, LerobotArm
 from rn_robot_lerobot.calibration import STEPS, MotorCalibration
+from rn_robot_lerobot.omni_base import WHEELS
 
 _MIDDLE = STEPS // 2
 
@@ -19,7 +22,7 @@ class Assembled:
     Attributes:
         arm: what it is.
         encoder_zeros: step of each encoder at the joint's position 0, in the order of the motors'
-            numbers: horns are put on at any tooth.
+            numbers, those of wheels last: horns are put on at any tooth.
         offset_sign: 1 for motors that add their homing offset, -1 for those that subtract it.
         whole_turns: joints whose range is a whole turn.
     """
@@ -34,17 +37,23 @@ class Assembled:
         a whole turn for some joints.
         """
         found = {}
-        ends = zip(self.encoder_zeros.items(), self.arm.ends_rad(), strict=True)
-        for number, ((name, zero), (low, high)) in enumerate(ends, 1):
-            is_whole = name in self.whole_turns
+        ends = dict(zip(self.encoder_zeros, self.arm.ends_rad(), strict=False))
+        for number, (name, zero) in enumerate(self.encoder_zeros.items(), 1):
+            is_whole = name in self.whole_turns or name not in ends
+            low, high = (0, STEPS - 1) if is_whole else map(_step, ends[name])
             found[name] = MotorCalibration(
                 id=number,
                 drive_mode=0,
-                homing_offset=self.offset_sign * (_MIDDLE - zero),
-                range_min=0 if is_whole else _step(low),
-                range_max=STEPS - 1 if is_whole else _step(high),
+                homing_offset=self.offset_sign * (_MIDDLE - zero) if name in ends else 0,
+                range_min=low,
+                range_max=high,
             )
         return found
+
+    def start_rad(self) -> np.ndarray:
+        """Where the joints begin, in the order of the motors' numbers [rad]."""
+        arm = self.arm.start_rad()
+        return np.append(arm, np.zeros(len(self.encoder_zeros) - len(arm)))
 
 
 def _step(position_rad: float) -> int:
@@ -62,4 +71,13 @@ ASSEMBLED_KOCH = Assembled(
     encoder_zeros=dict(zip(JOINTS, (1024, 2890, 1100, 3050, 2048, 1700), strict=True)),
     offset_sign=1,
     whole_turns=("shoulder_pan", "wrist_roll"),
+)
+ASSEMBLED_LEKIWI = Assembled(
+    arm=LEKIWI,
+    encoder_zeros={
+        **{f"arm_{name}": zero for name, zero in ASSEMBLED_SO101.encoder_zeros.items()},
+        **dict.fromkeys(WHEELS, 0),
+    },
+    offset_sign=-1,
+    whole_turns=("arm_wrist_roll",),
 )
