@@ -16,8 +16,8 @@ import pytest
 from own_robots import NEEDED, Cell, DriverError, Process, process_with
 
 from rn_robot_lerobot.bus.arm import SERIAL_LEKIWI, RollingArm
-from rn_robot_lerobot.bus.chain import READ, WRITE, BusFaults, Packet
-from rn_robot_lerobot.bus.motors import VELOCITY_MODE, FeetechChain, decode
+from rn_robot_lerobot.bus.chain import WRITE, BusFaults, Packet
+from rn_robot_lerobot.bus.motors import VELOCITY_MODE
 from rn_robot_lerobot.omni_base import (
     WHEEL_LIMIT_RAD_S,
     WHEELS,
@@ -29,7 +29,7 @@ from rn_robot_lerobot.omni_base import (
 from rn_simulation.planar_motion import PlanarPose
 from rn_testing.waiting import wait_until
 
-MODE, TORQUE, GOAL, SPEED, LOCK, VELOCITY = 33, 40, 42, 46, 55, 58
+MODE, TORQUE, SPEED = 33, 40, 46
 TIMEOUT_S = 0.5
 REST_S = 1.0
 """From the last command to wheels at rest: the dead man's time, and braking from 0.2 m/s."""
@@ -66,49 +66,6 @@ def test_a_base_whose_commands_cease_brakes_within_its_acceleration() -> None:
     assert np.diff(speeds).min() >= -1.0 * 0.02 - 1e-12
     assert base.is_still
     assert base.motion == "stopping: no command for 0.5 s"
-
-
-def chain() -> FeetechChain:
-    assembled = SERIAL_LEKIWI.assembled
-    motors = FeetechChain(assembled.encoder_zeros)
-    motors.calibrate(assembled.calibration())
-    motors.measure(np.zeros(9), np.zeros(9))
-    return motors
-
-
-def word(value: int) -> bytes:
-    return value.to_bytes(2, "little")
-
-
-def test_a_wheel_follows_a_speed_with_its_sign_and_counts_turns_from_nought_again() -> None:
-    motors = chain()
-    assert motors.speeds() == {}
-    motors.answer(Packet(8, WRITE, bytes((MODE, VELOCITY_MODE))))
-    motors.answer(Packet(8, WRITE, bytes((TORQUE, 1))))
-    motors.answer(Packet(8, WRITE, bytes((SPEED, *word(1024 | 1 << 15)))))
-    assert motors.speeds() == {7: pytest.approx(-np.pi / 2)}
-    turned = np.zeros(9)
-    turned[7] = -20.0
-    motors.measure(turned, np.where(turned < 0, -np.pi / 2, 0.0))
-    answer = motors.answer(Packet(8, READ, bytes((VELOCITY, 2))))
-    assert decode(int.from_bytes(answer[5:7], "little"), 15) == -1024
-    position = int.from_bytes(motors.memories[7][56:58], "little")
-    assert position == round(-20.0 * 4096 / (2 * np.pi)) % 4096
-    assert motors.broken_rules == []
-
-
-def test_careless_speeds_and_goals_of_wheels_are_noted() -> None:
-    motors = chain()
-    motors.answer(Packet(7, WRITE, bytes((SPEED, *word(100)))))
-    motors.answer(Packet(7, WRITE, bytes((MODE, VELOCITY_MODE))))
-    motors.answer(Packet(7, WRITE, bytes((TORQUE, 1))))
-    motors.answer(Packet(7, WRITE, bytes((GOAL, *word(2000)))))
-    motors.answer(Packet(7, WRITE, bytes((LOCK, 1))))
-    motors.answer(Packet(7, WRITE, bytes((MODE, 0))))
-    speed, goal, locked = motors.broken_rules
-    assert "speed for a motor that does not roll" in speed
-    assert "goal 2000 for a motor that rolls" in goal
-    assert "written while it was locked" in locked
 
 
 @pytest.fixture(scope="module")
@@ -247,7 +204,7 @@ class TestWithLerobotsOwnClass:
         for number in range(7, 10):
             motors.answer(Packet(number, WRITE, bytes((MODE, VELOCITY_MODE))))
             motors.answer(Packet(number, WRITE, bytes((TORQUE, 1))))
-            motors.answer(Packet(number, WRITE, bytes((SPEED, *word(800)))))
+            motors.answer(Packet(number, WRITE, bytes((SPEED, *(800).to_bytes(2, "little")))))
         wait_until(lambda: is_rolling(cell), 5.0)
         cell.driver("open")
         wait_until(lambda: not is_rolling(cell), 2.0)
