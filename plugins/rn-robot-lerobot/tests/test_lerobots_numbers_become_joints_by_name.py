@@ -17,7 +17,7 @@ from rn_robot_fr3.profile import pair_profile
 from rn_robot_lerobot.arm import JOINTS, SO101
 from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_robot_lerobot.calibration import STEPS
-from rn_robot_lerobot.profile import profile
+from rn_robot_lerobot.profile import so101_profile
 from rn_robot_lerobot.units import MotorMap, degrees, motors_of, percent, share_of_range
 from roboneuron import InvalidInputError, UnsafeError
 
@@ -86,11 +86,11 @@ def test_an_inverted_gripper_is_open_at_nought() -> None:
 
 
 def test_names_of_the_so101_are_those_of_lerobots_data_sets() -> None:
-    motors = motors_of(profile())
+    motors = motors_of(so101_profile())
     assert motors.keys == tuple(f"{name}.pos" for name in JOINTS)
     values = dict.fromkeys(motors.keys, 90.0)
     assert motors.positions(values)[0] == pytest.approx(math.pi / 2)
-    plain = motors_of(profile(), use_degrees=False)
+    plain = motors_of(so101_profile(), use_degrees=False)
     assert plain.positions(values | dict.fromkeys(plain.keys[:5], 1.0))[0] == 1.0
 
 
@@ -108,13 +108,13 @@ def test_each_of_two_arms_has_a_gripper_of_its_own_name() -> None:
     ],
 )
 def test_values_that_fit_no_motor_are_refused_by_name(change: dict[str, float], words: str) -> None:
-    motors = motors_of(profile())
+    motors = motors_of(so101_profile())
     with pytest.raises(InvalidInputError, match=words):
         motors.positions(dict.fromkeys(motors.keys, 0.0) | change)
 
 
 def test_a_lacking_value_and_one_that_is_no_number_are_refused_by_name() -> None:
-    motors = motors_of(profile())
+    motors = motors_of(so101_profile())
     whole = dict.fromkeys(motors.keys, 0.0)
     with pytest.raises(InvalidInputError, match=r"'elbow_flex.pos' lacks"):
         motors.positions({k: v for k, v in whole.items() if k != "elbow_flex.pos"})

@@ -12,7 +12,7 @@ from rn_robot_lerobot.arm import ARM_JOINTS, JOINTS, SO101
 from rn_robot_lerobot.cameras import cameras
 from rn_robot_lerobot.driver import SimulatedDriver
 from rn_robot_lerobot.options import SimulatedDriverOptions
-from rn_robot_lerobot.profile import profile
+from rn_robot_lerobot.profile import so101_profile
 from rn_robot_lerobot.scene import LIFTED_M, REGION, random_cubes
 from rn_robot_lerobot.simulation import CELL, So101Simulation
 from rn_simulation.arm_cell import STEP_S
@@ -26,8 +26,8 @@ START = CELL.start
 
 def joints_above(x_m: float, y_m: float, z_m: float, yaw_rad: float) -> np.ndarray:
     """Arm joints whose TCP points down at a place, the jaws turned by a yaw."""
-    model = pin.buildModelFromXML(profile().urdf)
-    data, frame = model.createData(), model.getFrameId(profile().tcp_link)
+    model = pin.buildModelFromXML(so101_profile().urdf)
+    data, frame = model.createData(), model.getFrameId(so101_profile().tcp_link)
     down = pin.rpy.rpyToMatrix(np.pi, 0.0, yaw_rad)
     target, q = pin.SE3(down, np.array([x_m, y_m, z_m])), pin.neutral(model)
     for name, angle in zip(ARM_JOINTS, START, strict=False):
@@ -129,7 +129,7 @@ def test_scenes_lie_in_the_region_apart_from_each_other() -> None:
 
 def test_the_driver_tells_its_state_and_keeps_a_grasp_when_it_holds() -> None:
     topics = MemoryTopics()
-    driver = SimulatedDriver(SimulatedDriverOptions(seed=5), profile(), topics)
+    driver = SimulatedDriver(SimulatedDriverOptions(seed=5), so101_profile(), topics)
     driver.open()
     try:
         state = driver.read()
@@ -151,7 +151,7 @@ def test_the_driver_tells_its_state_and_keeps_a_grasp_when_it_holds() -> None:
 def test_another_robots_profile_is_refused() -> None:
     from dataclasses import replace
 
-    other = replace(profile(), arm_joints=("a", "b"))
+    other = replace(so101_profile(), arm_joints=("a", "b"))
     driver = SimulatedDriver(None, other, MemoryTopics())
     with pytest.raises(ConfigurationError, match="others"):
         driver.open()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rn_controller_urdf.controller import UrdfController
 from rn_robot_lerobot.arm import ARM_JOINTS, JOINTS, SO101
-from rn_robot_lerobot.profile import profile
+from rn_robot_lerobot.profile import so101_profile
 from roboneuron import JointSample
 
 F64 = NDArray[np.float64]
@@ -48,7 +48,7 @@ def frame_from_table(q: F64) -> F64:
 
 
 def place(link: str, q: F64) -> F64:
-    model = pin.buildModelFromXML(profile().urdf)
+    model = pin.buildModelFromXML(so101_profile().urdf)
     data = model.createData()
     full = np.zeros(model.nq)
     for name, angle in zip(ARM_JOINTS, q, strict=True):
@@ -71,7 +71,10 @@ def test_the_published_gripper_frame_is_where_the_table_puts_it() -> None:
 
 
 def test_home_points_down_inside_the_workspace() -> None:
-    pose, workspace = place(profile().tcp_link, np.array(SO101.home_rad)), profile().workspace
+    pose, workspace = (
+        place(so101_profile().tcp_link, np.array(SO101.home_rad)),
+        so101_profile().workspace,
+    )
     assert workspace is not None
     # a tenth of a degree
     np.testing.assert_allclose(pose[:3, 2], [0, 0, -1], atol=2e-3)
@@ -80,7 +83,9 @@ def test_home_points_down_inside_the_workspace() -> None:
 
 
 def test_urdf_limits_are_those_of_the_profile() -> None:
-    limits = {joint.get("name"): joint.find("limit") for joint in ET.fromstring(profile().urdf)}
+    limits = {
+        joint.get("name"): joint.find("limit") for joint in ET.fromstring(so101_profile().urdf)
+    }
     rows = zip(ARM_JOINTS, SO101.lower_rad, SO101.upper_rad, SO101.effort_nm, strict=True)
     for name, lower, upper, effort in rows:
         expected = [lower, upper, SO101.velocity_rad_s, effort]
@@ -97,7 +102,7 @@ def test_urdf_limits_are_those_of_the_profile() -> None:
 
 
 def test_every_link_has_a_positive_definite_inertia() -> None:
-    model = pin.buildModelFromXML(profile().urdf)
+    model = pin.buildModelFromXML(so101_profile().urdf)
     for name, inertia in list(zip(model.names, model.inertias, strict=True))[1:]:
         assert inertia.mass > 0, name
         assert np.linalg.eigvalsh(inertia.inertia).min() > 0, name
@@ -105,7 +110,7 @@ def test_every_link_has_a_positive_definite_inertia() -> None:
 
 @pytest.mark.parametrize("jaw_rad", [SO101.jaw_closed_rad, 0.13, SO101.jaw_open_rad])
 def test_no_opening_of_the_jaws_counts_as_a_collision(jaw_rad: float) -> None:
-    controller = UrdfController(None, profile())
+    controller = UrdfController(None, so101_profile())
     controller.load()
     posture = JointSample(
         names=JOINTS, position=np.array([*SO101.home_rad, jaw_rad]), stamp_ns=time.time_ns()

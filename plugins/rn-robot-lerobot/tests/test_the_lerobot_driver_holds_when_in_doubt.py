@@ -23,7 +23,7 @@ from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_robot_lerobot.lerobot_arm import calibration_of, connect, map_motors
 from rn_robot_lerobot.lerobot_driver import LerobotDriver
 from rn_robot_lerobot.lerobot_options import LerobotDriverOptions, MotorOption
-from rn_robot_lerobot.profile import profile
+from rn_robot_lerobot.profile import so101_profile
 from rn_testing.fakes import MemoryTopics
 from rn_testing.waiting import wait_until
 from roboneuron import (
@@ -149,7 +149,7 @@ def follower(arm: SerialArm, path: Path, monkeypatch: pytest.MonkeyPatch) -> Sta
 
 @pytest.fixture
 def driver(follower: StandInFollower) -> Iterator[LerobotDriver]:
-    driver = LerobotDriver(LerobotDriverOptions(), profile(), MemoryTopics())
+    driver = LerobotDriver(LerobotDriverOptions(), so101_profile(), MemoryTopics())
     driver.open()
     yield driver
     driver.close()
@@ -269,7 +269,9 @@ def test_single_wild_readings_are_left_out(
 def test_goals_stay_near_an_arm_that_does_not_follow(
     follower: StandInFollower, arm: SerialArm
 ) -> None:
-    driver = LerobotDriver(LerobotDriverOptions(max_relative_target=2.0), profile(), MemoryTopics())
+    driver = LerobotDriver(
+        LerobotDriverOptions(max_relative_target=2.0), so101_profile(), MemoryTopics()
+    )
     driver.open()
     try:
         turn(driver, 1.2, 0.4)
@@ -349,7 +351,7 @@ def test_a_lacking_calibration_is_refused_before_the_bus_is_opened(
     follower: StandInFollower,
 ) -> None:
     follower.calibration_fpath.unlink()
-    driver = LerobotDriver(None, profile(), MemoryTopics())
+    driver = LerobotDriver(None, so101_profile(), MemoryTopics())
     with pytest.raises(ConfigurationError, match="There is no calibration"):
         driver.open()
     assert not follower.is_connected
@@ -371,14 +373,14 @@ def test_motors_that_fit_no_joint_are_refused_by_name(
     options = LerobotDriverOptions(motors=motors)
     calibration = calibration_of(follower, options)
     with pytest.raises(ConfigurationError, match=words):
-        map_motors(follower, options, profile(), calibration)
+        map_motors(follower, options, so101_profile(), calibration)
 
 
 def test_an_arm_with_a_motor_too_few_is_refused_by_the_joint(follower: StandInFollower) -> None:
     del follower.action_features["wrist_roll.pos"]
     options = LerobotDriverOptions()
     with pytest.raises(ConfigurationError, match="moves the joint 'wrist_roll'"):
-        map_motors(follower, options, profile(), calibration_of(follower, options))
+        map_motors(follower, options, so101_profile(), calibration_of(follower, options))
 
 
 def test_an_inverted_motor_with_an_offset_and_one_in_shares_are_mapped(
@@ -391,7 +393,7 @@ def test_an_inverted_motor_with_an_offset_and_one_in_shares_are_mapped(
             "wrist_roll": MotorOption(unit="range"),
         }
     )
-    motors = map_motors(follower, options, profile(), calibration_of(follower, options))
+    motors = map_motors(follower, options, so101_profile(), calibration_of(follower, options))
     values = dict.fromkeys(motors.keys, 0.0)
     position = motors.positions(values | {"elbow_flex.pos": 30.0, "wrist_roll.pos": 100.0})
     assert position[2] == pytest.approx(np.radians(60.0))

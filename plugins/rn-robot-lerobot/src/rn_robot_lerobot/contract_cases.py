@@ -6,7 +6,7 @@ from std_msgs.msg import Float64MultiArray
 
 from rn_robot_lerobot.arm import SO101
 from rn_robot_lerobot.plugin import roboneuron_perceptions, roboneuron_robots
-from rn_robot_lerobot.profile import profile
+from rn_robot_lerobot.profile import so101_profile
 from rn_robot_lerobot.scene import random_cubes
 from rn_robot_lerobot.simulation import CELL
 from rn_simulation.scene_state import TOPIC, SceneState, at_rest, to_message
@@ -30,7 +30,7 @@ def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
     )
 
 
-def robot_case() -> RobotCase:
+def so101_case() -> RobotCase:
     """The robot with its simulated driver."""
     return RobotCase(spec=roboneuron_robots()[0], driver="simulated")
 
@@ -52,5 +52,5 @@ def cameras_case() -> PerceptionCase:
         topics.deliver(TOPIC, state_at_home(0, topics.now_ns()))
 
     return PerceptionCase(
-        spec=roboneuron_perceptions()[0], cameras=lambda: profile().cameras, feed=feed
+        spec=roboneuron_perceptions()[0], cameras=lambda: so101_profile().cameras, feed=feed
     )

@@ -23,7 +23,7 @@ _UNCALIBRATED = tuple(
 """Cameras of which only the names are known."""
 
 
-def profile() -> RobotProfile:
+def so101_profile() -> RobotProfile:
     """The profile of an SO-101 follower with a camera beside the table and one on the gripper."""
     named = [camera.profile() for camera in cameras()]
     return replace(profile_of(SO101, named), own_topics=("sim/state",))

@@ -24,7 +24,7 @@ from rn_robot_lerobot.lerobot_options import KochOptions, LekiwiOptions, Lerobot
 from roboneuron import JointCommand, RoboNeuronError
 
 ROBOTS: dict[str, tuple[type[LerobotDriver], type[LerobotDriverOptions], Callable[[], Any]]] = {
-    "so101": (LerobotDriver, LerobotDriverOptions, profiles.profile),
+    "so101": (LerobotDriver, LerobotDriverOptions, profiles.so101_profile),
     "koch": (LerobotDriver, KochOptions, profiles.koch_profile),
     "lekiwi": (LekiwiDriver, LekiwiOptions, profiles.lekiwi_profile),
 }
