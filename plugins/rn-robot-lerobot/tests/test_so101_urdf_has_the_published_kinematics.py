@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
@@ -14,8 +15,8 @@ from numpy.typing import NDArray
 
 from rn_controller_urdf.controller import UrdfController
 from rn_robot_lerobot.arm import ARM_JOINTS, JOINTS, SO101
-from rn_robot_lerobot.profile import so101_profile
-from roboneuron import JointSample
+from rn_robot_lerobot.profile import lekiwi_profile, so101_profile
+from roboneuron import JointSample, RobotProfile
 
 F64 = NDArray[np.float64]
 
@@ -47,8 +48,8 @@ def frame_from_table(q: F64) -> F64:
     return pose @ transform(*FRAME)
 
 
-def place(link: str, q: F64) -> F64:
-    model = pin.buildModelFromXML(so101_profile().urdf)
+def place(link: str, q: F64, robot: RobotProfile) -> F64:
+    model = pin.buildModelFromXML(robot.urdf)
     data = model.createData()
     full = np.zeros(model.nq)
     for name, angle in zip(ARM_JOINTS, q, strict=True):
@@ -66,20 +67,34 @@ def test_the_published_gripper_frame_is_where_the_table_puts_it() -> None:
         *random.uniform(SO101.lower_rad, SO101.upper_rad, (50, 5)),
     ):
         np.testing.assert_allclose(
-            place("gripper_frame_link", q), frame_from_table(q), atol=ROUNDING
+            place("gripper_frame_link", q, so101_profile()), frame_from_table(q), atol=ROUNDING
         )
 
 
-def test_home_points_down_inside_the_workspace() -> None:
-    pose, workspace = (
-        place(so101_profile().tcp_link, np.array(SO101.home_rad)),
-        so101_profile().workspace,
-    )
+@pytest.mark.parametrize("made", [so101_profile, lekiwi_profile])
+def test_home_points_down_inside_the_workspace(made: Callable[[], RobotProfile]) -> None:
+    robot = made()
+    pose, workspace = place(robot.tcp_link, np.array(SO101.home_rad), robot), robot.workspace
     assert workspace is not None
     # a tenth of a degree
     np.testing.assert_allclose(pose[:3, 2], [0, 0, -1], atol=2e-3)
     assert (workspace.lower_m < pose[:3, 3]).all()
     assert (pose[:3, 3] < workspace.upper_m).all()
+
+
+def test_a_lekiwis_arm_is_an_so101_on_its_base() -> None:
+    robot, random = lekiwi_profile(), np.random.default_rng(7)
+    # its pan axis 67 mm before the middle of the wheels, 152.4 mm above the floor
+    np.testing.assert_allclose(
+        place("so101_shoulder", np.zeros(5), robot)[:3, 3], [0.067, 0.0, 0.1524], atol=1e-6
+    )
+    mount = place("so101_base", np.zeros(5), robot)
+    for q in random.uniform(SO101.lower_rad, SO101.upper_rad, (20, 5)):
+        np.testing.assert_allclose(
+            place(robot.tcp_link, q, robot),
+            mount @ place(robot.tcp_link, q, so101_profile()),
+            atol=1e-9,
+        )
 
 
 def test_urdf_limits_are_those_of_the_profile() -> None:
@@ -109,10 +124,22 @@ def test_every_link_has_a_positive_definite_inertia() -> None:
 
 
 @pytest.mark.parametrize("jaw_rad", [SO101.jaw_closed_rad, 0.13, SO101.jaw_open_rad])
-def test_no_opening_of_the_jaws_counts_as_a_collision(jaw_rad: float) -> None:
-    controller = UrdfController(None, so101_profile())
+@pytest.mark.parametrize("made", [so101_profile, lekiwi_profile])
+def test_no_opening_of_the_jaws_counts_as_a_collision(
+    jaw_rad: float, made: Callable[[], RobotProfile]
+) -> None:
+    controller = UrdfController(None, made())
     controller.load()
     posture = JointSample(
         names=JOINTS, position=np.array([*SO101.home_rad, jaw_rad]), stamp_ns=time.time_ns()
     )
     assert controller.inspect(posture).near == ()
+
+
+def test_an_arm_that_reaches_into_its_base_is_a_collision() -> None:
+    controller = UrdfController(None, lekiwi_profile())
+    controller.load()
+    bent = (0.0, -1.2, 1.69, 1.5, 0.0, 0.0)
+    posture = JointSample(names=JOINTS, position=np.array(bent), stamp_ns=time.time_ns())
+    near = {body for pair in controller.inspect(posture).near for body in (pair.first, pair.second)}
+    assert any("lekiwi_base" in body for body in near), near
