@@ -197,6 +197,16 @@ class TestWithLerobotsOwnClass:
             wait_until(lambda: not is_rolling(cell), 5.0)
             assert "held by a fault" in cell.driver("read")["refused"]
 
+    def test_wheels_of_a_bus_that_does_not_answer_hear_that_they_are_to_stop(
+        self, cell: Cell
+    ) -> None:
+        cell.driver("open")
+        with driving(cell, 0.2, 0.0, 0.0):
+            wait_until(lambda: pose(cell).x_m > 0.05, 20.0)
+            cell.arm.motors.faults = BusFaults(mute=True)
+            wait_until(lambda: not is_rolling(cell), 10.0)
+            assert "is silent: " in cell.driver.fault()
+
     def test_wheels_that_still_turn_for_a_driver_that_was_killed_are_stopped_at_the_start(
         self, cell: Cell
     ) -> None:

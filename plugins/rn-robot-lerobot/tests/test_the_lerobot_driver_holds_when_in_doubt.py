@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -398,3 +399,16 @@ def test_an_inverted_motor_with_an_offset_and_one_in_shares_are_mapped(
     position = motors.positions(values | {"elbow_flex.pos": 30.0, "wrist_roll.pos": 100.0})
     assert position[2] == pytest.approx(np.radians(60.0))
     assert position[4] == pytest.approx(np.pi)
+
+
+def test_a_class_that_fails_is_a_silent_bus(
+    driver: LerobotDriver, follower: StandInFollower, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(action: dict[str, float]) -> Mapping[str, float]:
+        return {"sent": action["no such motor.pos"]}
+
+    turn(driver)
+    monkeypatch.setattr(follower, "send_action", fail)
+    wait_until(lambda: int(driver.read().detail["bus_errors"]) > 3, 10.0)
+    monkeypatch.setattr(follower, "get_observation", partial(fail, {}))
+    wait_until(lambda: "no such motor.pos" in driver.read().detail["fault"], 10.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Protocol, cast
 
@@ -35,9 +36,9 @@ class LekiwiDriver(LerobotDriver):
     """Velocities come on `cmd_vel`, odometry goes out on `odom`.
 
     The wheels' motors keep their last speed until they hear another one: this driver stops them
-    when commands cease, at a hold, at a fault, and at its start and end. While the bus is silent,
-    or when the process is killed, nobody does. A twist that the base cannot carry out is refused as
-    a whole, and the base brakes.
+    when commands cease, at a hold, at a fault, and at its start and end. While the motors hear
+    nothing, or when the process is killed, nobody does. A twist that the base cannot carry out is
+    refused as a whole, and the base brakes.
     """
 
     def __init__(self, config: LekiwiOptions | None, profile: RobotProfile, topics: Topics) -> None:
@@ -105,6 +106,15 @@ class LekiwiDriver(LerobotDriver):
     def _halt(self) -> None:
         super()._halt()
         self._base.halt("held")
+
+    def _note_silence(self, robot: LerobotRobot, error: Exception) -> None:
+        super()._note_silence(robot, error)
+        with self._lock:
+            is_fault = bool(self._told_fault())
+        if is_fault and self._is_rolling:
+            # who does not answer may hear: with one motor off the bus, LeRobot reads none
+            with suppress(OSError, RuntimeError):
+                cast("_LekiwiRobot", robot).stop_base()
 
     def _observe(self, observed: Mapping[str, float]) -> None:
         absent = [key for key in _KEYS if key not in observed]

@@ -46,6 +46,8 @@ _DOUBTS = 3
 """So many readings in a row that cannot be true are a fault; fewer are left out."""
 _REMEMBERED_S = 1.0
 """A fault that is over is told for this long, so that nobody misses it."""
+_FAILURES = (OSError, RuntimeError, LookupError, TypeError, ValueError)
+"""What a robot's class may raise while it works: a bus that fails, or a class that does."""
 _CLIPPED = 1e-3
 """Share of a unit by which a goal that LeRobot has changed differs."""
 _JOIN_S = 5.0
@@ -293,21 +295,22 @@ class LerobotDriver:
             observed = robot.get_observation()
             told = motors.measured(observed)
             self._observe(observed)
-        except (OSError, RuntimeError, RoboNeuronError) as error:
-            self._note_silence(error)
+        except (RoboNeuronError, *_FAILURES) as error:
+            self._note_silence(robot, error)
             return
         goal, wanted = self._judge(told, period_s), {}
         if goal is not None:
             wanted = motors.values(dict(zip(motors.joints, goal.tolist(), strict=True)))
         try:
             sent = self._send_goals(robot, wanted, period_s)
-        except (OSError, RuntimeError) as error:
-            self._note_silence(error)
+        except _FAILURES as error:
+            self._note_silence(robot, error)
             return
         if any(abs(float(sent[key]) - value) > _CLIPPED for key, value in wanted.items()):
             self._note_clipped(motors.measured(sent))
 
-    def _note_silence(self, error: Exception) -> None:
+    def _note_silence(self, robot: LerobotRobot, error: Exception) -> None:
+        """The bus has failed once more; for long enough, that is a fault."""
         with self._lock:
             self._failures += 1
             silent_s = time.monotonic() - self._read_s

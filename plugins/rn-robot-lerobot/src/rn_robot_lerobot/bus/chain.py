@@ -90,6 +90,7 @@ class BusFaults:
 
     Attributes:
         silent: nothing answers, and nothing arrives.
+        mute: nothing answers; what is sent arrives.
         lost_share: share of instructions that no motor hears, 0..1.
         answer_delay_s: of each answer [s].
         wrong: steps that are added to the position that a motor tells, by the joint's name.
@@ -97,6 +98,7 @@ class BusFaults:
     """
 
     silent: bool = False
+    mute: bool = False
     lost_share: float = 0.0
     answer_delay_s: float = 0.0
     wrong: Mapping[str, int] | None = None
@@ -248,9 +250,14 @@ class MotorChain(ABC):
 
     def answer(self, packet: Packet) -> bytes:
         """What the motors send back; nothing when they hear nothing."""
-        faults, size = self.faults, self.address_size
+        faults = self.faults
         if faults.silent or self._random.random() < faults.lost_share:
             return b""
+        answer = self._answer(packet)
+        return b"" if faults.mute else answer
+
+    def _answer(self, packet: Packet) -> bytes:
+        size = self.address_size
         parameters = packet.parameters
         address = int.from_bytes(parameters[:size], "little")
         count = int.from_bytes(parameters[size : 2 * size], "little")
