@@ -212,7 +212,7 @@ eval-act: .venv-lerobot-policies/.ready ## that policy on 100 unseen places of t
 	  --suite-option camera_hz=10 --suite-option time_limit_s=10 --episodes 100 --seed 0 --retry-errors \
 	  --out out/eval/act-$(notdir $(realpath $(ACT)/checkpoints/last)) $(ARGS)
 
-test-lerobot-robots: $(VENV)/.develop .venv-lerobot/.ready-robots ## lerobot's own commands with our robots, and our driver with lerobot's
+test-lerobot-robots: $(VENV)/.develop .venv-lerobot/.ready-robots .venv-fr3sim/.ready ## lerobot's own commands with our robots, and our driver with lerobot's
 	$(BIN)/python -m pytest plugins/lerobot-robot-roboneuron/tests plugins/rn-robot-lerobot/tests \
 	  -m "slow or not slow" $(ARGS)
 

@@ -35,9 +35,9 @@ from rich.console import Console
 from rich.panel import Panel
 from rich.table import Table
 
-from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.paths import PATHS, planned_track
 from rn_robot_bases.platform import PLATFORMS
+from rn_simulation.planar_motion import PlanarPose
 from rn_standard.console.client import leaves_of, spawned_server
 from rn_standard.demo.agent import Agent, module_status, simulated_objects
 from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, DemoScreen

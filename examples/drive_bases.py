@@ -30,10 +30,10 @@ from PIL import Image
 from rich.console import Console
 from rich.table import Table
 
-from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.paths import PATHS, Segment, planned_track
 from rn_robot_bases.picture import draw_track
 from rn_robot_bases.platform import PLATFORMS
+from rn_simulation.planar_motion import PlanarPose
 
 HERE = Path(__file__).parent
 LOOK_PERIOD_S = 0.2

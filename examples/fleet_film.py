@@ -12,7 +12,7 @@ from pathlib import Path
 
 from PIL import Image, ImageDraw, ImageFont
 
-from rn_robot_bases.odometry import PlanarPose
+from rn_simulation.planar_motion import PlanarPose
 
 PANEL_PX, THUMB_PX = 320, 192
 MARGIN_PX, CAPTION_PX = 6, 22

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from rn_robot_bases.odometry import PlanarPose
+from rn_simulation.planar_motion import PlanarPose
 from roboneuron.config import load_config
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

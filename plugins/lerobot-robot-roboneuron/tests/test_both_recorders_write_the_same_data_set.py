@@ -15,7 +15,7 @@ from rn_recorder_runs.episodes import Streams, read_streams
 from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.reading import iterate
 from rn_recorder_runs.store import Run, Store
-from rn_robot_lerobot.profile import profile
+from rn_robot_lerobot.profile import so101_profile
 from rn_robot_lerobot.units import MotorMap, motors_of
 
 HERE = Path(__file__).parent
@@ -68,7 +68,7 @@ def arrays_of(folder: Path, lerobot: Lerobot) -> dict[str, np.ndarray]:
 
 def in_motor_units(values: np.ndarray, names: np.ndarray, motors: MotorMap) -> np.ndarray:
     """Our rows (n, m) [rad, opening] by name as lerobot's [degrees, percent]."""
-    gripper = profile().gripper
+    gripper = so101_profile().gripper
     assert gripper is not None
     columns = {str(name): values[:, number] for number, name in enumerate(names)}
     if "gripper_open" in columns:
@@ -143,7 +143,7 @@ def test_they_are_equal_within_rounding_and_a_frame(
 
 def compare(theirs: dict[str, np.ndarray], ours: dict[str, np.ndarray], run: Run) -> None:
     """Raise AssertionError where the two differ by more than what is said above."""
-    motors, streams = motors_of(profile()), read_streams(run.files)
+    motors, streams = motors_of(so101_profile()), read_streams(run.files)
     assert int(theirs["episodes"]) == int(ours["episodes"]) == 1
     assert int(theirs["fps"]) == int(ours["fps"]) == FPS
     missed = len(theirs["action"]) - len(ours["action"])

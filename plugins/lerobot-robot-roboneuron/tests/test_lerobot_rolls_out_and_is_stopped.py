@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from lerobot_lane import BIN, PATIENT, ROOT, Lerobot, Served, Watch, read_dataset, release_stop
 
-from rn_robot_lerobot.arm import HOME_RAD
+from rn_robot_lerobot.arm import SO101
 from rn_testing.waiting import wait_until
 
 ACTION_TIMEOUT_S, BRAKING_S = 0.5, 0.3
@@ -33,7 +33,7 @@ make_tiny(Path(sys.argv[1]), "act", TinyShape(width=224, height=224, means=means
 def policy(lerobot: Lerobot, tmp_path: Path) -> Path:
     """A tiny random ACT of an SO-101 that wants its first joint turned."""
     folder = tmp_path / "policy"
-    means = [*np.degrees(HOME_RAD), 50.0]
+    means = [*np.degrees(SO101.home_rad), 50.0]
     means[0] += TURN_DEG
     sources = [ROOT / "plugins" / name / "src" for name in ("rn-backend-lerobot", "rn-vla")]
     subprocess.run(
@@ -64,7 +64,7 @@ def test_lerobots_rollout_moves_the_arm_with_a_policy(
     )
     assert process.wait(END_S) == 0, lerobot.last_line(process)
     pan = np.degrees(watch.since(begun_s)[:, 0])
-    home = np.degrees(HOME_RAD[0])
+    home = np.degrees(SO101.home_rad[0])
     # random weights add a small part of the data's spread, which is 0.05 degrees
     assert pan.max() == pytest.approx(home + TURN_DEG, abs=0.5)
     # lerobot's own last act: back to where it began

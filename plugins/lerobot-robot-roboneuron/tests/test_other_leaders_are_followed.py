@@ -20,7 +20,7 @@ from anyio.from_thread import start_blocking_portal
 from lerobot_lane import JOINTS, PATIENT, ROOT, Lerobot, Served, Watch
 
 from rn_robot_lerobot.bus.arm import SerialArm
-from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
+from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_robot_lerobot.simulation import CELL
 from rn_testing.waiting import wait_until
 
@@ -139,10 +139,10 @@ def test_lerobots_own_leader_arm_leads(
     lerobot: Lerobot, served: Served, watch: Watch, tmp_path: Path
 ) -> None:
     """Its class, motors behind a serial port, and a hand that moves the arm without torque."""
-    calibration = reference_calibration()
+    calibration = ASSEMBLED_SO101.calibration()
     text = json.dumps({name: asdict(motor) for name, motor in calibration.items()})
     (tmp_path / "hand.json").write_text(text, encoding="utf-8")
-    with HandMovedArm(ENCODER_ZEROS, calibration) as leader:
+    with HandMovedArm() as leader:
         process = lerobot.start(
             "lerobot-teleoperate",
             "--robot.type=roboneuron",

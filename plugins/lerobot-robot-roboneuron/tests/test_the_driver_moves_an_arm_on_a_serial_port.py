@@ -4,26 +4,21 @@ serial port a simulated arm whose motors speak the protocol of the real ones.
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from anyio.from_thread import start_blocking_portal
-from lerobot_lane import BIN, Served
+from serial_cell import SerialCell
 
-from rn_robot_lerobot.arm import HOME_RAD
-from rn_robot_lerobot.bus.arm import SerialArm
+from rn_robot_lerobot.arm import SO101
 from rn_robot_lerobot.bus.chain import BusFaults
-from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
-from rn_robot_lerobot.calibration import MotorCalibration
+from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError
 from roboneuron.command import environment
@@ -32,76 +27,6 @@ REST_S = 0.5
 """From a fault to an arm at rest: the silence that is a fault, and the way that a motor still has
 to its last goal. The fault matrix allows `command_timeout_s`.
 """
-CONFIG = """
-[robot]
-name = "so101"
-driver = "lerobot"
-python = "{python}"
-
-[control]
-controller = "urdf"
-
-[plugins.urdf]
-rotation_tolerance_rad = 0.03
-
-[plugins.so101]
-port = "{port}"
-calibration_dir = "{folder}"
-"""
-
-
-class Cell:
-    """A serial arm and a server whose robot module drives it."""
-
-    def __init__(
-        self, folder: Path, stack: ExitStack, motors: dict[str, MotorCalibration] | None = None
-    ) -> None:
-        self.folder = folder
-        self.arm = stack.enter_context(
-            SerialArm(ENCODER_ZEROS, reference_calibration() if motors is None else motors)
-        )
-        config = folder / "serial.toml"
-        config.write_text(
-            CONFIG.format(python=BIN / "python", port=self.arm.port, folder=folder),
-            encoding="utf-8",
-        )
-        portal = stack.enter_context(start_blocking_portal())
-        self.server = Served(portal, config, folder / "server.log")
-        stack.callback(self.server.close)
-
-    def write_calibration(self, calibration: dict[str, MotorCalibration]) -> None:
-        text = json.dumps({name: asdict(motor) for name, motor in calibration.items()})
-        (self.folder / "so101.json").write_text(text, encoding="utf-8")
-
-    def start(self) -> None:
-        self.server.call("start_robot")
-        self.server.call("start_control")
-
-    def robot(self) -> dict[str, object]:
-        modules = self.server.call("get_status")["modules"]
-        return next(dict(module) for module in modules if module["module"] == "robot")
-
-    def fault(self) -> str:
-        detail = self.robot().get("detail") or {}
-        assert isinstance(detail, dict)
-        return str(detail.get("fault", ""))
-
-    def move(self, seconds: float = 4.0, **positions: float) -> None:
-        self.server.call("move_joints", positions=positions, duration_s=seconds)
-
-    def move_in_background(self) -> None:
-        """A long turn; the call ends with the fault that is to come."""
-        ended: list[NotReadyError] = []
-
-        def call() -> None:
-            try:
-                self.move(6.0, shoulder_pan=1.2)
-            except NotReadyError as error:
-                ended.append(error)
-
-        threading.Thread(target=call, daemon=True).start()
-        wait_until(lambda: self.arm.position[0] > 0.15 or ended, 60.0, "the arm to turn")
-        assert not ended, ended[0]
 
 
 @pytest.fixture
@@ -112,14 +37,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def cell(folder: Path) -> Iterator[Cell]:
+def cell(folder: Path) -> Iterator[SerialCell]:
     with ExitStack() as stack:
-        cell = Cell(folder, stack)
-        cell.write_calibration(reference_calibration())
+        cell = SerialCell(folder, stack)
+        cell.write_calibration(ASSEMBLED_SO101.calibration())
         yield cell
 
 
-def assert_still(cell: Cell, seconds: float = 1.5) -> None:
+def assert_still(cell: SerialCell, seconds: float = 1.5) -> None:
     begun_s = time.monotonic()
     wait_until(lambda: time.monotonic() > begun_s + seconds)
     assert cell.arm.rest_after_s(begun_s) == 0.0
@@ -127,12 +52,12 @@ def assert_still(cell: Cell, seconds: float = 1.5) -> None:
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_it_goes_where_it_is_sent_and_breaks_no_rule_of_the_motors(cell: Cell) -> None:
+def test_it_goes_where_it_is_sent_and_breaks_no_rule_of_the_motors(cell: SerialCell) -> None:
     cell.start()
-    np.testing.assert_allclose(cell.arm.position[:5], HOME_RAD, atol=0.01)
+    np.testing.assert_allclose(cell.arm.position[:5], SO101.home_rad, atol=0.01)
     cell.move(shoulder_pan=0.4, elbow_flex=-0.3, wrist_roll=-0.5)
     # the motors' dead zone is none here; a step of the encoder is 1.5 mrad
-    expected = [0.4, HOME_RAD[1], -0.3, HOME_RAD[3], -0.5]
+    expected = [0.4, SO101.home_rad[1], -0.3, SO101.home_rad[3], -0.5]
     wait_until(lambda: np.abs(cell.arm.position[:5] - expected).max() < 0.01, 5.0)
     assert cell.arm.motors.broken_rules == []
     assert cell.fault() == ""
@@ -140,7 +65,7 @@ def test_it_goes_where_it_is_sent_and_breaks_no_rule_of_the_motors(cell: Cell) -
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_lost_and_late_packets_do_not_keep_it_from_arriving(cell: Cell) -> None:
+def test_lost_and_late_packets_do_not_keep_it_from_arriving(cell: SerialCell) -> None:
     cell.start()
     cell.arm.motors.faults = BusFaults(lost_share=0.02, answer_delay_s=0.002)
     cell.move(shoulder_pan=0.5)
@@ -159,7 +84,7 @@ def test_lost_and_late_packets_do_not_keep_it_from_arriving(cell: Cell) -> None:
     ids=["silent", "wrong"],
 )
 def test_a_bad_bus_is_a_fault_and_leaves_an_arm_at_rest(
-    cell: Cell, faults: BusFaults, words: str
+    cell: SerialCell, faults: BusFaults, words: str
 ) -> None:
     cell.start()
     cell.move_in_background()
@@ -178,7 +103,7 @@ def test_a_bad_bus_is_a_fault_and_leaves_an_arm_at_rest(
 
 @pytest.mark.ros
 @pytest.mark.slow
-def test_an_emergency_stop_and_a_killed_driver_leave_an_arm_at_rest(cell: Cell) -> None:
+def test_an_emergency_stop_and_a_killed_driver_leave_an_arm_at_rest(cell: SerialCell) -> None:
     cell.start()
     cell.move_in_background()
     begun_s = time.monotonic()
@@ -200,11 +125,11 @@ def test_an_emergency_stop_and_a_killed_driver_leave_an_arm_at_rest(cell: Cell) 
 @pytest.mark.ros
 @pytest.mark.slow
 def test_what_is_wrong_with_a_calibration_is_said_before_anything_moves(folder: Path) -> None:
-    other = reference_calibration()
+    other = ASSEMBLED_SO101.calibration()
     other["elbow_flex"] = replace(other["elbow_flex"], homing_offset=17)
-    unknown = {**reference_calibration(), "tail": other["gripper"]}
+    unknown = {**ASSEMBLED_SO101.calibration(), "tail": other["gripper"]}
     with ExitStack() as stack:
-        cell = Cell(folder, stack)
+        cell = SerialCell(folder, stack)
         for calibration, words in (
             (None, r"There is no calibration .*so101\.json\. Make it with: lerobot-calibrate"),
             (unknown, "names the unknown motor 'tail'"),

@@ -17,13 +17,8 @@ from pydantic import ValidationError
 from rn_robot_bases.driver import SimulatedBase
 from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
-from rn_robot_bases.profile import (
-    CMD_VEL,
-    ODOMETRY,
-    diffdrive_profile,
-    husky_profile,
-    racecar_profile,
-)
+from rn_robot_bases.profile import diffdrive_profile, husky_profile, racecar_profile
+from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY
 from rn_testing.fakes import MemoryTopics, gantry_profile
 from rn_testing.waiting import wait_until
 from roboneuron.contract import JointCommand, RobotProfile

@@ -8,11 +8,10 @@ from itertools import pairwise
 
 import pytest
 
-from rn_robot_bases.drivetrain import BaseVelocity
-from rn_robot_bases.odometry import PlanarPose, integrate
 from rn_robot_bases.platform import DIFFDRIVE, HUSKY, PLATFORMS, RACECAR, Platform
 from rn_robot_bases.simulation import STEP_S, BaseSimulation, BaseState
 from rn_simulation.engine import Engine
+from rn_simulation.planar_motion import BaseVelocity, PlanarPose, integrate
 from roboneuron.errors import RefusedError, StateError
 
 EVERY_PLATFORM = pytest.mark.parametrize("platform", PLATFORMS.values(), ids=PLATFORMS.keys())

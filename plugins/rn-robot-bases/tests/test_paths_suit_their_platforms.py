@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.paths import PATHS, Segment, planned_track
 from rn_robot_bases.picture import draw_track
 from rn_robot_bases.platform import DIFFDRIVE, PLATFORMS, RACECAR, Platform
 from rn_robot_bases.profile import check_twist
 from rn_robot_bases.simulation import BaseSimulation
 from rn_simulation.engine import Engine
+from rn_simulation.planar_motion import PlanarPose
 from roboneuron.errors import InvalidInputError, RefusedError
 
 EVERY_PLATFORM = pytest.mark.parametrize("platform", PLATFORMS.values(), ids=PLATFORMS.keys())

@@ -8,23 +8,23 @@ from pathlib import Path
 
 import pytest
 
-from rn_robot_lerobot.bus.reference import reference_calibration
+from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_robot_lerobot.calibration import read_calibration
 from rn_robot_lerobot.lerobot_arm import check_version
 from roboneuron import ConfigurationError, MissingDependencyError
 
-MOTORS = tuple(reference_calibration())
+MOTORS = tuple(ASSEMBLED_SO101.calibration())
 COMMAND = "lerobot-calibrate --robot.id=so101"
 
 
 def facts() -> dict[str, dict[str, object]]:
-    return {name: asdict(motor) for name, motor in reference_calibration().items()}
+    return {name: asdict(motor) for name, motor in ASSEMBLED_SO101.calibration().items()}
 
 
 def test_a_whole_file_is_read(tmp_path: Path) -> None:
     path = tmp_path / "so101.json"
     path.write_text(json.dumps(facts()))
-    assert read_calibration(path, MOTORS, COMMAND) == reference_calibration()
+    assert read_calibration(path, MOTORS, COMMAND) == ASSEMBLED_SO101.calibration()
 
 
 def damaged(change: str) -> str:

@@ -14,10 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rn_robot_fr3.profile import pair_profile
-from rn_robot_lerobot.arm import JAW_CLOSED_RAD, JAW_OPEN_RAD, JOINTS
-from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
+from rn_robot_lerobot.arm import JOINTS, SO101
+from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_robot_lerobot.calibration import STEPS
-from rn_robot_lerobot.profile import profile
+from rn_robot_lerobot.profile import so101_profile
 from rn_robot_lerobot.units import MotorMap, degrees, motors_of, percent, share_of_range
 from roboneuron import InvalidInputError, UnsafeError
 
@@ -27,8 +27,8 @@ STEP_RAD = 2.0 * math.pi / STEPS
 
 def true_position(name: str, raw: int) -> float:
     """Where a joint is when its motor tells `raw` with the reference calibration [rad]."""
-    encoder = raw + reference_calibration()[name].homing_offset
-    return (encoder - ENCODER_ZEROS[name]) * STEP_RAD
+    encoder = raw + ASSEMBLED_SO101.calibration()[name].homing_offset
+    return (encoder - ASSEMBLED_SO101.encoder_zeros[name]) * STEP_RAD
 
 
 @pytest.mark.parametrize("row", [row for row in SCALING if row["mode"] == "degrees"])
@@ -46,16 +46,18 @@ def test_lerobots_degrees_are_the_joints_of_the_arm(row: dict[str, object]) -> N
 def test_lerobots_percent_are_the_jaw(row: dict[str, object]) -> None:
     if row["mode"] != "range_0_100":
         return
-    unit = percent("gripper", "gripper", JAW_CLOSED_RAD, JAW_OPEN_RAD)
+    unit = percent("gripper", "gripper", SO101.jaw_closed_rad, SO101.jaw_open_rad)
     position = unit.scale * float(str(row["value"])) + unit.offset
     truth = true_position("gripper", int(str(row["raw"])))
-    assert position == pytest.approx(np.clip(truth, JAW_CLOSED_RAD, JAW_OPEN_RAD), abs=2 * STEP_RAD)
+    assert position == pytest.approx(
+        np.clip(truth, SO101.jaw_closed_rad, SO101.jaw_open_rad), abs=2 * STEP_RAD
+    )
 
 
 @pytest.mark.parametrize("row", [row for row in SCALING if row["mode"] == "range_m100_100"])
 def test_lerobots_shares_of_a_range_are_the_joints(row: dict[str, object]) -> None:
     name, raw = str(row["motor"]), int(str(row["raw"]))
-    motor = reference_calibration()[name]
+    motor = ASSEMBLED_SO101.calibration()[name]
     if name == "gripper" or not motor.range_min <= raw <= motor.range_max:
         return
     unit = share_of_range(name, name, motor.half_range_rad)
@@ -84,11 +86,11 @@ def test_an_inverted_gripper_is_open_at_nought() -> None:
 
 
 def test_names_of_the_so101_are_those_of_lerobots_data_sets() -> None:
-    motors = motors_of(profile())
+    motors = motors_of(so101_profile())
     assert motors.keys == tuple(f"{name}.pos" for name in JOINTS)
     values = dict.fromkeys(motors.keys, 90.0)
     assert motors.positions(values)[0] == pytest.approx(math.pi / 2)
-    plain = motors_of(profile(), use_degrees=False)
+    plain = motors_of(so101_profile(), use_degrees=False)
     assert plain.positions(values | dict.fromkeys(plain.keys[:5], 1.0))[0] == 1.0
 
 
@@ -106,13 +108,13 @@ def test_each_of_two_arms_has_a_gripper_of_its_own_name() -> None:
     ],
 )
 def test_values_that_fit_no_motor_are_refused_by_name(change: dict[str, float], words: str) -> None:
-    motors = motors_of(profile())
+    motors = motors_of(so101_profile())
     with pytest.raises(InvalidInputError, match=words):
         motors.positions(dict.fromkeys(motors.keys, 0.0) | change)
 
 
 def test_a_lacking_value_and_one_that_is_no_number_are_refused_by_name() -> None:
-    motors = motors_of(profile())
+    motors = motors_of(so101_profile())
     whole = dict.fromkeys(motors.keys, 0.0)
     with pytest.raises(InvalidInputError, match=r"'elbow_flex.pos' lacks"):
         motors.positions({k: v for k, v in whole.items() if k != "elbow_flex.pos"})

@@ -5,51 +5,32 @@ follower in front of motors that speak the protocols of the real ones, and a rob
 from __future__ import annotations
 
 import json
-import os
-import subprocess
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from own_robots import NEEDED, PROCESS, Cell, DriverError, Process, process_with
 
-from rn_robot_lerobot import koch
-from rn_robot_lerobot.arm import HOME_RAD
-from rn_robot_lerobot.bus.arm import KOCH, SO101, SerialArm
+from rn_robot_lerobot.bus.arm import SERIAL_KOCH, SERIAL_SO101
 from rn_robot_lerobot.bus.chain import BusFaults
 from rn_robot_lerobot.bus.dynamixel_motors import ALERT, DynamixelChain
-from rn_robot_lerobot.bus.reference import (
-    ENCODER_ZEROS,
-    KOCH_ENCODER_ZEROS,
-    koch_calibration,
-    reference_calibration,
-)
+from rn_robot_lerobot.bus.reference import ASSEMBLED_KOCH
 from rn_robot_lerobot.calibration import MotorCalibration
 from rn_testing.waiting import wait_until
 
-ROOT = Path(__file__).parents[3]
-PYTHON = ROOT / ".venv-lerobot" / "bin" / "python"
-PROCESS = Path(__file__).parent / "own_lerobot"
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.timeout(180),
-    pytest.mark.skipif(
-        not list(ROOT.glob(".venv-lerobot/lib/*/site-packages/dynamixel_sdk")),
-        reason="lerobot's environment is not there: make test-lerobot-robots",
-    ),
+    NEEDED,
 ]
 REST_S = 0.5
 """From a fault to an arm at rest: the silence that is a fault, and the way that a motor still has
 to its last goal. The fault matrix allows `command_timeout_s`.
 """
-ARMS = {
-    "koch": (KOCH, KOCH_ENCODER_ZEROS, koch_calibration, koch.HOME_RAD),
-    "so101": (SO101, ENCODER_ZEROS, reference_calibration, HOME_RAD),
-}
 THIRD = {
     "type": "thirdarm",
     "motors": {
@@ -61,52 +42,6 @@ THIRD = {
         "claw": {"joint": "gripper", "inverted": True},
     },
 }
-
-
-class DriverError(Exception):
-    """An error that the driver has raised."""
-
-
-class Process:
-    """Drivers, one after the other, in a process that imports lerobot once."""
-
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self._process = process
-
-    def __call__(self, name: str, *arguments: object) -> Any:
-        assert self._process.stdin is not None
-        assert self._process.stdout is not None
-        self._process.stdin.write(json.dumps([name, *arguments]) + "\n")
-        self._process.stdin.flush()
-        answer = json.loads(self._process.stdout.readline())
-        if "error" in answer:
-            raise DriverError(f"{answer['error']}: {answer['message']}")
-        return answer["answer"]
-
-    def fault(self) -> str:
-        return str(self("read")["fault"])
-
-
-@contextmanager
-def process_with(log: Path, folder: Path) -> Iterator[Process]:
-    """A process that finds modules in a folder, too."""
-    command = [str(PYTHON), str(PROCESS / "driver_process.py")]
-    environment = {**os.environ, "PYTHONPATH": str(folder), "HF_HUB_OFFLINE": "1"}
-    with (
-        log.open("w") as errors,
-        subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=errors,
-            text=True,
-            env=environment,
-        ) as process,
-    ):
-        try:
-            yield Process(process)
-        finally:
-            process.kill()
 
 
 @pytest.fixture(scope="module")
@@ -124,31 +59,7 @@ def driver(process: Process) -> Iterator[Process]:
         process("close")
 
 
-class Cell:
-    """An arm behind a port, and a driver for it."""
-
-    def __init__(self, robot: str, folder: Path, driver: Process, stack: ExitStack) -> None:
-        kind, zeros, calibration, self.home_rad = ARMS[robot]
-        self.folder, self.name, self.driver = folder, robot, driver
-        self.arm = stack.enter_context(SerialArm(zeros, calibration(), kind))
-        self.write_calibration(calibration())
-        # an answer may take longer than that of a real motor, see BUSY_MS
-        options = {"port": self.arm.port, "calibration_dir": str(folder), "silence_s": 1.0}
-        driver("new", robot, options)
-
-    def write_calibration(self, calibration: dict[str, MotorCalibration]) -> None:
-        text = json.dumps({name: asdict(motor) for name, motor in calibration.items()})
-        (self.folder / f"{self.name}.json").write_text(text, encoding="utf-8")
-
-    def turn(self) -> float:
-        """A long turn is under way; the time now [monotonic s]."""
-        begun_rad = self.arm.position[0]
-        self.driver("send", {"shoulder_pan": begun_rad + 0.8}, 4.0)
-        wait_until(lambda: self.arm.position[0] > begun_rad + 0.1, 30.0, "the arm to turn")
-        return time.monotonic()
-
-
-@pytest.fixture(params=["koch", "so101"])
+@pytest.fixture(params=[SERIAL_KOCH, SERIAL_SO101], ids=["koch", "so101"])
 def cell(request: pytest.FixtureRequest, tmp_path: Path, driver: Process) -> Iterator[Cell]:
     with ExitStack() as stack:
         cell = Cell(request.param, tmp_path, driver, stack)
@@ -160,7 +71,7 @@ def cell(request: pytest.FixtureRequest, tmp_path: Path, driver: Process) -> Ite
 @pytest.fixture
 def koch_cell(tmp_path: Path, driver: Process) -> Iterator[Cell]:
     with ExitStack() as stack:
-        cell = Cell("koch", tmp_path, driver, stack)
+        cell = Cell(SERIAL_KOCH, tmp_path, driver, stack)
         yield cell
         with suppress(DriverError):
             driver("close")
@@ -247,9 +158,9 @@ def test_lost_and_late_packets_do_not_keep_it_from_arriving(koch_cell: Cell) -> 
     ("calibration", "words"),
     [
         (None, r"There is no calibration .*koch\.json\. Make it with: lerobot-calibrate"),
-        ({"tail": koch_calibration()["gripper"]}, "names the unknown motor 'tail'"),
+        ({"tail": ASSEMBLED_KOCH.calibration()["gripper"]}, "names the unknown motor 'tail'"),
         (
-            {"elbow_flex": replace(koch_calibration()["elbow_flex"], homing_offset=17)},
+            {"elbow_flex": replace(ASSEMBLED_KOCH.calibration()["elbow_flex"], homing_offset=17)},
             "hold another calibration than",
         ),
     ],
@@ -261,7 +172,7 @@ def test_what_is_wrong_with_a_calibration_is_one_sentence_and_nothing_moves(
     if calibration is None:
         (koch_cell.folder / "koch.json").unlink()
     else:
-        koch_cell.write_calibration({**koch_calibration(), **calibration})
+        koch_cell.write_calibration({**ASSEMBLED_KOCH.calibration(), **calibration})
     begun_s = time.monotonic()
     with pytest.raises(DriverError, match=f"ConfigurationError: .*{words}"):
         koch_cell.driver("open")
@@ -318,7 +229,7 @@ def test_a_version_that_the_driver_is_not_written_for_is_refused(tmp_path: Path)
 def test_options_that_lerobot_does_not_know_are_refused_by_name(
     tmp_path: Path, driver: Process, options: dict[str, object], words: str
 ) -> None:
-    text = json.dumps({name: asdict(motor) for name, motor in koch_calibration().items()})
+    text = json.dumps({name: asdict(motor) for name, motor in ASSEMBLED_KOCH.calibration().items()})
     (tmp_path / "koch.json").write_text(text, encoding="utf-8")
     driver("new", "koch", {"port": "/dev/null", "calibration_dir": str(tmp_path), **options})
     with pytest.raises(DriverError, match=f"ConfigurationError: .*{words}"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rn_robot_lerobot.contract_cases import cameras_case, koch_case, robot_case
+from rn_robot_lerobot.contract_cases import cameras_case, koch_case, lekiwi_case, so101_case
 from rn_testing.cases import PackageCase, PerceptionCase, RobotCase
 from rn_testing.contracts import PackageContract, PerceptionContract, RobotContract
 
@@ -12,13 +12,19 @@ from rn_testing.contracts import PackageContract, PerceptionContract, RobotContr
 class TestSo101(RobotContract):
     @pytest.fixture
     def plugin(self) -> RobotCase:
-        return robot_case()
+        return so101_case()
 
 
 class TestKoch(RobotContract):
     @pytest.fixture
     def plugin(self) -> RobotCase:
         return koch_case()
+
+
+class TestLekiwi(RobotContract):
+    @pytest.fixture
+    def plugin(self) -> RobotCase:
+        return lekiwi_case()
 
 
 class TestSimulatedCameras(PerceptionContract):

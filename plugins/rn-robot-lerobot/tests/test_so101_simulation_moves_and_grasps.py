@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from rn_robot_lerobot.arm import ACCELERATION_RAD_S2, ARM_JOINTS, JAW_CLOSED_RAD, JOINTS, NAME
+from rn_robot_lerobot.arm import ARM_JOINTS, JOINTS, SO101
 from rn_robot_lerobot.cameras import cameras
 from rn_robot_lerobot.driver import SimulatedDriver
 from rn_robot_lerobot.options import SimulatedDriverOptions
-from rn_robot_lerobot.profile import profile
+from rn_robot_lerobot.profile import so101_profile
 from rn_robot_lerobot.scene import LIFTED_M, REGION, random_cubes
 from rn_robot_lerobot.simulation import CELL, So101Simulation
 from rn_simulation.arm_cell import STEP_S
@@ -26,8 +26,8 @@ START = CELL.start
 
 def joints_above(x_m: float, y_m: float, z_m: float, yaw_rad: float) -> np.ndarray:
     """Arm joints whose TCP points down at a place, the jaws turned by a yaw."""
-    model = pin.buildModelFromXML(profile().urdf)
-    data, frame = model.createData(), model.getFrameId(profile().tcp_link)
+    model = pin.buildModelFromXML(so101_profile().urdf)
+    data, frame = model.createData(), model.getFrameId(so101_profile().tcp_link)
     down = pin.rpy.rpyToMatrix(np.pi, 0.0, yaw_rad)
     target, q = pin.SE3(down, np.array([x_m, y_m, z_m])), pin.neutral(model)
     for name, angle in zip(ARM_JOINTS, START, strict=False):
@@ -53,11 +53,11 @@ def test_a_cube_is_grasped_and_lifted(seed: int) -> None:
         yaw = cube.yaw_rad + np.pi  # the jaws' faces are at x of the TCP
         high = joints_above(cube.x_m, cube.y_m, 0.06, yaw)
         low = joints_above(cube.x_m, cube.y_m, 0.014, yaw)
-        for arm, jaw in ((high, START[-1]), (low, START[-1]), (low, JAW_CLOSED_RAD)):
+        for arm, jaw in ((high, START[-1]), (low, START[-1]), (low, SO101.jaw_closed_rad)):
             go(simulation, arm, jaw, 1.5)
         grasped = simulation.gripper_open()
         assert 0.05 < grasped < 0.3
-        go(simulation, high, JAW_CLOSED_RAD, 1.5)
+        go(simulation, high, SO101.jaw_closed_rad, 1.5)
         simulation.step(240)
         lifted = simulation.cubes()["red"]
         assert lifted.lifted_m > LIFTED_M
@@ -66,7 +66,7 @@ def test_a_cube_is_grasped_and_lifted(seed: int) -> None:
 
 def test_a_gripper_that_closes_on_nothing_is_closed() -> None:
     with So101Simulation(colours=("red",)) as simulation:
-        go(simulation, START[:5], JAW_CLOSED_RAD, 1.0)
+        go(simulation, START[:5], SO101.jaw_closed_rad, 1.0)
         assert simulation.gripper_open() < 0.02
 
 
@@ -83,7 +83,7 @@ def test_the_arm_follows_and_brakes_within_its_acceleration() -> None:
         at_hold = np.abs(velocities[59]).max()
         stopped = next(i for i, v in enumerate(velocities[60:]) if np.abs(v).max() < 0.02)
         # the braking time of the limits, and what the servo lags behind its setpoint
-        assert stopped * STEP_S < at_hold / ACCELERATION_RAD_S2[0] + 0.25
+        assert stopped * STEP_S < at_hold / SO101.acceleration_rad_s2 + 0.25
 
 
 def test_commands_beyond_the_limits_are_clamped_and_nonsense_is_refused() -> None:
@@ -129,7 +129,7 @@ def test_scenes_lie_in_the_region_apart_from_each_other() -> None:
 
 def test_the_driver_tells_its_state_and_keeps_a_grasp_when_it_holds() -> None:
     topics = MemoryTopics()
-    driver = SimulatedDriver(SimulatedDriverOptions(seed=5), profile(), topics)
+    driver = SimulatedDriver(SimulatedDriverOptions(seed=5), so101_profile(), topics)
     driver.open()
     try:
         state = driver.read()
@@ -142,7 +142,7 @@ def test_the_driver_tells_its_state_and_keeps_a_grasp_when_it_holds() -> None:
         driver.hold()
         assert wait_until(lambda: (driver.read().gripper_open or 0.0) < 0.12)
         assert wait_until(lambda: bool(topics.published(TOPIC)))
-        told = from_message(topics.published(TOPIC)[-1], {NAME: len(JOINTS)})
+        told = from_message(topics.published(TOPIC)[-1], {SO101.name: len(JOINTS)})
         assert [name for name, _ in told.cubes] == ["red", "green", "blue"]
     finally:
         driver.close()
@@ -151,7 +151,7 @@ def test_the_driver_tells_its_state_and_keeps_a_grasp_when_it_holds() -> None:
 def test_another_robots_profile_is_refused() -> None:
     from dataclasses import replace
 
-    other = replace(profile(), arm_joints=("a", "b"))
+    other = replace(so101_profile(), arm_joints=("a", "b"))
     driver = SimulatedDriver(None, other, MemoryTopics())
     with pytest.raises(ConfigurationError, match="others"):
         driver.open()

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 
 import numpy as np
 import pinocchio as pin
@@ -13,19 +14,9 @@ import pytest
 from numpy.typing import NDArray
 
 from rn_controller_urdf.controller import UrdfController
-from rn_robot_lerobot.arm import (
-    ARM_JOINTS,
-    EFFORT_NM,
-    HOME_RAD,
-    JAW_CLOSED_RAD,
-    JAW_OPEN_RAD,
-    JOINTS,
-    LOWER_RAD,
-    UPPER_RAD,
-    VELOCITY_RAD_S,
-)
-from rn_robot_lerobot.profile import profile
-from roboneuron import JointSample
+from rn_robot_lerobot.arm import ARM_JOINTS, JOINTS, SO101
+from rn_robot_lerobot.profile import lekiwi_profile, so101_profile
+from roboneuron import JointSample, RobotProfile
 
 F64 = NDArray[np.float64]
 
@@ -57,8 +48,8 @@ def frame_from_table(q: F64) -> F64:
     return pose @ transform(*FRAME)
 
 
-def place(link: str, q: F64) -> F64:
-    model = pin.buildModelFromXML(profile().urdf)
+def place(link: str, q: F64, robot: RobotProfile) -> F64:
+    model = pin.buildModelFromXML(robot.urdf)
     data = model.createData()
     full = np.zeros(model.nq)
     for name, angle in zip(ARM_JOINTS, q, strict=True):
@@ -70,14 +61,20 @@ def place(link: str, q: F64) -> F64:
 
 def test_the_published_gripper_frame_is_where_the_table_puts_it() -> None:
     random = np.random.default_rng(7)
-    for q in (np.zeros(5), np.array(HOME_RAD), *random.uniform(LOWER_RAD, UPPER_RAD, (50, 5))):
+    for q in (
+        np.zeros(5),
+        np.array(SO101.home_rad),
+        *random.uniform(SO101.lower_rad, SO101.upper_rad, (50, 5)),
+    ):
         np.testing.assert_allclose(
-            place("gripper_frame_link", q), frame_from_table(q), atol=ROUNDING
+            place("gripper_frame_link", q, so101_profile()), frame_from_table(q), atol=ROUNDING
         )
 
 
-def test_home_points_down_inside_the_workspace() -> None:
-    pose, workspace = place(profile().tcp_link, np.array(HOME_RAD)), profile().workspace
+@pytest.mark.parametrize("made", [so101_profile, lekiwi_profile])
+def test_home_points_down_inside_the_workspace(made: Callable[[], RobotProfile]) -> None:
+    robot = made()
+    pose, workspace = place(robot.tcp_link, np.array(SO101.home_rad), robot), robot.workspace
     assert workspace is not None
     # a tenth of a degree
     np.testing.assert_allclose(pose[:3, 2], [0, 0, -1], atol=2e-3)
@@ -85,31 +82,64 @@ def test_home_points_down_inside_the_workspace() -> None:
     assert (pose[:3, 3] < workspace.upper_m).all()
 
 
+def test_a_lekiwis_arm_is_an_so101_on_its_base() -> None:
+    robot, random = lekiwi_profile(), np.random.default_rng(7)
+    # its pan axis 67 mm before the middle of the wheels, 152.4 mm above the floor
+    np.testing.assert_allclose(
+        place("so101_shoulder", np.zeros(5), robot)[:3, 3], [0.067, 0.0, 0.1524], atol=1e-6
+    )
+    mount = place("so101_base", np.zeros(5), robot)
+    for q in random.uniform(SO101.lower_rad, SO101.upper_rad, (20, 5)):
+        np.testing.assert_allclose(
+            place(robot.tcp_link, q, robot),
+            mount @ place(robot.tcp_link, q, so101_profile()),
+            atol=1e-9,
+        )
+
+
 def test_urdf_limits_are_those_of_the_profile() -> None:
-    limits = {joint.get("name"): joint.find("limit") for joint in ET.fromstring(profile().urdf)}
-    rows = zip(ARM_JOINTS, LOWER_RAD, UPPER_RAD, VELOCITY_RAD_S, EFFORT_NM, strict=True)
-    for name, *expected in rows:
+    limits = {
+        joint.get("name"): joint.find("limit") for joint in ET.fromstring(so101_profile().urdf)
+    }
+    rows = zip(ARM_JOINTS, SO101.lower_rad, SO101.upper_rad, SO101.effort_nm, strict=True)
+    for name, lower, upper, effort in rows:
+        expected = [lower, upper, SO101.velocity_rad_s, effort]
         limit = limits[name]
         assert limit is not None
         keys = ("lower", "upper", "velocity", "effort")
         assert [float(limit.get(key, "nan")) for key in keys] == expected
     jaw = limits[JOINTS[-1]]
     assert jaw is not None
-    assert [float(jaw.get(k, "nan")) for k in ("lower", "upper")] == [JAW_CLOSED_RAD, JAW_OPEN_RAD]
+    assert [float(jaw.get(k, "nan")) for k in ("lower", "upper")] == [
+        SO101.jaw_closed_rad,
+        SO101.jaw_open_rad,
+    ]
 
 
 def test_every_link_has_a_positive_definite_inertia() -> None:
-    model = pin.buildModelFromXML(profile().urdf)
+    model = pin.buildModelFromXML(so101_profile().urdf)
     for name, inertia in list(zip(model.names, model.inertias, strict=True))[1:]:
         assert inertia.mass > 0, name
         assert np.linalg.eigvalsh(inertia.inertia).min() > 0, name
 
 
-@pytest.mark.parametrize("jaw_rad", [JAW_CLOSED_RAD, 0.13, JAW_OPEN_RAD])
-def test_no_opening_of_the_jaws_counts_as_a_collision(jaw_rad: float) -> None:
-    controller = UrdfController(None, profile())
+@pytest.mark.parametrize("jaw_rad", [SO101.jaw_closed_rad, 0.13, SO101.jaw_open_rad])
+@pytest.mark.parametrize("made", [so101_profile, lekiwi_profile])
+def test_no_opening_of_the_jaws_counts_as_a_collision(
+    jaw_rad: float, made: Callable[[], RobotProfile]
+) -> None:
+    controller = UrdfController(None, made())
     controller.load()
     posture = JointSample(
-        names=JOINTS, position=np.array([*HOME_RAD, jaw_rad]), stamp_ns=time.time_ns()
+        names=JOINTS, position=np.array([*SO101.home_rad, jaw_rad]), stamp_ns=time.time_ns()
     )
     assert controller.inspect(posture).near == ()
+
+
+def test_an_arm_that_reaches_into_its_base_is_a_collision() -> None:
+    controller = UrdfController(None, lekiwi_profile())
+    controller.load()
+    bent = (0.0, -1.2, 1.69, 1.5, 0.0, 0.0)
+    posture = JointSample(names=JOINTS, position=np.array(bent), stamp_ns=time.time_ns())
+    near = {body for pair in controller.inspect(posture).near for body in (pair.first, pair.second)}
+    assert any("lekiwi_base" in body for body in near), near

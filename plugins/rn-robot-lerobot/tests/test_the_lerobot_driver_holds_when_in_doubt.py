@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from enum import Enum
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,14 +17,14 @@ import numpy as np
 import pytest
 
 from rn_robot_lerobot import lerobot_driver
-from rn_robot_lerobot.arm import HOME_RAD, JOINTS
+from rn_robot_lerobot.arm import JOINTS, SO101
 from rn_robot_lerobot.bus.arm import SerialArm
 from rn_robot_lerobot.bus.chain import READ, SYNC_WRITE, WRITE, BusFaults, Packet
-from rn_robot_lerobot.bus.reference import ENCODER_ZEROS, reference_calibration
+from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 from rn_robot_lerobot.lerobot_arm import calibration_of, connect, map_motors
 from rn_robot_lerobot.lerobot_driver import LerobotDriver
 from rn_robot_lerobot.lerobot_options import LerobotDriverOptions, MotorOption
-from rn_robot_lerobot.profile import profile
+from rn_robot_lerobot.profile import so101_profile
 from rn_testing.fakes import MemoryTopics
 from rn_testing.waiting import wait_until
 from roboneuron import (
@@ -69,7 +70,7 @@ class StandInFollower:
         self.action_features = dict.fromkeys((f"{name}.pos" for name in JOINTS), float)
         self.is_calibrated = True
         self.is_connected = False
-        self.calibration = reference_calibration()
+        self.calibration = ASSEMBLED_SO101.calibration()
         self.missed = 0
         """So many times to come it does not connect."""
         self.wild = 0
@@ -129,14 +130,14 @@ class StandInFollower:
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     path = tmp_path / "so101.json"
-    told = {name: asdict(motor) for name, motor in reference_calibration().items()}
+    told = {name: asdict(motor) for name, motor in ASSEMBLED_SO101.calibration().items()}
     path.write_text(json.dumps(told))
     return path
 
 
 @pytest.fixture
 def arm() -> Iterator[SerialArm]:
-    with SerialArm(ENCODER_ZEROS, reference_calibration()) as arm:
+    with SerialArm() as arm:
         yield arm
 
 
@@ -149,7 +150,7 @@ def follower(arm: SerialArm, path: Path, monkeypatch: pytest.MonkeyPatch) -> Sta
 
 @pytest.fixture
 def driver(follower: StandInFollower) -> Iterator[LerobotDriver]:
-    driver = LerobotDriver(LerobotDriverOptions(), profile(), MemoryTopics())
+    driver = LerobotDriver(LerobotDriverOptions(), so101_profile(), MemoryTopics())
     driver.open()
     yield driver
     driver.close()
@@ -177,7 +178,7 @@ def test_it_reads_the_joints_and_moves_them_where_it_is_sent(
 ) -> None:
     state = driver.read()
     assert state.joints.names == JOINTS
-    np.testing.assert_allclose(state.joints.position[:5], HOME_RAD, atol=0.01)
+    np.testing.assert_allclose(state.joints.position[:5], SO101.home_rad, atol=0.01)
     assert state.gripper_open == pytest.approx(1.0, abs=0.01)
     command = JointCommand(
         names=("shoulder_pan", "wrist_roll", "gripper"),
@@ -185,7 +186,7 @@ def test_it_reads_the_joints_and_moves_them_where_it_is_sent(
         duration_s=0.5,
     )
     assert driver.send(command).duration_s >= 0.5
-    expected = [0.4, *HOME_RAD[1:4], -0.5, 0.6]
+    expected = [0.4, *SO101.home_rad[1:4], -0.5, 0.6]
     wait_until(lambda: np.abs(arm.position - expected).max() < 0.01, 10.0)
     assert arm.motors.broken_rules == []
     # a step of the encoder is 1.5 mrad, and LeRobot cuts off what is less
@@ -231,7 +232,7 @@ def test_a_bad_bus_is_a_fault_after_which_nothing_moves_by_itself(
         turn(driver)
     wait_until(later(begun_s, 1.5))
     assert arm.rest_after_s(begun_s) < REST_S
-    np.testing.assert_allclose(arm.position[1:5], HOME_RAD[1:], atol=0.02)
+    np.testing.assert_allclose(arm.position[1:5], SO101.home_rad[1:], atol=0.02)
     arm.motors.faults = BusFaults()
     over_s = time.monotonic()
     wait_until(later(over_s, 1.5))
@@ -263,13 +264,15 @@ def test_single_wild_readings_are_left_out(
         begun_s = time.monotonic()
         wait_until(later(begun_s, 0.1))
     assert driver.read().detail["fault"] == ""
-    assert np.abs(arm.position[3] - HOME_RAD[3]) < 0.02
+    assert np.abs(arm.position[3] - SO101.home_rad[3]) < 0.02
 
 
 def test_goals_stay_near_an_arm_that_does_not_follow(
     follower: StandInFollower, arm: SerialArm
 ) -> None:
-    driver = LerobotDriver(LerobotDriverOptions(max_relative_target=2.0), profile(), MemoryTopics())
+    driver = LerobotDriver(
+        LerobotDriverOptions(max_relative_target=2.0), so101_profile(), MemoryTopics()
+    )
     driver.open()
     try:
         turn(driver, 1.2, 0.4)
@@ -349,7 +352,7 @@ def test_a_lacking_calibration_is_refused_before_the_bus_is_opened(
     follower: StandInFollower,
 ) -> None:
     follower.calibration_fpath.unlink()
-    driver = LerobotDriver(None, profile(), MemoryTopics())
+    driver = LerobotDriver(None, so101_profile(), MemoryTopics())
     with pytest.raises(ConfigurationError, match="There is no calibration"):
         driver.open()
     assert not follower.is_connected
@@ -371,14 +374,14 @@ def test_motors_that_fit_no_joint_are_refused_by_name(
     options = LerobotDriverOptions(motors=motors)
     calibration = calibration_of(follower, options)
     with pytest.raises(ConfigurationError, match=words):
-        map_motors(follower, options, profile(), calibration)
+        map_motors(follower, options, so101_profile(), calibration)
 
 
 def test_an_arm_with_a_motor_too_few_is_refused_by_the_joint(follower: StandInFollower) -> None:
     del follower.action_features["wrist_roll.pos"]
     options = LerobotDriverOptions()
     with pytest.raises(ConfigurationError, match="moves the joint 'wrist_roll'"):
-        map_motors(follower, options, profile(), calibration_of(follower, options))
+        map_motors(follower, options, so101_profile(), calibration_of(follower, options))
 
 
 def test_an_inverted_motor_with_an_offset_and_one_in_shares_are_mapped(
@@ -391,8 +394,21 @@ def test_an_inverted_motor_with_an_offset_and_one_in_shares_are_mapped(
             "wrist_roll": MotorOption(unit="range"),
         }
     )
-    motors = map_motors(follower, options, profile(), calibration_of(follower, options))
+    motors = map_motors(follower, options, so101_profile(), calibration_of(follower, options))
     values = dict.fromkeys(motors.keys, 0.0)
     position = motors.positions(values | {"elbow_flex.pos": 30.0, "wrist_roll.pos": 100.0})
     assert position[2] == pytest.approx(np.radians(60.0))
     assert position[4] == pytest.approx(np.pi)
+
+
+def test_a_class_that_fails_is_a_silent_bus(
+    driver: LerobotDriver, follower: StandInFollower, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(action: dict[str, float]) -> Mapping[str, float]:
+        return {"sent": action["no such motor.pos"]}
+
+    turn(driver)
+    monkeypatch.setattr(follower, "send_action", fail)
+    wait_until(lambda: int(driver.read().detail["bus_errors"]) > 3, 10.0)
+    monkeypatch.setattr(follower, "get_observation", partial(fail, {}))
+    wait_until(lambda: "no such motor.pos" in driver.read().detail["fault"], 10.0)

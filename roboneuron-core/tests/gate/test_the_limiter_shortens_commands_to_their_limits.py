@@ -123,9 +123,11 @@ def test_outside_of_the_workspace_no_part_of_a_way_farther_out_is_sent() -> None
 
 
 def moving(rules: MotionRules, speed_m_s: float = 1.0, x: float = 0.0) -> MotionLimiter:
-    """A limiter of an arm with 4 m/s^2 that is at x at 10.0 s and moves up."""
+    """A limiter of an arm with 4 m/s^2 that is at x at 10.0 s and moves up until 10.5 s."""
     judge = limiter(rules, profile(acceleration=4.0))
-    judge.follow(to(x + speed_m_s, duration_s=1.0), at(x), 10.0)
+    for i in range(5):
+        begin = x + i * STEP_S * speed_m_s
+        judge.follow(to(begin + STEP_S * speed_m_s), at(begin), 10.0 + i * STEP_S)
     return judge
 
 
@@ -139,7 +141,8 @@ def test_an_arm_too_fast_for_its_position_limit_holds() -> None:
         "No part of the command is within the limits: x would go to 3.0100",
     )
     assert verdict.acted == ("acceleration", "position")
-    assert sent(judge.limit(to(2.95), at(2.94), 10.49)).position[0] == pytest.approx(3.0)
+    judge = moving(SCALE, x=2.44)
+    assert sent(judge.limit(to(2.94), at(2.94), 10.5)).position[0] == pytest.approx(3.0)
 
 
 def test_an_arm_too_fast_for_a_zone_holds() -> None:

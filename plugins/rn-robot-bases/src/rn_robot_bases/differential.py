@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rn_robot_bases.drivetrain import BaseVelocity, JointTargets, JointValues, approach
+from rn_robot_bases.drivetrain import JointTargets, JointValues, approach
+from rn_simulation.planar_motion import BaseVelocity
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 
 import numpy as np
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
-from rn_robot_bases.odometry import PlanarPose, to_message
 from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
-from rn_robot_bases.profile import CMD_VEL, ODOMETRY, velocity_endpoint
+from rn_robot_bases.profile import endpoints
 from rn_robot_bases.simulation import STEP_S, BaseSimulation, BaseState
+from rn_simulation.planar_motion import to_message
 from rn_simulation.real_time import RealTimeThread
-from rn_standard.direct_path.twists import TWIST_FIELDS, check_twist
+from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
 from roboneuron import (
     ConfigurationError,
     InvalidInputError,
@@ -110,8 +109,8 @@ class SimulatedBase:
                 stamp_ns=stamp_ns,
             ),
             detail={
-                "odometry": _described(state.odometry),
-                "true_pose": _described(state.true_pose),
+                "odometry": state.odometry.described(),
+                "true_pose": state.true_pose.described(),
                 "motion": state.motion,
                 "engine": simulation.engine,
                 "sim_time_s": f"{state.time_s:.3f}",
@@ -143,15 +142,10 @@ class SimulatedBase:
         simulation = self._simulation
         if simulation is None or not self._time.is_running:
             return
-        linear, angular = message.linear, message.angular
-        values = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
         with self._time.stepping:
             try:
-                check_twist(
-                    velocity_endpoint(simulation.platform),
-                    dict(zip(TWIST_FIELDS, values, strict=True)),
-                )
-                simulation.drive(linear.x, angular.z)
+                check_twist(endpoints(simulation.platform)[0], twist_fields(message))
+                simulation.drive(message.linear.x, message.angular.z)
             except RefusedError as error:
                 simulation.hold("a command was refused")
                 self._refusal = str(error)
@@ -177,12 +171,3 @@ class SimulatedBase:
             self._publish(
                 to_message(state.odometry, state.velocity, stamp_ns=stamp_ns, base_link=link)
             )
-
-
-def _described(pose: PlanarPose) -> str:
-    rounded = {
-        "x_m": round(pose.x_m, 4),
-        "y_m": round(pose.y_m, 4),
-        "yaw_rad": round(pose.yaw_rad, 4),
-    }
-    return json.dumps(rounded, separators=(",", ":"))

@@ -8,22 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from rn_simulation.planar_motion import BaseVelocity
+
 JointValues = Mapping[str, float]
 """Value by joint name."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class BaseVelocity:
-    """Velocity of a base in its own frame.
-
-    Attributes:
-        linear_x, linear_y: forwards and to the left [m/s].
-        angular_z: counter-clockwise [rad/s].
-    """
-
-    linear_x: float
-    linear_y: float
-    angular_z: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

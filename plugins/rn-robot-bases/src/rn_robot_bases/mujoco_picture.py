@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_robot_bases.description import urdf
-from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.platform import Platform
 from rn_simulation.mujoco_scene import cast_rays, read_urdf
+from rn_simulation.planar_motion import PlanarPose
 
 F64 = NDArray[np.float64]
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from rn_robot_bases.description import urdf
 from rn_robot_bases.drivetrain import JointTargets, JointValues
-from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.platform import Platform
 from rn_robot_bases.world import HINGE_TORQUE_NM, START_HEIGHT_M
 from rn_simulation.mujoco_scene import read_urdf
+from rn_simulation.planar_motion import PlanarPose
 
 _SUBSTEPS = 4
 """Physics steps per step: contacts are springs, and a skidding wheel hops on soft ones."""

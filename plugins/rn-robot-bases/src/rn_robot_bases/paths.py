@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from rn_robot_bases.odometry import PlanarPose, integrate
 from rn_robot_bases.platform import Platform
+from rn_simulation.planar_motion import PlanarPose, integrate
 
 _TRACK_STEP_S = 0.02
 

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.platform import Platform
 from rn_simulation.engine import EngineChoice, choose_engine
+from rn_simulation.planar_motion import PlanarPose
 from roboneuron import InvalidInputError
 
 F64 = NDArray[np.float64]

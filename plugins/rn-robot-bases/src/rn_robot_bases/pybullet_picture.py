@@ -8,9 +8,9 @@ import numpy as np
 import pybullet
 from numpy.typing import NDArray
 
-from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.platform import Platform
 from rn_robot_bases.pybullet_world import load_body
+from rn_simulation.planar_motion import PlanarPose
 
 F64 = NDArray[np.float64]
 

@@ -10,9 +10,9 @@ import pybullet
 
 from rn_robot_bases.description import urdf
 from rn_robot_bases.drivetrain import JointTargets, JointValues
-from rn_robot_bases.odometry import PlanarPose
 from rn_robot_bases.platform import Platform
 from rn_robot_bases.world import HINGE_TORQUE_NM, START_HEIGHT_M
+from rn_simulation.planar_motion import PlanarPose
 
 
 def load_body(client: int, platform: Platform) -> int:

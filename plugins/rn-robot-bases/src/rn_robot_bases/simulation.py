@@ -7,12 +7,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from types import TracebackType
 
-from rn_robot_bases.drivetrain import BaseVelocity, JointValues
-from rn_robot_bases.odometry import PlanarPose, integrate
+from rn_robot_bases.drivetrain import JointValues
 from rn_robot_bases.platform import Platform, in_engine
 from rn_robot_bases.profile import check_twist
 from rn_robot_bases.world import BaseWorld
 from rn_simulation.engine import Engine, EngineChoice, choose_engine
+from rn_simulation.planar_motion import BaseVelocity, PlanarPose, integrate
 from roboneuron import StateError
 
 STEP_S = 1.0 / 240.0

@@ -7,7 +7,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from rn_robot_bases.drivetrain import JointTargets, JointValues
-from rn_robot_bases.odometry import PlanarPose
+from rn_simulation.planar_motion import PlanarPose
 
 HINGE_TORQUE_NM = 10.0
 START_HEIGHT_M = 0.002

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from rn_robot_lerobot.arm import JOINTS, NAME
+from rn_robot_lerobot.arm import JOINTS, SO101
 from rn_robot_lerobot.cameras import cameras
 from rn_robot_lerobot.simulation import build_world
 from rn_simulation.arm_cameras import SimulatedArmCameras
@@ -17,7 +17,7 @@ from rn_simulation.scene_state import SceneState
 class SimulatedCameras(SimulatedArmCameras):
     """Front and wrist camera of the simulated SO-101."""
 
-    robot = NAME
+    robot = SO101.name
 
     def known(self) -> Sequence[PinholeCamera]:
         """See `StateCameras`."""
@@ -25,7 +25,7 @@ class SimulatedCameras(SimulatedArmCameras):
 
     def joint_counts(self) -> Mapping[str, int]:
         """See `SimulatedArmCameras`."""
-        return {NAME: len(JOINTS)}
+        return {SO101.name: len(JOINTS)}
 
     def build(self, state: SceneState, cubes: Sequence[Cube]) -> ArmWorld:
         """See `SimulatedArmCameras`."""

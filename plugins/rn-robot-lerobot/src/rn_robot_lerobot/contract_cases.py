@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from std_msgs.msg import Float64MultiArray
 
-from rn_robot_lerobot.arm import NAME
+from rn_robot_lerobot.arm import SO101
 from rn_robot_lerobot.plugin import roboneuron_perceptions, roboneuron_robots
-from rn_robot_lerobot.profile import profile
+from rn_robot_lerobot.profile import so101_profile
 from rn_robot_lerobot.scene import random_cubes
 from rn_robot_lerobot.simulation import CELL
 from rn_simulation.scene_state import TOPIC, SceneState, at_rest, to_message
@@ -19,7 +19,7 @@ def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
     cubes = random_cubes(seed)
     return to_message(
         SceneState(
-            robot=NAME,
+            robot=SO101.name,
             engine="mujoco",
             seed=seed,
             cubes=tuple((cube.name, cube.edge_m) for cube in cubes),
@@ -30,7 +30,7 @@ def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
     )
 
 
-def robot_case() -> RobotCase:
+def so101_case() -> RobotCase:
     """The robot with its simulated driver."""
     return RobotCase(spec=roboneuron_robots()[0], driver="simulated")
 
@@ -40,6 +40,11 @@ def koch_case() -> RobotCase:
     return RobotCase(spec=roboneuron_robots()[1], driver=None)
 
 
+def lekiwi_case() -> RobotCase:
+    """The LeKiwi, which no driver may move either."""
+    return RobotCase(spec=roboneuron_robots()[2], driver=None)
+
+
 def cameras_case() -> PerceptionCase:
     """The simulated cameras, fed with the scene at rest."""
 
@@ -47,5 +52,5 @@ def cameras_case() -> PerceptionCase:
         topics.deliver(TOPIC, state_at_home(0, topics.now_ns()))
 
     return PerceptionCase(
-        spec=roboneuron_perceptions()[0], cameras=lambda: profile().cameras, feed=feed
+        spec=roboneuron_perceptions()[0], cameras=lambda: so101_profile().cameras, feed=feed
     )

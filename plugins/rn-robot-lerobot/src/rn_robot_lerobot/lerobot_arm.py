@@ -123,6 +123,8 @@ def make_robot(options: LerobotDriverOptions) -> LerobotRobot:
         given["calibration_dir"] = Path(options.calibration_dir).expanduser()
     maker = known[options.type]
     fields = maker.__dataclass_fields__
+    if "cameras" in fields:  # images come from perception; a LeKiwi has two by default
+        given.setdefault("cameras", {})
     if "disable_torque_on_disconnect" in fields:
         given.setdefault("disable_torque_on_disconnect", options.release_on_close)
     unknown = [name for name in given if name not in fields]
@@ -160,7 +162,7 @@ def map_motors(
     units = []
     for name in names:
         option = options.motors.get(name, MotorOption())
-        joint = option.joint or name
+        joint = option.joint or name.removeprefix(options.motor_prefix)
         if joint not in joints:
             raise ConfigurationError(
                 f"Motor {name!r} moves the joint {joint!r}, which robot {profile.name!r} does not "

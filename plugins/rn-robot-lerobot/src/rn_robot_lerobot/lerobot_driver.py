@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +46,8 @@ _DOUBTS = 3
 """So many readings in a row that cannot be true are a fault; fewer are left out."""
 _REMEMBERED_S = 1.0
 """A fault that is over is told for this long, so that nobody misses it."""
+_FAILURES = (OSError, RuntimeError, LookupError, TypeError, ValueError)
+"""What a robot's class may raise while it works: a bus that fails, or a class that does."""
 _CLIPPED = 1e-3
 """Share of a unit by which a goal that LeRobot has changed differs."""
 _JOIN_S = 5.0
@@ -95,6 +98,7 @@ class LerobotDriver:
         motors = map_motors(robot, options, self._profile, calibration)
         connect(robot, options)
         try:
+            self._connected(robot)
             position = motors.measured(robot.get_observation())
         except RoboNeuronError:
             robot.disconnect()
@@ -185,6 +189,33 @@ class LerobotDriver:
             finally:
                 self._motors = None
 
+    @property
+    def is_open(self) -> bool:
+        """Between `open` and `close`."""
+        return self._thread is not None
+
+    def _connected(self, robot: LerobotRobot) -> None:
+        """The bus is open; called before anything else is asked of the robot."""
+
+    def _observe(self, observed: Mapping[str, float]) -> None:
+        """Take what the robot tells beside its joints.
+
+        Raises:
+            InvalidInputError: something lacks.
+        """
+
+    def _send_goals(
+        self, robot: LerobotRobot, goals: Mapping[str, float], period_s: float
+    ) -> Mapping[str, float]:
+        """Send goals by key, or nothing where there are none; returns what was really sent."""
+        return robot.send_action(dict(goals)) if goals else {}
+
+    def _begin(self) -> None:
+        """Hold the arm where it is measured, unless it is commanded; the lock is held."""
+        if not self._is_commanded and self._motors is not None:
+            self._setpoint = self._setpoint_at(self._position, self._motors)
+            self._is_commanded = True
+
     def _open_motors(self) -> MotorMap:
         if self._motors is None or self._thread is None:
             raise StateError("The driver 'lerobot' is not open.")
@@ -261,23 +292,25 @@ class LerobotDriver:
         if robot is None or motors is None:
             return
         try:
-            told = motors.measured(robot.get_observation())
-        except (OSError, RuntimeError, RoboNeuronError) as error:
-            self._note_silence(error)
+            observed = robot.get_observation()
+            told = motors.measured(observed)
+            self._observe(observed)
+        except (RoboNeuronError, *_FAILURES) as error:
+            self._note_silence(robot, error)
             return
-        goal = self._judge(told, period_s)
-        if goal is None:
-            return
-        wanted = motors.values(dict(zip(motors.joints, goal.tolist(), strict=True)))
+        goal, wanted = self._judge(told, period_s), {}
+        if goal is not None:
+            wanted = motors.values(dict(zip(motors.joints, goal.tolist(), strict=True)))
         try:
-            sent = robot.send_action(wanted)
-        except (OSError, RuntimeError) as error:
-            self._note_silence(error)
+            sent = self._send_goals(robot, wanted, period_s)
+        except _FAILURES as error:
+            self._note_silence(robot, error)
             return
         if any(abs(float(sent[key]) - value) > _CLIPPED for key, value in wanted.items()):
             self._note_clipped(motors.measured(sent))
 
-    def _note_silence(self, error: Exception) -> None:
+    def _note_silence(self, robot: LerobotRobot, error: Exception) -> None:
+        """The bus has failed once more; for long enough, that is a fault."""
         with self._lock:
             self._failures += 1
             silent_s = time.monotonic() - self._read_s

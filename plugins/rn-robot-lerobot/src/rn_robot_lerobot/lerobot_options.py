@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -39,6 +39,8 @@ class LerobotDriverOptions(BaseModel):
     """Options of the driver `lerobot`, which runs in lerobot's environment."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+    motor_prefix: ClassVar[str] = ""
+    """What the names of motors have before those of their joints."""
 
     type: Annotated[str, ConfigurationOnly()] = Field(
         default="so101_follower", description="LeRobot's `--robot.type`."
@@ -86,4 +88,23 @@ class KochOptions(LerobotDriverOptions):
     )
     id: Annotated[str, ConfigurationOnly()] = Field(
         default="koch", description="LeRobot's `--robot.id`, by which calibrations are called."
+    )
+
+
+class LekiwiOptions(LerobotDriverOptions):
+    """Options of the driver `lerobot` of a LeKiwi."""
+
+    motor_prefix: ClassVar[str] = "arm_"
+
+    type: Annotated[str, ConfigurationOnly()] = Field(
+        default="lekiwi", description="LeRobot's `--robot.type`."
+    )
+    id: Annotated[str, ConfigurationOnly()] = Field(
+        default="lekiwi", description="LeRobot's `--robot.id`, by which calibrations are called."
+    )
+    base_timeout_s: float = Field(
+        default=0.5,
+        ge=0.05,
+        le=5.0,
+        description="The base brakes when no velocity command came for this long [s].",
     )

@@ -1,5 +1,5 @@
-"""What this package offers: the robots "so101" and "koch" with their drivers, and the simulated
-cameras.
+"""What this package offers: the robots "so101", "koch" and "lekiwi" with their drivers, and the
+simulated cameras.
 """
 
 from __future__ import annotations
@@ -23,45 +23,59 @@ _LEROBOT_DRIVER = DriverSpec(
     requires=(_LEROBOT,),
 )
 _KOCH_DRIVER = replace(_LEROBOT_DRIVER, config="rn_robot_lerobot.lerobot_options:KochOptions")
+_LEKIWI_DRIVER = replace(
+    _LEROBOT_DRIVER,
+    summary="The arm and its base by lerobot's own driver, in lerobot's environment",
+    target="rn_robot_lerobot.lekiwi_driver:LekiwiDriver",
+    config="rn_robot_lerobot.lerobot_options:LekiwiOptions",
+)
+
+
+_SIMULATED_DRIVER = DriverSpec(
+    name="simulated",
+    summary="MuJoCo simulation: a table with coloured cubes in random places",
+    target="rn_robot_lerobot.driver:SimulatedDriver",
+    config="rn_robot_lerobot.options:SimulatedDriverOptions",
+    simulated=True,
+    requires=(_MUJOCO,),
+)
+
+
+def _robot(name: str, summary: str, *drivers: DriverSpec) -> RobotSpec:
+    return RobotSpec(
+        name=name,
+        summary=summary,
+        target=f"rn_robot_lerobot.profile:{name}_profile",
+        case=f"rn_robot_lerobot.contract_cases:{name}_case",
+        robot_kind="arm",
+        cameras=_CAMERAS,
+        action_widths=(7,),
+        drivers=drivers,
+    )
 
 
 @hookimpl
 def roboneuron_robots() -> Sequence[RobotSpec]:
-    """The SO-101 and the Koch follower."""
+    """The SO-101, the Koch follower and the LeKiwi."""
     return [
-        RobotSpec(
-            name="so101",
-            summary="SO-101 follower: 5-joint arm with gripper, a camera beside the table and one "
-            "on the gripper",
-            target="rn_robot_lerobot.profile:profile",
-            case="rn_robot_lerobot.contract_cases:robot_case",
-            robot_kind="arm",
-            cameras=_CAMERAS,
-            action_widths=(7,),
-            drivers=(
-                DriverSpec(
-                    name="simulated",
-                    summary="MuJoCo simulation: a table with coloured cubes in random places",
-                    target="rn_robot_lerobot.driver:SimulatedDriver",
-                    config="rn_robot_lerobot.options:SimulatedDriverOptions",
-                    simulated=True,
-                    requires=(_MUJOCO,),
-                ),
-                _LEROBOT_DRIVER,
-            ),
+        _robot(
+            "so101",
+            "SO-101 follower: 5-joint arm with gripper, a camera beside the table and one on the "
+            "gripper",
+            _SIMULATED_DRIVER,
+            _LEROBOT_DRIVER,
         ),
-        RobotSpec(
-            name="koch",
-            summary="Koch v1.1 follower: 5-joint arm with gripper, Dynamixel motors, cameras that "
-            "are not calibrated",
-            target="rn_robot_lerobot.profile:koch_profile",
-            case="rn_robot_lerobot.contract_cases:koch_case",
-            robot_kind="arm",
-            cameras=_CAMERAS,
-            action_widths=(7,),
-            drivers=(
-                replace(_LEROBOT_DRIVER, config="rn_robot_lerobot.lerobot_options:KochOptions"),
-            ),
+        _robot(
+            "koch",
+            "Koch v1.1 follower: 5-joint arm with gripper, Dynamixel motors, cameras that are not "
+            "calibrated",
+            _KOCH_DRIVER,
+        ),
+        _robot(
+            "lekiwi",
+            "LeKiwi: SO-101 arm on a base with three omnidirectional wheels, cameras that are not "
+            "calibrated",
+            _LEKIWI_DRIVER,
         ),
     ]
 

@@ -6,24 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rn_robot_lerobot.arm import (
-    ACCELERATION_RAD_S2,
-    EFFORT_NM,
-    GRIPPER_JOINT,
-    HOME_RAD,
-    JAW_ACCELERATION_RAD_S2,
-    JAW_CLOSED_RAD,
-    JAW_EFFORT_NM,
-    JAW_OPEN_RAD,
-    JAW_VELOCITY_RAD_S,
-    JOINTS,
-    LOWER_RAD,
-    NAME,
-    TCP_LINK,
-    UPPER_RAD,
-    VELOCITY_RAD_S,
-    urdf,
-)
+from rn_robot_lerobot.arm import GRIPPER_JOINT, JOINTS, SO101
 from rn_robot_lerobot.cameras import cameras
 from rn_robot_lerobot.scene import DEFAULT_COLOURS, LIFTED_M, random_cubes
 from rn_simulation.arm_cell import ArmCell
@@ -32,18 +15,20 @@ from rn_simulation.arm_world import ArmWorld
 from rn_simulation.cubes import Cube
 from rn_simulation.mujoco_arm import MujocoArmWorld, MujocoCell, Servo
 
+_COUNT = len(JOINTS)
+_LOWER, _UPPER = np.transpose(SO101.ends_rad())
 CELL = ArmCell(
-    robot=NAME,
+    robot=SO101.name,
     joints=JOINTS,
     commanded=JOINTS,
-    followed=tuple(range(len(JOINTS))),
+    followed=tuple(range(_COUNT)),
     grippers=(JOINTS.index(GRIPPER_JOINT),),
-    start=np.array((*HOME_RAD, JAW_OPEN_RAD)),
-    lower=np.array((*LOWER_RAD, JAW_CLOSED_RAD)),
-    upper=np.array((*UPPER_RAD, JAW_OPEN_RAD)),
-    velocity=np.array((*VELOCITY_RAD_S, JAW_VELOCITY_RAD_S)),
-    acceleration=np.array((*ACCELERATION_RAD_S2, JAW_ACCELERATION_RAD_S2)),
-    force=np.array((*EFFORT_NM, JAW_EFFORT_NM)),
+    start=SO101.start_rad(),
+    lower=_LOWER,
+    upper=_UPPER,
+    velocity=np.full(_COUNT, SO101.velocity_rad_s),
+    acceleration=np.full(_COUNT, SO101.acceleration_rad_s2),
+    force=np.array((*SO101.effort_nm, SO101.jaw_effort_nm)),
     lifted_m=LIFTED_M,
 )
 _SERVO = Servo(stiffness=60.0, damping=2.5, armature=0.01)
@@ -53,9 +38,9 @@ _SERVO = Servo(stiffness=60.0, damping=2.5, armature=0.01)
 def build_world(cubes: Sequence[Cube]) -> ArmWorld:
     """The SO-101, its table and `cubes` in MuJoCo."""
     facts = MujocoCell(
-        urdf=urdf(),
-        tcp_links=(TCP_LINK,),
-        servos=(_SERVO,) * len(JOINTS),
+        urdf=SO101.urdf(),
+        tcp_links=(SO101.tcp_link,),
+        servos=(_SERVO,) * _COUNT,
         friction=(1.5, 0.02, 0.0),
         table_size_m=(0.70, 0.80, 0.05),
         table_centre_m=(0.15, 0.0, -0.025),

@@ -14,10 +14,10 @@ import lerobot
 from lerobot.motors import Motor, MotorCalibration, MotorNormMode
 from lerobot.motors.feetech import FeetechMotorsBus
 
-from rn_robot_lerobot.bus.reference import reference_calibration
+from rn_robot_lerobot.bus.reference import ASSEMBLED_SO101
 
 RAW = (900, 1500, 2047, 2048, 2500, 3100)
-found = reference_calibration()
+found = ASSEMBLED_SO101.calibration()
 rows = []
 for mode in MotorNormMode:
     for name, motor in found.items():

@@ -8,20 +8,25 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
+from operator import methodcaller
 from typing import Any
 
 import dynamixel_sdk.port_handler
 import numpy as np
 import scservo_sdk.port_handler
+from geometry_msgs.msg import Twist
 
 from rn_robot_lerobot import profile as profiles
+from rn_robot_lerobot.lekiwi_driver import LekiwiDriver
 from rn_robot_lerobot.lerobot_driver import LerobotDriver
-from rn_robot_lerobot.lerobot_options import KochOptions, LerobotDriverOptions
+from rn_robot_lerobot.lerobot_options import KochOptions, LekiwiOptions, LerobotDriverOptions
 from roboneuron import JointCommand, RoboNeuronError
 
-ROBOTS: dict[str, tuple[type[LerobotDriverOptions], Callable[[], Any]]] = {
-    "so101": (LerobotDriverOptions, profiles.profile),
-    "koch": (KochOptions, profiles.koch_profile),
+ROBOTS: dict[str, tuple[type[LerobotDriver], type[LerobotDriverOptions], Callable[[], Any]]] = {
+    "so101": (LerobotDriver, LerobotDriverOptions, profiles.so101_profile),
+    "koch": (LerobotDriver, KochOptions, profiles.koch_profile),
+    "lekiwi": (LekiwiDriver, LekiwiOptions, profiles.lekiwi_profile),
 }
 BUSY_MS = 150
 """Half of what an answer may take: a test's process plays the motors, on a machine that may be
@@ -29,11 +34,38 @@ busy.
 """
 
 
-class Clock:
-    """What the driver uses of `Topics`."""
+class Wires:
+    """What a driver uses of `Topics`."""
+
+    def __init__(self) -> None:
+        self.listeners: dict[str, Callable[[Any], None]] = {}
+        self.newest: dict[str, Any] = {}
 
     def now_ns(self) -> int:
         return time.time_ns()
+
+    def advertise(self, topic: str, kind: type) -> Callable[[Any], None]:
+        return partial(self.newest.__setitem__, topic)
+
+    def subscribe(self, topic: str, kind: type, listener: Callable[[Any], None]) -> None:
+        self.listeners[topic] = listener
+
+
+def drive(wires: Wires, forwards: float, leftwards: float, turning: float) -> None:
+    message = Twist()
+    message.linear.x, message.linear.y = forwards, leftwards
+    message.angular.z = turning
+    wires.listeners["cmd_vel"](message)
+
+
+def odometry(wires: Wires) -> dict[str, Any]:
+    message = wires.newest["odom"]
+    place, twist = message.pose.pose.position, message.twist.twist
+    return {
+        "frame": message.child_frame_id,
+        "place": [place.x, place.y],
+        "velocity": [twist.linear.x, twist.linear.y, twist.angular.z],
+    }
 
 
 def state(driver: LerobotDriver) -> dict[str, Any]:
@@ -57,14 +89,18 @@ def main() -> None:
     for sdk in (dynamixel_sdk, scservo_sdk):
         sdk.port_handler.LATENCY_TIMER = BUSY_MS
     driver: LerobotDriver | None = None
+    wires = Wires()
     for line in sys.stdin:
         name, *arguments = json.loads(line)
         try:
             if name == "new":
                 robot, given = arguments
-                model, profile = ROBOTS[robot]
-                driver = LerobotDriver(model.model_validate(given), profile(), Clock())
+                made, model, profile = ROBOTS[robot]
+                wires = Wires()
+                driver = made(model.model_validate(given), profile(), wires)
                 answer = None
+            elif name in WIRED:
+                answer = WIRED[name](wires, *arguments)
             else:
                 assert driver is not None
                 answer = COMMANDS[name](driver, *arguments)
@@ -75,12 +111,13 @@ def main() -> None:
 
 
 COMMANDS: dict[str, Callable[..., Any]] = {
-    "open": LerobotDriver.open,
+    "open": methodcaller("open"),
     "read": state,
     "send": send,
-    "hold": LerobotDriver.hold,
-    "close": LerobotDriver.close,
+    "hold": methodcaller("hold"),
+    "close": methodcaller("close"),
 }
+WIRED: dict[str, Callable[..., Any]] = {"drive": drive, "odometry": odometry}
 
 
 if __name__ == "__main__":

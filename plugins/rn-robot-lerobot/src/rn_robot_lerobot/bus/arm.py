@@ -15,15 +15,23 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_robot_lerobot import koch
+from rn_robot_lerobot.arm import GRIPPER_JOINT, JOINTS
 from rn_robot_lerobot.bus import dynamixel_packets, packets
 from rn_robot_lerobot.bus.chain import MotorChain, Packet
 from rn_robot_lerobot.bus.dynamixel_motors import DynamixelChain
 from rn_robot_lerobot.bus.motors import FeetechChain
+from rn_robot_lerobot.bus.reference import (
+    ASSEMBLED_KOCH,
+    ASSEMBLED_LEKIWI,
+    ASSEMBLED_SO101,
+    Assembled,
+)
 from rn_robot_lerobot.calibration import MotorCalibration
+from rn_robot_lerobot.omni_base import WHEELS, base_velocity
 from rn_robot_lerobot.simulation import CELL, build_world
 from rn_simulation.arm_cell import STEP_S
 from rn_simulation.pace import Pace
+from rn_simulation.planar_motion import BaseVelocity, PlanarPose, integrate
 from rn_simulation.setpoint import JointSetpoint
 
 F64 = NDArray[np.float64]
@@ -31,6 +39,7 @@ F64 = NDArray[np.float64]
 _MOTOR_SPEED_RAD_S, _MOTOR_ACCELERATION_RAD_S2 = 4.7, 60.0
 """Of a motor without load, which is what it does with a goal that jumps."""
 _POLL_S = 0.02
+_JAW = JOINTS.index(GRIPPER_JOINT)
 
 
 class Plant(Protocol):
@@ -70,36 +79,84 @@ class SerialKind:
     """One kind of arm.
 
     Attributes:
-        start: joints at the beginning, float64 (n,) [rad].
-        plant: makes what the motors move, at `start`.
+        assembled: where its encoders are, and how it was calibrated.
+        plant: makes what the motors move, from where the joints begin, float64 (n,) [rad].
         chain: makes the motors, from the step of each encoder at the joint's position 0.
         reader: makes the reader of their packets.
     """
 
-    start: F64
-    plant: Callable[[], Plant]
+    assembled: Assembled
+    plant: Callable[[F64], Plant]
     chain: Callable[[Mapping[str, int]], MotorChain]
     reader: Callable[[], Reader]
 
 
-def _so101_world() -> Plant:
+def _so101_world(start: F64) -> Plant:
     world = build_world([])
     world.prepare_physics(STEP_S, CELL.force.tolist())
-    world.set_joints(CELL.start.tolist())
+    world.set_joints(start.tolist())
     return world
 
 
-SO101 = SerialKind(
-    start=CELL.start, plant=_so101_world, chain=FeetechChain, reader=packets.PacketReader
+SERIAL_SO101 = SerialKind(
+    assembled=ASSEMBLED_SO101,
+    plant=_so101_world,
+    chain=FeetechChain,
+    reader=packets.PacketReader,
 )
 """With MuJoCo as its physics."""
-_KOCH_START = np.array((*koch.HOME_RAD, koch.JAW_OPEN_RAD))
-KOCH = SerialKind(
-    start=_KOCH_START,
-    plant=lambda: Massless(_KOCH_START),
+SERIAL_KOCH = SerialKind(
+    assembled=ASSEMBLED_KOCH,
+    plant=Massless,
     chain=DynamixelChain,
     reader=dynamixel_packets.PacketReader,
 )
+
+
+class RollingArm:
+    """An SO-101 on a base whose wheels do not slip.
+
+    Attributes:
+        pose: of the base since the beginning.
+    """
+
+    def __init__(self, start: F64) -> None:
+        self._count = len(CELL.joints)
+        self._arm = _so101_world(start[: self._count])
+        self._wheels = start[self._count :].copy(), np.zeros(len(WHEELS))
+        self.pose = PlanarPose()
+
+    def step(self, position: F64, velocity: F64) -> None:
+        """See `Plant`."""
+        self._arm.step(position[: self._count], velocity[: self._count])
+        self._wheels = position[self._count :].copy(), velocity[self._count :].copy()
+        forwards, leftwards, turning = base_velocity(self._wheels[1]).tolist()
+        moving = BaseVelocity(linear_x=forwards, linear_y=leftwards, angular_z=turning)
+        self.pose = integrate(self.pose, moving, STEP_S)
+
+    def joint_states(self) -> tuple[F64, F64]:
+        """See `Plant`."""
+        position, velocity = self._arm.joint_states()
+        angles, speeds = self._wheels
+        return np.append(position, angles), np.append(velocity, speeds)
+
+
+SERIAL_LEKIWI = SerialKind(
+    assembled=ASSEMBLED_LEKIWI,
+    plant=RollingArm,
+    chain=FeetechChain,
+    reader=packets.PacketReader,
+)
+
+
+def _advance(setpoint: JointSetpoint, speeds: Mapping[int, float]) -> None:
+    """One step of the motors; wheels follow speeds [rad/s], by their place."""
+    begun, before = setpoint.position.copy(), setpoint.velocity.copy()
+    setpoint.advance(STEP_S)
+    most = _MOTOR_ACCELERATION_RAD_S2 * STEP_S
+    for i, speed in speeds.items():
+        setpoint.velocity[i] = before[i] + min(max(speed - before[i], -most), most)
+        setpoint.position[i] = begun[i] + setpoint.velocity[i] * STEP_S
 
 
 class SerialArm:
@@ -107,24 +164,27 @@ class SerialArm:
 
     Attributes:
         motors: on its bus, with what is wrong with it.
+        plant: what they move; made when it is entered.
         port: path of the device.
         history: (monotonic time [s], joints float64 (n,) [rad]) of every step.
     """
 
     def __init__(
         self,
-        encoder_zeros: Mapping[str, int],
-        calibration: Mapping[str, MotorCalibration] | None,
-        kind: SerialKind = SO101,
+        kind: SerialKind = SERIAL_SO101,
+        calibration: Mapping[str, MotorCalibration] | None = None,
     ) -> None:
         """Args:
-        encoder_zeros: see `MotorChain`.
-        calibration: what was written into the motors; None for motors fresh from the factory.
         kind: of arm.
+        calibration: what was written into the motors instead of their own; empty for motors fresh
+            from the factory.
         """
         self._kind = kind
-        self.motors = kind.chain(encoder_zeros)
-        if calibration is not None:
+        self._start = kind.assembled.start_rad()
+        self.motors = kind.chain(kind.assembled.encoder_zeros)
+        if calibration is None:
+            calibration = kind.assembled.calibration()
+        if calibration:
             self.motors.calibrate(calibration)
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
@@ -138,8 +198,8 @@ class SerialArm:
         ]
 
     def __enter__(self) -> SerialArm:
-        self._plant = self._kind.plant()
-        self.motors.measure(*self._plant.joint_states())
+        self.plant = self._kind.plant(self._start)
+        self.motors.measure(*self.plant.joint_states())
         for thread in self._threads:
             thread.start()
         return self
@@ -154,34 +214,33 @@ class SerialArm:
     @property
     def position(self) -> F64:
         """Joints now, float64 (n,) [rad]."""
-        return self.history[-1][1] if self.history else self._kind.start
+        return self.history[-1][1] if self.history else self._start
 
     def rest_after_s(self, fault_s: float, tolerance_rad: float = 5e-3) -> float:
         """Time from `fault_s` [monotonic s] until no joint was away from where it is now [s]."""
-        rows = [(at_s, row[:-1]) for at_s, row in self.history if at_s >= fault_s]
+        rows = [(at_s, np.delete(row, _JAW)) for at_s, row in self.history if at_s >= fault_s]
         away = [at_s for at_s, row in rows if np.abs(row - rows[-1][1]).max() > tolerance_rad]
         return away[-1] - fault_s if away else 0.0
 
     def _move(self) -> None:
-        count = len(self._kind.start)
-        speed = np.full(count, _MOTOR_SPEED_RAD_S)
-        setpoint = JointSetpoint(
-            self._kind.start, speed, np.full(count, _MOTOR_ACCELERATION_RAD_S2)
-        )
+        count = len(self._start)
+        fastest = np.full(count, _MOTOR_SPEED_RAD_S)
+        setpoint = JointSetpoint(self._start, fastest, np.full(count, _MOTOR_ACCELERATION_RAD_S2))
         pace = Pace(step_s=STEP_S)
         while not self._ending.is_set():
             steps = pace.due_steps(time.monotonic())
             for _ in range(steps):
                 with self._lock:
                     goals, torque = self.motors.goals()
+                    speeds = self.motors.speeds()
                 # without torque a joint stays: the simulation carries its weight
                 limp = [i for i in range(count) if not torque[i]]
                 setpoint.target[limp] = setpoint.position[limp]
                 powered = [i for i in range(count) if torque[i]]
                 setpoint.aim(goals, powered, STEP_S)
-                setpoint.advance(STEP_S)
-                self._plant.step(setpoint.position, setpoint.velocity)
-                position, velocity = self._plant.joint_states()
+                _advance(setpoint, speeds)
+                self.plant.step(setpoint.position, setpoint.velocity)
+                position, velocity = self.plant.joint_states()
                 with self._lock:
                     self.motors.measure(position, velocity)
             if steps:

@@ -90,6 +90,7 @@ class BusFaults:
 
     Attributes:
         silent: nothing answers, and nothing arrives.
+        mute: nothing answers; what is sent arrives.
         lost_share: share of instructions that no motor hears, 0..1.
         answer_delay_s: of each answer [s].
         wrong: steps that are added to the position that a motor tells, by the joint's name.
@@ -97,6 +98,7 @@ class BusFaults:
     """
 
     silent: bool = False
+    mute: bool = False
     lost_share: float = 0.0
     answer_delay_s: float = 0.0
     wrong: Mapping[str, int] | None = None
@@ -194,6 +196,22 @@ class MotorChain(ABC):
         """1, or -1 for a motor that runs the other way."""
         return 1
 
+    def is_wheel(self, i: int) -> bool:
+        """Whether a motor follows a speed instead of a position."""
+        return False
+
+    def goal_steps_s(self, i: int) -> int:
+        """Speed that a wheel follows [steps/s]."""
+        return 0
+
+    def speeds(self) -> dict[int, float]:
+        """Speed [rad/s] of each wheel that has torque, by its place in the order of `joints`."""
+        return {
+            i: self.turns(i) * self.goal_steps_s(i) * 2.0 * math.pi / STEPS
+            for i in range(len(self.joints))
+            if self.is_wheel(i) and self.has_torque(i)
+        }
+
     def calibrate(self, calibration: Mapping[str, MotorCalibration]) -> None:
         """Write what `lerobot-calibrate` writes into the motors."""
         for i, name in enumerate(self.joints):
@@ -207,6 +225,8 @@ class MotorChain(ABC):
         steps = self._zeros + position_rad * STEPS / (2.0 * math.pi)
         for i, step in enumerate(steps):
             turned = self.turns(i) * round(step)
+            if self.is_wheel(i):
+                turned %= STEPS
             self.set(i, self.registers.position, turned + self._shift(i))
             speed = round(velocity_rad_s[i] * STEPS / (2.0 * math.pi))
             self.set(i, self.registers.velocity, self.turns(i) * speed)
@@ -230,9 +250,14 @@ class MotorChain(ABC):
 
     def answer(self, packet: Packet) -> bytes:
         """What the motors send back; nothing when they hear nothing."""
-        faults, size = self.faults, self.address_size
+        faults = self.faults
         if faults.silent or self._random.random() < faults.lost_share:
             return b""
+        answer = self._answer(packet)
+        return b"" if faults.mute else answer
+
+    def _answer(self, packet: Packet) -> bytes:
+        size = self.address_size
         parameters = packet.parameters
         address = int.from_bytes(parameters[:size], "little")
         count = int.from_bytes(parameters[size : 2 * size], "little")
@@ -270,6 +295,8 @@ class MotorChain(ABC):
         """Judge a goal that was written; one beyond the limits is clamped by the motor."""
         registers, name = self.registers, self.joints[i]
         goal = self.get(i, registers.goal)
+        if self.is_wheel(i):
+            self.broken_rules.append(f"{name}: goal {goal} for a motor that rolls")
         low, high = self.get(i, registers.lowest), self.get(i, registers.highest)
         if is_bounded and not low <= goal <= high:
             self.broken_rules.append(f"{name}: goal {goal} outside {low}..{high}")

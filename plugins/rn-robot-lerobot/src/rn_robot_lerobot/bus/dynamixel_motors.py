@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from rn_robot_lerobot.arm import JOINTS
 from rn_robot_lerobot.bus import dynamixel_packets
 from rn_robot_lerobot.bus.chain import MotorChain, Registers
-from rn_robot_lerobot.koch import JOINTS
 
 MODEL_XL430, MODEL_XL330 = 1060, 1200
 MODELS = (MODEL_XL430,) * 2 + (MODEL_XL330,) * 4

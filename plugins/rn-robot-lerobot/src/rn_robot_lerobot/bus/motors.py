@@ -1,4 +1,4 @@
-"""The six motors of a simulated SO-101. Pure computation.
+"""The motors of a simulated SO-101 or LeKiwi. Pure computation.
 
 A register holds the encoder's steps (4096 a turn) less the homing offset, low byte first, negative
 numbers by a sign bit. Source: Feetech, memory table of the STS3215.
@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from rn_robot_lerobot.arm import JOINTS
 from rn_robot_lerobot.bus import packets
 from rn_robot_lerobot.bus.chain import MotorChain, Registers
 
 MODEL_STS3215 = 777
 OVERLOAD = 0x20
 """Error bit of an answer."""
-_FIRMWARE, _LOCK = 0, 55
+POSITION_MODE, VELOCITY_MODE = 0, 1
+_FIRMWARE, _OPERATING_MODE, _GOAL_VELOCITY, _LOCK = 0, 33, 46, 55
 _REGISTERS = Registers(
     size=100,
     width=2,
@@ -30,7 +30,7 @@ _REGISTERS = Registers(
     velocity=58,
     permanent_end=40,
 )
-_SIGN_BIT = {31: 11, 42: 15, 56: 15, 58: 15}
+_SIGN_BIT = {31: 11, 42: 15, 46: 15, 56: 15, 58: 15}
 
 
 def encode(value: int, sign_bit: int) -> int:
@@ -45,7 +45,7 @@ def decode(value: int, sign_bit: int) -> int:
 
 
 class FeetechChain(MotorChain):
-    """Motors 1 to 6 on one bus."""
+    """Motors 1 to n on one bus."""
 
     registers = _REGISTERS
     offset_sign = -1
@@ -53,9 +53,18 @@ class FeetechChain(MotorChain):
 
     def __init__(self, encoder_zeros: Mapping[str, int], *, seed: int = 0) -> None:
         """See `MotorChain`."""
-        super().__init__(JOINTS, [MODEL_STS3215] * len(JOINTS), encoder_zeros, seed=seed)
+        joints = tuple(encoder_zeros)
+        super().__init__(joints, [MODEL_STS3215] * len(joints), encoder_zeros, seed=seed)
         for memory in self.memories:
             memory[_FIRMWARE : _FIRMWARE + 2] = bytes((3, 10))
+
+    def is_wheel(self, i: int) -> bool:
+        """See `MotorChain`."""
+        return self.memories[i][_OPERATING_MODE] == VELOCITY_MODE
+
+    def goal_steps_s(self, i: int) -> int:
+        """See `MotorChain`."""
+        return self.get(i, _GOAL_VELOCITY)
 
     def encode(self, address: int, value: int) -> int:
         """See `MotorChain`."""
@@ -87,4 +96,6 @@ class FeetechChain(MotorChain):
             self.stay(i)
         if address == registers.goal:
             self.take_goal(i, is_bounded=True)
+        if address == _GOAL_VELOCITY and not (self.is_wheel(i) and self.has_torque(i)):
+            self.broken_rules.append(f"{self.joints[i]}: speed for a motor that does not roll")
         return 0

@@ -6,14 +6,62 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from roboneuron import Endpoint, RefusedError
+
+if TYPE_CHECKING:
+    from geometry_msgs.msg import Twist
 
 TWIST_FIELDS = ("linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.z")
 """Paths of a geometry_msgs/Twist, in the base frame: forward x, left y, up z [m/s], turning about
 them [rad/s].
 """
+CMD_VEL = "cmd_vel"
+"""Topic of velocity commands, geometry_msgs/Twist in the base frame."""
+ODOMETRY = "odom"
+"""Topic of odometry, nav_msgs/Odometry."""
 _TOLERANCE = 1e-9
+
+
+def base_endpoints(
+    summary: str, bounds: Mapping[str, tuple[float, float]], *, min_turning_radius_m: float = 0.0
+) -> tuple[Endpoint, Endpoint]:
+    """The endpoint that drives a base, and the one that tells its odometry.
+
+    Args:
+        summary: how the base moves, for the agent.
+        bounds: lowest and highest value by path of `TWIST_FIELDS`; every other one has to be 0.
+        min_turning_radius_m: as of `Endpoint`.
+    """
+    velocity = Endpoint(
+        name="velocity",
+        kind="publish",
+        topic=CMD_VEL,
+        type="geometry_msgs/msg/Twist",
+        summary=f"{summary} It stops by itself when commands cease.",
+        bounds=dict.fromkeys(TWIST_FIELDS, (0.0, 0.0)) | dict(bounds),
+        rate_hz=50.0,
+        stop_message="zero",
+        min_turning_radius_m=min_turning_radius_m,
+        repeat_hz=10.0,
+    )
+    odometry = Endpoint(
+        name="odometry",
+        kind="read",
+        topic=ODOMETRY,
+        type="nav_msgs/msg/Odometry",
+        summary="Pose since the start by wheel encoders [m, rad], which drifts slowly, and "
+        "velocity in the base frame.",
+    )
+    return velocity, odometry
+
+
+def twist_fields(twist: Twist) -> dict[str, float]:
+    """Values by path."""
+    linear, angular = twist.linear, twist.angular
+    values = (linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+    return dict(zip(TWIST_FIELDS, map(float, values), strict=True))
 
 
 def check_twist(endpoint: Endpoint, twist: Mapping[str, float]) -> None:

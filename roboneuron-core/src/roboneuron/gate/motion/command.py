@@ -17,6 +17,7 @@ from roboneuron.gate.motion.task_space import Motion
 
 _FARTHEST = 1e4
 """No joint is farther than this [rad or m] from zero; numbers beyond it are damage."""
+_TOGETHER_S = 1e-3
 
 
 def pick(names: tuple[str, ...], position: F64, wanted: tuple[str, ...]) -> F64:
@@ -112,6 +113,41 @@ class Setpoint:
         return position, velocity
 
 
+class Goals:
+    """Where successive commands were to end, before limits. Used from one thread.
+
+    A joint has to be slow at a goal that stays, and need not at one that moves on.
+    """
+
+    def __init__(self) -> None:
+        self._goal = self._velocity = np.zeros(0)
+        self._taken_s = 0.0
+
+    def restart(self, position: F64, now_s: float) -> None:
+        """Begin with an arm at rest at `position`, float64 (n,)."""
+        self._goal, self._velocity, self._taken_s = position, np.zeros_like(position), now_s
+
+    def velocity(self, goal: F64, duration_s: float, now_s: float) -> F64:
+        """Velocity of a goal that comes now, float64 (n,) [rad or m per s].
+
+        A jump is no motion: of the last two velocities the smaller one counts, or zero where their
+        signs differ.
+        """
+        newest, before = self._newest(goal, duration_s, now_s), self._velocity
+        smaller = np.copysign(np.minimum(np.abs(newest), np.abs(before)), newest)
+        return np.where(newest * before > 0.0, smaller, 0.0)
+
+    def take(self, goal: F64, duration_s: float, now_s: float) -> None:
+        """Remember a goal that is commanded now, to be reached in `duration_s`."""
+        self._velocity = self._newest(goal, duration_s, now_s)
+        self._goal, self._taken_s = goal, now_s
+
+    def _newest(self, goal: F64, duration_s: float, now_s: float) -> F64:
+        since_s = now_s - self._taken_s
+        # the first goal, or messages that arrive together: the time says nothing
+        return (goal - self._goal) / (since_s if since_s > _TOGETHER_S else duration_s)
+
+
 @dataclass(kw_only=True, slots=True, eq=False)
 class Step:
     """One command while it is limited; arrays are float64 (n,) in the order of the profile's arm
@@ -121,6 +157,8 @@ class Step:
         measured: joint positions.
         start, before: setpoint and commanded velocity when the command takes over.
         target: commanded positions; scaled in place.
+        goal: commanded positions; they stay.
+        goal_velocity: of successive goals.
         passed_s: time since the last command, at most `duration_s`: what is available for
             accelerating.
         others: names and positions of joints beside the arm's, as commanded, otherwise as measured.
@@ -132,6 +170,8 @@ class Step:
     start: F64
     before: F64
     target: F64
+    goal: F64
+    goal_velocity: F64
     duration_s: float
     passed_s: float
     stamp_ns: int

@@ -176,6 +176,38 @@ class JointSpace:
             if reason:
                 yield quantity, share, reason
 
+    def arrival(self, change: F64, goal_velocity: F64, step_s: float) -> tuple[float, str]:
+        """The share of `change` in `step_s` after which each joint can still stop at its goal, and
+        the limiting joint.
+
+        Seen from the goal, which may move, a joint is either so slow that the next command stops
+        it, or it brakes from the end of this step on.
+
+        Args:
+            change: to the goal.
+            goal_velocity: of the goal [per s].
+            step_s: time of the step, and of the next one [s].
+
+        Returns:
+            Share, and "" when it is 1.
+        """
+        least, joint = 1.0, ""
+        for i, (length, moves) in enumerate(
+            zip(change.tolist(), goal_velocity.tolist(), strict=True)
+        ):
+            nearer = length - moves * step_s
+            # a goal that comes nearer by itself is not overtaken
+            if nearer * length <= 0.0:
+                continue
+            hardest = self._acceleration[i]
+            stopped = min(abs(nearer) / step_s, hardest * step_s)
+            if math.isfinite(hardest):
+                stopped = max(stopped, braking_velocity(abs(nearer), 0.0, hardest, step_s))
+            share = (moves + math.copysign(stopped, nearer)) * step_s / length
+            if share < least - _SLACK:
+                least, joint = max(0.0, share), self._names[i]
+        return least, joint
+
     def nearest_velocity(self, before: F64, wanted: F64, passed_s: float) -> tuple[F64, str]:
         """The velocity nearest to `wanted` that the joints can have `passed_s` after `before`, and
         the limiting joint.

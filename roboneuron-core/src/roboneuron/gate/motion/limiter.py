@@ -25,7 +25,7 @@ from roboneuron.contract import (
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import UnsafeError
-from roboneuron.gate.motion.command import LimitedCommand, Setpoint, Step, pick, pick_others
+from roboneuron.gate.motion.command import Goals, LimitedCommand, Setpoint, Step, pick, pick_others
 from roboneuron.gate.motion.joint_space import JointLimit, JointSpace
 from roboneuron.gate.motion.path import Reach
 from roboneuron.gate.motion.rules import MotionRules, inspector_of, poses_of
@@ -109,6 +109,7 @@ class MotionLimiter:
         self._arms = [f"{arm.name}: " if arm.name else "" for arm in profile.each_arm]
         self._immediate, self._longest_s = immediate, longest_s
         self._sent: Setpoint | None = None
+        self._goals = Goals()
 
     @classmethod
     def of(
@@ -237,6 +238,7 @@ class MotionLimiter:
             return
         with suppress(UnsafeError):
             measured = pick(joints.names, joints.position, self._names)
+            self._goals.restart(measured, now_s)
             self._sent = Setpoint(
                 start=measured,
                 displacement=np.zeros_like(measured),
@@ -246,6 +248,7 @@ class MotionLimiter:
             )
 
     def _commit(self, step: Step, now_s: float) -> None:
+        self._goals.take(step.goal, step.duration_s, now_s)
         self._sent = Setpoint(
             start=step.start,
             displacement=step.target - step.start,
@@ -274,6 +277,8 @@ class MotionLimiter:
             is_lost = bool((np.abs(position - measured) > self._lost).any())
             if not is_lost:
                 start, before = position, velocity
+        if start is measured:
+            self._goals.restart(measured, now_s)
         duration_s = max(
             _SHORTEST_S, min(command.duration_s, since_s) if self._immediate else command.duration_s
         )
@@ -282,6 +287,8 @@ class MotionLimiter:
             start=start,
             before=before,
             target=target,
+            goal=target,
+            goal_velocity=self._goals.velocity(target, duration_s, now_s),
             duration_s=duration_s,
             passed_s=max(0.0, min(since_s, duration_s)),
             stamp_ns=joints.stamp_ns,
@@ -386,6 +393,14 @@ class MotionLimiter:
             for name, times, reason in self._task.excess(motion):
                 self._act(step, name, f"{arm}{reason}")
                 share = min(share, _RESERVE / times)
+        part, joint = self._joints.arrival(displacement, step.goal_velocity, step.duration_s)
+        if part < share:
+            self._act(
+                step,
+                "acceleration",
+                f"{joint} could not stop at its goal: it would be too fast for its acceleration.",
+            )
+            share = part
         velocity, joint = self._joints.nearest_velocity(
             step.before, displacement * (share / step.duration_s), step.passed_s
         )

@@ -1,19 +1,32 @@
-"""Dead reckoning: the pose of a base by summing up what its wheel encoders say. It drifts, as on a
-real base.
+"""Motion of a base on a flat floor, and dead reckoning: its pose by summing up what its wheel
+encoders say, which drifts, as on a real base.
 """
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass
 
 from nav_msgs.msg import Odometry
 
-from rn_robot_bases.drivetrain import BaseVelocity
-
 ODOM_FRAME = "odom"
 """Frame in which the pose is given: that of the base when it was started."""
 _NS_PER_S = 1_000_000_000
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BaseVelocity:
+    """Velocity of a base in its own frame.
+
+    Attributes:
+        linear_x, linear_y: forwards and to the left [m/s].
+        angular_z: counter-clockwise [rad/s].
+    """
+
+    linear_x: float
+    linear_y: float
+    angular_z: float
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -23,6 +36,15 @@ class PlanarPose:
     x_m: float = 0.0
     y_m: float = 0.0
     yaw_rad: float = 0.0
+
+    def described(self) -> str:
+        """JSON: x_m, y_m, yaw_rad."""
+        rounded = {
+            "x_m": round(self.x_m, 4),
+            "y_m": round(self.y_m, 4),
+            "yaw_rad": round(self.yaw_rad, 4),
+        }
+        return json.dumps(rounded, separators=(",", ":"))
 
 
 def integrate(pose: PlanarPose, velocity: BaseVelocity, step_s: float) -> PlanarPose:

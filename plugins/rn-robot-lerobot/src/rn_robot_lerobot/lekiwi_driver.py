@@ -1,0 +1,151 @@
+"""The driver `lerobot` of a LeKiwi: its arm as every arm of LeRobot, and the base below it."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from typing import Protocol, cast
+
+import numpy as np
+from geometry_msgs.msg import Twist
+from nav_msgs.msg import Odometry
+
+from rn_robot_lerobot.lerobot_arm import LerobotRobot
+from rn_robot_lerobot.lerobot_driver import LerobotDriver
+from rn_robot_lerobot.lerobot_options import LekiwiOptions
+from rn_robot_lerobot.omni_base import BaseSetpoint
+from rn_simulation.planar_motion import BaseVelocity, PlanarPose, integrate, to_message
+from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
+from roboneuron import InvalidInputError, RefusedError, RobotProfile, RobotState, Topics
+
+_KEYS = ("x.vel", "y.vel", "theta.vel")
+"""LeRobot's names of a base velocity [m/s, m/s, degrees/s]."""
+_LONGEST_STEP_S = 0.1
+"""Of dead reckoning: nothing is known of a longer silence."""
+
+
+class _LekiwiRobot(LerobotRobot, Protocol):
+    def stop_base(self) -> None:
+        """Stop the wheels."""
+
+
+class LekiwiDriver(LerobotDriver):
+    """Velocities come on `cmd_vel`, odometry goes out on `odom`.
+
+    The wheels' motors keep their last speed until they hear another one: this driver stops them
+    when commands cease, at a hold, at a fault, and at its start and end. While the motors hear
+    nothing, or when the process is killed, nobody does. A twist that the base cannot carry out is
+    refused as a whole, and the base brakes.
+    """
+
+    def __init__(self, config: LekiwiOptions | None, profile: RobotProfile, topics: Topics) -> None:
+        """Remember what to drive."""
+        options = config or LekiwiOptions()
+        super().__init__(options, profile, topics)
+        self._endpoint = next(one for one in profile.endpoints if one.topic == CMD_VEL)
+        self._publish: Callable[[Odometry], None] | None = None
+        self._is_rolling = False
+        # these are guarded by the lock, too
+        self._base = BaseSetpoint(options.base_timeout_s)
+        self._pose, self._observed_s = PlanarPose(), 0.0
+        self._refusal, self._refusals = "", 0
+
+    def open(self) -> None:
+        """Connect; odometry begins anew. Raises as `LerobotDriver.open`."""
+        self._base.drop()
+        self._pose, self._observed_s = PlanarPose(), time.monotonic()
+        self._refusal, self._refusals = "", 0
+        if self._publish is None:
+            self._publish = self._topics.advertise(ODOMETRY, Odometry)
+            self._topics.subscribe(CMD_VEL, Twist, self._on_twist)
+        super().open()
+
+    def read(self) -> RobotState:
+        """As `LerobotDriver.read`; `detail` also holds "odometry" (JSON: x_m, y_m, yaw_rad),
+        "motion" of the base (driving, standing, or stopping and why), and "refused" and
+        "refused_count" of velocity commands.
+        """
+        state = super().read()
+        with self._lock:
+            base = {
+                "odometry": self._pose.described(),
+                "motion": self._base.motion,
+                "refused": self._refusal,
+                "refused_count": str(self._refusals),
+            }
+        return replace(state, detail={**state.detail, **base})
+
+    def _on_twist(self, message: Twist) -> None:
+        """Called by the host's executor; it must not raise."""
+        if not self.is_open:
+            return
+        fields = twist_fields(message)
+        with self._lock:
+            try:
+                check_twist(self._endpoint, fields)
+                if fault := self._told_fault():
+                    raise RefusedError(f"The base is held by a fault: {fault}.")
+            except RefusedError as error:
+                self._base.halt("a command was refused")
+                self._refusal, self._refusals = str(error), self._refusals + 1
+                return
+            self._refusal = ""
+            wanted = np.array([fields[path] for path in ("linear.x", "linear.y", "angular.z")])
+            self._base.aim(wanted, time.monotonic())
+            if wanted.any():
+                # LeRobot sends both together: the arm stays where it is measured
+                self._begin()
+
+    def _connected(self, robot: LerobotRobot) -> None:
+        # the wheels may still turn for a driver that was killed
+        cast("_LekiwiRobot", robot).stop_base()
+
+    def _halt(self) -> None:
+        super()._halt()
+        self._base.halt("held")
+
+    def _note_silence(self, robot: LerobotRobot, error: Exception) -> None:
+        super()._note_silence(robot, error)
+        with self._lock:
+            is_fault = bool(self._told_fault())
+        if is_fault and self._is_rolling:
+            # who does not answer may hear: with one motor off the bus, LeRobot reads none
+            with suppress(OSError, RuntimeError):
+                cast("_LekiwiRobot", robot).stop_base()
+
+    def _observe(self, observed: Mapping[str, float]) -> None:
+        absent = [key for key in _KEYS if key not in observed]
+        if absent:
+            raise InvalidInputError(f"The robot does not tell {', '.join(absent)}.")
+        forwards, leftwards, turning = (float(observed[key]) for key in _KEYS)
+        velocity = BaseVelocity(
+            linear_x=forwards, linear_y=leftwards, angular_z=math.radians(turning)
+        )
+        now_s = time.monotonic()
+        with self._lock:
+            since_s, self._observed_s = now_s - self._observed_s, now_s
+            pose = self._pose = integrate(self._pose, velocity, min(since_s, _LONGEST_STEP_S))
+        if self._publish is not None:
+            stamp_ns, link = self._topics.now_ns(), self._profile.base_link
+            self._publish(to_message(pose, velocity, stamp_ns=stamp_ns, base_link=link))
+
+    def _send_goals(
+        self, robot: LerobotRobot, goals: Mapping[str, float], period_s: float
+    ) -> Mapping[str, float]:
+        with self._lock:
+            if goals:
+                self._base.advance(period_s, time.monotonic())
+            else:
+                self._base.drop()
+            forwards, leftwards, turning = self._base.velocity.tolist()
+        if goals:
+            self._is_rolling = any((forwards, leftwards, turning))
+            values = (forwards, leftwards, math.degrees(turning))
+            return robot.send_action({**goals, **dict(zip(_KEYS, values, strict=True))})
+        if self._is_rolling:
+            cast("_LekiwiRobot", robot).stop_base()
+            self._is_rolling = False
+        return {}
