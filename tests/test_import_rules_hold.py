@@ -76,14 +76,15 @@ NEEDS = {
     "execution": {"inference"},
     "limits": {"tools_arm"},
     "ops": {"tools_loop"},
-    "switching": {"inference", "selection", "tools_loop"},
+    "switching": {"control", "inference", "selection", "tools_loop"},
     "tasks": {"direct_path", "selection", "tools_loop"},
-    "tools_arm": {"direct_path"},
+    "tools_arm": {"control", "direct_path"},
     "tools_ros": {"direct_path"},
 }
 """Packages of rn_standard by those beside them that they may import."""
 PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
+    "control": "module",
     "direct_path": "allow_list arbiter delivery derived exposed fields joints limits speeds twists "
     "type_hashes",
     "execution": "adaptive mode",

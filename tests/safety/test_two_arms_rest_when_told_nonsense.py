@@ -19,10 +19,11 @@ from control_loop import Clock, _Host
 
 from rn_robot_fr3.cell import PAIR
 from rn_robot_fr3.profile import HOME_RAD, pair_profile
+from rn_standard.control import module as control_module
+from rn_standard.control.module import ControlModule
 from roboneuron.config import ModuleSettings, parse_config
 from roboneuron.contract import EE_DELTA, ControlSpace, JointSample, robot_space
-from roboneuron.modules import control as control_module
-from roboneuron.modules.control import ControlModule
+from roboneuron.modules import holding
 from roboneuron.ros.messages import to_action_message, to_joint_state
 
 F64 = NDArray[np.float64]
@@ -131,7 +132,8 @@ class Arms:
 @pytest.fixture
 def arms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Arms]:
     clock = Clock()
-    monkeypatch.setattr(control_module, "time", clock)
+    for module in (control_module, holding):
+        monkeypatch.setattr(module, "time", clock)
     made = Arms(tmp_path, clock)
     yield made
     made.host.resources.close()

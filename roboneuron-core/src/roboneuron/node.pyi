@@ -25,14 +25,20 @@ from .ros import (
 )
 
 # Single names.
-from .gate.motion.command import (
+from .gate.motion import (
     LimitedCommand as LimitedCommand,
-)
-from .modules.control import (
-    ControlModule as ControlModule,
+    MotionLimiter as MotionLimiter,
+    MotionRules as MotionRules,
+    check_tighter as check_tighter,
+    collision_of as collision_of,
+    motion_rules as motion_rules,
+    poses_of as poses_of,
 )
 from .modules.handover import (
     Handover as Handover,
+)
+from .modules.holding import (
+    HoldingModule as HoldingModule,
 )
 from .modules.module_host import (
     Module as Module,

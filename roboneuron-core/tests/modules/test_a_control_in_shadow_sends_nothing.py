@@ -72,11 +72,11 @@ def test_a_predecessors_command_is_read_and_changes_nothing_after_the_first_of_o
     cell: Cell,
 ) -> None:
     cell.act()
-    sent, acted_s = cell.control._limiter._sent, cell.control._action_s
+    sent, acted_s = cell.control._limiter._sent, cell.control.action_s
     command = JointCommand(names=ARM, position=np.array([0.6, -0.5]), duration_s=0.1)
     assert cell.control.follow(to_joint_trajectory(command), 1.0).position[0] == 0.6
     assert cell.control._limiter._sent is sent
-    assert cell.control._action_s == acted_s
+    assert cell.control.action_s == acted_s
 
 
 def test_a_predecessors_command_before_the_arm_was_measured_is_only_read(
@@ -86,7 +86,7 @@ def test_a_predecessors_command_before_the_arm_was_measured_is_only_read(
     command = JointCommand(names=ARM, position=np.array([0.6, -0.5]), duration_s=0.1)
     assert cell.control.follow(to_joint_trajectory(command), 1.0).position[0] == 0.6
     assert cell.control._limiter._sent is None
-    assert cell.control._holding
+    assert cell.control.is_holding
 
 
 def test_a_malformed_command_of_the_predecessor_is_refused(cell: Cell) -> None:

@@ -102,11 +102,11 @@ def test_a_refused_action_leaves_the_one_before(make_host: MakeHost) -> None:
     """It comes to its end, and is then held by the watchdog."""
     cell = Cell(make_host, extra='[limits]\nvelocity_fraction = 0.5\non_velocity = "refuse"\n')
     cell.act(0.01)
-    acted_s = cell.control._action_s
+    acted_s = cell.control.action_s
     cell.go(0.1)
     cell.act(0.09)
     assert len(cell.commands) == 1
-    assert cell.control._action_s == acted_s
+    assert cell.control.action_s == acted_s
     assert cell.drops() == {"limit_velocity": 1}
     cell.go(0.13)
     cell.watch()
@@ -228,7 +228,7 @@ def test_nothing_is_watched_before_the_first_action(cell: Cell) -> None:
 
 def test_an_inactive_control_watches_nothing(cell: Cell) -> None:
     cell.act()
-    cell.control._active = False
+    cell.control.is_active = False
     cell.go(5.0)
     cell.watch()
     assert len(cell.commands) == 1

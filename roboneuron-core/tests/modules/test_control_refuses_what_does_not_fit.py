@@ -16,6 +16,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from rn_standard.control.module import ControlModule
 from rn_standard.tools_arm.limits_in_control import join
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
@@ -26,7 +27,6 @@ from roboneuron.contract import (
 )
 from roboneuron.errors import ConfigurationError
 from roboneuron.gate.motion import LimitedCommand
-from roboneuron.modules.control import ControlModule
 
 
 @pytest.fixture

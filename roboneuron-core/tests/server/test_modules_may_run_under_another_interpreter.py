@@ -37,7 +37,7 @@ PARTS = (
 )
 FEATURES = tuple(
     FeatureSpec(name=kind, summary="F.", target=TARGET, module=TARGET)
-    for kind in ("perception", "inference")
+    for kind in ("perception", "inference", "control")
 )
 REGISTRY = Registry(
     plugins=(),
@@ -78,14 +78,13 @@ def test_its_plugin_needs_nothing_here(kind):
         KIND_ENTRIES[kind].select(Config.model_validate(sections), REGISTRY)
 
 
-def test_a_module_that_no_feature_brings_is_refused_before_it_is_started():
+@pytest.mark.parametrize("kind", ["perception", "inference", "control"])
+def test_a_module_that_no_feature_brings_is_refused_before_it_is_started(kind):
     offers = tuple(offer for offer in REGISTRY.all_offers if offer.spec not in FEATURES)
     registry = Registry(plugins=(), all_offers=offers)
     sections = {name: {**section, "python": "/x"} for name, section in SECTIONS.items()}
-    with pytest.raises(
-        ConfigurationError, match="No feature that runs inference modules"
-    ) as caught:
-        KIND_ENTRIES["inference"].select(Config.model_validate(sections), registry)
-    assert "rn-inference" in caught.value.hint
-    selection = KIND_ENTRIES["control"].select(Config.model_validate(sections), registry)
-    assert selection.kind == "control"
+    with pytest.raises(ConfigurationError, match=f"No feature that runs {kind} modules") as caught:
+        KIND_ENTRIES[kind].select(Config.model_validate(sections), registry)
+    assert f"rn-{kind}" in caught.value.hint
+    selection = KIND_ENTRIES["robot"].select(Config.model_validate(sections), registry)
+    assert selection.kind == "robot"

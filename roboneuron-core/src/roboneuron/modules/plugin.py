@@ -15,11 +15,8 @@ from roboneuron.plugins.loading import load_attribute, load_options, load_target
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, FeatureSpec, Spec
 
-_CLASSES: Mapping[ModuleKind, str] = {
-    "robot": "roboneuron.modules.robot:RobotModule",
-    "control": "roboneuron.modules.control:ControlModule",
-}
-"""Modules that move the arm; the features that are called as them bring the others."""
+_ROBOT = "roboneuron.modules.robot:RobotModule"
+"""The module that moves the arm; features that are called as the others bring these."""
 
 
 def module_class(kind: ModuleKind, registry: Registry) -> str:
@@ -28,16 +25,17 @@ def module_class(kind: ModuleKind, registry: Registry) -> str:
     Raises:
         ConfigurationError: no installed feature brings such modules.
     """
-    brought = registry.specs(FeatureSpec).get(kind)
-    found = _CLASSES.get(kind) or (brought.module if brought is not None else None)
-    if found is None:
+    if kind == "robot":
+        return _ROBOT
+    spec = registry.specs(FeatureSpec).get(kind)
+    if spec is None or spec.module is None:
         package = package_of("feature", kind)
         raise ConfigurationError(
             f"No feature that runs {kind} modules is installed.",
             hint=f"For its interpreter: {install_command(*filter(None, [package]))}. "
             f"If that is installed, take rn-{kind} out of disabled_plugins.",
         )
-    return found
+    return spec.module
 
 
 def build(

@@ -4,10 +4,11 @@ module process.
 
 from __future__ import annotations
 
+from rn_standard.control.module import ControlModule
 from rn_standard.tools_arm.limit_reports import LimitReports
 from roboneuron import ConfigurationError
 from roboneuron.feature import models
-from roboneuron.node import ControlModule, Module, ModuleHost, settings
+from roboneuron.node import Module, ModuleHost, settings
 
 
 def join(host: ModuleHost) -> None:

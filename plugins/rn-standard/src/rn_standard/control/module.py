@@ -1,6 +1,4 @@
-"""Control: actions and measured joints in, joint commands out; holds when actions stop or anything
-is doubtful.
-"""
+"""Control: actions and measured joints in, joint commands within the limits out."""
 
 from __future__ import annotations
 
@@ -15,57 +13,44 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from roboneuron.config import LimitsConfig
-from roboneuron.config.models import FIRST_STEP_S
-from roboneuron.contract import (
+from roboneuron import (
     EE_DELTA,
+    F64,
     Action,
+    ConfigurationError,
     Controller,
+    ControllerSpec,
     ControlSpace,
     Hold,
+    InvalidInputError,
     JointCommand,
     JointSample,
     Pose,
     PostureInspector,
+    RoboNeuronError,
     RobotProfile,
     SeveralArms,
     SpaceController,
+    UnsafeError,
     robot_space,
+    split_label,
 )
-from roboneuron.contract.arrays import F64
-from roboneuron.contract.space import split_label
-from roboneuron.errors import ConfigurationError, InvalidInputError, RoboNeuronError, UnsafeError
-from roboneuron.gate.motion import (
+from roboneuron.node import (
+    HoldingModule,
     LimitedCommand,
+    ModuleHost,
     MotionLimiter,
     MotionRules,
+    build,
+    check_plan,
     check_tighter,
     collision_of,
+    messages,
+    models,
     motion_rules,
     poses_of,
+    topics,
 )
-from roboneuron.gate.motion.command import pick
-from roboneuron.modules.joint_watch import JointWatch
-from roboneuron.modules.module_host import Module, ModuleHost
-from roboneuron.modules.plugin import build, load_profile
-from roboneuron.modules.settings import (
-    FOLLOWING_NOTE,
-    FUTURE_S,
-    HOLD_DURATION_S,
-    NEEDS_NEW_START,
-    SERVER_SILENT,
-)
-from roboneuron.planning import check_plan
-from roboneuron.plugins.specs import ControllerSpec
-from roboneuron.ros.messages import (
-    commands_from_message,
-    joints_from_message,
-    row_from_action_message,
-    to_joint_state,
-    to_joint_trajectory,
-    to_pose_stamped,
-)
-from roboneuron.ros.topics import ACTION, EE_POSE, JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _POSE_PERIOD_S = 0.02
 """The pose of the TCP is worked out 50 times a second, not for each of up to 1000 joint states."""
@@ -76,7 +61,7 @@ the arm would stay behind for ever, with none it would catch up at once.
 log = logging.getLogger(__name__)
 
 
-class ControlModule(Module):
+class ControlModule(HoldingModule):
     """Executes actions one by one; everything happens in the executor's thread.
 
     Attributes:
@@ -85,7 +70,7 @@ class ControlModule(Module):
     """
 
     def __init__(self, node: ModuleHost) -> None:
-        """Parse the robot description and subscribe.
+        """Load the controller and subscribe.
 
         Raises:
             ConfigurationError: there is no [control] section, the limits do not fit the robot, or
@@ -93,31 +78,19 @@ class ControlModule(Module):
             PlanningError: the controller cannot move this robot.
         """
         super().__init__(node)
-        config = self.config.control
-        if config is None:
-            raise ConfigurationError("The configuration has no [control] section.")
-        self._limits = config
         # a command of ours has gone out: from then on the predecessor's count no more
         self._is_sent = False
         self._pose_s = 0.0
-        # the newest action: when it came [monotonic s], and when it was sent [ns]
-        self._action_s = 0.0
-        self._action_ns = 0
-        self._active = False
-        self._holding = True
-        # there was no joint state to hold at: the next one is held
-        self._hold_is_due = False
-        section = self.config.robot
         check_plan(
             self.registry,
-            robot=section.name,
-            driver=section.driver,
-            controller=config.controller,
+            robot=self.profile.name,
+            driver=self.config.robot.driver,
+            controller=self.section.controller,
             elsewhere=("driver",),
         )
-        profile = load_profile(self.registry, section.name)
-        self._profile = replace(profile, collision=collision_of(self.config.limits, profile))
-        spec = self.registry.get(ControllerSpec, config.controller)
+        collision = collision_of(self.config.limits, self.profile)
+        self._profile = replace(self.profile, collision=collision)
+        spec = self.registry.get(ControllerSpec, self.section.controller)
         self._controller = cast(
             "Controller", build(spec, self.config.options(spec.name), self._profile)
         )
@@ -126,14 +99,11 @@ class ControlModule(Module):
         self._spaces = _executed_spaces(spec, self._controller, self._profile)
         # of the newest action; None before the first, so that its label is always looked at
         self._space: ControlSpace | None = None
-        # only states that can be true are acted on
-        self._watched = JointWatch(self._profile, config.state_timeout_s)
-        immediate = config.command == "joint_state"
         self._limiter = MotionLimiter.of(
             self.check_limits(node.settings.tightened or self.config.limits),
             self._profile,
             self._controller,
-            immediate=immediate,
+            immediate=self.section.command == "joint_state",
             # a longer command would outlive a frozen control
             longest_s=self.config.robot.server_timeout_s,
         )
@@ -141,41 +111,18 @@ class ControlModule(Module):
         self.on_limited: list[Callable[[LimitedCommand], None]] = []
         self._report_collision_check()
         self._poses = poses_of(self._controller)
-        self._ee_pose = node.advertise(PoseStamped, EE_POSE)
+        self._ee_pose = node.advertise(PoseStamped, topics.EE_POSE)
         self._arm_poses = [
-            node.advertise(PoseStamped, f"{arm.name}/{EE_POSE}") for arm in self._profile.arms
+            node.advertise(PoseStamped, f"{arm.name}/{topics.EE_POSE}")
+            for arm in self._profile.arms
         ]
-        commands = (JointState, JOINT_COMMAND) if immediate else (JointTrajectory, JOINT_TRAJECTORY)
-        self._command = node.advertise(*commands)
-        node.subscribe(JointState, JOINT_STATES, self._on_joint_state)
-        node.subscribe(Float64MultiArray, ACTION, self._on_action)
-        node.repeat(config.action_timeout_s / 5, self._watch)
+        node.subscribe(JointState, topics.JOINT_STATES, self._on_joint_state)
+        node.subscribe(Float64MultiArray, topics.ACTION, self._on_action)
         self.status.set_value("controller", spec.name)
 
-    def activate(self) -> None:
-        """Ready once a joint state has been turned into a TCP pose."""
-        self.status.set_waiting(f"joint states on {JOINT_STATES} (is the robot running?)")
-        self._holding = True
-        self._hold_is_due = False
-        self._active = True
-
-    def deactivate(self) -> None:
-        """Hold, then stop commanding."""
-        if self._active:
-            self._hold("deactivated", "Control was deactivated.")
-        self._active = False
-
-    def emergency_stop(self, latched: bool) -> None:
-        """Hold as long as the latch is set."""
-        if latched and self._active:
-            self._hold("emergency_stop", "The emergency stop is latched.")
-
-    def forget(self) -> None:
-        """Hold; see `Module.forget`. Actions are dropped until somebody asks for motion."""
-        if self._active:
-            self._hold(
-                NEEDS_NEW_START, f"Motion needs a new start after a stop: {self.node.needs_start}."
-            )
+    def rest(self, joints: JointSample) -> None:
+        """See `HoldingModule.rest`."""
+        self._limiter.rest(joints, time.monotonic())
 
     def follow(self, message: JointTrajectory | JointState, sent_s: float) -> JointCommand:
         """Go on from where a command of the control before this one has sent the arm.
@@ -190,11 +137,11 @@ class ControlModule(Module):
         Raises:
             InvalidInputError: it is malformed.
         """
-        command = commands_from_message(message)[0]
-        joints = self._watched.joints
+        command = messages.commands_from_message(message)[0]
+        joints = self.watched.joints
         if not self._is_sent and joints is not None:
             self._limiter.follow(command, joints, sent_s)
-            self._action_s, self._holding = sent_s, False
+            self.action_s, self.is_holding = sent_s, False
         return command
 
     def _report_collision_check(self) -> None:
@@ -207,7 +154,7 @@ class ControlModule(Module):
             )
         self.status.set_value("collision_checked", is_checked)
 
-    def check_limits(self, limits: LimitsConfig) -> MotionRules:
+    def check_limits(self, limits: models.LimitsConfig) -> MotionRules:
         """What limits mean for this robot.
 
         Raises:
@@ -216,18 +163,16 @@ class ControlModule(Module):
         check_tighter(limits, self.config.limits)
         return motion_rules(limits, self._profile)
 
-    def use_limits(self, limits: LimitsConfig) -> None:
+    def use_limits(self, limits: models.LimitsConfig) -> None:
         """Move within other limits from the next command on. Raises as `check_limits`."""
         self._limiter.use(self.check_limits(limits))
 
     def _on_joint_state(self, message: JointState) -> None:
         now_s = time.monotonic()
         try:
-            joints = joints_from_message(message)
-            if not self._watched.accept(joints, now_s, self.node.now_ns()) or not self._active:
+            joints = messages.joints_from_message(message)
+            if not self.believe(joints, now_s):
                 return
-            if self._hold_is_due:
-                self._command_hold(joints)
             if now_s - self._pose_s >= _POSE_PERIOD_S or self.handover.is_shadow(joints.stamp_ns):
                 self._publish_pose(joints)
                 self._pose_s = now_s
@@ -250,24 +195,24 @@ class ControlModule(Module):
 
     def _send_poses(self, poses: tuple[Pose, ...]) -> None:
         """The first arm's pose goes out as the robot's, and each of several arms' as its own."""
-        self._ee_pose.publish(to_pose_stamped(poses[0], self._profile.base_link))
+        self._ee_pose.publish(messages.to_pose_stamped(poses[0], self._profile.base_link))
         for publisher, pose in zip(self._arm_poses, poses, strict=False):
-            publisher.publish(to_pose_stamped(pose, self._profile.base_link))
+            publisher.publish(messages.to_pose_stamped(pose, self._profile.base_link))
 
     def _on_action(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
         """Execute an action, or count why not. Its age is that since it was sent, by the time stamp
         that DDS adds: the message has none.
         """
         source_ns = int(info["source_timestamp"])
-        if not self._active or self.handover.is_over(source_ns):
+        if not self.is_active or self.handover.is_over(source_ns):
             return
         age_s = (time.time_ns() - source_ns) / 1e9
-        reason = self._why_not(age_s, source_ns)
+        reason = self.why_not(age_s, source_ns)
         if reason is not None:
             self.status.dropped.add(reason)
             return
         try:
-            label, values = row_from_action_message(message)
+            label, values = messages.row_from_action_message(message)
             space = self._space
             if space is None or label != space.label:
                 space = self._space = self._agreed_space(label)
@@ -299,49 +244,18 @@ class ControlModule(Module):
             )
         return space
 
-    def _why_not(self, age_s: float, source_ns: int) -> str | None:
-        """Word for what forbids acting now, or None.
-
-        Args:
-            age_s: of the action, since it was sent [s].
-            source_ns: when it was sent [ns].
-        """
-        if self.node.stopped:
-            return "emergency_stop"
-        if self._is_server_silent():
-            return "server_silent"
-        if self.node.needs_start:
-            return NEEDS_NEW_START
-        if age_s > self._limits.action_timeout_s:
-            return "stale_action"
-        if age_s < -FUTURE_S:
-            return "future_action"
-        # else the clock was set back since
-        if source_ns < self._action_ns <= time.time_ns() + FUTURE_S * 1e9:
-            return "reordered_action"
-        if self._are_joints_stale():
-            return "stale_joint_state"
-        return None
-
-    def _is_server_silent(self) -> bool:
-        """Nobody could stop the arm from outside: the server is frozen."""
-        return self.node.server_silence_s() > self._limits.server_timeout_s
-
-    def _are_joints_stale(self) -> bool:
-        return self._watched.age_s(time.monotonic()) > self._limits.state_timeout_s
-
     def _execute(self, space: ControlSpace, row: F64, source_ns: int, age_s: float) -> None:
-        joints = self._watched.joints
-        if joints is None:  # excluded by `_why_not`
+        joints = self.watched.joints
+        if joints is None:  # excluded by `why_not`
             return
         now_s = time.monotonic()
         # The controller is told the time that the arm has: that since the action before this one.
         # By sending and by arrival: actions that were held up arrive together, and were not meant
         # to follow each other.
-        spacing_s = (source_ns - self._action_ns) / 1e9 if self._action_ns else 0.0
-        since_s = max(now_s - self._action_s, min(spacing_s, FIRST_STEP_S))
-        step_s = self._limits.step_s(since_s)
-        self._action_ns = source_ns
+        spacing_s = (source_ns - self.action_ns) / 1e9 if self.action_ns else 0.0
+        since_s = max(now_s - self.action_s, min(spacing_s, models.FIRST_STEP_S))
+        step_s = self.section.step_s(since_s)
+        self.action_ns = source_ns
         answer = self._compute(space, row, joints, step_s, now_s)
         if self.handover.is_shadow(source_ns):
             self.handover.withhold(answer)
@@ -350,9 +264,9 @@ class ControlModule(Module):
         if isinstance(outcome, JointCommand):
             outcome = self._limit(outcome, joints, now_s)
         self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
-        message = self._to_message(outcome) if isinstance(outcome, JointCommand) else None
+        message = self.to_message(outcome) if isinstance(outcome, JointCommand) else None
         took_s = time.monotonic() - now_s
-        if message is not None and (late := self._why_not(age_s + took_s, source_ns)):
+        if message is not None and (late := self.why_not(age_s + took_s, source_ns)):
             # A slow controller, or a process that was frozen meanwhile: the command answers to what
             # is past. Checked last, because a process that is frozen after this check sends it when
             # it wakes up.
@@ -363,20 +277,17 @@ class ControlModule(Module):
         # refused: what was sent before comes to its end, and is then held by the watchdog
         if outcome is None:
             return
-        self._action_s = now_s
+        self.action_s = now_s
         if isinstance(outcome, Hold):
             self.status.dropped.add(outcome.code)
-            self._hold(outcome.code, outcome.reason)
+            self.hold(outcome.code, outcome.reason)
             return
-        self._command.publish(message)
+        self.command.publish(message)
         self.handover.note_sent("command")
-        if self._holding:
-            self.status.changed.set()  # at once: from now on a hold will come
         self._is_sent = True
-        self._holding = self._hold_is_due = False
+        self.note_command()
         self.status.output.tick()
         self.status.latency.add(age_s * 1e3)
-        self.status.set(note=FOLLOWING_NOTE)
         self.status.set_value("residual_m", outcome.residual_m)
         self.status.set_value("residual_rad", outcome.residual_rad)
 
@@ -412,75 +323,6 @@ class ControlModule(Module):
             more_s = _SHARE_OF_REST * self._limiter.remaining_s(now_s)
             answer = replace(answer, duration_s=answer.duration_s + more_s)
         return answer
-
-    def _watch(self) -> None:
-        """Hold within one timeout after the last action.
-
-        It looks five times per timeout, and holds after three quarters of it: so the arm has
-        begun to hold before the timeout is over.
-        """
-        if not self._active or self._holding or not self._is_ours_now():
-            return
-        if self._is_server_silent():
-            if not self.node.needs_start:
-                self.node.require_start(SERVER_SILENT)
-            self._hold(
-                "server_silent",
-                f"No sign of life of the server for {self._limits.server_timeout_s:g} s.",
-            )
-        elif time.monotonic() - self._action_s > self._limits.hold_after_s:
-            self._hold("no_action", f"No action for {self._limits.action_timeout_s:g} s.")
-        elif self._are_joints_stale():
-            self._hold(
-                "stale_joint_state", f"No joint state for {self._limits.state_timeout_s:g} s."
-            )
-
-    def _hold(self, code: str, reason: str) -> None:
-        """Command the measured posture, once per reason to hold.
-
-        Without a fresh one nothing is sent: the arm would go back to where it was. Its last command
-        comes to an end, and the next joint state is held at once. In shadow the arm is left to the
-        other control.
-        """
-        if not self._is_ours_now():
-            return
-        self.status.set(note=f"holding: {reason}")
-        self.status.set_value("hold_code", code)
-        if self._holding:
-            return
-        # before it is sent: a hold that is due is not sent twice
-        self._holding = True
-        self.status.dropped.add("holds")
-        joints = self._watched.joints
-        if joints is None or self._are_joints_stale():
-            self._hold_is_due = True
-        else:
-            self._command_hold(joints)
-        self.status.changed.set()
-
-    def _is_ours_now(self) -> bool:
-        return self.handover.is_ours(time.time_ns())
-
-    def _command_hold(self, joints: JointSample) -> None:
-        """Command the arm to stay where it is measured; the limiter starts anew from there.
-
-        The gripper is not commanded: it keeps what it holds.
-        """
-        self._hold_is_due = False
-        arm = self._profile.arm_joints
-        position = pick(joints.names, joints.position, arm)
-        self._command.publish(
-            self._to_message(JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S))
-        )
-        self._limiter.rest(joints, time.monotonic())
-
-    def _to_message(self, command: JointCommand) -> JointTrajectory | JointState:
-        """A command as the configured type of message; a JointState carries no duration."""
-        if self._limits.command == "joint_trajectory":
-            return to_joint_trajectory(command)
-        return to_joint_state(
-            JointSample(names=command.names, position=command.position, stamp_ns=self.node.now_ns())
-        )
 
 
 def _executed_spaces(
