@@ -15,7 +15,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "loading": "load_attribute",
         "messages": "commands_from_message intrinsics_from_camera_info joints_from_message "
         "row_from_action_message to_action_message to_image to_ns to_pose_stamped",
-        "models": "FIRST_STEP_S ControlConfig LimitsConfig",
+        "models": "ControlConfig",
         "qos": "NEWEST",
         "settings": "FUTURE_S INSTRUCTION_PARAMETER LIMITS_PARAMETER instruction_problem",
         "task_space": "angle_rad distance_m",

@@ -27,11 +27,6 @@ from .ros import (
 # Single names.
 from .gate.motion import (
     LimitedCommand as LimitedCommand,
-    MotionLimiter as MotionLimiter,
-    MotionRules as MotionRules,
-    check_tighter as check_tighter,
-    collision_of as collision_of,
-    motion_rules as motion_rules,
     poses_of as poses_of,
 )
 from .modules.handover import (

@@ -1,15 +1,26 @@
-"""The watchdogs of what commands an arm: which inputs it may act on, and when it holds instead."""
+"""The watchdogs and limits of what commands an arm: which inputs it may act on, and when it holds
+instead.
+"""
 
 from __future__ import annotations
 
 import time
-from abc import abstractmethod
+from dataclasses import replace
 
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from roboneuron.contract import JointCommand, JointSample
+from roboneuron.config import LimitsConfig
+from roboneuron.config.models import FIRST_STEP_S
+from roboneuron.contract import Controller, JointCommand, JointSample
 from roboneuron.errors import ConfigurationError
+from roboneuron.gate.motion import (
+    MotionLimiter,
+    MotionRules,
+    check_tighter,
+    collision_of,
+    motion_rules,
+)
 from roboneuron.gate.motion.command import pick
 from roboneuron.modules.joint_watch import JointWatch
 from roboneuron.modules.module_host import Module, ModuleHost
@@ -29,19 +40,22 @@ class HoldingModule(Module):
     """Commands an arm, and holds it when actions or joint states stop, the server is silent, or a
     stop has come. Everything happens in the executor's thread.
 
-    A subclass turns actions into commands: it asks `why_not` before each and tells `note_command`
-    after it.
+    A subclass turns actions into commands: it asks `why_not` before each, passes it to `limiter`,
+    and tells `note_command` after it.
 
     Attributes:
         section: [control] of the configuration.
         profile: of the robot.
         command: publishes its commands.
+        limiter: what every command passes; from `limit_with` on.
         watched: the newest joint state that is believed.
         is_active: commands may be sent.
         is_holding: the newest command was a hold.
         action_s, action_ns: the newest action: when it was acted on [monotonic s], and when it was
             sent [ROS time, ns].
     """
+
+    limiter: MotionLimiter
 
     def __init__(self, node: ModuleHost) -> None:
         """Begin to watch.
@@ -53,7 +67,8 @@ class HoldingModule(Module):
         if self.config.control is None:
             raise ConfigurationError("The configuration has no [control] section.")
         self.section = self.config.control
-        self.profile = load_profile(self.registry, self.config.robot.name)
+        profile = load_profile(self.registry, self.config.robot.name)
+        self.profile = replace(profile, collision=collision_of(self.config.limits, profile))
         self.watched = JointWatch(self.profile, self.section.state_timeout_s)
         self.action_s = 0.0
         self.action_ns = 0
@@ -66,9 +81,33 @@ class HoldingModule(Module):
         self.command = node.advertise(*commands)
         node.repeat(self.section.action_timeout_s / 5, self._watch)
 
-    @abstractmethod
-    def rest(self, joints: JointSample) -> None:
-        """The arm was commanded to stay at `joints`; later commands start from there."""
+    def limit_with(self, controller: Controller) -> None:
+        """Make `limiter`, which asks this controller for poses and distances.
+
+        Raises:
+            ConfigurationError: as `check_limits`.
+        """
+        self.limiter = MotionLimiter.of(
+            self.check_limits(self.node.settings.tightened or self.config.limits),
+            self.profile,
+            controller,
+            immediate=self.section.command == "joint_state",
+            # a longer command would outlive a frozen control
+            longest_s=self.config.robot.server_timeout_s,
+        )
+
+    def check_limits(self, limits: LimitsConfig) -> MotionRules:
+        """What limits mean for this robot.
+
+        Raises:
+            ConfigurationError: they do not fit the robot, or are wider than the configured ones.
+        """
+        check_tighter(limits, self.config.limits)
+        return motion_rules(limits, self.profile)
+
+    def use_limits(self, limits: LimitsConfig) -> None:
+        """Move within other limits from the next command on. Raises as `check_limits`."""
+        self.limiter.use(self.check_limits(limits))
 
     def activate(self) -> None:
         """Hold until the first action."""
@@ -129,6 +168,16 @@ class HoldingModule(Module):
         if self._are_joints_stale():
             return "stale_joint_state"
         return None
+
+    def step_s(self, source_ns: int, now_s: float) -> float:
+        """Time that the arm has for an action that was sent then: that since the one before [s].
+
+        By sending and by arrival: actions that were held up arrive together, and were not meant to
+        follow each other.
+        """
+        spacing_s = (source_ns - self.action_ns) / 1e9 if self.action_ns else 0.0
+        self.action_ns = source_ns
+        return self.section.step_s(max(now_s - self.action_s, min(spacing_s, FIRST_STEP_S)))
 
     def note_command(self) -> None:
         """A command that is no hold has gone out."""
@@ -195,7 +244,7 @@ class HoldingModule(Module):
             self.hold(code, reason)
 
     def _command_hold(self, joints: JointSample) -> None:
-        """Command the arm to stay where it is measured.
+        """Command the arm to stay where it is measured; the limiter starts anew from there.
 
         The gripper is not commanded: it keeps what it holds.
         """
@@ -205,7 +254,7 @@ class HoldingModule(Module):
         self.command.publish(
             self.to_message(JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S))
         )
-        self.rest(joints)
+        self.limiter.rest(joints, time.monotonic())
 
     def _is_server_silent(self) -> bool:
         """Nobody could stop the arm from outside: the server is frozen."""

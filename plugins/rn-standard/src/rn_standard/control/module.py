@@ -39,15 +39,9 @@ from roboneuron.node import (
     HoldingModule,
     LimitedCommand,
     ModuleHost,
-    MotionLimiter,
-    MotionRules,
     build,
     check_plan,
-    check_tighter,
-    collision_of,
     messages,
-    models,
-    motion_rules,
     poses_of,
     topics,
 )
@@ -88,41 +82,27 @@ class ControlModule(HoldingModule):
             controller=self.section.controller,
             elsewhere=("driver",),
         )
-        collision = collision_of(self.config.limits, self.profile)
-        self._profile = replace(self.profile, collision=collision)
         spec = self.registry.get(ControllerSpec, self.section.controller)
         self._controller = cast(
-            "Controller", build(spec, self.config.options(spec.name), self._profile)
+            "Controller", build(spec, self.config.options(spec.name), self.profile)
         )
         node.resources.callback(self._controller.close)
         self._controller.load()
-        self._spaces = _executed_spaces(spec, self._controller, self._profile)
+        self._spaces = _executed_spaces(spec, self._controller, self.profile)
         # of the newest action; None before the first, so that its label is always looked at
         self._space: ControlSpace | None = None
-        self._limiter = MotionLimiter.of(
-            self.check_limits(node.settings.tightened or self.config.limits),
-            self._profile,
-            self._controller,
-            immediate=self.section.command == "joint_state",
-            # a longer command would outlive a frozen control
-            longest_s=self.config.robot.server_timeout_s,
-        )
-        self.robot = self._profile.name
+        self.limit_with(self._controller)
+        self.robot = self.profile.name
         self.on_limited: list[Callable[[LimitedCommand], None]] = []
         self._report_collision_check()
         self._poses = poses_of(self._controller)
         self._ee_pose = node.advertise(PoseStamped, topics.EE_POSE)
         self._arm_poses = [
-            node.advertise(PoseStamped, f"{arm.name}/{topics.EE_POSE}")
-            for arm in self._profile.arms
+            node.advertise(PoseStamped, f"{arm.name}/{topics.EE_POSE}") for arm in self.profile.arms
         ]
         node.subscribe(JointState, topics.JOINT_STATES, self._on_joint_state)
         node.subscribe(Float64MultiArray, topics.ACTION, self._on_action)
         self.status.set_value("controller", spec.name)
-
-    def rest(self, joints: JointSample) -> None:
-        """See `HoldingModule.rest`."""
-        self._limiter.rest(joints, time.monotonic())
 
     def follow(self, message: JointTrajectory | JointState, sent_s: float) -> JointCommand:
         """Go on from where a command of the control before this one has sent the arm.
@@ -140,32 +120,19 @@ class ControlModule(HoldingModule):
         command = messages.commands_from_message(message)[0]
         joints = self.watched.joints
         if not self._is_sent and joints is not None:
-            self._limiter.follow(command, joints, sent_s)
+            self.limiter.follow(command, joints, sent_s)
             self.action_s, self.is_holding = sent_s, False
         return command
 
     def _report_collision_check(self) -> None:
         """Say whether commands are checked for collisions, which not every controller can."""
-        has_bodies = self._profile.collision is not None
+        has_bodies = self.profile.collision is not None
         is_checked = has_bodies and isinstance(self._controller, PostureInspector)
         if has_bodies and not is_checked:
             log.warning(
                 "The controller tells no distances: collisions of %s are not checked.", self.robot
             )
         self.status.set_value("collision_checked", is_checked)
-
-    def check_limits(self, limits: models.LimitsConfig) -> MotionRules:
-        """What limits mean for this robot.
-
-        Raises:
-            ConfigurationError: they do not fit the robot, or are wider than the configured ones.
-        """
-        check_tighter(limits, self.config.limits)
-        return motion_rules(limits, self._profile)
-
-    def use_limits(self, limits: models.LimitsConfig) -> None:
-        """Move within other limits from the next command on. Raises as `check_limits`."""
-        self._limiter.use(self.check_limits(limits))
 
     def _on_joint_state(self, message: JointState) -> None:
         now_s = time.monotonic()
@@ -195,9 +162,9 @@ class ControlModule(HoldingModule):
 
     def _send_poses(self, poses: tuple[Pose, ...]) -> None:
         """The first arm's pose goes out as the robot's, and each of several arms' as its own."""
-        self._ee_pose.publish(messages.to_pose_stamped(poses[0], self._profile.base_link))
+        self._ee_pose.publish(messages.to_pose_stamped(poses[0], self.profile.base_link))
         for publisher, pose in zip(self._arm_poses, poses, strict=False):
-            publisher.publish(messages.to_pose_stamped(pose, self._profile.base_link))
+            publisher.publish(messages.to_pose_stamped(pose, self.profile.base_link))
 
     def _on_action(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
         """Execute an action, or count why not. Its age is that since it was sent, by the time stamp
@@ -249,13 +216,8 @@ class ControlModule(HoldingModule):
         if joints is None:  # excluded by `why_not`
             return
         now_s = time.monotonic()
-        # The controller is told the time that the arm has: that since the action before this one.
-        # By sending and by arrival: actions that were held up arrive together, and were not meant
-        # to follow each other.
-        spacing_s = (source_ns - self.action_ns) / 1e9 if self.action_ns else 0.0
-        since_s = max(now_s - self.action_s, min(spacing_s, models.FIRST_STEP_S))
-        step_s = self.section.step_s(since_s)
-        self.action_ns = source_ns
+        # the controller is told the time that the arm has
+        step_s = self.step_s(source_ns, now_s)
         answer = self._compute(space, row, joints, step_s, now_s)
         if self.handover.is_shadow(source_ns):
             self.handover.withhold(answer)
@@ -273,7 +235,7 @@ class ControlModule(HoldingModule):
             outcome = Hold(
                 code=late, reason=f"A command was ready only {took_s:.3g} s after its action."
             )
-            self._limiter.rest(None, now_s)
+            self.limiter.rest(None, now_s)
         # refused: what was sent before comes to its end, and is then held by the watchdog
         if outcome is None:
             return
@@ -297,7 +259,7 @@ class ControlModule(HoldingModule):
         """What to send instead of `command`: itself, a shorter one, a reason to hold, or None for
         nothing.
         """
-        limited = self._limiter.limit(command, joints, now_s)
+        limited = self.limiter.limit(command, joints, now_s)
         if limited.command is None:
             self.status.dropped.add(f"limit_{limited.acted[-1]}")
         for tell in self.on_limited:
@@ -316,11 +278,11 @@ class ControlModule(HoldingModule):
         # are to be reached by when the next row is due.
         if space.rate_hz:
             step_s = 1.0 / space.rate_hz
-        answer = controller.execute(space, row, self._limiter.reference(joints, now_s), step_s)
+        answer = controller.execute(space, row, self.limiter.reference(joints, now_s), step_s)
         if space.rate_hz and isinstance(answer, JointCommand):
             # Its message came early, or the one before came late: what is left of that one is not
             # rushed, or the limits would cut off a part of a steady motion.
-            more_s = _SHARE_OF_REST * self._limiter.remaining_s(now_s)
+            more_s = _SHARE_OF_REST * self.limiter.remaining_s(now_s)
             answer = replace(answer, duration_s=answer.duration_s + more_s)
         return answer
 
