@@ -158,7 +158,7 @@ class ControlLoop:
 
     def drops(self) -> dict[str, int]:
         """What was dropped, by word."""
-        return self.host.status.dropped.items()
+        return dict(self.host.status.dropped)
 
     def close(self) -> None:
         self.host.resources.close()

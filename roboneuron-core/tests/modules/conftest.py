@@ -235,7 +235,7 @@ class Host:
         self.needs_start = reason
 
     def drops(self) -> dict[str, int]:
-        return self.status.dropped.items()
+        return dict(self.status.dropped)
 
     def values(self) -> dict[str, str]:
         return status(self)

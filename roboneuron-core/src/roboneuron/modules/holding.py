@@ -105,10 +105,6 @@ class HoldingModule(Module):
         check_tighter(limits, self.config.limits)
         return motion_rules(limits, self.profile)
 
-    def use_limits(self, limits: LimitsConfig) -> None:
-        """Move within other limits from the next command on. Raises as `check_limits`."""
-        self.limiter.use(self.check_limits(limits))
-
     def activate(self) -> None:
         """Hold until the first action."""
         self.status.set_waiting(f"joint states on {JOINT_STATES} (is the robot running?)")
@@ -201,7 +197,7 @@ class HoldingModule(Module):
             return
         # before it is sent: a hold that is due is not sent twice
         self.is_holding = True
-        self.status.dropped.add("holds")
+        self.status.drop("holds")
         joints = self.watched.joints
         if joints is None or self._are_joints_stale():
             self._hold_is_due = True

@@ -58,13 +58,11 @@ def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
     """
     try:
         with path.open("rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            start = max(offset, size - _TAIL_BYTES)
+            start = max(offset, file.seek(0, os.SEEK_END) - _TAIL_BYTES)
             file.seek(start)
-            text = file.read().decode("utf-8", errors="replace")
+            found = file.read().decode("utf-8", errors="replace").splitlines()
     except FileNotFoundError:
         return ()
-    found = text.splitlines()
     if start > offset and len(found) > 1:
         found = found[1:]
     return tuple(found[-lines:])

@@ -104,16 +104,8 @@ class Supervisor(Modules):
         """The ROS node of the control plane; opened on first use."""
         return self.connection.link()
 
-    def parameters(self, slot: Slot) -> NodeClient:
-        """The parameters of the module in a slot, for one request or several.
-
-        Raises:
-            StateError: its process has ended.
-        """
-        return self._client(slot, lambda: None)
-
-    def _client(self, slot: Slot, check: Callable[[], None]) -> NodeClient:
-        """What drives the node of the process in a slot.
+    def parameters(self, slot: Slot, check: Callable[[], None] = lambda: None) -> NodeClient:
+        """What drives the node of the process in a slot, and sets its parameters.
 
         Args:
             slot: of a module.
@@ -184,7 +176,7 @@ class Supervisor(Modules):
             choice = Selection(settings=settings, names=names or {}, plan=plan)
             slot.begin_start(choice, next(self._order))
         self.heartbeat.start()
-        Bringup(slot, choice, self, self._spawn, self._client, on_stage).run()
+        Bringup(slot, choice, self, self._spawn, self.parameters, on_stage).run()
         return self.view(kind)
 
     def _spawn(self, choice: Selection) -> ModuleProcess:
@@ -329,7 +321,7 @@ class Supervisor(Modules):
         slot, settings = claim.slot, claim.settings
         limit_s = min(most_s, settings.config.supervisor.stop_timeout_s / 2)
         try:
-            client = self._client(slot, lambda: slot.check_alive("being deactivated"))
+            client = self.parameters(slot, lambda: slot.check_alive("being deactivated"))
             if client.transition("deactivate", limit_s) is None:
                 log.warning(
                     "%s did not answer `deactivate` within %.1f s.", settings.node_name, limit_s

@@ -144,7 +144,7 @@ class ControlModule(HoldingModule):
                 self._publish_pose(joints)
                 self._pose_s = now_s
         except RoboNeuronError as error:
-            self.status.dropped.add("bad_joint_state")
+            self.status.drop("bad_joint_state")
             self.status.set_error(error)
 
     def _publish_pose(self, joints: JointSample) -> None:
@@ -176,7 +176,7 @@ class ControlModule(HoldingModule):
         age_s = (time.time_ns() - source_ns) / 1e9
         reason = self.why_not(age_s, source_ns)
         if reason is not None:
-            self.status.dropped.add(reason)
+            self.status.drop(reason)
             return
         try:
             label, values = messages.row_from_action_message(message)
@@ -185,7 +185,7 @@ class ControlModule(HoldingModule):
                 space = self._space = self._agreed_space(label)
             row = space.check(values)
         except RoboNeuronError as error:
-            self.status.dropped.add("non_finite" if isinstance(error, UnsafeError) else "malformed")
+            self.status.drop("non_finite" if isinstance(error, UnsafeError) else "malformed")
             self.status.set_error(error)
             return
         self._execute(space, row, source_ns, age_s)
@@ -241,7 +241,7 @@ class ControlModule(HoldingModule):
             return
         self.action_s = now_s
         if isinstance(outcome, Hold):
-            self.status.dropped.add(outcome.code)
+            self.status.drop(outcome.code)
             self.hold(outcome.code, outcome.reason)
             return
         self.command.publish(message)
@@ -249,7 +249,7 @@ class ControlModule(HoldingModule):
         self._is_sent = True
         self.note_command()
         self.status.output.tick()
-        self.status.latency.add(age_s * 1e3)
+        self.status.latency.append(age_s * 1e3)
         self.status.set_value("residual_m", outcome.residual_m)
         self.status.set_value("residual_rad", outcome.residual_rad)
 
@@ -261,7 +261,7 @@ class ControlModule(HoldingModule):
         """
         limited = self.limiter.limit(command, joints, now_s)
         if limited.command is None:
-            self.status.dropped.add(f"limit_{limited.acted[-1]}")
+            self.status.drop(f"limit_{limited.acted[-1]}")
         for tell in self.on_limited:
             tell(limited)
         return limited.command

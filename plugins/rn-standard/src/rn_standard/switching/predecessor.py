@@ -79,4 +79,4 @@ def _on_command(
     try:
         handover.hear(module.follow(message, sent_s), sent_s)
     except InvalidInputError:
-        module.status.dropped.add("malformed_command")
+        module.status.drop("malformed_command")

@@ -96,7 +96,7 @@ class LimitReports:
         try:
             self._audit.write(record)
         except RefusedError as error:
-            self._status.dropped.add("unrecorded")
+            self._status.drop("unrecorded")
             log.error("%s", error)
 
 

@@ -40,7 +40,7 @@ class LimitsInForce:
 
     def use(self, text: str) -> None:
         """Move within these limits from the next command on. Raises ConfigurationError."""
-        self._control.use_limits(self._parse(text))
+        self._control.limiter.use(self._control.check_limits(self._parse(text)))
         self._report(is_tightened=bool(text))
 
     def refusal(self, text: str) -> str:
