@@ -49,7 +49,7 @@ def test_a_stopped_module_was_deactivated_and_is_reaped(
     assert stopped is not None
     assert (stopped.pid, stopped.exit_code, stopped.killed) == (pid, 0, False)
     assert is_gone(pid)
-    assert "deactivated" in supervisor.log_path("robot").read_text()
+    assert "deactivated" in (supervisor.log_directory / "robot.log").read_text()
     assert supervisor.view("robot").phase == "stopped"
 
 

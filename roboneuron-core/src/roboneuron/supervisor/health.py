@@ -234,16 +234,6 @@ class Modules:
         with self.changes.lock:
             return [slot.process for slot in self.slots[kind] if slot.process is not None]
 
-    def log_path(self, kind: ModuleKind) -> Path:
-        """Where the present module of that kind logs; without one, where it would.
-
-        Args:
-            kind: a module that has replaced another one may log under the other of its two names.
-        """
-        choice = self.slot(kind).choice
-        name = choice.settings.node_name if choice is not None else kind
-        return self.log_directory / f"{name}.log"
-
     def require_running(self, kind: ModuleKind) -> ModuleView:
         """The view of a running module.
 
