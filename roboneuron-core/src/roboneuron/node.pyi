@@ -27,7 +27,6 @@ from .ros import (
 # Single names.
 from .gate.motion import (
     LimitedCommand as LimitedCommand,
-    poses_of as poses_of,
 )
 from .modules.handover import (
     Handover as Handover,

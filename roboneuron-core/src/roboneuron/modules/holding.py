@@ -20,6 +20,7 @@ from roboneuron.gate.motion import (
     check_tighter,
     collision_of,
     motion_rules,
+    poses_of,
 )
 from roboneuron.gate.motion.command import pick
 from roboneuron.modules.joint_watch import JointWatch
@@ -48,6 +49,7 @@ class HoldingModule(Module):
         profile: of the robot.
         command: publishes its commands.
         limiter: what every command passes; from `limit_with` on.
+        poses: of the TCP of each arm, from joints; from `limit_with` on.
         watched: the newest joint state that is believed.
         is_active: commands may be sent.
         is_holding: the newest command was a hold.
@@ -95,6 +97,7 @@ class HoldingModule(Module):
             # a longer command would outlive a frozen control
             longest_s=self.config.robot.server_timeout_s,
         )
+        self.poses = poses_of(controller)
 
     def check_limits(self, limits: LimitsConfig) -> MotionRules:
         """What limits mean for this robot.

@@ -71,6 +71,9 @@ def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
 class ModuleProcess:
     """A running child and, later, how it ended. Made by `spawn`; every method may be called from
     any thread.
+
+    Attributes:
+        ended_at: when it was reaped; of a running child, when it was started.
     """
 
     def __init__(
@@ -91,7 +94,7 @@ class ModuleProcess:
         self.name = name
         self.pid = child.pid
         self.log_path = log_path
-        self.started_at = datetime.now(UTC)
+        self.started_at = self.ended_at = datetime.now(UTC)
         self._child = child
         self._log_offset = log_offset
         # held while the process is signalled, written to or reaped: after that its number and its
@@ -193,6 +196,7 @@ class ModuleProcess:
             with self._reaping:
                 _kill_group(self.pid)
                 self._child.wait()
+            self.ended_at = datetime.now(UTC)
             if self._child.stdin is not None:
                 with suppress(OSError):
                     self._child.stdin.close()

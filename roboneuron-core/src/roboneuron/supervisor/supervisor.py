@@ -28,7 +28,6 @@ from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import (
     KILL_S,
     ModuleProcess,
-    ProcessEvents,
     end_processes,
     spawn,
 )
@@ -81,17 +80,13 @@ class Supervisor(Modules):
         on_change: Callable[[ModuleKind], object] = lambda kind: None,
         connect: Connect = Connection,
     ) -> None:
-        super().__init__(on_change)
+        run = f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+        super().__init__(state_directory / "log" / run, on_change)
         self.state_directory = state_directory
         self.tightened: LimitsConfig | None = None
         self.on_join: tuple[str, ...] = ()
-        self.log_directory = (
-            state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
-        )
         self.needs_start = ""
         self.connection = connect(self.receive, self.log_directory)
-        self.process_events = ProcessEvents()
-        self.secret_variables = set()
         self._command = command
         # lives as long as the server, because PR_SET_PDEATHSIG follows the thread
         self._spawning = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")

@@ -42,7 +42,6 @@ from roboneuron.node import (
     build,
     check_plan,
     messages,
-    poses_of,
     topics,
 )
 
@@ -95,7 +94,6 @@ class ControlModule(HoldingModule):
         self.robot = self.profile.name
         self.on_limited: list[Callable[[LimitedCommand], None]] = []
         self._report_collision_check()
-        self._poses = poses_of(self._controller)
         self._ee_pose = node.advertise(PoseStamped, topics.EE_POSE)
         self._arm_poses = [
             node.advertise(PoseStamped, f"{arm.name}/{topics.EE_POSE}") for arm in self.profile.arms
@@ -153,7 +151,7 @@ class ControlModule(HoldingModule):
         Raises:
             UnsafeError: the controller cannot tell it from these joints.
         """
-        poses = self._poses(joints)
+        poses = self.poses(joints)
         if self.handover.is_shadow(joints.stamp_ns):
             self.handover.withhold(poses[0])
         elif not self.handover.is_over(joints.stamp_ns):
