@@ -64,9 +64,6 @@ from .contract.arrays import (
 from .contract.image import (
     MAX_SIDE_PX as MAX_SIDE_PX,
 )
-from .contract.space import (
-    split_label as split_label,
-)
 from .contract.rotation import (
     matrix_from_quaternion as matrix_from_quaternion,
     matrix_from_rotvec as matrix_from_rotvec,

@@ -9,6 +9,9 @@ from collections.abc import Mapping
 from .config import (
     models as models,
 )
+from .contract.space import (
+    split_label as split_label,
+)
 from .gate.motion import (
     task_space as task_space,
 )

@@ -33,7 +33,6 @@ from roboneuron import (
     SpaceController,
     UnsafeError,
     robot_space,
-    split_label,
 )
 from roboneuron.node import (
     HoldingModule,
@@ -42,6 +41,7 @@ from roboneuron.node import (
     build,
     check_plan,
     messages,
+    split_label,
     topics,
 )
 
