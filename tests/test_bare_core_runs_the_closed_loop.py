@@ -29,8 +29,8 @@ FEATURELESS = (
     "set_instruction",
     "stop_all",
 )
-LOOP_FEATURES = {"rn-inference", "rn-perception", "rn-tools-loop"}
-"""They bring two of the modules, and the tools that start."""
+LOOP_FEATURES = {"rn-control", "rn-inference", "rn-perception", "rn-tools-loop"}
+"""They bring three of the modules, and the tools that start."""
 CLOSED_LOOP = ("start_robot", "start_perception", "start_control")
 
 

@@ -77,15 +77,16 @@ NEEDS = {
     "limits": {"tools_arm"},
     "ops": {"tools_loop"},
     "selection": {"inference"},
-    "switching": {"inference", "selection", "tools_loop"},
+    "switching": {"control", "inference", "selection", "tools_loop"},
     "tasks": {"direct_path", "inference", "selection", "tools_loop"},
-    "tools_arm": {"direct_path"},
+    "tools_arm": {"control", "direct_path"},
     "tools_loop": {"inference"},
     "tools_ros": {"direct_path"},
 }
 """Packages of rn_standard by those beside them that they may import."""
 PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
+    "control": "module",
     "direct_path": "allow_list arbiter delivery derived exposed fields joints limits speeds twists "
     "type_hashes",
     "execution": "adaptive mode",
@@ -231,8 +232,10 @@ def test_plugins_import_only_what_is_public_of_the_core():
     assert [breach for _, packages in _plugins() for breach in _private_imports(packages)] == []
 
 
-MOST_NAMES = {"roboneuron.feature": 79, "roboneuron.command": 67, "roboneuron.node": 32}
-"""For code in the server, for commands and for code in modules; these only go down."""
+MOST_NAMES = {"roboneuron.feature": 79, "roboneuron.command": 67, "roboneuron.node": 36}
+"""For code in the server, for commands and for code in modules; these only go down, unless code of
+the core becomes a feature.
+"""
 
 
 def _offered(of: str) -> set[str]:

@@ -116,9 +116,10 @@ PARTS = {
     ),
     "modules": Part(
         package=CORE,
-        files=("modules/control.py", "modules/joint_watch.py", "modules/robot.py"),
+        files=("modules/holding.py", "modules/joint_watch.py", "modules/robot.py"),
         tests=MODULE_TESTS,
     ),
+    "control": Part(package=STANDARD, files=("control/module.py",), tests=MODULE_TESTS),
     "supervisor": Part(
         package=CORE,
         files=tuple(

@@ -13,10 +13,10 @@ import numpy as np
 from motion_judge import MotionJudge
 from std_msgs.msg import Float64MultiArray
 
+from rn_standard.control.module import ControlModule
 from rn_standard.tools_arm.limit_reports import LimitReports
 from roboneuron.config import ModuleSettings, parse_config
 from roboneuron.contract import JointSample
-from roboneuron.modules.control import ControlModule
 from roboneuron.modules.module_host import Handover
 from roboneuron.modules.status import StatusWriter
 from roboneuron.ros.messages import to_joint_state
@@ -158,7 +158,7 @@ class ControlLoop:
 
     def drops(self) -> dict[str, int]:
         """What was dropped, by word."""
-        return self.host.status.dropped.items()
+        return dict(self.host.status.dropped)
 
     def close(self) -> None:
         self.host.resources.close()

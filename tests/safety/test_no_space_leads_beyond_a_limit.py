@@ -30,6 +30,7 @@ from rn_robot_fr3.profile import (
     WORKSPACE_UPPER_M,
     profile,
 )
+from rn_standard.control import module as control_module
 from rn_standard.inference.agreement import SpaceAgreement, agree
 from roboneuron.contract import (
     SPACE_KINDS,
@@ -39,7 +40,7 @@ from roboneuron.contract import (
     robot_space,
 )
 from roboneuron.errors import RoboNeuronError
-from roboneuron.modules import control as control_module
+from roboneuron.modules import holding
 from roboneuron.ros.messages import to_action_message
 
 F64 = np.ndarray
@@ -238,7 +239,8 @@ def play(
 def make_loop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """Return a function that makes an active control of a robot with those reactions."""
     clock = Clock()
-    monkeypatch.setattr(control_module, "time", clock)
+    for module in (control_module, holding):
+        monkeypatch.setattr(module, "time", clock)
     made: list[ControlLoop] = []
 
     def make(subject: Subject, reactions: str) -> ControlLoop:

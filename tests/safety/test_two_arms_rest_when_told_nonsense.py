@@ -19,10 +19,11 @@ from control_loop import Clock, _Host
 
 from rn_robot_fr3.cell import PAIR
 from rn_robot_fr3.profile import HOME_RAD, pair_profile
+from rn_standard.control import module as control_module
+from rn_standard.control.module import ControlModule
 from roboneuron.config import ModuleSettings, parse_config
 from roboneuron.contract import EE_DELTA, ControlSpace, JointSample, robot_space
-from roboneuron.modules import control as control_module
-from roboneuron.modules.control import ControlModule
+from roboneuron.modules import holding
 from roboneuron.ros.messages import to_action_message, to_joint_state
 
 F64 = NDArray[np.float64]
@@ -131,7 +132,8 @@ class Arms:
 @pytest.fixture
 def arms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Arms]:
     clock = Clock()
-    monkeypatch.setattr(control_module, "time", clock)
+    for module in (control_module, holding):
+        monkeypatch.setattr(module, "time", clock)
     made = Arms(tmp_path, clock)
     yield made
     made.host.resources.close()
@@ -197,7 +199,7 @@ def test_nonsense_for_two_arms_is_one_error_and_both_rest(arms: Arms, fault: str
     space, row, label, word, told = NONSENSE[fault]
     check_moving(arms)
     arms.act(space, row, label)
-    assert arms.host.status.dropped.items() == {word: 1}
+    assert dict(arms.host.status.dropped) == {word: 1}
     assert told in arms.status["error"]
     check_rest(arms)
     assert arms.status["hold_code"] == "no_action"
@@ -219,7 +221,7 @@ def test_rows_of_another_space_go_on_from_where_the_arms_are(arms: Arms) -> None
     arms.act(POSITIONS, np.concatenate([left, [1.0], right, [1.0]]))
     arms.go(PERIOD_S)
     assert np.abs(arms.position[places] - np.concatenate([left, right])).max() < 0.05
-    assert arms.host.status.dropped.items() == {}
+    assert dict(arms.host.status.dropped) == {}
 
 
 def _without(arm: str) -> Any:
@@ -256,7 +258,7 @@ def test_joint_states_of_one_arm_with_a_fault_stop_both(arms: Arms, arm: str, fa
     assert arms.sent == sent, "no arm is commanded, though the policy goes on"
     assert np.abs(arms.position - before).max() <= SPEED_RAD_S * 0.02
     assert arms.status["hold_code"] == "stale_joint_state"
-    assert arms.host.status.dropped.items()["bad_joint_state"] > 0
+    assert arms.host.status.dropped["bad_joint_state"] > 0
     arms.fault = lambda joints: joints
     arms.go(0.2)
     assert arms.sent == sent + 1, "both are held where they are measured"

@@ -232,7 +232,7 @@ def test_it_moves_the_arm_as_lerobot_would_and_stands_when_its_process_is_killed
     after_s = cell.seen.rest_after_s(killed_s)
     print(f"at rest {after_s:.2f} s after the policy's interpreter was killed")
     assert after_s < HOLD_S
-    assert cell.supervisor.view("inference").exit is not None
+    assert cell.supervisor.view("inference").phase == "exited"
 
 
 @pytest.mark.parametrize(("policy", "rows"), [("smolvla", 8), ("diffusion", 1)])

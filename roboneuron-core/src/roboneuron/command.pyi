@@ -74,7 +74,6 @@ from .modules.settings import (
 )
 from .planning import (
     check_configuration as check_configuration,
-    find_controller as find_controller,
 )
 from .plugins.discovery import (
     discover as discover,

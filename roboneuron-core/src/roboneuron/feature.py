@@ -20,7 +20,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "joint_space": "JointLimit",
         "launching": "Connection",
         "loading": "load_options_model",
-        "log_files": "PlainFormatter opener",
+        "log_files": "PlainFormatter escaped opener",
         "messages": "joints_from_message to_joint_trajectory",
         "models": "LimitsConfig Name Namespace Seconds",
         "reading": "parse_tables robot_folder",

@@ -9,6 +9,9 @@ from collections.abc import Mapping
 from .config import (
     models as models,
 )
+from .contract.space import (
+    split_label as split_label,
+)
 from .gate.motion import (
     task_space as task_space,
 )
@@ -25,14 +28,14 @@ from .ros import (
 )
 
 # Single names.
-from .gate.motion.command import (
+from .gate.motion import (
     LimitedCommand as LimitedCommand,
-)
-from .modules.control import (
-    ControlModule as ControlModule,
 )
 from .modules.handover import (
     Handover as Handover,
+)
+from .modules.holding import (
+    HoldingModule as HoldingModule,
 )
 from .modules.module_host import (
     Module as Module,

@@ -1,7 +1,7 @@
 """Does a configured module fit? Answered from descriptors alone, in one sentence, before anything
 is started or anything heavy imported.
 
-Core plans the modules that move the arm; the features that bring the others plan those.
+Core plans the module of the robot; the features that bring the others plan those.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from roboneuron.errors import (
 from roboneuron.plugins.availability import explain, missing
 from roboneuron.plugins.loading import load_attribute, load_options
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import ControllerSpec, DriverSpec, FeatureSpec, RobotSpec, Spec
+from roboneuron.plugins.specs import DriverSpec, FeatureSpec, RobotSpec, Spec
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -125,12 +125,11 @@ class KindEntry:
             PlanningError: the parts do not fit; the message says which two and what would.
         """
         self.configured(config, registry)
-        make = _PLANS.get(self.kind)
-        if make is None:
-            spec = registry.get(FeatureSpec, self.kind)  # it is called as the kind
-            named = load_attribute(spec.module_plan or "", f"`module_plan` of {spec.name!r}")
-            make = cast("Callable[[Config, Registry], Plan]", named)
-        return make(config, registry)
+        if self.kind == "robot":
+            return _plan_robot(config, registry)
+        spec = registry.get(FeatureSpec, self.kind)  # it is called as the kind
+        named = load_attribute(spec.module_plan or "", f"`module_plan` of {spec.name!r}")
+        return cast("Callable[[Config, Registry], Plan]", named)(config, registry)
 
     def check(self, config: Config, registry: Registry) -> Plan:
         """What is configured, as it can be started.
@@ -182,7 +181,7 @@ KIND_ENTRIES: Mapping[ModuleKind, KindEntry] = {entry.kind: entry for entry in _
 
 
 def find_robot(
-    registry: Registry, name: str, driver: str, *, is_elsewhere: bool
+    registry: Registry, name: str, driver: str, *, is_elsewhere: bool = False
 ) -> tuple[RobotSpec, DriverSpec]:
     """A robot and its driver.
 
@@ -209,54 +208,12 @@ def find_robot(
     return robot, found
 
 
-def find_controller(
-    registry: Registry, name: str, robot: RobotSpec, *, is_elsewhere: bool = False
-) -> ControllerSpec:
-    """The controller of that name.
-
-    Raises:
-        ConfigurationError: it is not installed or cannot be used.
-        PlanningError: it does not move robots of that kind.
-    """
-    controller = registry.get(ControllerSpec, name, elsewhere=is_elsewhere)
-    if robot.robot_kind not in controller.robot_kinds:
-        kinds = ", ".join(controller.robot_kinds) or "none"
-        raise PlanningError(
-            f"Controller {name!r} moves robots of kind {kinds}, but {robot.name!r} is of kind "
-            f"{robot.robot_kind!r}."
-        )
-    return controller
-
-
-def _configured_robot(config: Config, registry: Registry) -> tuple[RobotSpec, DriverSpec]:
-    """The robot of `[robot]`. Raises as `find_robot`."""
+def _plan_robot(config: Config, registry: Registry) -> Plan:
     section = config.robot
     is_elsewhere = section.python is not None
-    return find_robot(registry, section.name, section.driver, is_elsewhere=is_elsewhere)
-
-
-def _plan_robot(config: Config, registry: Registry) -> Plan:
-    robot, driver = _configured_robot(config, registry)
+    robot, driver = find_robot(registry, section.name, section.driver, is_elsewhere=is_elsewhere)
     names = {"robot": robot.name, "driver": driver.name}
     return Plan(config=config, robot=robot, driver=driver, spec=driver, names=names)
-
-
-def _plan_control(config: Config, registry: Registry) -> Plan:
-    section = config.control
-    assert section is not None
-    robot, driver = _configured_robot(config, registry)
-    is_elsewhere = section.python is not None
-    spec = find_controller(registry, section.controller, robot, is_elsewhere=is_elsewhere)
-    names = {"controller": spec.name}
-    return Plan(
-        config=config, robot=robot, driver=driver, spec=spec, names=names, inputs=("robot",)
-    )
-
-
-_PLANS: Mapping[ModuleKind, Callable[[Config, Registry], Plan]] = {
-    "robot": _plan_robot,
-    "control": _plan_control,
-}
 
 
 def _check_options(

@@ -89,9 +89,9 @@ class World:
         shadow: bool = False,
     ) -> Any:
         """Build a module's node; the caller triggers its transitions."""
+        from rn_standard.control.module import ControlModule
         from rn_standard.inference.module import InferenceModule
         from rn_standard.perception.module import PerceptionModule
-        from roboneuron.modules.control import ControlModule
         from roboneuron.modules.module import ModuleNode
         from roboneuron.modules.robot import RobotModule
 
@@ -235,7 +235,7 @@ class Host:
         self.needs_start = reason
 
     def drops(self) -> dict[str, int]:
-        return self.status.dropped.items()
+        return dict(self.status.dropped)
 
     def values(self) -> dict[str, str]:
         return status(self)
@@ -265,7 +265,8 @@ def make_host(
 
     The clock of modules is that of the host.
     """
-    from roboneuron.modules import control, module_host, robot
+    from rn_standard.control import module as control
+    from roboneuron.modules import holding, module_host, robot
     from roboneuron.plugins.discovery import discover_from
 
     monkeypatch.syspath_prepend(str(loop_site))
@@ -276,7 +277,7 @@ def make_host(
     ]
     monkeypatch.setattr(module_host, "discover", lambda disabled: discover_from(points, disabled))
     clock = Clock()
-    for one in (control, robot):
+    for one in (control, holding, robot):
         monkeypatch.setattr(one, "time", clock)
     made: list[Host] = []
 

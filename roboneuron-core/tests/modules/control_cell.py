@@ -13,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from rn_standard.control.module import ControlModule
 from rn_standard.tools_arm.limits_in_control import join
 from roboneuron.contract import (
     Action,
@@ -20,7 +21,6 @@ from roboneuron.contract import (
     JointCommand,
     JointSample,
 )
-from roboneuron.modules.control import ControlModule
 from roboneuron.ros.messages import to_action_message, to_joint_state
 
 SILENT = "the server gave no sign of life"

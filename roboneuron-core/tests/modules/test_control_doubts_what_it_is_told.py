@@ -15,9 +15,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from rn_standard.control import module as control_module
 from rn_testing.waiting import holds_within
 from roboneuron.contract import JointSample
-from roboneuron.modules import control as control_module
+from roboneuron.modules import holding
 from roboneuron.modules.settings import SERVER_SILENT
 from roboneuron.ros.messages import to_action_message, to_joint_state
 
@@ -178,8 +179,8 @@ def test_stamps_of_a_robot_whose_clock_jumps_stop_the_arm_for_one_timeout_only(
 
 def test_server_that_is_frozen_stops_the_arm_until_it_asks_for_motion_again(cell: Cell) -> None:
     """Without a server nobody beats, and nothing is asked for."""
-    limits = cell.control.module._limits
-    cell.control.module._limits = limits.model_copy(update={"server_timeout_s": 0.3})
+    limits = cell.control.module.section
+    cell.control.module.section = limits.model_copy(update={"server_timeout_s": 0.3})
     policy = cell.world.node.create_timer(0.03, cell.act)
     assert holds_within(lambda: len(cell.commands) > 20)
     for _ in range(2):
@@ -262,7 +263,8 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
         def time_ns(cls) -> int:
             return time.time_ns() + cls.shift_ns
 
-    monkeypatch.setattr(control_module, "time", Shifted)
+    for module in (control_module, holding):
+        monkeypatch.setattr(module, "time", Shifted)
     return lambda seconds: setattr(Shifted, "shift_ns", int(seconds * 1e9))
 
 
@@ -295,7 +297,7 @@ def test_clock_set_back_on_the_whole_machine_does_not_forbid_newer_actions(cell:
     """An action was taken an hour ahead of the present time; later ones carry smaller time
     stamps.
     """
-    cell.control.module._action_ns = time.time_ns() + 3_600_000_000_000
+    cell.control.module.action_ns = time.time_ns() + 3_600_000_000_000
     cell.act()
     assert holds_within(lambda: len(cell.commands) == 1)
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from control_cell import ARM, START, STOPS, TIMEOUT_S, Cell, MakeHost, duration_s
 
+from rn_standard.control.module import ControlModule
 from roboneuron.config.models import FIRST_STEP_S
 from roboneuron.contract import EE_DELTA, Channel, ControlSpace, JointLimits
 from roboneuron.errors import ConfigurationError
-from roboneuron.modules.control import ControlModule
 from roboneuron.ros.messages import to_action_message
 
 PERIOD_S = 0.05

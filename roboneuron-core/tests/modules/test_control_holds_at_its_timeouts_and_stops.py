@@ -77,7 +77,7 @@ def test_a_command_that_came_too_late_is_no_setpoint(cell: Cell) -> None:
     cell.takes_s = 0.26
     cell.act(0.01)
     cell.takes_s = 0.0
-    assert cell.control._limiter._sent is None, "its joints are not known any more"
+    assert cell.control.limiter._sent is None, "its joints are not known any more"
 
 
 def test_a_controller_that_takes_its_time_is_in_time(cell: Cell) -> None:
@@ -102,11 +102,11 @@ def test_a_refused_action_leaves_the_one_before(make_host: MakeHost) -> None:
     """It comes to its end, and is then held by the watchdog."""
     cell = Cell(make_host, extra='[limits]\nvelocity_fraction = 0.5\non_velocity = "refuse"\n')
     cell.act(0.01)
-    acted_s = cell.control._action_s
+    acted_s = cell.control.action_s
     cell.go(0.1)
     cell.act(0.09)
     assert len(cell.commands) == 1
-    assert cell.control._action_s == acted_s
+    assert cell.control.action_s == acted_s
     assert cell.drops() == {"limit_velocity": 1}
     cell.go(0.13)
     cell.watch()
@@ -158,7 +158,7 @@ def test_after_a_hold_the_next_command_begins_at_rest_where_the_arm_is(cell: Cel
     cell.position = np.array([0.507, -0.5])
     cell.go(0.3)
     cell.watch()
-    sent = cell.control._limiter._sent
+    sent = cell.control.limiter._sent
     assert sent is not None
     assert sent.start.tolist() == [0.507, -0.5]
     assert sent.displacement.tolist() == [0.0, 0.0]
@@ -228,7 +228,7 @@ def test_nothing_is_watched_before_the_first_action(cell: Cell) -> None:
 
 def test_an_inactive_control_watches_nothing(cell: Cell) -> None:
     cell.act()
-    cell.control._active = False
+    cell.control.is_active = False
     cell.go(5.0)
     cell.watch()
     assert len(cell.commands) == 1

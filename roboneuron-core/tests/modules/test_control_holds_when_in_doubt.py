@@ -88,7 +88,7 @@ def test_actions_that_stop_are_followed_by_one_hold_at_the_measured_joints(cell:
 
 def test_joint_states_that_stop_forbid_acting(cell: Cell) -> None:
     cell.timer.cancel()
-    assert holds_within(lambda: cell.control.module._why_not(0.0, 0) == "stale_joint_state")
+    assert holds_within(lambda: cell.control.module.why_not(0.0, 0) == "stale_joint_state")
     cell.actions.publish(to_action_message(FORWARD))
     assert holds_within(lambda: cell.dropped("stale_joint_state") == 1)
     assert not cell.commands
@@ -125,14 +125,14 @@ def test_refused_action_ends_a_motion_at_once(cell: Cell) -> None:
 
 def test_late_action_is_dropped(cell: Cell) -> None:
     module = cell.control.module
-    assert module._why_not(0.29, 1) is None
-    assert module._why_not(0.31, 1) == "stale_action"
+    assert module.why_not(0.29, 1) is None
+    assert module.why_not(0.31, 1) == "stale_action"
 
 
 def test_reordered_action_is_dropped(cell: Cell) -> None:
     cell.actions.publish(to_action_message(FORWARD))
     assert holds_within(lambda: len(cell.commands) == 1)
-    assert cell.control.module._why_not(0.0, 1) == "reordered_action"
+    assert cell.control.module.why_not(0.0, 1) == "reordered_action"
 
 
 @pytest.mark.parametrize(
@@ -145,7 +145,7 @@ def test_reordered_action_is_dropped(cell: Cell) -> None:
 )
 def test_damaged_joint_states_count_as_none(cell: Cell, damage: Callable[[Cell], None]) -> None:
     damage(cell)
-    assert holds_within(lambda: cell.control.module._why_not(0.0, 0) == "stale_joint_state")
+    assert holds_within(lambda: cell.control.module.why_not(0.0, 0) == "stale_joint_state")
     assert cell.value("error_code") in ("unsafe", "invalid_input")
     cell.actions.publish(to_action_message(FORWARD))
     assert holds_within(lambda: cell.dropped("stale_joint_state") == 1)

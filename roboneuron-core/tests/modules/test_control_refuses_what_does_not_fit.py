@@ -16,6 +16,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from rn_standard.control.module import ControlModule
 from rn_standard.tools_arm.limits_in_control import join
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
@@ -26,7 +27,6 @@ from roboneuron.contract import (
 )
 from roboneuron.errors import ConfigurationError
 from roboneuron.gate.motion import LimitedCommand
-from roboneuron.modules.control import ControlModule
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_parts_that_do_not_fit_are_refused(
 
 def test_a_driver_that_needs_other_modules_runs_elsewhere(make_host: MakeHost) -> None:
     host = make_host("control", replace={'name = "pair"': 'name = "pair"\ndriver = "elsewhere"'})
-    assert ControlModule(host)._profile.name == "pair"
+    assert ControlModule(host).profile.name == "pair"
 
 
 def test_it_listens_and_publishes_under_the_names_of_the_contract(cell: Cell) -> None:
@@ -79,7 +79,7 @@ def test_commands_may_be_joint_states(make_host: MakeHost) -> None:
     cell = Cell(
         make_host, replace={'controller = "adder"': 'controller = "adder"\ncommand = "joint_state"'}
     )
-    assert cell.control._limiter._immediate
+    assert cell.control.limiter._immediate
     cell.act(0.001)
     publisher = cell.host.publishers["joint_command"]
     assert publisher.message_type is JointState
@@ -268,7 +268,7 @@ def test_limits_that_are_damaged_wider_or_unfit_are_refused(
 
 def test_a_command_that_the_limits_reject_is_counted_for_the_last_of_them(cell: Cell) -> None:
     rejected = LimitedCommand(command=None, acted=("speed", "zone"), reason="a vase", share=0.0)
-    cell.control._limiter.limit = lambda *_: rejected  # type: ignore[method-assign]
+    cell.control.limiter.limit = lambda *_: rejected  # type: ignore[method-assign]
     cell.act()
     assert cell.drops() == {"limit_zone": 1}
     assert cell.commands == []

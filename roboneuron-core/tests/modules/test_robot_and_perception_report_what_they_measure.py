@@ -321,7 +321,7 @@ def test_deactivation_holds(world: Any, robot: Any) -> None:
 def test_unknown_robot_or_driver_names_the_choices(world: Any) -> None:
     for old, new, says in (
         ('name = "pair"', 'name = "pear"', "pair"),
-        ('name = "pair"', 'name = "pair"\ndriver = "hardware"', "'simulated'"),
+        ('name = "pair"', 'name = "pair"\ndriver = "hardware"', "choose one of: simulated"),
     ):
         node = world.module("robot", replace={old: new})
         assert world.run(node.trigger_configure) is TransitionCallbackReturn.FAILURE

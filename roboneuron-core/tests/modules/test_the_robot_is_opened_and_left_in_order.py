@@ -24,7 +24,7 @@ def cell(make_host: MakeHost) -> Cell:
     ("new", "match"),
     [
         ('name = "triple"', "triple"),
-        ('name = "pair"\ndriver = "none"', "no driver 'none'; its drivers are 'simulated'"),
+        ('name = "pair"\ndriver = "none"', "no driver 'none'; choose one of: simulated"),
     ],
 )
 def test_a_robot_or_driver_that_is_not_there_is_refused(

@@ -43,7 +43,7 @@ FEATURES = tuple(
         module=TARGET,
         module_plan=f"rn_standard.{kind}.planning:plan_{kind}",
     )
-    for kind in ("perception", "inference")
+    for kind in ("perception", "inference", "control")
 )
 REGISTRY = Registry(
     plugins=(),
@@ -84,11 +84,11 @@ def test_its_plugin_needs_nothing_here(kind):
         KIND_ENTRIES[kind].check(Config.model_validate(sections), REGISTRY)
 
 
-def test_a_module_that_no_feature_brings_is_refused_before_it_is_started():
+@pytest.mark.parametrize("kind", ["perception", "inference", "control"])
+def test_a_module_that_no_feature_brings_is_refused_before_it_is_started(kind):
     offers = tuple(offer for offer in REGISTRY.all_offers if offer.spec not in FEATURES)
     registry = Registry(plugins=(), all_offers=offers)
     sections = {name: {**section, "python": "/x"} for name, section in SECTIONS.items()}
     with pytest.raises(ConfigurationError, match="the package rn-standard brings it"):
-        KIND_ENTRIES["inference"].check(Config.model_validate(sections), registry)
-    plan = KIND_ENTRIES["control"].check(Config.model_validate(sections), registry)
-    assert plan.plugin == "ik"
+        KIND_ENTRIES[kind].check(Config.model_validate(sections), registry)
+    assert KIND_ENTRIES["robot"].check(Config.model_validate(sections), registry).plugin == "fr3"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,7 @@ class Module:
         self.pid, self.name = pid, f"module-{pid}"
         self.deactivates_s, self.leaves_s = 0.0, 0.0
         self.exit_code: int | None = None
+        self.ended_at = datetime.now(UTC)
         self.refusal: Exception | None = None
         self.is_slow_to_die = False
         self._world = world

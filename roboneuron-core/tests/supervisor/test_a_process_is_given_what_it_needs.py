@@ -138,21 +138,6 @@ def test_listeners_are_shown_the_living_process(start: Spawn) -> None:
     assert seen == [process.pid]
 
 
-def test_a_note_stands_among_the_last_lines_and_passes_for_one_entry(
-    start: Spawn, log_path: Path
-) -> None:
-    process = start("echo up; cat >/dev/null")
-    await_line(log_path, "up")
-    process.note("killed\nERROR \x1b[2Jé")
-    assert process.last_lines() == ("up", "killed", "    ERROR \\x1b[2Jé")
-    log_path.unlink()
-    process.note("again")
-    assert log_path.stat().st_mode & 0o007 == 0
-    log_path.unlink()
-    log_path.parent.rmdir()
-    process.note("nowhere to write it")
-
-
 def read(path: Path, **options: int) -> tuple[str, ...]:
     return process_module.read_tail(path, **({"lines": 3} | options))
 

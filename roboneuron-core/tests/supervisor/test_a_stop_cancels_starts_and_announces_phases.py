@@ -158,9 +158,8 @@ def test_an_end_that_nobody_asked_for_is_told_apart(world: World) -> None:
     assert slot.phase == "running"
     assert slot.note_exit(robot)  # type: ignore[arg-type]
     assert slot.phase == "exited"
-    assert slot.exit is not None
-    assert (slot.exit.pid, slot.exit.code, slot.exit.last_lines) == (7, -11, ("a fault",))
-    assert slot.exit.at.tzinfo is not None
+    assert "(pid 7) ended by itself with signal 11 at " in slot.explain_exit()
+    assert slot.explain_exit().endswith("Last lines: a fault")
     assert not slot.note_exit(robot), "it is told once"  # type: ignore[arg-type]
 
 
@@ -169,13 +168,4 @@ def test_an_end_during_a_stop_was_asked_for(world: World) -> None:
     slot = world.supervisor.slot("robot")
     slot.begin_stop()
     assert not slot.note_exit(robot)  # type: ignore[arg-type]
-    assert (slot.phase, slot.exit) == ("stopping", None)
-
-
-def test_an_end_whose_code_is_not_known_yet_counts_as_zero(world: World) -> None:
-    robot = world.running("robot")
-    robot.last_lines = lambda: ()  # type: ignore[attr-defined]
-    slot = world.supervisor.slot("robot")
-    assert slot.note_exit(robot)  # type: ignore[arg-type]
-    assert slot.exit is not None
-    assert slot.exit.code == 0
+    assert (slot.phase, slot.explain_exit()) == ("stopping", "")

@@ -49,7 +49,7 @@ def test_a_stopped_module_was_deactivated_and_is_reaped(
     assert stopped is not None
     assert (stopped.pid, stopped.exit_code, stopped.killed) == (pid, 0, False)
     assert is_gone(pid)
-    assert "deactivated" in supervisor.log_path("robot").read_text()
+    assert "deactivated" in (supervisor.log_directory / "robot.log").read_text()
     assert supervisor.view("robot").phase == "stopped"
 
 
@@ -115,9 +115,10 @@ def test_an_unexpected_death_is_noticed_at_once_with_its_last_words(
     )
     print(f"noticed after {1e3 * (time.monotonic() - killed_s):.0f} ms")
     view = supervisor.view("robot")
-    assert view.exit is not None
-    assert (view.exit.pid, view.exit.code) == (pid, -9)
-    assert "fake robot with fault ''" in view.exit.last_lines
+    assert view.process is not None
+    assert (view.process.pid, view.process.exit_code) == (pid, -9)
+    assert view.process.ended_at > view.process.started_at
+    assert "fake robot with fault ''" in view.process.last_lines()
     with pytest.raises(StateError, match=rf"\(pid {pid}\) ended by itself with signal 9"):
         supervisor.stop("robot")
     start(supervisor, make_config())
@@ -131,9 +132,9 @@ def test_a_death_right_after_the_proof_is_noticed(
     wait_until(
         lambda: supervisor.view("robot").phase == "exited", 3.0, "the death is in the status"
     )
-    exited = supervisor.view("robot").exit
+    exited = supervisor.view("robot").process
     assert exited is not None
-    assert exited.code == 13
+    assert exited.exit_code == 13
 
 
 def test_everything_is_stopped_in_reverse_order_and_no_thread_remains(

@@ -121,4 +121,4 @@ def test_an_answer_to_an_old_image_is_refused_and_counted(cell: Cell) -> None:
     with pytest.raises(NotReadyError, match="max_image_age_s"):
         cell.answer(age_s=1.5)
     assert cell.sent == []
-    assert cell.status.dropped.items() == {"late_action": 1}
+    assert dict(cell.status.dropped) == {"late_action": 1}

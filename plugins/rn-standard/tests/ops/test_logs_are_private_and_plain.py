@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from rn_standard.ops.incidents import Incidents
+from rn_standard.ops.memory import note
 from rn_standard.ops.records import parse_entries
 from rn_standard.ops.server_log import ServerLog
 from roboneuron.gate.audit import AuditLog, AuditRecord
@@ -44,7 +45,7 @@ def test_files_are_640_and_directories_750(tmp_path: Path) -> None:
     )
     process.reap(lambda _: None)
     assert process.wait(20)
-    process.note("said")
+    note(process, "said")
     incident = Incidents(state / "incidents").record("robot", "silent", {})
     assert incident is not None
     audit = AuditLog(state / "audit.jsonl", lambda: 1)
@@ -56,6 +57,22 @@ def test_files_are_640_and_directories_750(tmp_path: Path) -> None:
     assert {
         mode(path) for path in (state, state / "log", log.path.parent, state / "incidents")
     } == {0o750}
+
+
+def test_a_note_stands_among_the_last_lines_and_passes_for_one_entry(tmp_path: Path) -> None:
+    path = tmp_path / "log" / "m.log"
+    path.parent.mkdir()
+    process = spawn("m", ["echo", "up"], dict(os.environ), "", path, ProcessEvents())
+    process.reap(lambda _: None)
+    assert process.wait(20)
+    note(process, "killed\nERROR \x1b[2Jé")
+    assert process.last_lines() == ("up", "killed", "    ERROR \\x1b[2Jé")
+    path.unlink()
+    note(process, "again")
+    assert path.stat().st_mode & 0o007 == 0
+    path.unlink()
+    path.parent.rmdir()
+    note(process, "nowhere to write it")
 
 
 @pytest.mark.parametrize(

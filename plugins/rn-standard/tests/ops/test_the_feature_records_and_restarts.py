@@ -53,7 +53,7 @@ def test_the_tools_and_the_logs_of_modules_and_server_are_offered(application: A
     path = application.supervisor.log_directory / "server.log"
     path.parent.mkdir(parents=True)
     path.write_text("first\nsecond\n")
-    application.supervisor.log_path("robot").write_text("third\n")
+    (application.supervisor.log_directory / "robot.log").write_text("third\n")
 
     async def look() -> None:
         async with Client(application.server) as client:

@@ -253,5 +253,5 @@ def test_an_audit_that_cannot_be_written_is_counted_and_told(
 
     bench.reports._audit.write = write  # type: ignore[method-assign, assignment]
     bench.judge(scaled(), 10.0)
-    assert bench.status.dropped.items() == {"unrecorded": 1}
+    assert dict(bench.status.dropped) == {"unrecorded": 1}
     assert "The disk is full." in caplog.text

@@ -6,13 +6,8 @@ and the successor after it are questions to it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
-
 from roboneuron.contract import Hold, JointCommand, Pose
 from roboneuron.modules.status import StatusWriter
-
-Output = TypeVar("Output", Pose, JointCommand)
 
 
 class Handover:
@@ -49,23 +44,6 @@ class Handover:
     def must_fall_silent(self, now_ns: int) -> bool:
         """Whether the successor replaces what is left of a chunk."""
         return False
-
-    def send(
-        self, what: str, stamp_ns: int, output: Output, publish: Callable[[Output], None]
-    ) -> None:
-        """Publish an output of this module, unless its input is another one's.
-
-        Args:
-            what: name of the output, see `note_sent`.
-            stamp_ns: of the input that the output answers [ROS time, ns].
-            output: withheld in shadow, dropped when the successor answers.
-            publish: puts it on its topic.
-        """
-        if self.is_shadow(stamp_ns):
-            self.withhold(output)
-        elif not self.is_over(stamp_ns):
-            publish(output)
-            self.note_sent(what)
 
     def withhold(self, output: JointCommand | Hold | Pose) -> None:
         """What the module would have sent for an input of the predecessor."""

@@ -324,7 +324,7 @@ def run(line: str) -> None:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         signals = Signals()
         signals.listen()
-        node = ModuleNode(settings, _load_kind(settings))
+        node = ModuleNode(settings, _make)
         node.watch_parent(signals.leave)
         try:
             _spin(node, signals)
@@ -334,18 +334,11 @@ def run(line: str) -> None:
             rclpy.try_shutdown()
 
 
-def _load_kind(settings: ModuleSettings) -> Callable[[ModuleNode], Module]:
-    """The class of the module, imported now; when it cannot be, `configure` fails and says why."""
-    try:
-        target = module_class(settings.kind, discover(settings.config.disabled_plugins))
-        return cast("type[Module]", load_attribute(target, "class of the module"))
-    except RoboNeuronError as error:
-        failure = error
-
-    def fail(node: ModuleNode) -> Module:
-        raise failure
-
-    return fail
+def _make(node: ModuleNode) -> Module:
+    """The module that the settings describe, from the feature that brings its kind."""
+    settings = node.settings
+    target = module_class(settings.kind, discover(settings.config.disabled_plugins))
+    return cast("type[Module]", load_attribute(target, "class of the module"))(node)
 
 
 def _spin(node: ModuleNode, signals: Signals) -> None:

@@ -12,11 +12,8 @@ from roboneuron.plugins.loading import load_options, load_target
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import DriverSpec, FeatureSpec, Spec
 
-_CLASSES: Mapping[ModuleKind, str] = {
-    "robot": "roboneuron.modules.robot:RobotModule",
-    "control": "roboneuron.modules.control:ControlModule",
-}
-"""Modules that move the arm; the features that are called as them bring the others."""
+_ROBOT = "roboneuron.modules.robot:RobotModule"
+"""The module that moves the arm; features that are called as the others bring these."""
 
 
 def module_class(kind: ModuleKind, registry: Registry) -> str:
@@ -25,7 +22,7 @@ def module_class(kind: ModuleKind, registry: Registry) -> str:
     Raises:
         ConfigurationError: no installed feature brings such modules.
     """
-    return _CLASSES.get(kind) or registry.get(FeatureSpec, kind).module or ""
+    return _ROBOT if kind == "robot" else registry.get(FeatureSpec, kind).module or ""
 
 
 def build(

@@ -165,7 +165,7 @@ class RequestGuard:
 
     def _report(self, request: Any, service: str) -> None:
         """Count a refusal; say at most once a second in words what was asked for and by whom."""
-        self._status.dropped.add(FOREIGN_REQUEST)
+        self._status.drop(FOREIGN_REQUEST)
         now_s = time.monotonic()
         if now_s - self._logged_s < _LOG_PERIOD_S:
             return

@@ -14,7 +14,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import JointCommand, RobotDriver, RobotState
-from roboneuron.errors import ConfigurationError, InvalidInputError, NotReadyError, RoboNeuronError
+from roboneuron.errors import InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.plugin import build, load_profile
 from roboneuron.modules.settings import (
@@ -23,7 +23,7 @@ from roboneuron.modules.settings import (
     NEEDS_NEW_START,
 )
 from roboneuron.modules.worker import LIMIT_S, Worker
-from roboneuron.plugins.specs import RobotSpec
+from roboneuron.planning import find_robot
 from roboneuron.ros.host import NodeTopics
 from roboneuron.ros.messages import commands_from_message, to_joint_state
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
@@ -77,18 +77,12 @@ class RobotModule(Module):
         self._command_s = 0.0
         self.on_sent: list[Callable[[JointCommand], None]] = []
         self.on_state: list[Callable[[RobotState | None], None]] = []
-        robot = self.registry.get(RobotSpec, self.config.robot.name)
-        spec = robot.driver(self.config.robot.driver)
-        if spec is None:
-            names = ", ".join(repr(driver.name) for driver in robot.drivers)
-            raise ConfigurationError(
-                f"Robot {robot.name!r} has no driver {self.config.robot.driver!r}; its drivers "
-                f"are {names}."
-            )
-        self.profile = load_profile(self.registry, robot.name)
+        section = self.config.robot
+        _, spec = find_robot(self.registry, section.name, section.driver)
+        self.profile = load_profile(self.registry, section.name)
         self._topics = NodeTopics(node, accepts=lambda: self._active and not self._must_hold())
         node.resources.callback(self._topics.close)
-        options = self.config.options(robot.name)
+        options = self.config.options(section.name)
         self.driver = cast("RobotDriver", build(spec, options, self.profile, self._topics))
         node.resources.callback(self.driver.close)
         self.driver.open()
@@ -147,7 +141,7 @@ class RobotModule(Module):
             return
         self._is_server_silent = is_silent
         if is_silent and self._active:
-            self.status.dropped.add("server_silent")
+            self.status.drop("server_silent")
             self.status.set(note=f"holding: no sign of life of the server for {bound_s:g} s")
             self._drop_and_hold()
 
@@ -174,7 +168,7 @@ class RobotModule(Module):
         try:
             commands = commands_from_message(message)
         except InvalidInputError as error:
-            self.status.dropped.add("malformed_command")
+            self.status.drop("malformed_command")
             self.status.set_error(error)
             return
         with self._arrived:
@@ -190,13 +184,13 @@ class RobotModule(Module):
         if not self._active:
             return False
         if reason := self._must_hold():
-            self.status.dropped.add(reason)
+            self.status.drop(reason)
             return False
         age_s = (time.time_ns() - int(info["source_timestamp"])) / 1e9
         if age_s > self.config.robot.command_timeout_s or age_s < -FUTURE_S:
-            self.status.dropped.add("stale_command" if age_s > 0 else "future_command")
+            self.status.drop("stale_command" if age_s > 0 else "future_command")
             return False
-        self.status.latency.add(age_s * 1e3)
+        self.status.latency.append(age_s * 1e3)
         return True
 
     def _play(self, stop: threading.Event) -> None:
@@ -229,14 +223,14 @@ class RobotModule(Module):
             if is_late:
                 self._pending = []
         if is_late:
-            self.status.dropped.add("stale_command")
+            self.status.drop("stale_command")
             self.driver.hold()
             return
         # what the driver says it has sent counts from here on: it may have shortened the command
         try:
             sent = self.driver.send(command)
         except RoboNeuronError as error:
-            self.status.dropped.add("refused_command")
+            self.status.drop("refused_command")
             self.status.set_error(error)
             return
         if self._must_hold():  # since it was taken: the hold of that came before the command

@@ -66,42 +66,6 @@ class RateMeter:
         return rate_hz, now_s - times[-1]
 
 
-class Samples:
-    """The last 256 values of something measured in milliseconds; any thread adds one."""
-
-    def __init__(self) -> None:
-        self._values: deque[float] = deque(maxlen=_SAMPLES)
-        self.add = self._values.append
-
-    def median_and_p99(self) -> tuple[float | None, float | None]:
-        """Median and 99th percentile [ms], None without values."""
-        # a copy, because any thread may append meanwhile
-        values = self._values.copy()
-        if not values:
-            return None, None
-        median, p99 = np.percentile(values, [50, 99])
-        return float(median), float(p99)
-
-
-class Counts:
-    """Named counters that never go down ("stale", "non_finite" ...)."""
-
-    def __init__(self) -> None:
-        # with a lock, because `+= 1` is a reading and a writing
-        self._counts: Counter[str] = Counter()
-        self._lock = threading.Lock()
-
-    def add(self, name: str) -> None:
-        """Count one event of that name."""
-        with self._lock:
-            self._counts[name] += 1
-
-    def items(self) -> dict[str, int]:
-        """A copy of all counters."""
-        with self._lock:
-            return dict(self._counts)
-
-
 class StatusWriter:
     """Everything a module reports; every method may be called from any thread.
 
@@ -111,8 +75,8 @@ class StatusWriter:
     Attributes:
         name: of the DiagnosticStatus, "<namespace>/<node name>".
         output: counts what the module publishes.
-        latency: from an input's stamp to its output [ms].
-        dropped: inputs that were not acted on, by a word for the reason.
+        latency: from an input's stamp to its output [ms], of the last 256; any thread appends.
+        dropped: inputs that were not acted on, by a word for the reason; see `drop`.
         changed: set to have the report published now.
     """
 
@@ -122,12 +86,12 @@ class StatusWriter:
         """
         self.name = name
         self.output = RateMeter()
-        self.latency = Samples()
-        self.dropped = Counts()
+        self.latency: deque[float] = deque(maxlen=_SAMPLES)
         self.changed = threading.Event()
         self._started_s = self._loop_s = time.monotonic()
         # guards the dictionaries below; a leaf: nothing is called while it is held
         self._lock = threading.Lock()
+        self.dropped: Counter[str] = Counter()
         self._fields: dict[str, str | float | bool] = {
             "state": "unconfigured",
             "error_code": "",
@@ -138,6 +102,16 @@ class StatusWriter:
         self._detail: dict[str, str] = {}
         self._metrics: dict[str, str] = {}
         self._work: dict[str, tuple[float, float]] = {}
+
+    def drop(self, reason: str) -> None:
+        """Count an input that was not acted on.
+
+        Args:
+            reason: a word, such as "stale_action".
+        """
+        # with a lock, because `+= 1` is a reading and a writing
+        with self._lock:
+            self.dropped[reason] += 1
 
     def set_state(self, state: str) -> None:
         """Report the label of the lifecycle state.
@@ -247,24 +221,29 @@ class StatusWriter:
         one instant.
         """
         now_s = time.monotonic()
-        dropped = self.dropped.items()
-        latency_ms, latency_p99_ms = self.latency.median_and_p99()
+        # a copy, because any thread may append meanwhile
+        latencies = self.latency.copy()
+        median_ms, p99_ms = np.percentile(latencies, [50, 99]) if latencies else (None, None)
         rate_hz, age_s = self.output.rate_and_age()
         measured: dict[str, object] = {
             "error_count": self._errors,
             "uptime_s": round(now_s - self._started_s, 1),
             "loop_age_s": round(now_s - self._loop_s, 3),
             "rate_hz": round(rate_hz, 2),
-            "latency_ms": latency_ms,
-            "latency_p99_ms": latency_p99_ms,
+            "latency_ms": median_ms,
+            "latency_p99_ms": p99_ms,
             "age_ms": None if age_s is None else round(age_s * 1e3, 1),
             "published": self.output.total,
-            "dropped": sum(dropped.values()),
-            "dropped_by": dropped,
         }
         with self._lock:
             work = list(self._work.values())
-            told = {**self._fields, "detail": dict(self._detail), "metrics": dict(self._metrics)}
+            told = {
+                **self._fields,
+                "dropped": self.dropped.total(),
+                "dropped_by": dict(self.dropped),
+                "detail": dict(self._detail),
+                "metrics": dict(self._metrics),
+            }
         if work:
             # the thread that has used the largest share of its own limit
             at_s, limit_s = max(work, key=lambda tick: (now_s - tick[0]) / tick[1])

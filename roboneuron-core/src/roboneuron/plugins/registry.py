@@ -173,7 +173,8 @@ class Registry:
                 hint=_choices(kind, ready),
             )
         package = package_of(kind, name)
-        if package is not None and not self.not_loaded(package):
+        silent = package is not None and self.not_loaded(package)
+        if package is not None and not silent:
             raise ConfigurationError(
                 f"There is no {kind} {name!r} installed; the package {package.partition('[')[0]} "
                 "brings it.",
@@ -181,7 +182,7 @@ class Registry:
                 f"{_choices(kind, ready)}{self._explain_absent_plugins()}",
             )
         raise ConfigurationError(
-            f"There is no {kind} {name!r}. {nearest(name, ready)}".rstrip(),
+            f"There is no {kind} {name!r}. {'' if silent else nearest(name, ready)}".rstrip(),
             hint=f"{_choices(kind, ready)}{self._explain_absent_plugins()}",
         )
 

@@ -15,7 +15,7 @@ from roboneuron.modules.report import Report
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.supervisor.changes import Changes, Periodic
 from roboneuron.supervisor.process import ModuleProcess, ProcessEvents
-from roboneuron.supervisor.slot import Exit, Phase, Selection, Slot
+from roboneuron.supervisor.slot import Phase, Selection, Slot
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -72,10 +72,9 @@ class ModuleView:
 
     Attributes:
         kind, phase: which one, and what the supervisor is doing with it.
-        process: None when there is none.
+        process: None when there is none; of a module that has ended by itself, the ended one.
         choice: what it was started with.
         report: its newest status, None before the first.
-        exit: how it ended by itself.
     """
 
     kind: ModuleKind
@@ -83,7 +82,6 @@ class ModuleView:
     process: ModuleProcess | None = None
     choice: Selection | None = None
     report: Report | None = None
-    exit: Exit | None = None
 
     def health(self, now_s: float) -> Health:
         """How the module is; of several faults the one that explains the others.
@@ -131,6 +129,7 @@ class Modules:
     """The modules of one server and their processes, as features may read them and be told of them.
 
     Args:
+        log_directory: where this server's modules log, one file for each.
         on_change: called from any thread, with the kind, when a module started, stopped or ended by
             itself.
 
@@ -138,17 +137,16 @@ class Modules:
         changes: told of all that happens to modules; its lock guards `slots`.
         slots: by kind, the one of the module that works first; others are about to replace it, or
             were replaced.
-        log_directory: where this server's modules log, one file for each.
+        log_directory: as given.
         process_events: what happens to module processes, for listeners.
         secret_variables: environment variables that modules do not get; features may add some.
     """
 
-    log_directory: Path
-    process_events: ProcessEvents
-    secret_variables: set[str]
-
-    def __init__(self, on_change: Callable[[ModuleKind], object]) -> None:
+    def __init__(self, log_directory: Path, on_change: Callable[[ModuleKind], object]) -> None:
+        self.log_directory = log_directory
         self.on_change = on_change
+        self.process_events = ProcessEvents()
+        self.secret_variables: set[str] = set()
         self.changes = Changes()
         self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}
         # process ids of all that was started, as text: that is how they come in a DiagnosticStatus
@@ -222,7 +220,6 @@ class Modules:
                 process=slot.process,
                 choice=slot.choice,
                 report=slot.report,
-                exit=slot.exit,
             )
 
     def views(self) -> list[ModuleView]:
@@ -233,16 +230,6 @@ class Modules:
         """Those of a kind: of the module that works, and of one that is to replace it."""
         with self.changes.lock:
             return [slot.process for slot in self.slots[kind] if slot.process is not None]
-
-    def log_path(self, kind: ModuleKind) -> Path:
-        """Where the present module of that kind logs; without one, where it would.
-
-        Args:
-            kind: a module that has replaced another one may log under the other of its two names.
-        """
-        choice = self.slot(kind).choice
-        name = choice.settings.node_name if choice is not None else kind
-        return self.log_directory / f"{name}.log"
 
     def require_running(self, kind: ModuleKind) -> ModuleView:
         """The view of a running module.

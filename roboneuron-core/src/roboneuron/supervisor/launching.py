@@ -55,7 +55,7 @@ class Connection:
         with self._lock:
             if self._closed:
                 raise StateError("The server is shutting down.")
-            if not self._has_begun():
+            if self._opening.ident is None:
                 self._opening.start()
 
     def link(self) -> RosLink:
@@ -78,11 +78,9 @@ class Connection:
         """Leave the graph; idempotent."""
         with self._lock:
             self._closed = True
-        if self._has_begun() and self._opened.exception(timeout=_OPEN_TIMEOUT_S) is None:
+        has_begun = self._opening.ident is not None
+        if has_begun and self._opened.exception(timeout=_OPEN_TIMEOUT_S) is None:
             self._opened.result().close()
-
-    def _has_begun(self) -> bool:
-        return self._opening.ident is not None
 
     def _open(self) -> None:
         """Import rclpy and join the graph."""

@@ -138,23 +138,6 @@ class NodeClient:
                 call.abandon()
         return made
 
-    def find(self, timeout_s: float, check: Callable[[], object] = lambda: None) -> None:
-        """Wait until its parameter service is known.
-
-        Args:
-            check: called while waiting; raises to give up.
-
-        Raises:
-            NotReadyError: it was not found in time.
-        """
-        from rcl_interfaces.srv import SetParameters  # heavy
-
-        name = self._name("set_parameters")
-        if not self._changes.wait_for(
-            lambda: self._link.is_service_ready(SetParameters, name), timeout_s, check
-        ):
-            raise NotReadyError(f"The service {name} was not found within {timeout_s:g} s.")
-
     def send(self, values: Mapping[str, str | int]) -> Call:
         """Request a change of parameters without waiting for the answer; see `finish`.
 
@@ -202,8 +185,18 @@ class NodeClient:
         timeout_s: float,
         check: Callable[[], object] = lambda: None,
     ) -> str:
-        """Find, send and finish."""
-        self.find(timeout_s, check)
+        """Wait until the service is known; then `send` and `finish`.
+
+        Raises:
+            NotReadyError: the service was not found in time, or as these.
+        """
+        from rcl_interfaces.srv import SetParameters  # heavy
+
+        name = self._name("set_parameters")
+        if not self._changes.wait_for(
+            lambda: self._link.is_service_ready(SetParameters, name), timeout_s, check
+        ):
+            raise NotReadyError(f"The service {name} was not found within {timeout_s:g} s.")
         return self.finish(self.send(values), timeout_s, check)
 
     def _name(self, service: str) -> str:

@@ -20,7 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from roboneuron.errors import NotReadyError
-from roboneuron.log_files import escaped, opener
+from roboneuron.log_files import opener
 from roboneuron.supervisor.changes import Event, Lasting
 
 log = logging.getLogger(__name__)
@@ -58,13 +58,11 @@ def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
     """
     try:
         with path.open("rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            start = max(offset, size - _TAIL_BYTES)
+            start = max(offset, file.seek(0, os.SEEK_END) - _TAIL_BYTES)
             file.seek(start)
-            text = file.read().decode("utf-8", errors="replace")
+            found = file.read().decode("utf-8", errors="replace").splitlines()
     except FileNotFoundError:
         return ()
-    found = text.splitlines()
     if start > offset and len(found) > 1:
         found = found[1:]
     return tuple(found[-lines:])
@@ -73,6 +71,9 @@ def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
 class ModuleProcess:
     """A running child and, later, how it ended. Made by `spawn`; every method may be called from
     any thread.
+
+    Attributes:
+        ended_at: when it was reaped; of a running child, when it was started.
     """
 
     def __init__(
@@ -93,7 +94,7 @@ class ModuleProcess:
         self.name = name
         self.pid = child.pid
         self.log_path = log_path
-        self.started_at = datetime.now(UTC)
+        self.started_at = self.ended_at = datetime.now(UTC)
         self._child = child
         self._log_offset = log_offset
         # held while the process is signalled, written to or reaped: after that its number and its
@@ -122,11 +123,6 @@ class ModuleProcess:
     def last_lines(self) -> tuple[str, ...]:
         """The end of what this process has written to its log."""
         return read_tail(self.log_path, lines=_LAST_LINES, offset=self._log_offset)
-
-    def note(self, line: str) -> None:
-        """Add a line to its log, so that it stands among its last ones."""
-        with suppress(OSError), open(self.log_path, "a", encoding="utf-8", opener=opener) as file:
-            file.write(f"{escaped(line)}\n")
 
     def show(self) -> None:
         """Have listeners look at it while it lives."""
@@ -200,6 +196,7 @@ class ModuleProcess:
             with self._reaping:
                 _kill_group(self.pid)
                 self._child.wait()
+            self.ended_at = datetime.now(UTC)
             if self._child.stdin is not None:
                 with suppress(OSError):
                     self._child.stdin.close()

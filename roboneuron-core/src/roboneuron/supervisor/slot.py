@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from typing import Literal, NamedTuple, Self
 
 from roboneuron.config import Config, ModuleSettings
@@ -25,23 +24,6 @@ _NEXT: Mapping[str, str] = {
     "stopping": "It is being stopped: wait for that, then start it again.",
 }
 """What to do about a module that does not run yet, or any more."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Exit:
-    """How a module ended that nobody had stopped.
-
-    Attributes:
-        pid: its process id.
-        code: exit code; negative for the signal.
-        at: when that was noticed.
-        last_lines: the end of its log.
-    """
-
-    pid: int
-    code: int
-    at: datetime
-    last_lines: tuple[str, ...]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -103,10 +85,10 @@ class Slot:
     Attributes:
         kind: of the module.
         phase: see above.
-        process, choice: what runs, and what it was started with; None when there is nothing.
+        process, choice: what runs, or has ended by itself, and what it was started with; None when
+            there is nothing.
         report: the newest that its process has made; None before the first.
         order: the higher, the later it was started.
-        exit: how it ended by itself, until the next start.
     """
 
     def __init__(self, kind: ModuleKind, changes: Changes) -> None:
@@ -120,7 +102,6 @@ class Slot:
         self.choice: Selection | None = None
         self.report: Report | None = None
         self.order = 0
-        self.exit: Exit | None = None
         self._cancelled = ""
         self._changes = changes
 
@@ -142,7 +123,7 @@ class Slot:
                     + ("." if self.kind == "robot" else f", or switch_{self.kind}."),
                 )
             self.phase, self.choice, self.order = "starting", choice, order
-            self.process = self.report = self.exit = None
+            self.process = self.report = None
             self._cancelled = ""
         self._changes.notify()
 
@@ -244,18 +225,11 @@ class Slot:
         Args:
             process: compared with what is here now: a new one may have taken its place.
         """
-        code = process.exit_code
         with self._changes.lock:
             unexpected = self.process is process and self.phase == "running"
             if unexpected:
                 # the last words of a dead process tell nothing of the present
                 self.phase, self.report = "exited", None
-                self.exit = Exit(
-                    pid=process.pid,
-                    code=code if code is not None else 0,
-                    at=datetime.now(UTC),
-                    last_lines=process.last_lines(),
-                )
         self._changes.notify()
         return unexpected
 
@@ -271,12 +245,14 @@ class Slot:
         return ", ".join(parts) or "process not spawned yet"
 
     def explain_exit(self) -> str:
-        """How it ended by itself."""
-        if self.exit is None:
+        """How it ended by itself; empty when it did not."""
+        process = self.process
+        if self.phase != "exited" or process is None:
             return ""
         return (
-            f"its process (pid {self.exit.pid}) ended by itself with {_ending(self.exit.code)} "
-            f"at {self.exit.at.astimezone():%H:%M:%S}. Last lines: {_quote(self.exit.last_lines)}"
+            f"its process (pid {process.pid}) ended by itself with "
+            f"{_ending(process.exit_code or 0)} at {process.ended_at.astimezone():%H:%M:%S}. "
+            f"Last lines: {_quote(process.last_lines())}"
         )
 
 

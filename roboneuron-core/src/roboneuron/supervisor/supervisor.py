@@ -28,7 +28,6 @@ from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import (
     KILL_S,
     ModuleProcess,
-    ProcessEvents,
     end_processes,
     spawn,
 )
@@ -81,17 +80,13 @@ class Supervisor(Modules):
         on_change: Callable[[ModuleKind], object] = lambda kind: None,
         connect: Connect = Connection,
     ) -> None:
-        super().__init__(on_change)
+        run = f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
+        super().__init__(state_directory / "log" / run, on_change)
         self.state_directory = state_directory
         self.tightened: LimitsConfig | None = None
         self.on_join: tuple[str, ...] = ()
-        self.log_directory = (
-            state_directory / "log" / f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
-        )
         self.needs_start = ""
         self.connection = connect(self.receive, self.log_directory)
-        self.process_events = ProcessEvents()
-        self.secret_variables = set()
         self._command = command
         # lives as long as the server, because PR_SET_PDEATHSIG follows the thread
         self._spawning = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
@@ -104,16 +99,8 @@ class Supervisor(Modules):
         """The ROS node of the control plane; opened on first use."""
         return self.connection.link()
 
-    def parameters(self, slot: Slot) -> NodeClient:
-        """The parameters of the module in a slot, for one request or several.
-
-        Raises:
-            StateError: its process has ended.
-        """
-        return self._client(slot, lambda: None)
-
-    def _client(self, slot: Slot, check: Callable[[], None]) -> NodeClient:
-        """What drives the node of the process in a slot.
+    def parameters(self, slot: Slot, check: Callable[[], None] = lambda: None) -> NodeClient:
+        """What drives the node of the process in a slot, and sets its parameters.
 
         Args:
             slot: of a module.
@@ -184,7 +171,7 @@ class Supervisor(Modules):
             choice = Selection(settings=settings, names=names or {}, plan=plan)
             slot.begin_start(choice, next(self._order))
         self.heartbeat.start()
-        Bringup(slot, choice, self, self._spawn, self._client, on_stage).run()
+        Bringup(slot, choice, self, self._spawn, self.parameters, on_stage).run()
         return self.view(kind)
 
     def _spawn(self, choice: Selection) -> ModuleProcess:
@@ -329,7 +316,7 @@ class Supervisor(Modules):
         slot, settings = claim.slot, claim.settings
         limit_s = min(most_s, settings.config.supervisor.stop_timeout_s / 2)
         try:
-            client = self._client(slot, lambda: slot.check_alive("being deactivated"))
+            client = self.parameters(slot, lambda: slot.check_alive("being deactivated"))
             if client.transition("deactivate", limit_s) is None:
                 log.warning(
                     "%s did not answer `deactivate` within %.1f s.", settings.node_name, limit_s

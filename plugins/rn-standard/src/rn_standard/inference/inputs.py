@@ -150,7 +150,7 @@ class NewestInputs:
         try:
             self._frames[role] = self._calibrated[role].to_frame(message)
         except InvalidInputError as error:
-            self._status.dropped.add("bad_image")
+            self._status.drop("bad_image")
             self._status.set_error(error)
 
     def on_camera_info(self, role: str, message: CameraInfo) -> None:
@@ -158,7 +158,7 @@ class NewestInputs:
         try:
             self._calibrated[role].set_info(message)
         except InvalidInputError as error:
-            self._status.dropped.add("bad_camera_info")
+            self._status.drop("bad_camera_info")
             self._status.set_error(error)
 
     def on_joint_state(self, message: JointState) -> None:
@@ -166,7 +166,7 @@ class NewestInputs:
         try:
             self._joints = messages.joints_from_message(message)
         except InvalidInputError as error:
-            self._status.dropped.add("bad_joint_state")
+            self._status.drop("bad_joint_state")
             self._status.set_error(error)
 
     def on_ee_pose(self, message: PoseStamped) -> None:
@@ -292,7 +292,7 @@ class NewestInputs:
         return "future" if stamp_ns > now_ns + int(settings.FUTURE_S * 1e9) else ""
 
     def _refuse(self, what: str, doubt: str) -> None:
-        self._status.dropped.add(f"{doubt}_{what}")
+        self._status.drop(f"{doubt}_{what}")
         self._refused = what
 
     def _is_fresh(self) -> bool:

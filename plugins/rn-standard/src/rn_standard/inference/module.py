@@ -277,7 +277,7 @@ class InferenceModule(Module):
             self._player.play_due(stop)
         self.status.set(note=chunk.note)
         if outcome != "accepted":
-            self.status.dropped.add(f"{outcome}_chunk")
+            self.status.drop(f"{outcome}_chunk")
 
     def _observe(self) -> Observation | None:
         """The newest observation, without its instruction; None when there is none to act on now.
@@ -367,7 +367,7 @@ class InferenceModule(Module):
         readiness.
         """
         age_ms = (self.node.now_ns() - oldest_ns) / 1e6
-        self.status.latency.add(age_ms)
+        self.status.latency.append(age_ms)
         self.status.set_value("image_age_ms", age_ms)
         self.status.clear_error()
         self.status.set_ready()

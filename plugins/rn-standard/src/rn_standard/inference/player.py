@@ -99,7 +99,7 @@ class RowPlayer:
         try:
             row = executor.play(time.monotonic(), now_ns)
         except NotReadyError:
-            node.status.dropped.add("late_action")
+            node.status.drop("late_action")
             raise
         if row is not None:
             node.handover.note_sent("action")

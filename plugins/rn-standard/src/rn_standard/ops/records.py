@@ -172,8 +172,16 @@ def parse_entries(lines: tuple[str, ...]) -> list[LogEntry]:
 
 
 def log_file(modules: Modules, source: Source) -> Path:
-    """Where a module, or the server itself, logs."""
-    return modules.log_directory / FILE_NAME if source == "server" else modules.log_path(source)
+    """Where a module, or the server itself, logs; without a module of that kind, where it would.
+
+    Args:
+        source: a module that has replaced another one may log under the other of its two names.
+    """
+    if source == "server":
+        return modules.log_directory / FILE_NAME
+    choice = modules.slot(source).choice
+    name = choice.settings.node_name if choice is not None else source
+    return modules.log_directory / f"{name}.log"
 
 
 def log_resource(modules: Modules, source: Source) -> Resource:

@@ -103,7 +103,7 @@ class PerceptionModule(Module):
         try:
             frame = self._source.read(_READ_TIMEOUT_S)
         except NotReadyError as error:
-            self.status.dropped.add("no_frame")
+            self.status.drop("no_frame")
             if time.monotonic() - self._newest_s > SILENCE_S:
                 self.status.set_error(error)
             return
@@ -130,7 +130,7 @@ class PerceptionModule(Module):
             self.status.output.tick()
             self.handover.note_sent(frame.camera)
         age_ms = (self._topics.now_ns() - frame.stamp_ns) / 1e6
-        self.status.latency.add(age_ms)
+        self.status.latency.append(age_ms)
         self.status.set_value(f"age_ms.{frame.camera}", age_ms)
         self.status.clear_error()
         if self._missing:

@@ -55,7 +55,7 @@ def _deliver(
     section = module.config.inference
     assert section is not None
     if age_s > section.max_image_age_s:
-        status.dropped.add("late_action")
+        status.drop("late_action")
         raise NotReadyError(
             f"The backend answered to an image that was {age_s:.2f} s old by then; "
             f"max_image_age_s = {section.max_image_age_s:g} are allowed.",

@@ -14,10 +14,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
+from rn_standard.control.module import ControlModule
 from rn_standard.inference.module import InferenceModule
 from rn_standard.switching.handover import TimedHandover
 from roboneuron import ACTION_LABEL, InvalidInputError, Pose
-from roboneuron.node import ControlModule, Module
+from roboneuron.node import Module
 
 ACTION, EE_POSE, JOINT_COMMAND, JOINT_TRAJECTORY = (
     "action",
@@ -78,4 +79,4 @@ def _on_command(
     try:
         handover.hear(module.follow(message, sent_s), sent_s)
     except InvalidInputError:
-        module.status.dropped.add("malformed_command")
+        module.status.drop("malformed_command")

@@ -186,8 +186,8 @@ class LiveCell:
             return ""
         for kind in self._needed:
             view = self._host.modules.view(kind)
-            if view.phase == "exited" and view.exit is not None:
-                code = view.exit.code
+            if view.phase == "exited" and view.process is not None:
+                code = view.process.exit_code or 0
                 return (
                     f"{kind} has ended by itself "
                     f"({f'signal {-code}' if code < 0 else f'exit code {code}'})"

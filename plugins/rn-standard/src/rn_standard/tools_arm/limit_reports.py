@@ -8,9 +8,10 @@ from collections import Counter
 from dataclasses import fields
 from pathlib import Path
 
+from rn_standard.control.module import ControlModule
 from roboneuron import Hold, RefusedError
 from roboneuron.feature import AuditLog, AuditRecord
-from roboneuron.node import ControlModule, LimitedCommand
+from roboneuron.node import LimitedCommand
 
 _RECORD_PERIOD_S = 1.0
 """A limit that keeps acting is recorded this often; every change is recorded at once, at most ten a
@@ -95,7 +96,7 @@ class LimitReports:
         try:
             self._audit.write(record)
         except RefusedError as error:
-            self._status.dropped.add("unrecorded")
+            self._status.drop("unrecorded")
             log.error("%s", error)
 
 

@@ -4,10 +4,11 @@ module process.
 
 from __future__ import annotations
 
+from rn_standard.control.module import ControlModule
 from rn_standard.tools_arm.limit_reports import LimitReports
 from roboneuron import ConfigurationError
 from roboneuron.feature import models
-from roboneuron.node import ControlModule, Module, ModuleHost, settings
+from roboneuron.node import Module, ModuleHost, settings
 
 
 def join(host: ModuleHost) -> None:
@@ -39,7 +40,7 @@ class LimitsInForce:
 
     def use(self, text: str) -> None:
         """Move within these limits from the next command on. Raises ConfigurationError."""
-        self._control.use_limits(self._parse(text))
+        self._control.limiter.use(self._control.check_limits(self._parse(text)))
         self._report(is_tightened=bool(text))
 
     def refusal(self, text: str) -> str:

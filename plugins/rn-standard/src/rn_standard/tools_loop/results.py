@@ -154,10 +154,11 @@ def _facts(view: ModuleView) -> dict[str, Any]:
         else None,
         "log": f"roboneuron://logs/{view.kind}",
     }
-    if view.exit is not None:
-        at = view.exit.at.isoformat(timespec="milliseconds")
-        lines = [_clipped(line, _MOST_LINE) for line in view.exit.last_lines]
-        facts["exit"] = ExitInfo(pid=view.exit.pid, code=view.exit.code, at=at, last_lines=lines)
+    if view.phase == "exited" and process is not None:
+        at = process.ended_at.isoformat(timespec="milliseconds")
+        lines = [_clipped(line, _MOST_LINE) for line in process.last_lines()]
+        code = process.exit_code or 0
+        facts["exit"] = ExitInfo(pid=process.pid, code=code, at=at, last_lines=lines)
     if report is None:
         return facts
     age_s = time.monotonic() - report.received_s

@@ -39,7 +39,7 @@ _MODULES = tuple(
         module=f"rn_standard.{kind}.module:{kind.title()}Module",
         module_plan=f"rn_standard.{kind}.planning:plan_{kind}",
     )
-    for kind in ("inference", "perception")
+    for kind in ("control", "inference", "perception")
 )
 _TOOLS = FeatureSpec(
     name="tools-loop",

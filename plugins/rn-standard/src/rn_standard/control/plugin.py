@@ -1,0 +1,18 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="control",
+    summary="Turns actions into joint commands: by a controller, within the limits.",
+    target="roboneuron:Feature",
+    module="rn_standard.control.module:ControlModule",
+    module_plan="rn_standard.control.planning:plan_control",
+)
+"""Descriptor of the feature; it has nothing to do in the server."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)

@@ -1,0 +1,20 @@
+"""The feature keeps the contract of features, and its package that of plugins."""
+
+from __future__ import annotations
+
+import pytest
+
+from rn_standard.control.plugin import FEATURE
+from rn_testing import FeatureCase, FeatureContract, PackageCase, PackageContract
+
+
+class TestControl(FeatureContract):
+    @pytest.fixture
+    def plugin(self) -> FeatureCase:
+        return FeatureCase(spec=FEATURE)
+
+
+class TestPackage(PackageContract):
+    @pytest.fixture
+    def plugin(self) -> PackageCase:
+        return PackageCase(distribution="rn-standard", plugin="rn-control")
