@@ -104,7 +104,7 @@ def methods(protocol: type) -> Iterator[str]:
 
 def section(kind: str) -> Iterator[str]:
     """The part of the page about one kind."""
-    hook = getattr(hookspecs, hookspecs.HOOKS[kind])
+    hook = getattr(hookspecs, f"{hookspecs.PROJECT}_{kind}s")
     spec = PLUGIN_KINDS[kind]
     yield f"## `{hook.__name__}() -> Sequence[{spec.__name__}]`\n"
     yield f"{inspect.getdoc(hook)}\n"
@@ -134,7 +134,7 @@ def render() -> str:
     """The whole page."""
     lines = [INTRODUCTION, "## Every descriptor\n", first_line(Spec) + "\n", *field_list(Spec), ""]
     lines += ["### Requirement\n", first_line(Requirement) + "\n", *field_list(Requirement), ""]
-    for kind in hookspecs.HOOKS:
+    for kind in PLUGIN_KINDS:
         lines += section(kind)
     return "\n".join(lines).rstrip() + "\n"
 
