@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roboneuron.contract.arrays import F64, freeze
+from roboneuron.contract.arrays import F64, ReadOnly, freeze
 from roboneuron.contract.observation import Pose
 from roboneuron.contract.rotation import (
     matrix_from_quaternion,
@@ -34,7 +34,7 @@ def check_action_vector(values: ArrayLike) -> F64:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Action:
+class Action(ReadOnly):
     """One step: a TCP delta in the base frame and the absolute gripper opening. Its arrays are
     read-only copies.
 
@@ -47,9 +47,6 @@ class Action:
     translation_m: F64
     rotation_rad: F64
     gripper_open: float
-
-    def __post_init__(self) -> None:
-        freeze(self, "translation_m", "rotation_rad")
 
     @classmethod
     def from_vector(cls, values: ArrayLike) -> Action:

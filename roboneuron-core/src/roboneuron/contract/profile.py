@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from roboneuron.contract.arrays import F64, freeze
+from roboneuron.contract.arrays import F64, ReadOnly, freeze
 from roboneuron.contract.observation import CameraCalibration
 from roboneuron.errors import InvalidInputError
 
@@ -35,7 +35,7 @@ def prismatic_joints(urdf: str) -> frozenset[str]:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class JointLimits:
+class JointLimits(ReadOnly):
     """Official limits of the arm's joints; arrays are float64 (n,) in the order of
     `RobotProfile.arm_joints`.
 
@@ -58,9 +58,6 @@ class JointLimits:
     effort: F64
     braking_offset: F64 | None = None
     braking_deceleration: F64 | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self, *(field.name for field in fields(self)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -135,26 +132,20 @@ class CameraProfile:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Workspace:
+class Workspace(ReadOnly):
     """Axis-aligned box in the base frame that the TCP must stay in; float64 (3,) [m]."""
 
     lower_m: F64
     upper_m: F64
 
-    def __post_init__(self) -> None:
-        freeze(self, "lower_m", "upper_m")
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Obstacle:
+class Obstacle(ReadOnly):
     """A box in the base frame that no link may touch; float64 (3,) [m]."""
 
     name: str
     lower_m: F64
     upper_m: F64
-
-    def __post_init__(self) -> None:
-        freeze(self, "lower_m", "upper_m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -259,7 +259,7 @@ def _call(module: ModuleType, hook: str) -> Sequence[object]:
         PluginError: the hook raises, or returns what is no sequence.
     """
     function = getattr(module, hook, None)
-    if not hasattr(function, _MARK):
+    if function is None or not hasattr(function, _MARK):
         return ()
     try:
         offered = function()
