@@ -369,14 +369,19 @@ class EmergencyStopLatch:
                 written.
             StateError: the latch cannot be removed; it stays latched.
         """
-        rule = "" if Role.ADMIN.is_held_by(role) else "role"
-        if not rule:
+        is_allowed = Role.ADMIN.is_held_by(role)
+        if is_allowed:
             ReleasePin(self.path.parent).check(pin, who=who, audit=audit)
-        verdict = "refused" if rule else "allowed"
         audit.write(
-            AuditRecord(who=who, role=role, tool="reset_emergency_stop", verdict=verdict, rule=rule)
+            AuditRecord(
+                who=who,
+                role=role,
+                tool="reset_emergency_stop",
+                verdict="allowed" if is_allowed else "refused",
+                rule="" if is_allowed else "role",
+            )
         )
-        if rule:
+        if not is_allowed:
             raise RefusedError(
                 f"Resetting the emergency stop needs the role '{Role.ADMIN}', {who!r} has {role!r}."
             )
