@@ -61,8 +61,8 @@ loaded = sorted(set(sys.modules) - before)
 from roboneuron.plugins.discovery import discover, read_module
 from roboneuron.plugins.hookspecs import HOOKS, extended
 try:
-    bringing = [offer.spec for offer in discover().all_offers if getattr(offer.spec, "hooks", None)]
-    read_module(module, extended(HOOKS, bringing))
+    installed = [offer.spec for offer in discover().all_offers]
+    read_module(module, extended(HOOKS, installed))
     problem = ""
 except Exception as error:
     problem = str(error)

@@ -20,14 +20,14 @@ from types import ModuleType
 
 from roboneuron.errors import ConfigurationError, PluginError, RoboNeuronError, nearest
 from roboneuron.plugins import availability
-from roboneuron.plugins.descriptor import TARGET_PATTERN, check_spec
+from roboneuron.plugins.descriptor import check_spec
 from roboneuron.plugins.hookspecs import HOOKS, PROJECT, extended
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.registry import Offer, PluginRecord, Registry, Status
 from roboneuron.plugins.specs import CONTRACT_VERSION, CommandSpec, FeatureSpec, Spec
 
 _HOOK_PREFIX = f"{PROJECT}_"
-_BRINGING = [hook for hook, spec in HOOKS.items() if spec in (FeatureSpec, CommandSpec)]
+_BRINGING = {hook: spec for hook, spec in HOOKS.items() if spec in (FeatureSpec, CommandSpec)}
 """Hooks whose descriptors may bring others."""
 _MARK = f"{PROJECT}_impl"
 """Attribute that `pluggy.HookimplMarker` sets on a decorated function."""
@@ -93,8 +93,9 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
             )
             continue
         try:
-            hooks = extended(hooks, _bringing_hooks(point))
-        except RoboNeuronError as error:
+            with redirect_stdout(sys.stderr):
+                hooks = extended(hooks, _offered(point.load(), _BRINGING))
+        except (Exception, SystemExit) as error:
             records.append(_failed(record, error))
         else:
             waiting.append((record, point))
@@ -109,22 +110,6 @@ def _order(record: PluginRecord) -> tuple[str, str, str]:
 def _names(record: PluginRecord) -> tuple[str, str]:
     """What `disabled_plugins` may call it."""
     return record.name, record.distribution
-
-
-def _bringing_hooks(point: EntryPoint) -> tuple[FeatureSpec | CommandSpec, ...]:
-    """Features and commands with hooks of their own; what else is wrong with the plugin is told by
-    `_examine`.
-    """
-    try:
-        with redirect_stdout(sys.stderr):
-            module = point.load()
-            offered = [spec for hook in _BRINGING for spec in _call(module, hook)]
-        bringing = (
-            s for s in offered if isinstance(s, (FeatureSpec, CommandSpec)) and s.hooks is not None
-        )
-        return tuple(s for s in bringing if TARGET_PATTERN.fullmatch(str(s.hooks)))
-    except (Exception, SystemExit):
-        return ()
 
 
 def _record(point: EntryPoint) -> PluginRecord:
@@ -218,11 +203,7 @@ def read_module(module: object, hooks: Mapping[str, type[Spec]] = HOOKS) -> tupl
             f"The entry point names {type(module).__name__} {module!r}, expected a module."
         )
     _check_hook_names(module, tuple(hooks))
-    specs = [
-        check_spec(spec, expected)
-        for hook, expected in hooks.items()
-        for spec in _call(module, hook)
-    ]
+    specs = _offered(module, hooks)
     if not specs:
         raise PluginError(
             f"{module.__name__} offers nothing, expected a hook such as {next(iter(hooks))}."
@@ -251,7 +232,16 @@ def _check_hook_names(module: ModuleType, hooks: Sequence[str]) -> None:
             )
 
 
-def _call(module: ModuleType, hook: str) -> Sequence[object]:
+def _offered(module: object, hooks: Mapping[str, type[Spec]]) -> list[Spec]:
+    """The descriptors of some hooks; raises as `read_module`."""
+    return [
+        check_spec(spec, expected)
+        for hook, expected in hooks.items()
+        for spec in _call(module, hook)
+    ]
+
+
+def _call(module: object, hook: str) -> Sequence[object]:
     """What a module offers by a hook; nothing when it does not implement it, but specifies it or
     has nothing of that name.
 

@@ -119,18 +119,16 @@ HOOKS: Mapping[str, type[Spec]] = {
 """Descriptor class by hook, of the hooks that core knows, in the order in which they are called."""
 
 
-def extended(
-    hooks: Mapping[str, type[Spec]], bringing: Iterable[FeatureSpec | CommandSpec]
-) -> Mapping[str, type[Spec]]:
-    """`hooks` and those that features and commands bring.
+def extended(hooks: Mapping[str, type[Spec]], offered: Iterable[Spec]) -> Mapping[str, type[Spec]]:
+    """`hooks` and those that the features and commands among these descriptors bring.
 
     Raises:
         PluginError, MissingDependencyError: their `hooks` cannot be imported, is no mapping from
             hook names to descriptor classes, or claims a hook or a kind that is there already.
     """
     found = dict(hooks)
-    for bringer in bringing:
-        if bringer.hooks is None:
+    for bringer in offered:
+        if not isinstance(bringer, (FeatureSpec, CommandSpec)) or bringer.hooks is None:
             continue
         who = f"`hooks` of {bringer.kind} {bringer.name!r}"
         brought = load_attribute(bringer.hooks, who)
