@@ -9,7 +9,6 @@ from roboneuron.contract.action import (
     Action,
     ActionChunk,
     apply_delta,
-    check_action_vector,
 )
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
@@ -108,7 +107,6 @@ __all__ = [
     "Workspace",
     "apply_delta",
     "channel_keys",
-    "check_action_vector",
     "check_rgb8",
     "check_topic",
     "frame_from_buffer",

@@ -23,15 +23,19 @@ ARRIVED_RAD, ARRIVED_M = 0.01, 0.001
 
 
 @functools.lru_cache(maxsize=16)
+def urdf_joints(urdf: str) -> tuple[ET.Element, ...]:
+    """The joints of a URDF, not to be changed; none of what is no URDF."""
+    try:
+        return tuple(ET.fromstring(urdf).findall("joint"))
+    except ET.ParseError:
+        return ()
+
+
+@functools.lru_cache(maxsize=16)
 def prismatic_joints(urdf: str) -> frozenset[str]:
     """Names of the joints of a URDF whose positions are metres; empty for what is no URDF."""
-    try:
-        root = ET.fromstring(urdf)
-    except ET.ParseError:
-        return frozenset()
-    return frozenset(
-        joint.get("name", "") for joint in root.iter("joint") if joint.get("type") == "prismatic"
-    )
+    slides = (joint for joint in urdf_joints(urdf) if joint.get("type") == "prismatic")
+    return frozenset(joint.get("name", "") for joint in slides)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
