@@ -10,6 +10,7 @@ from roboneuron.contract.action import (
     ActionChunk,
     apply_delta,
 )
+from roboneuron.contract.arrays import F64
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
 from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
 from roboneuron.contract.observation import (
@@ -33,6 +34,8 @@ from roboneuron.contract.profile import (
     RobotProfile,
     Workspace,
     check_topic,
+    prismatic_joints,
+    urdf_joints,
 )
 from roboneuron.contract.protocols import (
     Acceleration,
@@ -65,6 +68,7 @@ __all__ = [
     "ACTION_LABEL",
     "ACTION_SIZE",
     "EE_DELTA",
+    "F64",
     "GRIPPER",
     "SPACE_KINDS",
     "TOPIC_RULE",
@@ -110,5 +114,7 @@ __all__ = [
     "check_rgb8",
     "check_topic",
     "frame_from_buffer",
+    "prismatic_joints",
     "robot_space",
+    "urdf_joints",
 ]

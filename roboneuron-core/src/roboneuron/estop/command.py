@@ -17,8 +17,7 @@ from roboneuron.config import read_state_directory, robot_folder
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.gate.roles import Role
+from roboneuron.gate import AuditLog, AuditRecord, Role
 from roboneuron.ros.environment import state_directory
 
 _AGAIN_S = 0.1

@@ -20,7 +20,7 @@ from roboneuron.errors import NotReadyError, RefusedError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate.audit import AuditLog, AuditRecord
+from roboneuron.gate import AuditLog, AuditRecord
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
 from roboneuron.supervisor.changes import Event
 from roboneuron.supervisor.health import ModuleView

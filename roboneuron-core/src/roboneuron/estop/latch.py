@@ -25,8 +25,7 @@ from pathlib import Path
 
 from roboneuron.errors import RefusedError, StateError, UnsafeError
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.gate.roles import Role
+from roboneuron.gate import AuditLog, AuditRecord, Role
 from roboneuron.log_files import make_log_directory
 
 log = logging.getLogger(__name__)

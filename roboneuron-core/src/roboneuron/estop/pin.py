@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from roboneuron.errors import InvalidInputError, RefusedError
-from roboneuron.gate.audit import AuditLog, AuditRecord
+from roboneuron.gate import AuditLog, AuditRecord
 from roboneuron.log_files import locked, make_log_directory
 
 FILE_NAME = "emergency_stop.pin"

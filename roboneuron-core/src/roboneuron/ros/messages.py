@@ -13,10 +13,16 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from roboneuron.contract.arrays import F64
-from roboneuron.contract.motion import JointCommand
-from roboneuron.contract.observation import Frame, JointSample, Pose
-from roboneuron.contract.space import ACTION_LABEL, EE_DELTA, ControlSpace
+from roboneuron.contract import (
+    ACTION_LABEL,
+    EE_DELTA,
+    F64,
+    ControlSpace,
+    Frame,
+    JointCommand,
+    JointSample,
+    Pose,
+)
 from roboneuron.errors import InvalidInputError
 
 NS_PER_S = 1_000_000_000

@@ -11,8 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from roboneuron.contract import RobotProfile
-from roboneuron.contract.arrays import F64
+from roboneuron.contract import F64, RobotProfile
 from roboneuron.gate.motion.rules import MotionRules
 
 _SLACK = 1e-6

@@ -14,6 +14,7 @@ from typing import Self
 import numpy as np
 
 from roboneuron.contract import (
+    F64,
     Controller,
     Hold,
     JointCommand,
@@ -21,9 +22,8 @@ from roboneuron.contract import (
     Pose,
     Posture,
     RobotProfile,
+    prismatic_joints,
 )
-from roboneuron.contract.arrays import F64
-from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.command import LimitedCommand, Setpoint, Step, pick, pick_others
 from roboneuron.gate.motion.joint_space import JointLimit, JointSpace

@@ -8,9 +8,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from roboneuron.contract import ArmProfile, RobotProfile
-from roboneuron.contract.arrays import F64
-from roboneuron.contract.profile import urdf_joints
+from roboneuron.contract import F64, ArmProfile, RobotProfile, urdf_joints
 
 _FINEST_M, _COARSEST_M = 0.005, 0.02
 """Farthest that a point of the arm may move between two postures: each one costs a computation, and

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from roboneuron.config import LimitsConfig, Reaction
 from roboneuron.contract import (
+    F64,
     CollisionProfile,
     Controller,
     JointSample,
@@ -22,7 +23,6 @@ from roboneuron.contract import (
     RobotProfile,
     SeveralArms,
 )
-from roboneuron.contract.arrays import F64
 from roboneuron.errors import ConfigurationError
 
 LIMITS = (

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roboneuron.contract import Obstacle, Pose, Posture
-from roboneuron.contract.arrays import F64
+from roboneuron.contract import F64, Obstacle, Pose, Posture
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.rules import MotionRules
 
