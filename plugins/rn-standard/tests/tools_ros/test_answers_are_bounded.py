@@ -14,7 +14,7 @@ from rn_standard.tools_ros.graph import GraphNames
 from rn_standard.tools_ros.read import newest
 from roboneuron.contract import Endpoint
 from roboneuron.feature import ExposedEndpoint
-from roboneuron.ros.graph import RosGraph
+from roboneuron.server.host import RosGraph
 
 COUNT = 130
 

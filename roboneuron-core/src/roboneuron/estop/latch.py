@@ -93,7 +93,7 @@ class EmergencyStopLatch:
         self._spare: list[int] = []
         # Guards what is held and seen, over a few system calls at most. Listeners and disks that
         # may be slow are not waited for while it is held.
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._stop_listeners: list[Callable[[], object]] = []
         self._written_listeners: list[Callable[[], object]] = []
 
@@ -130,20 +130,16 @@ class EmergencyStopLatch:
     def is_latched(self) -> bool:
         """Whether motion is forbidden; about a microsecond."""
         with self._lock:
-            return self._check_file()
-
-    def _check_file(self) -> bool:
-        """Whether the file stops, or has stopped and was not reset; the lock is held."""
-        try:
-            self._seen = _identity(self.path)
-        except FileNotFoundError:
-            return self._held is not None and not self._was_reset()
-        # a directory that cannot be entered, a disk that fails: unknown is latched
-        except OSError:
+            try:
+                self._seen = _identity(self.path)
+            except FileNotFoundError:
+                return self._held is not None and not self._was_reset()
+            # a directory that cannot be entered, a disk that fails: unknown is latched
+            except OSError:
+                return True
+            if self._held is None:
+                self._held = self._parse()
             return True
-        if self._held is None:
-            self._held = self._parse()
-        return True
 
     def _was_reset(self) -> bool:
         """The file is gone: by a reset, or otherwise, and then it is written again."""
@@ -301,7 +297,7 @@ class EmergencyStopLatch:
         there already.
         """
         with self._lock:
-            if self._held is not None and self._check_file() and self._seen is not None:
+            if self._held is not None and self.is_latched() and self._seen is not None:
                 return False
             self._held, self._tried_s = state, self._clock_s()
         return True
@@ -386,7 +382,7 @@ class EmergencyStopLatch:
             )
         with self._lock:
             try:
-                if self._check_file() and self._seen is None:
+                if self.is_latched() and self._seen is None:
                     # others learn of the reset by the file only
                     self._create(self._held or LatchState(latched=True))
                 with suppress(FileNotFoundError):

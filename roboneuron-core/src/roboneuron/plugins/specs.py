@@ -33,25 +33,16 @@ class Requirement:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ActionSpace:
-    """What a model family itself produces, before the backend converts it to the contract's
-    7-vector.
+    """The chunks that a model family produces; the backend converts them to the contract's
+    7-vector, or to the `space` that it declares.
 
     Attributes:
         width: values per step and arm set; planning refuses what the robot's `action_widths` lacks.
-        translation: unit of the translation ("m", "normalized", "checkpoint" when each checkpoint
-            has its own).
-        rotation: "rotvec", "rpy", "joint", "checkpoint".
-        frame: "base", "tcp", "checkpoint".
-        gripper: "open_fraction", "closed_fraction", "signed_close", "checkpoint".
         horizon: actions per inference.
         step_s: nominal time between two actions [s]; 0 when the checkpoint's profile says it.
     """
 
     width: int = 7
-    translation: str = "m"
-    rotation: str = "rotvec"
-    frame: str = "base"
-    gripper: str = "open_fraction"
     horizon: int = 1
     step_s: float = 0.1
 
