@@ -16,7 +16,14 @@ from pathlib import Path
 from roboneuron.cli.main import CommandModule
 from roboneuron.contract import protocols
 from roboneuron.plugins import hookspecs
-from roboneuron.plugins.specs import PLUGIN_KINDS, CameraSpec, DriverSpec, Requirement, Spec
+from roboneuron.plugins.specs import (
+    PLUGIN_KINDS,
+    CameraSpec,
+    DriverSpec,
+    Loadable,
+    Requirement,
+    Spec,
+)
 from roboneuron.server.events import Events
 from roboneuron.server.feature import Feature
 from roboneuron.server.host import Host
@@ -132,7 +139,8 @@ def section(kind: str) -> Iterator[str]:
 
 def render() -> str:
     """The whole page."""
-    lines = [INTRODUCTION, "## Every descriptor\n", first_line(Spec) + "\n", *field_list(Spec), ""]
+    lines = [INTRODUCTION, "## Every descriptor\n", first_line(Spec) + "\n"]
+    lines += [*field_list(Loadable), *field_list(Spec), ""]
     lines += ["### Requirement\n", first_line(Requirement) + "\n", *field_list(Requirement), ""]
     for kind in PLUGIN_KINDS:
         lines += section(kind)

@@ -284,9 +284,15 @@ class EmergencyStopLatch:
                 listener()
         for latch, state in pressed:
             try:
-                latch._write(state)
-            except UnsafeError as error:  # the others are written all the same
-                failures.append(error)
+                latch._create(state)
+            except OSError as error:  # the others are written all the same; it is tried again
+                failure = UnsafeError(
+                    f"The emergency stop cannot be written to {latch.path}: {error.strerror}; only "
+                    "this process is stopped.",
+                    hint="Use the robot's own stop.",
+                )
+                failure.__cause__ = error
+                failures.append(failure)
         for latch, _ in pressed:
             for listener in latch._written_listeners:
                 listener()
@@ -301,21 +307,6 @@ class EmergencyStopLatch:
                 return False
             self._held, self._tried_s = state, self._clock_s()
         return True
-
-    def _write(self, state: LatchState) -> None:
-        """Stop the other processes.
-
-        Raises:
-            UnsafeError: the file cannot be created; later looks try again, see `_restore`.
-        """
-        try:
-            self._create(state)
-        except OSError as error:
-            raise UnsafeError(
-                f"The emergency stop cannot be written to {self.path}: {error.strerror}; only "
-                "this process is stopped.",
-                hint="Use the robot's own stop.",
-            ) from error
 
     def _create(self, state: LatchState) -> None:
         """Make the file with its cause; the latch holds without it, and the cause that came first

@@ -105,7 +105,7 @@ class AuditLog:
         self._max_bytes = max_bytes
         self._backups = max(1, backups)
         # guards what follows; `on_record` is called without it, so that a listener may write too
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._descriptor = -1
         self._identity = (-1, -1)
         # the file ends within a line: what is appended would be lost in it
@@ -125,7 +125,7 @@ class AuditLog:
                 self._append(line)
             except OSError as error:
                 self.failed = True
-                self._close()
+                self.close()
                 raise RefusedError(
                     f"The audit {self.path} cannot be written: {error.strerror or error}. Nothing "
                     "moves without it.",
@@ -152,13 +152,10 @@ class AuditLog:
     def close(self) -> None:
         """Close the file; the next record reopens it."""
         with self._lock:
-            self._close()
-
-    def _close(self) -> None:
-        if self._descriptor >= 0:
-            with contextlib.suppress(OSError):
-                os.close(self._descriptor)
-            self._descriptor = -1
+            if self._descriptor >= 0:
+                with contextlib.suppress(OSError):
+                    os.close(self._descriptor)
+                self._descriptor = -1
 
     def _append(self, line: bytes) -> None:
         """Put a line behind the last one. Raises OSError when it is not wholly written."""
@@ -186,7 +183,7 @@ class AuditLog:
                 there = os.stat(self.path)
                 if (there.st_dev, there.st_ino) == self._identity:
                     return there.st_size
-            self._close()
+            self.close()
         make_log_directory(self.path.parent)
         flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
         self._descriptor = os.open(self.path, flags, 0o640)

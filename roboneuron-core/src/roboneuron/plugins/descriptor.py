@@ -13,7 +13,7 @@ from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
 from roboneuron.errors import PluginError
-from roboneuron.plugins.specs import DriverSpec, FeatureSpec, RobotSpec, Spec
+from roboneuron.plugins.specs import FeatureSpec, Loadable, RobotSpec, Spec
 
 NAME_PATTERN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of offers and drivers: lower-case letters and digits, single hyphens between them."""
@@ -75,7 +75,7 @@ def _require(is_right: bool, otherwise: str) -> None:
         raise PluginError(otherwise)
 
 
-def _check_names(spec: Spec | DriverSpec, who: str) -> None:
+def _check_names(spec: Loadable, who: str) -> None:
     _require(
         NAME_PATTERN.fullmatch(spec.name) is not None,
         f"The name of {who} is malformed, expected lower-case letters, digits and single hyphens.",

@@ -48,8 +48,8 @@ class ActionSpace:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Spec:
-    """What every descriptor has.
+class Loadable:
+    """What has a name and can be loaded.
 
     Attributes:
         name: unique within its kind; lower-case letters, digits and hyphens.
@@ -57,6 +57,20 @@ class Spec:
         target: "module:attribute" of the class.
         config: "module:attribute" of the pydantic options model, or None.
         requires: modules that must be importable before `target` is.
+    """
+
+    name: str
+    summary: str
+    target: str
+    config: str | None = None
+    requires: tuple[Requirement, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Spec(Loadable):
+    """What every descriptor has.
+
+    Attributes:
         contract: the CONTRACT_VERSION the plugin was written for.
         case: "module:attribute" of a function without arguments that returns this descriptor's
             contract case: what `roboneuron plugins check` needs to try it (an observation it can
@@ -66,11 +80,6 @@ class Spec:
 
     kind: ClassVar[str] = ""
 
-    name: str
-    summary: str
-    target: str
-    config: str | None = None
-    requires: tuple[Requirement, ...] = ()
     contract: int = CONTRACT_VERSION
     case: str | None = None
 
@@ -193,25 +202,15 @@ class CameraSpec:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DriverSpec:
-    """One way to move a robot.
+class DriverSpec(Loadable):
+    """One way to move a robot: "simulated", "hardware" ...; `target` is its RobotDriver class.
 
     Attributes:
-        name: "simulated", "hardware" ...
-        summary: one line.
-        target: "module:attribute" of the RobotDriver class.
-        config: "module:attribute" of its pydantic options model, or None.
-        requires: modules it needs beyond the robot package's own.
         recovers: it can clear a fault that has stopped the robot, by a method `recover`; see
             rn-ops.
         simulated: nothing real moves. A driver that does not say so counts as one of a real robot.
     """
 
-    name: str
-    summary: str
-    target: str
-    config: str | None = None
-    requires: tuple[Requirement, ...] = ()
     recovers: bool = False
     simulated: bool = False
 
