@@ -74,7 +74,7 @@ def test_a_plugin_offers_what_a_feature_or_command_asks_for(write, kind):
         write(a_suite=CUBES.format(module="evaluation_one"), evaluation_one=feature)
     )
     assert [p.status for p in registry.plugins] == [Status.READY, Status.READY]
-    assert registry.get("suite", "cubes").tasks == 3
+    assert registry.get(registry.kinds["suite"], "cubes").tasks == 3
     assert "suite" in registry.kinds
 
 

@@ -193,14 +193,10 @@ class EmergencyStop:
             UnsafeError: a running module did not confirm it in time (the message names it), or the
                 latch file cannot be written; the other way was used nevertheless.
         """
-        unwritten: UnsafeError | None = None
         try:
             self.file.latch(who=who, reason=reason, audit=self.audit)
-        except UnsafeError as error:
-            unwritten = error
-        confirmed, silent, took_s = self._tell(namespace, True)
-        if unwritten is not None:
-            raise unwritten
+        finally:
+            confirmed, silent, took_s = self._tell(namespace, True)
         if silent:
             raise UnsafeError(
                 f"The emergency stop was sent, but not confirmed within {CONFIRM_S:g} s by: "

@@ -13,7 +13,7 @@ from roboneuron.planning import Plan
 from roboneuron.plugins.availability import install_command, package_of
 from roboneuron.plugins.loading import load_attribute, load_options, load_target
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import DriverSpec, FeatureSpec, Spec
+from roboneuron.plugins.specs import DriverSpec, FeatureSpec, RobotSpec, Spec
 
 _CLASSES: Mapping[ModuleKind, str] = {
     "robot": "roboneuron.modules.robot:RobotModule",
@@ -60,7 +60,7 @@ def load_profile(registry: Registry, robot: str) -> RobotProfile:
         ConfigurationError: no installed plugin offers it.
         PluginError: its target returns something else.
     """
-    profile = cast("Callable[[], object]", load_target(registry.get("robot", robot)))()
+    profile = cast("Callable[[], object]", load_target(registry.get(RobotSpec, robot)))()
     if not isinstance(profile, RobotProfile):
         raise PluginError(
             f"The target of robot {robot!r} returned {type(profile).__name__}, expected "
