@@ -12,7 +12,14 @@ from roboneuron.contract.action import (
 )
 from roboneuron.contract.arrays import F64
 from roboneuron.contract.image import check_rgb8, frame_from_buffer
-from roboneuron.contract.motion import Hold, JointCommand, Posture, Proximity, RobotState
+from roboneuron.contract.motion import (
+    STATE_STEP_S,
+    Hold,
+    JointCommand,
+    Posture,
+    Proximity,
+    RobotState,
+)
 from roboneuron.contract.observation import (
     Ahead,
     ArmState,
@@ -71,6 +78,7 @@ __all__ = [
     "F64",
     "GRIPPER",
     "SPACE_KINDS",
+    "STATE_STEP_S",
     "TOPIC_RULE",
     "Acceleration",
     "Action",

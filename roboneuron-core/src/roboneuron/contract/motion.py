@@ -12,6 +12,9 @@ from dataclasses import dataclass, field
 from roboneuron.contract.arrays import F64, ReadOnly
 from roboneuron.contract.observation import JointSample, Pose
 
+STATE_STEP_S = 0.1
+"""Time to reach positions that come without one, as in a JointState."""
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class JointCommand(ReadOnly):

@@ -293,8 +293,9 @@ def _settle(records: Sequence[PluginRecord], hooks: Mapping[str, type[Spec]]) ->
     claims: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for record in records:
         for offer in record.offers:
+            of = "" if offer.plugin == offer.distribution else f" of {offer.distribution}"
             for claim in _claimed(offer.spec):
-                claims[claim].append(_who(offer))
+                claims[claim].append(f"{offer.plugin}{of}")
     settled = tuple(
         _summarise(record, tuple(_contest(o, claims) for o in record.offers)) for record in records
     )
@@ -305,12 +306,6 @@ def _settle(records: Sequence[PluginRecord], hooks: Mapping[str, type[Spec]]) ->
         all_offers=tuple(offers),
         kinds={spec.kind: spec for spec in hooks.values()},
     )
-
-
-def _who(offer: Offer) -> str:
-    """A plugin as people find it: with its distribution where that has another name."""
-    of = "" if offer.plugin == offer.distribution else f" of {offer.distribution}"
-    return f"{offer.plugin}{of}"
 
 
 def _claimed(spec: Spec) -> list[tuple[str, str]]:

@@ -160,19 +160,16 @@ def _explain(error: ValidationError, place: str, is_partial: bool) -> str:
             not problem["loc"] or (problem["type"] == "missing" and len(problem["loc"]) == 1)
         ):
             continue
-        if problem["type"] == "missing":
-            parts.append(f"{path} is required and not given.")
-        else:
-            parts.append(f"{path} is {problem['input']!r}: {problem['msg']}.")
+        is_missing = problem["type"] == "missing"
+        told = "required and not given" if is_missing else f"{problem['input']!r}: {problem['msg']}"
+        parts.append(f"{path} is {told}.")
     return " ".join(parts)
 
 
 def _plain(value: object) -> object:
     """What JSON has no word for but a configuration may hold: paths, dates, read-only mappings."""
-    if isinstance(value, PurePath):
+    if isinstance(value, (PurePath, date, clock_time)):  # a datetime is a date
         return str(value)
-    if isinstance(value, (date, clock_time)):  # a datetime is a date
-        return value.isoformat()
     if isinstance(value, Mapping):
         return dict(value)
     raise ConfigurationError(

@@ -93,7 +93,9 @@ class Registry:
         """Every descriptor of `kind`, also those that cannot be used; raises ConfigurationError for
         another kind.
         """
-        _check_kind(kind, self.kinds)
+        if kind not in self.kinds:
+            message = f"{kind!r} is no kind of plugin, expected one of {', '.join(self.kinds)}."
+            raise ConfigurationError(message, hint=nearest(kind, self.kinds))
         return tuple(o for o in self.all_offers if o.spec.kind == kind)
 
     def readers_of(self, name: str) -> Iterator[Spec | DriverSpec]:
@@ -196,9 +198,3 @@ def _choices(kind: str, ready: Mapping[str, Spec]) -> str:
         if ready
         else f"No {kind} plugin is ready; see `roboneuron plugins list`."
     )
-
-
-def _check_kind(kind: str, kinds: Mapping[str, type[Spec]]) -> None:
-    if kind not in kinds:
-        message = f"{kind!r} is no kind of plugin, expected one of {', '.join(kinds)}."
-        raise ConfigurationError(message, hint=nearest(kind, kinds))

@@ -15,6 +15,7 @@ import numpy as np
 
 from roboneuron.contract import (
     F64,
+    STATE_STEP_S,
     Controller,
     Hold,
     JointCommand,
@@ -41,8 +42,6 @@ _SHORTEST_S = 1e-3
 """Two messages that arrive together are no reason to divide by nothing."""
 _HALVINGS = 6
 """Bisections when a step is shortened to stay out of a zone: to 1/64 of the step."""
-_STATE_STEP_S = 0.1
-"""Time in which the robot module executes a command that carries none."""
 _RESERVE = 0.98
 """Share of a Cartesian limit used when a step is scaled: a straight line in joint space is a curve
 in task space.
@@ -365,7 +364,7 @@ class MotionLimiter:
     ) -> None:
         """Scale the step to the limits of joints, TCP step and TCP speed."""
         displacement, share = step.target - step.start, 1.0
-        if self._immediate and (times := self._speed_ratio(measured, target, _STATE_STEP_S)) > 1.0:
+        if self._immediate and (times := self._speed_ratio(measured, target, STATE_STEP_S)) > 1.0:
             self._act(
                 step,
                 "speed",
