@@ -23,7 +23,7 @@ REFERENCES = (
     "target",
     "config",
     "case",
-    "hooks",
+    "brings",
     "on_discovery",
     "on_join",
     "module",

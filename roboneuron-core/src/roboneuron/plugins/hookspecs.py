@@ -123,38 +123,26 @@ def extended(hooks: Mapping[str, type[Spec]], offered: Iterable[Spec]) -> Mappin
     """`hooks` and those that the features and commands among these descriptors bring.
 
     Raises:
-        PluginError, MissingDependencyError: their `hooks` cannot be imported, is no mapping from
-            hook names to descriptor classes, or claims a hook or a kind that is there already.
+        PluginError, MissingDependencyError: what one `brings` cannot be imported, is no descriptor
+            class, has a kind that is there already, or no specification of its hook beside it.
     """
     found = dict(hooks)
     for bringer in offered:
-        if not isinstance(bringer, (FeatureSpec, CommandSpec)) or bringer.hooks is None:
+        if not isinstance(bringer, (FeatureSpec, CommandSpec)) or bringer.brings is None:
             continue
-        who = f"`hooks` of {bringer.kind} {bringer.name!r}"
-        brought = load_attribute(bringer.hooks, who)
-        if not isinstance(brought, Mapping) or not all(
-            _is_entry(hook, spec) for hook, spec in brought.items()
+        who = f"`brings` of {bringer.kind} {bringer.name!r}"
+        spec = load_attribute(bringer.brings, who)
+        if not (
+            isinstance(spec, type)
+            and issubclass(spec, Spec)
+            and NAME_PATTERN.fullmatch(spec.kind) is not None
         ):
-            raise PluginError(
-                f"The {who} are {brought!r}, expected a mapping from hook names to descriptor "
-                "classes."
-            )
-        module = sys.modules[bringer.hooks.partition(":")[0]]
-        known = {spec.kind for spec in found.values()}
-        for hook, spec in brought.items():
-            if hook in found or spec.kind in known:
-                raise PluginError(f"The {who} bring the hook {hook}, which is there already.")
-            if not callable(getattr(module, hook, None)):
-                raise PluginError(f"The {who} name the hook {hook}, but do not specify it.")
-            found[hook] = spec
+            raise PluginError(f"The {who} is {spec!r}, expected a descriptor class with a `kind`.")
+        hook = f"{PROJECT}_{spec.kind}s"
+        if hook in found:
+            raise PluginError(f"The {who} is of the hook {hook}, which is there already.")
+        module = sys.modules[bringer.brings.partition(":")[0]]
+        if not callable(getattr(module, hook, None)):
+            raise PluginError(f"The {who} is of the hook {hook}, which {module.__name__} lacks.")
+        found[hook] = spec
     return found
-
-
-def _is_entry(hook: object, spec: object) -> bool:
-    return (
-        isinstance(hook, str)
-        and hook.startswith("roboneuron_")
-        and isinstance(spec, type)
-        and issubclass(spec, Spec)
-        and NAME_PATTERN.fullmatch(spec.kind) is not None
-    )

@@ -248,9 +248,9 @@ class FeatureSpec(Spec):
             the feature with underscores, and `config` is the model of that section. Otherwise
             `config` has one field for each key.
         transports: values of `[server] transport` that it serves.
-        hooks: "module:attribute" of a mapping from names of further hooks to their descriptor
-            classes; the module also holds a hook specification (`hookspec`) of each of these names.
-            Imported while plugins are discovered, so it must be as light as a plugin module.
+        brings: "module:attribute" of the descriptor class of a kind of its own; the module also
+            holds the specification (`hookspec`) of its hook, `roboneuron_<kind>s`. Imported while
+            plugins are discovered, so it must be as light as a plugin module.
         needs: names of features without which it does not work.
         on_discovery: "module:attribute" of a function without arguments that every process calls
             while it discovers plugins (server, modules, commands); as light as a plugin module, and
@@ -276,7 +276,7 @@ class FeatureSpec(Spec):
 
     sections: tuple[str, ...] = ()
     transports: tuple[str, ...] = ()
-    hooks: str | None = None
+    brings: str | None = None
     needs: tuple[str, ...] = ()
     on_discovery: str | None = None
     on_join: str | None = None
@@ -299,12 +299,12 @@ class CommandSpec(Spec):
     """A command of `roboneuron`, called by its name; `config` is not used.
 
     Attributes:
-        hooks: as in FeatureSpec.
+        brings: as in FeatureSpec.
     """
 
     kind: ClassVar[str] = "command"
 
-    hooks: str | None = None
+    brings: str | None = None
 
 
 PLUGIN_KINDS: dict[str, type[Spec]] = {
@@ -320,7 +320,7 @@ PLUGIN_KINDS: dict[str, type[Spec]] = {
         CommandSpec,
     )
 }
-"""Descriptor class by kind, of the kinds that core knows; a feature's `hooks` may bring more."""
+"""Descriptor class by kind, of the kinds that core knows; a feature may bring more."""
 SCHEMA_KEY = "x-configuration-only"
 """True in the JSON schema of an option that is marked."""
 
