@@ -12,7 +12,7 @@ from functools import cache
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from roboneuron.errors import PluginError
+from roboneuron.errors import PluginError, shortened
 from roboneuron.plugins.specs import FeatureSpec, Loadable, RobotSpec, Spec
 
 NAME_PATTERN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
@@ -145,13 +145,11 @@ def _check_value(value: object, hint: object, who: str) -> None:
     Raises:
         PluginError: they do not agree.
     """
-    origin = get_origin(hint)
-    if origin in (Union, UnionType):
+    if get_origin(hint) in (Union, UnionType):
         if value is None and NoneType in get_args(hint):
             return
         hint = next(a for a in get_args(hint) if a is not NoneType)
-        origin = get_origin(hint)
-    if origin is tuple:
+    if get_origin(hint) is tuple:
         if type(value) is not tuple:
             raise PluginError(
                 f"The {who} is {_describe(value)}, expected a tuple (descriptors are immutable)."
@@ -168,5 +166,4 @@ def _check_value(value: object, hint: object, who: str) -> None:
 
 
 def _describe(value: object) -> str:
-    text = repr(value)
-    return f"{type(value).__name__} {text if len(text) <= 60 else text[:57] + '...'}"
+    return f"{type(value).__name__} {shortened(value)}"

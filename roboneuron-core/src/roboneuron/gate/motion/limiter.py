@@ -302,27 +302,27 @@ class MotionLimiter:
         if step.acted:
             target = self._evaluate(step, step.target)
         target = self._apply_cartesian_limits(step, measured, target)
-        if not step.acted:
-            if self._extend(step, measured, target):
-                return largest(self._motions(step, measured, start, target))
-            return step.asked
-        # Check what would be sent once more: scaling for one limit may violate another one.
-        sent = largest(self._motions(step, measured, start, target))
-        displacement = step.target - step.start
-        for name, _, reason in self._joints.violations(step.start, displacement, step.duration_s):
-            raise _Rejection(name, f"No part of the command is within the limits: {reason}")
-        if not self._joints.is_reachable(
-            step.before, displacement / step.duration_s, step.passed_s
-        ):
-            raise _Rejection(
-                "acceleration", f"The arm is too fast for a limit before it: {step.reason}"
-            )
-        for name, _, reason in self._task.excess(sent):
-            raise _Rejection(name, reason)
-        for name, reason in self._cartesian_violations(step, measured, target):
-            raise _Rejection(name, reason)
+        sent = step.asked
+        if step.acted:
+            # Check what would be sent once more: scaling for one limit may violate another one.
+            sent = largest(self._motions(step, measured, start, target))
+            displacement = step.target - step.start
+            for name, _, reason in self._joints.violations(
+                step.start, displacement, step.duration_s
+            ):
+                raise _Rejection(name, f"No part of the command is within the limits: {reason}")
+            if not self._joints.is_reachable(
+                step.before, displacement / step.duration_s, step.passed_s
+            ):
+                raise _Rejection(
+                    "acceleration", f"The arm is too fast for a limit before it: {step.reason}"
+                )
+            for name, _, reason in self._task.excess(sent):
+                raise _Rejection(name, reason)
+            for name, reason in self._cartesian_violations(step, measured, target):
+                raise _Rejection(name, reason)
         if self._extend(step, measured, target):
-            return largest(self._motions(step, measured, start, target))
+            sent = largest(self._motions(step, measured, start, target))
         return sent
 
     def _extend(self, step: Step, measured: tuple[Pose, ...], target: Posture) -> bool:
