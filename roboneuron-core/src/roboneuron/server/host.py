@@ -34,11 +34,11 @@ F = TypeVar("F")
 M = TypeVar("M")
 
 
+@dataclass(frozen=True, slots=True)
 class RosGraph:
     """What the server's node has discovered of the ROS graph; it sends nothing."""
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    _node: Node
 
     @property
     def node_name(self) -> str:

@@ -51,11 +51,11 @@ def largest(motions: Sequence[Motion]) -> Motion:
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class TaskSpace:
     """Limits on where the TCP and the links go, for actions and joint motions alike; stateless."""
 
-    def __init__(self, rules: MotionRules) -> None:
-        self._rules = rules
+    _rules: MotionRules
 
     def motion(
         self, measured: Pose, start: Pose, end: Posture, duration_s: float, joint_speed: float
