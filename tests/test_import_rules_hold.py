@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 CORE = ROOT / "roboneuron-core" / "src" / "roboneuron"
 PLUGINS = ROOT / "plugins"
 
-LIGHT = {"errors", "log_files"}
+LIGHT = {"errors", "listing", "log_files"}
 CONTRACT = LIGHT | {"contract"}
 BELOW_GATE = CONTRACT | {"plugins", "planning", "config"}
 ALLOWED: dict[str, set[str]] = {

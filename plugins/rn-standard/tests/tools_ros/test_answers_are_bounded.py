@@ -14,7 +14,7 @@ from rn_standard.tools_ros.graph import GraphNames
 from rn_standard.tools_ros.read import newest
 from roboneuron.contract import Endpoint
 from roboneuron.feature import ExposedEndpoint
-from roboneuron.server.host import RosGraph
+from roboneuron.ros.graph import RosGraph
 
 COUNT = 130
 

@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from roboneuron.contract import check_topic
 from roboneuron.errors import ConfigurationError, StateError
 from roboneuron.plugins.availability import install_command, package_of
+from roboneuron.ros.graph import RosGraph
 
 if TYPE_CHECKING:
-    from rclpy.node import Node
-    from rclpy.topic_endpoint_info import TopicEndpointInfo
-
     from roboneuron.config import Config
     from roboneuron.gate import AuditLog
     from roboneuron.plugins.registry import Registry
@@ -32,42 +30,6 @@ if TYPE_CHECKING:
 
 F = TypeVar("F")
 M = TypeVar("M")
-
-
-@dataclass(frozen=True, slots=True)
-class RosGraph:
-    """What the server's node has discovered of the ROS graph; it sends nothing."""
-
-    _node: Node
-
-    @property
-    def node_name(self) -> str:
-        """Name of the server's node, whose own endpoints are listed too."""
-        return str(self._node.get_name())
-
-    def topics(self) -> dict[str, list[str]]:
-        """Types by absolute topic name."""
-        return dict(self._node.get_topic_names_and_types())
-
-    def services(self) -> dict[str, list[str]]:
-        """Types by absolute service name."""
-        return dict(self._node.get_service_names_and_types())
-
-    def nodes(self) -> list[tuple[str, str]]:
-        """Name and namespace of all nodes."""
-        return list(self._node.get_node_names_and_namespaces())
-
-    def publishers(self, topic: str) -> list[TopicEndpointInfo]:
-        """Who publishes a topic."""
-        return list(self._node.get_publishers_info_by_topic(topic))
-
-    def subscriptions(self, topic: str) -> list[TopicEndpointInfo]:
-        """Who subscribes to a topic."""
-        return list(self._node.get_subscriptions_info_by_topic(topic))
-
-    def counts(self, topic: str) -> tuple[int, int]:
-        """Publishers and subscribers of a topic."""
-        return self._node.count_publishers(topic), self._node.count_subscribers(topic)
 
 
 @dataclass(frozen=True, kw_only=True)

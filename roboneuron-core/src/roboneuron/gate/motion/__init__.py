@@ -2,6 +2,6 @@
 numpy only.
 """
 
-import lazy_loader
+from roboneuron.listing import attach
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

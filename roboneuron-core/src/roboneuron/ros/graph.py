@@ -1,0 +1,46 @@
+"""What a node has discovered of the ROS graph; it imports no `rclpy` itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rclpy.node import Node
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+
+@dataclass(frozen=True, slots=True)
+class RosGraph:
+    """What the server's node has discovered of the ROS graph; it sends nothing."""
+
+    _node: Node
+
+    @property
+    def node_name(self) -> str:
+        """Name of the server's node, whose own endpoints are listed too."""
+        return str(self._node.get_name())
+
+    def topics(self) -> dict[str, list[str]]:
+        """Types by absolute topic name."""
+        return dict(self._node.get_topic_names_and_types())
+
+    def services(self) -> dict[str, list[str]]:
+        """Types by absolute service name."""
+        return dict(self._node.get_service_names_and_types())
+
+    def nodes(self) -> list[tuple[str, str]]:
+        """Name and namespace of all nodes."""
+        return list(self._node.get_node_names_and_namespaces())
+
+    def publishers(self, topic: str) -> list[TopicEndpointInfo]:
+        """Who publishes a topic."""
+        return list(self._node.get_publishers_info_by_topic(topic))
+
+    def subscriptions(self, topic: str) -> list[TopicEndpointInfo]:
+        """Who subscribes to a topic."""
+        return list(self._node.get_subscriptions_info_by_topic(topic))
+
+    def counts(self, topic: str) -> tuple[int, int]:
+        """Publishers and subscribers of a topic."""
+        return self._node.count_publishers(topic), self._node.count_subscribers(topic)
