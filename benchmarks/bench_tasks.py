@@ -37,6 +37,7 @@ from rn_eval.runner import Runner
 from rn_eval.suite import Setup, Suite
 from rn_robot_fr3.limits import FINGER_JOINT
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation
+from rn_standard.tasks.hooks import MonitorSpec
 from rn_standard.tasks.judging import PredicateJudge
 from rn_standard.tasks.monitor import Monitor
 from rn_standard.tasks.predicates import MonitorSays, Predicate, parse_predicate
@@ -251,7 +252,7 @@ def play(seed: int, fail: float, grasps: int, braking: bool, image_px: int) -> d
         predicate = on_the_way_up() if braking else lifted(colour)
 
         def monitor(named: MonitorSays) -> Monitor:
-            return cast("Monitor", build(registry.get("monitor", named.name), named.options))
+            return cast("Monitor", build(registry.get(MonitorSpec, named.name), named.options))
 
         judge = PredicateJudge(predicate, episode.instruction, monitor)
         task = TaskPlan(

@@ -84,6 +84,6 @@ def test_the_hook_page_is_what_the_docstrings_say():
 
 def test_every_hook_has_a_docstring_and_is_on_the_page():
     page = (ROOT / "docs" / "reference" / "hooks.md").read_text(encoding="utf-8")
-    for hook in hookspecs.HOOKS.values():
+    for hook in hookspecs.HOOKS:
         assert getattr(hookspecs, hook).__doc__
         assert f"## `{hook}()" in page

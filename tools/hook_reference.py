@@ -16,7 +16,14 @@ from pathlib import Path
 from roboneuron.cli.main import CommandModule
 from roboneuron.contract import protocols
 from roboneuron.plugins import hookspecs
-from roboneuron.plugins.specs import PLUGIN_KINDS, CameraSpec, DriverSpec, Requirement, Spec
+from roboneuron.plugins.specs import (
+    PLUGIN_KINDS,
+    CameraSpec,
+    DriverSpec,
+    Loadable,
+    Requirement,
+    Spec,
+)
 from roboneuron.server.feature import Feature
 from roboneuron.server.host import Events, Host
 from roboneuron.supervisor.changes import Event
@@ -103,7 +110,7 @@ def methods(protocol: type) -> Iterator[str]:
 
 def section(kind: str) -> Iterator[str]:
     """The part of the page about one kind."""
-    hook = getattr(hookspecs, hookspecs.HOOKS[kind])
+    hook = getattr(hookspecs, f"{hookspecs.PROJECT}_{kind}s")
     spec = PLUGIN_KINDS[kind]
     yield f"## `{hook.__name__}() -> Sequence[{spec.__name__}]`\n"
     yield f"{inspect.getdoc(hook)}\n"
@@ -131,9 +138,10 @@ def section(kind: str) -> Iterator[str]:
 
 def render() -> str:
     """The whole page."""
-    lines = [INTRODUCTION, "## Every descriptor\n", first_line(Spec) + "\n", *field_list(Spec), ""]
+    lines = [INTRODUCTION, "## Every descriptor\n", first_line(Spec) + "\n"]
+    lines += [*field_list(Loadable), *field_list(Spec), ""]
     lines += ["### Requirement\n", first_line(Requirement) + "\n", *field_list(Requirement), ""]
-    for kind in hookspecs.HOOKS:
+    for kind in PLUGIN_KINDS:
         lines += section(kind)
     return "\n".join(lines).rstrip() + "\n"
 

@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from dataclasses import fields, is_dataclass
+from functools import cached_property
 from pathlib import Path
 
 import pytest
@@ -28,7 +29,7 @@ def _describe(name: str) -> object:
             member: _signature(function) if inspect.isfunction(function) else "property"
             for member, function in vars(value).items()
             if not member.startswith("_")
-            and (inspect.isfunction(function) or isinstance(function, property))
+            and (inspect.isfunction(function) or isinstance(function, (property, cached_property)))
         }
         own = [f"{f.name}: {f.type}" for f in fields(value)] if is_dataclass(value) else []
         return {"fields": own, "members": members}

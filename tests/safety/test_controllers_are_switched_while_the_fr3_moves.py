@@ -19,6 +19,7 @@ from rn_standard.switching.replacing import Switching
 from roboneuron.config import ControlConfig
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target
+from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.loop import ClosedLoop
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(180)]
@@ -62,7 +63,7 @@ def test_the_joints_do_not_notice_a_new_controller(
         f"largest step of a measured velocity: {steps[during].max():.3f}, before "
         f"{steps[~during].max():.3f} rad/s"
     )
-    profile = load_target(discover().get("robot", "fr3"))()  # type: ignore[operator]
+    profile = load_target(discover().get(RobotSpec, "fr3"))()  # type: ignore[operator]
     assert isinstance(arm.config.control, ControlConfig)
     # The limit on acceleration holds from one command to the next, 0.1 s apart.
     assert steps[during].max() <= max(

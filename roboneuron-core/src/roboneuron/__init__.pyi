@@ -52,7 +52,6 @@ from .contract import (
     Workspace as Workspace,
     apply_delta as apply_delta,
     channel_keys as channel_keys,
-    check_action_vector as check_action_vector,
     check_rgb8 as check_rgb8,
     frame_from_buffer as frame_from_buffer,
     robot_space as robot_space,

@@ -18,8 +18,10 @@ def attach(
         package: name of the module.
         file: its path; the stub has the same stem.
     """
+    # what a stub's dot means: the package itself, or that of a module
+    above = package if Path(file).stem == "__init__" else package.rpartition(".")[0]
     modules = {
-        alias.name: f"roboneuron.{node.module}" if node.module else "roboneuron"
+        alias.name: f"{above}.{node.module}" if node.module else above
         for node in ast.parse(Path(file).with_suffix(".pyi").read_text(encoding="utf-8")).body
         if isinstance(node, ast.ImportFrom) and node.level
         for alias in node.names

@@ -4,10 +4,13 @@ of its own.
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
 import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
@@ -37,6 +40,16 @@ def opener(path: str, flags: int) -> int:
     if flags & os.O_CREAT:
         make_log_directory(Path(path).parent)
     return os.open(path, flags | os.O_CLOEXEC, FILE_MODE)
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock `<path>.lock`, alone on this machine; the kernel releases that of a process
+    that dies.
+    """
+    with open(f"{path}.lock", "a", opener=opener) as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def escaped(text: str) -> str:

@@ -105,7 +105,7 @@ class KindEntry:
         """The section of this kind. Raises InvalidInputError when there is none."""
         section: Section | None = getattr(config, self.kind)
         if section is None:
-            choices = ", ".join(registry.specs(self.offer))
+            choices = ", ".join(registry.specs(registry.kinds[self.offer]))
             raise InvalidInputError(
                 f"The configuration names no {self.noun}.",
                 hint=f"Name one: {choices}."

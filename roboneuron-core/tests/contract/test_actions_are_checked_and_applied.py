@@ -10,11 +10,11 @@ from hypothesis.extra.numpy import arrays
 
 from roboneuron.contract import (
     ACTION_FIELDS,
+    EE_DELTA,
     Action,
     ActionChunk,
     Pose,
     apply_delta,
-    check_action_vector,
 )
 from roboneuron.contract.rotation import (
     matrix_from_quaternion,
@@ -40,7 +40,7 @@ def test_a_vector_survives_the_round_trip(six, gripper):
 @given(st.integers(0, 12).filter(lambda n: n != 7))
 def test_another_size_is_refused(size):
     with pytest.raises(InvalidInputError, match=r"expected \(7,\)"):
-        check_action_vector(np.zeros(size))
+        EE_DELTA.check(np.zeros(size))
 
 
 @given(st.integers(0, 6), st.sampled_from([np.nan, np.inf, -np.inf]))
@@ -48,13 +48,13 @@ def test_a_value_that_is_not_finite_is_unsafe_and_named(index, value):
     vector = np.zeros(7)
     vector[index] = value
     with pytest.raises(UnsafeError, match=ACTION_FIELDS[index]):
-        check_action_vector(vector)
+        EE_DELTA.check(vector)
 
 
 @pytest.mark.parametrize("gripper", [-0.01, 1.01, 255.0])
 def test_a_gripper_outside_its_range_is_refused(gripper):
     with pytest.raises(InvalidInputError, match="gripper_open"):
-        check_action_vector([0, 0, 0, 0, 0, 0, gripper])
+        EE_DELTA.check([0, 0, 0, 0, 0, 0, gripper])
 
 
 def test_an_action_does_not_share_memory_with_its_vector():

@@ -6,6 +6,7 @@ import pytest
 
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.registry import PluginRecord, Status
+from roboneuron.plugins.specs import BackendSpec, RuntimeSpec
 
 GOOD = """
 @hookimpl
@@ -176,7 +177,7 @@ def test_a_broken_plugin_is_named_and_hurts_nobody_else(site, fault):
     registry = site.discover()
     good, broken = registry.plugins
     assert (good.distribution, good.status, good.reason) == ("rn-good", Status.READY, "")
-    assert list(registry.specs("backend")) == ["good"]
+    assert list(registry.specs(BackendSpec)) == ["good"]
     assert broken.status is status
     assert words in broken.reason
     assert bool(broken.traceback) == (status is Status.FAILED)
@@ -197,15 +198,15 @@ def test_two_claims_on_one_name_disable_both_and_name_both(site):
     site.install("rn-one", GOOD + other)
     site.install("rn-two", GOOD)
     registry = site.discover()
-    assert dict(registry.specs("backend")) == {}
-    assert list(registry.specs("runtime")) == ["r"]
+    assert dict(registry.specs(BackendSpec)) == {}
+    assert list(registry.specs(RuntimeSpec)) == ["r"]
     assert [p.status for p in registry.plugins] == [Status.CONFLICT, Status.CONFLICT]
     assert all("rn-one" in p.reason and "rn-two" in p.reason for p in registry.plugins)
     with pytest.raises(
         ConfigurationError,
         match="claimed by rn-one and by rn-two; uninstall or disable all but one",
     ):
-        registry.get("backend", "good")
+        registry.get(BackendSpec, "good")
 
 
 def test_one_name_in_two_kinds_is_no_conflict(site):

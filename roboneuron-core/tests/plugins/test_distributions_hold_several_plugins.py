@@ -8,6 +8,7 @@ from rn_testing.fakes.site import HEADER, PluginSite
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.registry import Status
+from roboneuron.plugins.specs import BackendSpec, FeatureSpec
 
 BACKEND = """
 @hookimpl
@@ -53,7 +54,7 @@ def test_a_broken_plugin_leaves_the_others_of_its_distribution(site, fault):
         "rn-one": Status.FAILED,
         "rn-two": Status.READY,
     }
-    assert list(registry.specs("backend")) == ["second"]
+    assert list(registry.specs(BackendSpec)) == ["second"]
 
 
 @pytest.mark.parametrize("written", ["rn-one", "RN_One"])
@@ -73,7 +74,7 @@ def test_the_name_of_the_distribution_disables_all_of_them(site):
     site.install("rn-other", backend("other"))
     registry = site.discover(disabled=["rn-many"])
     assert [p.status for p in registry.plugins] == [Status.DISABLED, Status.READY, Status.DISABLED]
-    assert list(registry.specs("backend")) == ["other"]
+    assert list(registry.specs(BackendSpec)) == ["other"]
 
 
 def test_a_name_that_is_neither_is_refused_with_the_nearest(site):
@@ -95,7 +96,7 @@ def test_a_conflict_names_plugin_and_distribution(site):
         ConfigurationError,
         match="claimed by rn-alone and by rn-one of rn-many and by rn-two of rn-many; uninstall",
     ):
-        site.discover().get("backend", "same")
+        site.discover().get(BackendSpec, "same")
 
 
 def test_what_a_disabled_plugin_may_hold_is_not_said_to_be_absent(site):
@@ -109,7 +110,7 @@ def test_what_a_disabled_plugin_may_hold_is_not_said_to_be_absent(site):
     with pytest.raises(
         ConfigurationError, match=r"no feature 'http'.*Not loaded: rn-one \(disabled\)"
     ) as caught:
-        registry.get("feature", "http")
+        registry.get(FeatureSpec, "http")
     assert "pip install" not in str(caught.value)
     with pytest.raises(
         ConfigurationError,

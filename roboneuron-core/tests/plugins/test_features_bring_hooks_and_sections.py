@@ -28,11 +28,9 @@ class SuiteSpec(Spec):
 def roboneuron_suites() -> Sequence[SuiteSpec]:
     """Offer suites."""
 
-HOOKS = {"roboneuron_suites": SuiteSpec}
-
 @hookimpl
 def roboneuron_features():
-    return [FeatureSpec(name="evaluation", summary="Evaluates.", target="m:F", hooks="{module}:{table}")]
+    return [FeatureSpec(name="evaluation", summary="Evaluates.", target="m:F", brings="{module}:{table}")]
 '''  # noqa: E501
 CUBES = """
 from {module} import SuiteSpec
@@ -68,13 +66,13 @@ def write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
 
 @pytest.mark.parametrize("kind", ["Feature", "Command"])
 def test_a_plugin_offers_what_a_feature_or_command_asks_for(write, kind):
-    feature = EVALUATION.replace("{module}", "evaluation_one").replace("{table}", "HOOKS")
+    feature = EVALUATION.replace("{module}", "evaluation_one").replace("{table}", "SuiteSpec")
     feature = feature.replace("Feature", kind).replace("features", f"{kind.lower()}s")
     registry = discover_from(
         write(a_suite=CUBES.format(module="evaluation_one"), evaluation_one=feature)
     )
     assert [p.status for p in registry.plugins] == [Status.READY, Status.READY]
-    assert registry.get("suite", "cubes").tasks == 3
+    assert registry.get(registry.kinds["suite"], "cubes").tasks == 3
     assert "suite" in registry.kinds
 
 
@@ -89,17 +87,16 @@ def test_without_the_feature_its_hook_is_unknown(write):
     ("table", "fault"),
     [
         ("MISSING", "there is no attribute 'MISSING'"),
-        ("__name__", "expected a mapping"),
-        ("TWICE", "there already"),
+        ("__name__", "expected a descriptor class"),
+        ("BackendSpec", "there already"),
+        ("BoatSpec", "roboneuron_boats, which evaluation_boatspec lacks"),
     ],
 )
 def test_a_feature_with_unusable_hooks_fails_alone(write, table, fault):
     feature = EVALUATION.replace("{module}", f"evaluation_{table.lower()}").replace(
         "{table}", table
     )
-    feature += (
-        '\nfrom roboneuron import BackendSpec\nTWICE = {"roboneuron_backends": BackendSpec}\n'
-    )
+    feature += "\nfrom roboneuron import BackendSpec\nclass BoatSpec(Spec):\n    kind = 'boat'\n"
     other = SECTION.format(name="fine")
     registry = discover_from(write(**{f"evaluation_{table.lower()}": feature, "fine_one": other}))
     by_module = {p.module: p for p in registry.plugins}
@@ -124,7 +121,7 @@ def test_two_owners_of_one_section_disable_both(write):
     [
         ('sections=("Bad Key",)', "The section 'Bad Key'"),
         ('sections=("a",), config=None', "has no `config`"),
-        ('hooks="nowhere"', "expected 'package.module:attribute'"),
+        ('brings="nowhere"', "expected 'package.module:attribute'"),
     ],
 )
 def test_malformed_features_are_named(write, change, fault):

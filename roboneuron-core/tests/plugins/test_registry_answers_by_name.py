@@ -6,6 +6,7 @@ import pytest
 
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.registry import Status
+from roboneuron.plugins.specs import BackendSpec, RobotSpec
 
 SOURCE = """
 @hookimpl
@@ -22,7 +23,7 @@ def roboneuron_backends():
 def test_specs_are_ready_only_and_sorted_by_name(site):
     site.install("rn-a", SOURCE)
     registry = site.discover()
-    assert list(registry.specs("backend")) == ["policy", "servo"]
+    assert list(registry.specs(BackendSpec)) == ["policy", "servo"]
     assert [(o.spec.name, o.status) for o in registry.offers("backend")] == [
         ("gpu", Status.UNAVAILABLE),
         ("policy", Status.READY),
@@ -32,7 +33,7 @@ def test_specs_are_ready_only_and_sorted_by_name(site):
 
 def test_get_returns_the_descriptor(site):
     site.install("rn-a", SOURCE)
-    assert site.discover().get("backend", "servo").summary == "Servo."
+    assert site.discover().get(BackendSpec, "servo").summary == "Servo."
 
 
 def test_get_names_the_nearest_and_the_choices(site):
@@ -41,7 +42,7 @@ def test_get_names_the_nearest_and_the_choices(site):
         ConfigurationError,
         match=r"no backend 'sevro'\. Did you mean 'servo'\? Choose one of: policy, servo",
     ):
-        site.discover().get("backend", "sevro")
+        site.discover().get(BackendSpec, "sevro")
 
 
 def test_get_says_how_to_install_what_is_missing(site):
@@ -49,23 +50,23 @@ def test_get_says_how_to_install_what_is_missing(site):
     with pytest.raises(
         ConfigurationError, match=r"'gpu' cannot be used.*unavailable.*run: pip install x"
     ):
-        site.discover().get("backend", "gpu")
+        site.discover().get(BackendSpec, "gpu")
 
 
 def test_get_names_plugins_that_did_not_load(site):
     site.install("rn-a", SOURCE)
     site.install("rn-b", "1 / 0")
     with pytest.raises(ConfigurationError, match=r"Not loaded: rn-b \(failed\)"):
-        site.discover().get("backend", "of-rn-b")
+        site.discover().get(BackendSpec, "of-rn-b")
 
 
 def test_an_unknown_kind_is_refused(site):
     with pytest.raises(
         ConfigurationError, match=r"'backends' is no kind of plugin.*Did you mean 'backend'"
     ):
-        site.discover().specs("backends")
+        site.discover().offers("backends")
 
 
 def test_get_without_any_plugin_says_so(site):
     with pytest.raises(ConfigurationError, match="No robot plugin is ready"):
-        site.discover().get("robot", "fr3")
+        site.discover().get(RobotSpec, "fr3")

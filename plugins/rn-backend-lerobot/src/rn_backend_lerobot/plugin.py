@@ -28,14 +28,7 @@ BACKEND = BackendSpec(
     ),
     needs_state=True,
     needs_checkpoint=True,
-    action_space=ActionSpace(
-        translation="checkpoint",
-        rotation="checkpoint",
-        frame="checkpoint",
-        gripper="checkpoint",
-        horizon=100,
-        step_s=0.0,
-    ),
+    action_space=ActionSpace(horizon=100, step_s=0.0),
     conditions_on_rows=True,
     space="rn_backend_lerobot.space:lerobot_space",
 )

@@ -14,9 +14,7 @@ _REQUIRES = (
 )
 
 
-def _spec(
-    name: str, summary: str, target: str, case: str, frame: str, needs_state: bool
-) -> BackendSpec:
+def _spec(name: str, summary: str, target: str, case: str, needs_state: bool) -> BackendSpec:
     return BackendSpec(
         name=name,
         summary=summary,
@@ -27,14 +25,7 @@ def _spec(
         cameras=("primary",),
         needs_state=needs_state,
         needs_checkpoint=True,
-        action_space=ActionSpace(
-            width=7,
-            translation="checkpoint",
-            rotation="checkpoint",
-            frame=frame,
-            gripper="checkpoint",
-            step_s=0.0,
-        ),
+        action_space=ActionSpace(step_s=0.0),
         family="openvla",
         runtimes_required=True,
         default_runtime="torch",
@@ -51,7 +42,6 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             "checkpoints.",
             "OpenVlaBackend",
             "openvla_case",
-            "base",
             False,
         ),
         _spec(
@@ -59,7 +49,6 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             "OpenVLA checkpoints trained on tool-frame actions; also reads the measured TCP pose.",
             "OpenVlaTcpBackend",
             "openvla_tcp_case",
-            "tcp",
             True,
         ),
     )

@@ -13,19 +13,7 @@ _NATIVE_MODULES = tuple(
     Requirement(module=module, install=_NATIVE) for module in ("torch", "safetensors", "tokenizers")
 )
 _REMOTE = "pip install msgpack websockets"
-
-
-def _action_space() -> ActionSpace:
-    """What the checkpoint was trained on; the profile says it, and the backend converts by it."""
-    return ActionSpace(
-        width=7,
-        translation="checkpoint",
-        rotation="checkpoint",
-        frame="checkpoint",
-        gripper="checkpoint",
-        horizon=50,
-        step_s=0.0,
-    )
+_SPACE = ActionSpace(horizon=50, step_s=0.0)
 
 
 @hookimpl
@@ -43,7 +31,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             optional_cameras=("wrist", "right_wrist"),
             needs_state=True,
             needs_checkpoint=True,
-            action_space=_action_space(),
+            action_space=_SPACE,
             conditions_on_rows=True,
             space="rn_backend_pi0.space:pi0_space",
         ),
@@ -58,7 +46,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             optional_cameras=("wrist", "right_wrist"),
             needs_state=True,
             needs_checkpoint=True,
-            action_space=_action_space(),
+            action_space=_SPACE,
             space="rn_backend_pi0.space:pi0_space",
         ),
         BackendSpec(
@@ -73,7 +61,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             cameras=("primary",),
             optional_cameras=("wrist", "right_wrist"),
             needs_state=True,
-            action_space=_action_space(),
+            action_space=_SPACE,
             space="rn_backend_pi0.space:pi0_space",
         ),
     ]

@@ -24,15 +24,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             cameras=("primary",),
             optional_cameras=("wrist",),
             needs_state=True,
-            action_space=ActionSpace(
-                width=7,
-                translation="m",
-                rotation="rotvec",
-                frame="base",
-                gripper="open_fraction",
-                horizon=MAX_ROWS,
-                step_s=0.1,
-            ),
+            action_space=ActionSpace(horizon=MAX_ROWS, step_s=0.1),
             conditions_on_rows=True,
         ),
         BackendSpec(

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rn_eval.hooks import SuiteSpec
 from rn_standard.console.plugin_options import add_option, read_options
 from roboneuron import ConfigurationError
 
@@ -362,12 +363,9 @@ def _planned(arguments: Namespace) -> EvalPlan:
 
 
 def _options_of_suite(suite: str) -> Sequence[str]:
-    from rn_eval.hooks import SuiteSpec
     from roboneuron.command import discover
 
-    spec = discover().get("suite", suite)
-    assert isinstance(spec, SuiteSpec)
-    return spec.options
+    return discover().get(SuiteSpec, suite).options
 
 
 def _pairs(texts: Sequence[str], form: str) -> dict[str, object]:
@@ -406,6 +404,6 @@ def _report(arguments: Namespace) -> int:
 def _list_suites() -> int:
     from roboneuron.command import discover
 
-    for name, spec in discover().specs("suite").items():
+    for name, spec in discover().specs(SuiteSpec).items():
         print(f"{name}  {spec.summary}")
     return 0

@@ -30,7 +30,7 @@ from rn_testing.process_state import find_changes
 from rn_testing.rule import Rule, require
 from rn_testing.rules.descriptor import RULES as OF_EVERY_DESCRIPTOR
 from rn_testing.snapshots import snapshot
-from roboneuron import EE_DELTA, Controller, Observation, robot_space
+from roboneuron import EE_DELTA, Controller, ControllerSpec, Observation, robot_space
 from roboneuron.command import build, discover, load_config, load_profile
 
 STAMP_NS = 7_000_000_000
@@ -77,7 +77,8 @@ class SuiteCase(Case[SuiteSpec]):
             assert config.control is not None
             name = config.control.controller
             controller = cast(
-                "Controller", build(registry.get("controller", name), config.options(name), profile)
+                "Controller",
+                build(registry.get(ControllerSpec, name), config.options(name), profile),
             )
             controller.load()
         cameras = {camera.role: camera for camera in profile.cameras}

@@ -45,7 +45,3 @@ def roboneuron_suites() -> Sequence[SuiteSpec]:  # type: ignore[empty-body]
     `target` follows the protocol `rn_eval.suite.Suite`; it is built as `target(config)` in each
     worker.
     """
-
-
-HOOKS = {"roboneuron_suites": SuiteSpec}
-"""Descriptor class by hook."""

@@ -141,9 +141,7 @@ class EvalPlan(BaseModel):
 
     def suite_spec(self, registry: Registry) -> SuiteSpec:
         """The suite's descriptor. Raises ConfigurationError when it is not installed."""
-        spec = registry.get("suite", self.suite)
-        assert isinstance(spec, SuiteSpec)
-        return spec
+        return registry.get(SuiteSpec, self.suite)
 
     def build_suite(self, registry: Registry) -> Suite:
         """The suite with its options. Raises ConfigurationError for wrong ones."""

@@ -13,7 +13,7 @@ COMMAND = CommandSpec(
     name="eval",
     summary="measure how often a policy succeeds, over many simulated episodes",
     target="rn_eval.command:Eval",
-    hooks="rn_eval.hooks:HOOKS",
+    brings="rn_eval.hooks:SuiteSpec",
 )
 CUBES = SuiteSpec(
     name="cubes",

@@ -15,6 +15,7 @@ import pytest
 
 from rn_backend_oft.state import read_state
 from rn_eval.command import Eval, _planned
+from rn_eval.hooks import SuiteSpec
 from rn_eval.libero.suite import STEP_LIMITS, tasks_of, to_simulator
 from rn_vla.openvla.preprocessing import Preprocessor, TowerPixels
 from rn_vla.openvla.profiles import PROFILES
@@ -97,6 +98,6 @@ def test_each_suite_asks_backends_for_its_data_set():
     assert options_of("libero-goal", "openvla")["unnorm_key"] == "libero_goal"
     assert options_of("libero-goal", "oft")["state_rotation"] == "quaternion"
     assert options_of("libero-10", "oft")["unnorm_key"] == "libero_10"
-    assert {name for name in discover().specs("suite") if name.startswith("libero-")} == {
+    assert {name for name in discover().specs(SuiteSpec) if name.startswith("libero-")} == {
         suite.replace("_", "-") for suite in STEP_LIMITS
     }

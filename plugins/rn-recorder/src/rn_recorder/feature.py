@@ -29,6 +29,7 @@ from roboneuron import (
     Host,
     NotReadyError,
     RobotProfile,
+    RobotSpec,
     Tool,
     __version__,
     quaternion_from_matrix,
@@ -152,7 +153,7 @@ class Recorder(Feature[RecorderOptions]):
         config = self._host.config
         self._namespace = config.namespace
         registry, robot = self._host.registry, config.robot.name
-        profile = load_profile(registry, robot) if robot in registry.specs("robot") else None
+        profile = load_profile(registry, robot) if robot in registry.specs(RobotSpec) else None
         settings = RecorderSettings(
             namespace=config.namespace,
             state_directory=self._host.state_directory,

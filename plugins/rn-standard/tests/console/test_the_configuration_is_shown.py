@@ -8,6 +8,7 @@ from pathlib import Path
 from rn_standard.console.configuration import feature_text, reference
 from roboneuron.config import default_text, feature_options, parse_config
 from roboneuron.plugins.discovery import discover
+from roboneuron.plugins.specs import FeatureSpec
 
 DOCS = Path(__file__).parents[4] / "docs"
 
@@ -19,7 +20,7 @@ def test_what_is_shown_reads_back_as_the_default_configuration() -> None:
 
 def test_without_its_hashes_every_line_is_the_default_of_its_feature() -> None:
     registry = discover()
-    specs = [spec for spec in registry.specs("feature").values() if spec.config is not None]
+    specs = [spec for spec in registry.specs(FeatureSpec).values() if spec.config is not None]
     assert specs
     lines = [line.removeprefix("# ") for line in feature_text().splitlines()]
     shown = parse_config(default_text() + "\n".join(lines), registry=registry)

@@ -21,6 +21,7 @@ from roboneuron.errors import ConfigurationError, RefusedError
 from roboneuron.estop import EmergencyStopLatch
 from roboneuron.feature import ExposedEndpoint, GateRequest
 from roboneuron.gate import AuditLog
+from roboneuron.plugins.specs import ControllerSpec
 
 PROFILE = gantry_profile()
 CONTROLLED = '[robot]\nname = "gantry"\n[control]\ncontroller = "gantry"\n'
@@ -350,7 +351,7 @@ def test_without_a_controller_in_the_configuration_there_must_be_just_one(
     monkeypatch.setattr(
         type(registry),
         "specs",
-        lambda self, kind: dict.fromkeys(specs) if kind == "controller" else {},
+        lambda self, of: dict.fromkeys(specs) if of is ControllerSpec else {},
     )
     arms = ArmPaths(parse_config('[robot]\nname = "gantry"\n'), lambda: registry)
     with pytest.raises(ConfigurationError, match=f"would move 'gantry': .*{text}"):
@@ -366,7 +367,7 @@ def test_a_judge_is_of_the_only_controller_that_is_installed_now() -> None:
     spare = fake_registry(replace(FAKE_CONTROLLER, name="spare"))
     others = tuple(offer for offer in spare.all_offers if offer.spec != FAKE_CONTROLLER)
     registry = replace(spare, all_offers=others)
-    assert list(registry.specs("controller")) == ["spare"]
+    assert list(registry.specs(ControllerSpec)) == ["spare"]
     assert arms.limiter("gantry", PROFILE) is not before
 
 

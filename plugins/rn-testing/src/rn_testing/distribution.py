@@ -59,10 +59,10 @@ if spent_s > 1.0: effects.append(f"computes for {spent_s:.1f} s")
 sys.stdout = out
 loaded = sorted(set(sys.modules) - before)
 from roboneuron.plugins.discovery import discover, read_module
-from roboneuron.plugins.hookspecs import Hooks
+from roboneuron.plugins.hookspecs import HOOKS, extended
 try:
-    bringing = [offer.spec for offer in discover().all_offers if getattr(offer.spec, "hooks", None)]
-    read_module(module, Hooks().extended(bringing))
+    installed = [offer.spec for offer in discover().all_offers]
+    read_module(module, extended(HOOKS, installed))
     problem = ""
 except Exception as error:
     problem = str(error)

@@ -27,6 +27,7 @@ from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry, Status
+from roboneuron.plugins.specs import CommandSpec
 
 
 class Command(NamedTuple):
@@ -110,7 +111,7 @@ def load_command(name: str, registry: Registry | None = None) -> CommandModule:
     """
     if registry is None or name in COMMANDS:
         return cast(CommandModule, import_module(COMMANDS[name].module))
-    target = load_target(registry.get("command", name))
+    target = load_target(registry.get(CommandSpec, name))
     if not callable(target):
         raise PluginError(f"The target of command {name!r} is {target!r}, expected a class.")
     command = target()

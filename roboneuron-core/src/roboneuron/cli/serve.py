@@ -76,7 +76,7 @@ class _Absent(Action):
 
     def __call__(self, *_: object) -> None:
         """Raise ConfigurationError: says why, and what to install."""
-        discover().get("feature", self.dest)
+        discover().get(FeatureSpec, self.dest)
 
 
 def switched_features(registry: Registry | None = None) -> list[FeatureSpec]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roboneuron.contract.arrays import F64, freeze
+from roboneuron.contract.arrays import F64, ReadOnly, freeze
 from roboneuron.contract.observation import Pose
 from roboneuron.contract.rotation import (
     matrix_from_quaternion,
@@ -28,13 +28,8 @@ ACTION_SIZE = EE_DELTA.size
 """Number of values in one action of the default space."""
 
 
-def check_action_vector(values: ArrayLike) -> F64:
-    """Return `values` as a float64 array of shape (7,); raises as `ControlSpace.check`."""
-    return EE_DELTA.check(values)
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Action:
+class Action(ReadOnly):
     """One step: a TCP delta in the base frame and the absolute gripper opening. Its arrays are
     read-only copies.
 
@@ -48,13 +43,10 @@ class Action:
     rotation_rad: F64
     gripper_open: float
 
-    def __post_init__(self) -> None:
-        freeze(self, "translation_m", "rotation_rad")
-
     @classmethod
     def from_vector(cls, values: ArrayLike) -> Action:
-        """Build from 7 values in the order of ACTION_FIELDS; raises as `check_action_vector`."""
-        v = check_action_vector(values)
+        """Build from 7 values in the order of ACTION_FIELDS; raises as `ControlSpace.check`."""
+        v = EE_DELTA.check(values)
         return cls(translation_m=v[:3], rotation_rad=v[3:6], gripper_open=float(v[6]))
 
     def to_vector(self) -> F64:

@@ -4,7 +4,7 @@ handed over.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -24,6 +24,19 @@ def freeze(value: object, *names: str, dtype: DTypeLike | None = np.float64) -> 
         array = getattr(value, name)
         if array is not None:
             object.__setattr__(value, name, _frozen(array, dtype))
+
+
+class ReadOnly:
+    """Base of frozen dataclasses: fields that are annotated as F64 are read-only copies."""
+
+    __slots__ = ()
+    _arrays: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        cls._arrays = tuple(name for name, kind in cls.__annotations__.items() if "F64" in kind)
+
+    def __post_init__(self) -> None:
+        freeze(self, *self._arrays)
 
 
 def read_only_view(array: NDArray[Any]) -> NDArray[Any]:

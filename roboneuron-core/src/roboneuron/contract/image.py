@@ -39,8 +39,6 @@ _ENCODINGS: dict[str, tuple[int, Callable[[U8], U8] | None]] = {
     "mono8": (1, lambda pixels: np.repeat(pixels, 3, axis=2)),
 }
 """Channels, and how they become RGB."""
-READABLE_ENCODINGS = tuple(_ENCODINGS)
-"""Encodings `frame_from_buffer` converts to RGB; the contract itself publishes `rgb8` only."""
 
 
 def frame_from_buffer(data: Any, *, width: int, height: int, step: int, encoding: str) -> U8:
@@ -61,8 +59,7 @@ def frame_from_buffer(data: Any, *, width: int, height: int, step: int, encoding
     """
     if encoding not in _ENCODINGS:
         raise InvalidInputError(
-            f"Image encoding {encoding!r} cannot be read, expected one of "
-            f"{', '.join(READABLE_ENCODINGS)}."
+            f"Image encoding {encoding!r} cannot be read, expected one of {', '.join(_ENCODINGS)}."
         )
     channels, convert = _ENCODINGS[encoding]
     if not (1 <= width <= MAX_SIDE_PX and 1 <= height <= MAX_SIDE_PX):

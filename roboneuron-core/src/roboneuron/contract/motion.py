@@ -9,12 +9,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from roboneuron.contract.arrays import F64, freeze
+from roboneuron.contract.arrays import F64, ReadOnly
 from roboneuron.contract.observation import JointSample, Pose
+
+STATE_STEP_S = 0.1
+"""Time to reach positions that come without one, as in a JointState."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class JointCommand:
+class JointCommand(ReadOnly):
     """Joint positions to reach after `duration_s`.
 
     Attributes:
@@ -30,9 +33,6 @@ class JointCommand:
     duration_s: float
     residual_m: float = 0.0
     residual_rad: float = 0.0
-
-    def __post_init__(self) -> None:
-        freeze(self, "position")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron.contract.arrays import F64, freeze, read_only_view
+from roboneuron.contract.arrays import F64, ReadOnly, freeze, read_only_view
 from roboneuron.contract.image import check_rgb8
 from roboneuron.errors import InvalidInputError
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class CameraCalibration:
+class CameraCalibration(ReadOnly):
     """A pinhole camera and where it is mounted.
 
     Attributes:
@@ -35,9 +35,6 @@ class CameraCalibration:
     intrinsics: F64
     mount: str
     T_mount_camera: F64
-
-    def __post_init__(self) -> None:
-        freeze(self, "intrinsics", "T_mount_camera")
 
     @property
     def arm(self) -> str | None:
@@ -72,7 +69,7 @@ class Frame:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Pose:
+class Pose(ReadOnly):
     """A TCP pose in the robot's base frame.
 
     Attributes:
@@ -85,12 +82,9 @@ class Pose:
     quaternion_xyzw: F64
     stamp_ns: int = 0
 
-    def __post_init__(self) -> None:
-        freeze(self, "position_m", "quaternion_xyzw")
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class JointSample:
+class JointSample(ReadOnly):
     """Measured joints, by name.
 
     Attributes:
@@ -104,9 +98,6 @@ class JointSample:
     position: F64
     velocity: F64 | None = None
     stamp_ns: int = 0
-
-    def __post_init__(self) -> None:
-        freeze(self, "position", "velocity")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from roboneuron.contract.arrays import F64, freeze
+from roboneuron.contract.arrays import F64, ReadOnly, freeze
 from roboneuron.contract.observation import CameraCalibration
 from roboneuron.errors import InvalidInputError
 
@@ -23,19 +23,23 @@ ARRIVED_RAD, ARRIVED_M = 0.01, 0.001
 
 
 @functools.lru_cache(maxsize=16)
+def urdf_joints(urdf: str) -> tuple[ET.Element, ...]:
+    """The joints of a URDF, not to be changed; none of what is no URDF."""
+    try:
+        return tuple(ET.fromstring(urdf).findall("joint"))
+    except ET.ParseError:
+        return ()
+
+
+@functools.lru_cache(maxsize=16)
 def prismatic_joints(urdf: str) -> frozenset[str]:
     """Names of the joints of a URDF whose positions are metres; empty for what is no URDF."""
-    try:
-        root = ET.fromstring(urdf)
-    except ET.ParseError:
-        return frozenset()
-    return frozenset(
-        joint.get("name", "") for joint in root.iter("joint") if joint.get("type") == "prismatic"
-    )
+    slides = (joint for joint in urdf_joints(urdf) if joint.get("type") == "prismatic")
+    return frozenset(joint.get("name", "") for joint in slides)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class JointLimits:
+class JointLimits(ReadOnly):
     """Official limits of the arm's joints; arrays are float64 (n,) in the order of
     `RobotProfile.arm_joints`.
 
@@ -58,9 +62,6 @@ class JointLimits:
     effort: F64
     braking_offset: F64 | None = None
     braking_deceleration: F64 | None = None
-
-    def __post_init__(self) -> None:
-        freeze(self, *(field.name for field in fields(self)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -135,26 +136,20 @@ class CameraProfile:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Workspace:
+class Workspace(ReadOnly):
     """Axis-aligned box in the base frame that the TCP must stay in; float64 (3,) [m]."""
 
     lower_m: F64
     upper_m: F64
 
-    def __post_init__(self) -> None:
-        freeze(self, "lower_m", "upper_m")
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Obstacle:
+class Obstacle(ReadOnly):
     """A box in the base frame that no link may touch; float64 (3,) [m]."""
 
     name: str
     lower_m: F64
     upper_m: F64
-
-    def __post_init__(self) -> None:
-        freeze(self, "lower_m", "upper_m")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

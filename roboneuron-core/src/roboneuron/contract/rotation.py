@@ -4,6 +4,8 @@ y z w order.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from roboneuron.contract.arrays import F64
@@ -15,19 +17,18 @@ _SMALL_ANGLE_RAD = 1e-8
 def matrix_from_rotvec(rotvec_rad: F64) -> F64:
     """Exponential map: rotation vector (3,) [rad] -> rotation matrix (3, 3).
 
-    R = I + sin(a) K + (1 - cos(a)) K^2, with the angle a and K v = axis x v.
+    R = I + sin(a) / a K + (1 - cos(a)) / a^2 K^2, with the angle a and K v = rotvec x v.
 
     Source: Rodrigues' formula.
     """
     angle = float(np.linalg.norm(rotvec_rad))
-    x, y, z = (float(c) for c in rotvec_rad)
+    x, y, z = rotvec_rad.tolist()
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    matrix: F64 = np.eye(3)
-    if angle >= _SMALL_ANGLE_RAD:
-        skew /= angle
-        matrix = matrix + np.sin(angle) * skew + (1.0 - np.cos(angle)) * (skew @ skew)
-    else:
-        matrix = matrix + skew
+    # sin(a) / a, and (1 - cos(a)) / a^2 by the half angle: 1 - cos(a) would lose small angles
+    linear, square = 1.0, 0.5
+    if angle > 0.0:
+        linear, square = math.sin(angle) / angle, 2.0 * (math.sin(angle / 2.0) / angle) ** 2
+    matrix: F64 = np.eye(3) + linear * skew + square * (skew @ skew)
     return matrix
 
 
@@ -37,35 +38,31 @@ def rotvec_from_matrix(matrix: F64) -> F64:
     By the quaternion (sin(a/2) axis, cos(a/2)): unlike the trace of the matrix, it tells small
     angles and those close to pi as well as all others.
     """
-    x, y, z, w = quaternion_from_matrix(matrix)
-    sine = float(np.sqrt(x * x + y * y + z * z))
-    angle = 2.0 * float(np.arctan2(sine, w))
-    if sine < _SMALL_ANGLE_RAD:
-        return np.array([2.0 * x, 2.0 * y, 2.0 * z])
-    return np.array([x, y, z]) * (angle / sine)
+    *axis, w = quaternion_from_matrix(matrix).tolist()
+    sine = math.hypot(*axis)
+    angle = 2.0 * math.atan2(sine, w)
+    rotvec: F64 = np.array(axis) * (angle / sine if sine >= _SMALL_ANGLE_RAD else 2.0)
+    return rotvec
 
 
 def quaternion_from_matrix(matrix: F64) -> F64:
     """Rotation matrix (3, 3) -> unit quaternion (4,) x y z w with w >= 0.
 
-    The largest of 4x^2, 4y^2, 4z^2 and 4w^2, each but for a constant, is divided by: never a number
-    close to 0.
+    The row of the largest of 4x^2, 4y^2, 4z^2 and 4w^2 is normalised: never one close to 0.
 
     Source: Shepperd 1978 (largest pivot).
     """
-    m = matrix
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    pivots = np.array([m[0, 0], m[1, 1], m[2, 2], trace])
-    i = int(np.argmax(pivots))
-    q = np.empty(4)
-    if i == 3:
-        q[:] = (m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], 1.0 + trace)
-    else:
-        j, k = (i + 1) % 3, (i + 2) % 3
-        q[i] = 1.0 + m[i, i] - m[j, j] - m[k, k]
-        q[j] = m[j, i] + m[i, j]
-        q[k] = m[k, i] + m[i, k]
-        q[3] = m[k, j] - m[j, k]
+    a, b, c, d, e, f, g, h, i = matrix.ravel().tolist()
+    # 4 q q^T: each of its rows is a multiple of the quaternion
+    products = np.array(
+        [
+            [1.0 + a - e - i, d + b, g + c, h - f],
+            [d + b, 1.0 - a + e - i, h + f, c - g],
+            [g + c, h + f, 1.0 - a - e + i, d - b],
+            [h - f, c - g, d - b, 1.0 + a + e + i],
+        ]
+    )
+    q: F64 = products[int(products.diagonal().argmax())]
     q /= np.linalg.norm(q)
     return q if q[3] >= 0 else -q
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -78,9 +79,6 @@ class ControlSpace:
         kind: one of `SPACE_KINDS`.
         channels: what each value is, in order.
         rate_hz: rows per second that the policy was trained for; 0 when any rate will do.
-        quaternions: of each quaternion the places of x y z w, in whatever order they stand.
-        label: kind, rate and names of the channels, as the action message carries them:
-            "joint_velocity@15:fr3_joint1,fr3_joint2,gripper_open"; `ACTION_LABEL` for `EE_DELTA`.
 
     Raises:
         InvalidInputError: the kind or the rate is none, or a channel comes twice.
@@ -89,9 +87,6 @@ class ControlSpace:
     kind: str
     channels: tuple[Channel, ...]
     rate_hz: float = 0.0
-    label: str = field(init=False)
-    _grippers: tuple[int, ...] = field(init=False, repr=False, compare=False)
-    quaternions: tuple[list[int], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         keys = [channel.key for channel in self.channels]
@@ -105,16 +100,24 @@ class ControlSpace:
             )
         if len(set(keys)) != len(keys) or not keys:
             raise InvalidInputError(f"The channels of {self.kind!r} are not distinct: {keys}.")
-        names = [channel.name for channel in self.channels]
+
+    @cached_property
+    def label(self) -> str:
+        """Kind, rate and names of the channels, as the action message carries them:
+        "joint_velocity@15:fr3_joint1,fr3_joint2,gripper_open"; `ACTION_LABEL` for `EE_DELTA`.
+        """
         rate = f"@{self.rate_hz:g}" if self.rate_hz else ""
-        label = f"{self.kind}{rate}:{','.join(keys)}"
-        if label == f"ee_delta:{','.join(ACTION_FIELDS)}":
-            label = ACTION_LABEL
-        object.__setattr__(self, "label", label)
-        object.__setattr__(
-            self, "_grippers", tuple(i for i, name in enumerate(names) if name == GRIPPER)
-        )
-        object.__setattr__(self, "quaternions", tuple(_quaternions(keys)))
+        label = f"{self.kind}{rate}:{','.join(self.keys)}"
+        return ACTION_LABEL if label == f"ee_delta:{','.join(ACTION_FIELDS)}" else label
+
+    @cached_property
+    def quaternions(self) -> tuple[list[int], ...]:
+        """Of each quaternion the places of x y z w, in whatever order they stand."""
+        return tuple(_quaternions(self.keys))
+
+    @cached_property
+    def _grippers(self) -> tuple[int, ...]:
+        return tuple(i for i, channel in enumerate(self.channels) if channel.name == GRIPPER)
 
     @property
     def size(self) -> int:

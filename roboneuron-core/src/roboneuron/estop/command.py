@@ -17,8 +17,7 @@ from roboneuron.config import read_state_directory, robot_folder
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.gate.roles import Role
+from roboneuron.gate import AuditLog, AuditRecord, Role
 from roboneuron.ros.environment import state_directory
 
 _AGAIN_S = 0.1
@@ -63,7 +62,7 @@ def run(arguments: Namespace) -> int:
     """
     configured = read_state_directory(arguments.config) if arguments.config else None
     directory = state_directory(str(arguments.state) if arguments.state else configured)
-    _check_robot(directory, arguments.robot)
+    _folders(directory, arguments.robot)  # there is such a robot
     who = f"{getpass.getuser()} at the command line"
     if arguments.set_pin:
         return _set_pin(ReleasePin(directory), AuditLog.in_directory(directory), who)
@@ -89,24 +88,20 @@ def run(arguments: Namespace) -> int:
     return status
 
 
-def _check_robot(directory: Path, robot: str | None) -> None:
-    """Refuse the name of a robot that has no folder: a stop of nothing must not look like one.
+def _folders(directory: Path, robot: str | None) -> set[Path]:
+    """Where the latches are: of one robot, or of the server itself and of all its robots.
 
     Raises:
-        ConfigurationError: names the robots that there are.
+        ConfigurationError: the robot has no folder; a stop of nothing must not look like one.
     """
     of_robots = robot_folder(directory).parent
-    if robot is not None and not (of_robots / robot).is_dir():
-        known = ", ".join(sorted(path.name for path in of_robots.glob("*"))) or "none"
-        raise ConfigurationError(f"There is no robot {robot!r} in {of_robots}; there are: {known}.")
-
-
-def _folders(directory: Path, robot: str | None) -> set[Path]:
-    """Where the latches are: of one robot, or of the server itself and of all its robots."""
-    of_robots = robot_folder(directory).parent
-    if robot:
-        return {of_robots / robot}
-    return {directory, *of_robots.glob("*")}
+    known = {path.name: path for path in sorted(of_robots.glob("*"))}
+    if robot is None:
+        return {directory, *known.values()}
+    if robot not in known:
+        names = ", ".join(known) or "none"
+        raise ConfigurationError(f"There is no robot {robot!r} in {of_robots}; there are: {names}.")
+    return {known[robot]}
 
 
 def _show(latch: EmergencyStopLatch) -> int:

@@ -20,7 +20,7 @@ from roboneuron.errors import NotReadyError, RefusedError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate.audit import AuditLog, AuditRecord
+from roboneuron.gate import AuditLog, AuditRecord
 from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
 from roboneuron.supervisor.changes import Event
 from roboneuron.supervisor.health import ModuleView
@@ -74,7 +74,6 @@ class EmergencyStop:
         # guards the making of publishers; who presses only reads the dictionary
         self._lock = threading.Lock()
         self._publishers: dict[str, Callable[[bool], None]] = {}
-        self._restored = 0
         # what was published last
         self._is_told = False
         self.file = EmergencyStopLatch.in_directory(supervisor.state_directory)
@@ -117,22 +116,6 @@ class EmergencyStop:
         state = self.file.read_state()
         restored = f" (its file vanished without a reset and was written again, {state.restored} x)"
         return f"{state.cause}{restored if state.restored else ''}" if state.cause else ""
-
-    def take_restored(self) -> int:
-        """How often the latch's file has vanished without a reset, when that is news: recorded, 0
-        the next time.
-
-        Called now and then, which also keeps the server latched when the file vanishes. Whoever has
-        removed it is not known; that somebody has is recorded, because it looks like a release.
-        """
-        restored = self.file.read_state().restored
-        is_news, self._restored = restored > self._restored, restored
-        if not is_news:
-            return 0
-        self.audit.write_if_possible(
-            AuditRecord(who="server", role="", tool="emergency_stop", verdict="restored")
-        )
-        return restored
 
     def prepare(self, namespace: str) -> None:
         """Make the topic known before it is needed, and tell modules that start later what the
@@ -210,14 +193,10 @@ class EmergencyStop:
             UnsafeError: a running module did not confirm it in time (the message names it), or the
                 latch file cannot be written; the other way was used nevertheless.
         """
-        unwritten: UnsafeError | None = None
         try:
             self.file.latch(who=who, reason=reason, audit=self.audit)
-        except UnsafeError as error:
-            unwritten = error
-        confirmed, silent, took_s = self._tell(namespace, True)
-        if unwritten is not None:
-            raise unwritten
+        finally:
+            confirmed, silent, took_s = self._tell(namespace, True)
         if silent:
             raise UnsafeError(
                 f"The emergency stop was sent, but not confirmed within {CONFIRM_S:g} s by: "
@@ -322,19 +301,27 @@ class SafetyReports:
         self._emergency_stop = emergency_stop
         self._fault = fault
         self._foreign: dict[ModuleKind, int] = {}
+        self._restored = 0
 
     def look(self) -> Sequence[ModuleView]:
         """The modules; faults are reported on the way.
 
-        A counter that has gone up is news; one of a process that was started again begins at 0.
+        A counter that has gone up is news; one of a process that was started again begins at 0. To
+        look at the latch's file keeps the server latched when it vanishes. Whoever has removed it
+        is not known; that somebody has is recorded, because it looks like a release.
         """
-        if restored := self._emergency_stop.take_restored():
+        restored = self._emergency_stop.file.read_state().restored
+        if restored > self._restored:
             what = (
                 "its file vanished without a reset and was written again; everything stays stopped"
+            )
+            self._emergency_stop.audit.write_if_possible(
+                AuditRecord(who="server", role="", tool="emergency_stop", verdict="restored")
             )
             self._fault.tell(
                 "emergency_stop", "latch_vanished", {"explanation": what, "times": restored}
             )
+        self._restored = restored
         views = self._starts.look(self._emergency_stop.follow_file())
         for view in views:
             count = view.report.dropped_by.get(FOREIGN_REQUEST, 0) if view.report is not None else 0

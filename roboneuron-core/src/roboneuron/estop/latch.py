@@ -25,8 +25,7 @@ from pathlib import Path
 
 from roboneuron.errors import RefusedError, StateError, UnsafeError
 from roboneuron.estop.pin import ReleasePin
-from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.gate.roles import Role
+from roboneuron.gate import AuditLog, AuditRecord, Role
 from roboneuron.log_files import make_log_directory
 
 log = logging.getLogger(__name__)
@@ -94,7 +93,7 @@ class EmergencyStopLatch:
         self._spare: list[int] = []
         # Guards what is held and seen, over a few system calls at most. Listeners and disks that
         # may be slow are not waited for while it is held.
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._stop_listeners: list[Callable[[], object]] = []
         self._written_listeners: list[Callable[[], object]] = []
 
@@ -131,20 +130,16 @@ class EmergencyStopLatch:
     def is_latched(self) -> bool:
         """Whether motion is forbidden; about a microsecond."""
         with self._lock:
-            return self._check_file()
-
-    def _check_file(self) -> bool:
-        """Whether the file stops, or has stopped and was not reset; the lock is held."""
-        try:
-            self._seen = _identity(self.path)
-        except FileNotFoundError:
-            return self._held is not None and not self._was_reset()
-        # a directory that cannot be entered, a disk that fails: unknown is latched
-        except OSError:
+            try:
+                self._seen = _identity(self.path)
+            except FileNotFoundError:
+                return self._held is not None and not self._was_reset()
+            # a directory that cannot be entered, a disk that fails: unknown is latched
+            except OSError:
+                return True
+            if self._held is None:
+                self._held = self._parse()
             return True
-        if self._held is None:
-            self._held = self._parse()
-        return True
 
     def _was_reset(self) -> bool:
         """The file is gone: by a reset, or otherwise, and then it is written again."""
@@ -289,9 +284,15 @@ class EmergencyStopLatch:
                 listener()
         for latch, state in pressed:
             try:
-                latch._write(state)
-            except UnsafeError as error:  # the others are written all the same
-                failures.append(error)
+                latch._create(state)
+            except OSError as error:  # the others are written all the same; it is tried again
+                failure = UnsafeError(
+                    f"The emergency stop cannot be written to {latch.path}: {error.strerror}; only "
+                    "this process is stopped.",
+                    hint="Use the robot's own stop.",
+                )
+                failure.__cause__ = error
+                failures.append(failure)
         for latch, _ in pressed:
             for listener in latch._written_listeners:
                 listener()
@@ -302,25 +303,10 @@ class EmergencyStopLatch:
         there already.
         """
         with self._lock:
-            if self._held is not None and self._check_file() and self._seen is not None:
+            if self._held is not None and self.is_latched() and self._seen is not None:
                 return False
             self._held, self._tried_s = state, self._clock_s()
         return True
-
-    def _write(self, state: LatchState) -> None:
-        """Stop the other processes.
-
-        Raises:
-            UnsafeError: the file cannot be created; later looks try again, see `_restore`.
-        """
-        try:
-            self._create(state)
-        except OSError as error:
-            raise UnsafeError(
-                f"The emergency stop cannot be written to {self.path}: {error.strerror}; only "
-                "this process is stopped.",
-                hint="Use the robot's own stop.",
-            ) from error
 
     def _create(self, state: LatchState) -> None:
         """Make the file with its cause; the latch holds without it, and the cause that came first
@@ -369,20 +355,25 @@ class EmergencyStopLatch:
                 written.
             StateError: the latch cannot be removed; it stays latched.
         """
-        rule = "" if Role.ADMIN.is_held_by(role) else "role"
-        if not rule:
+        is_allowed = Role.ADMIN.is_held_by(role)
+        if is_allowed:
             ReleasePin(self.path.parent).check(pin, who=who, audit=audit)
-        verdict = "refused" if rule else "allowed"
         audit.write(
-            AuditRecord(who=who, role=role, tool="reset_emergency_stop", verdict=verdict, rule=rule)
+            AuditRecord(
+                who=who,
+                role=role,
+                tool="reset_emergency_stop",
+                verdict="allowed" if is_allowed else "refused",
+                rule="" if is_allowed else "role",
+            )
         )
-        if rule:
+        if not is_allowed:
             raise RefusedError(
                 f"Resetting the emergency stop needs the role '{Role.ADMIN}', {who!r} has {role!r}."
             )
         with self._lock:
             try:
-                if self._check_file() and self._seen is None:
+                if self.is_latched() and self._seen is None:
                     # others learn of the reset by the file only
                     self._create(self._held or LatchState(latched=True))
                 with suppress(FileNotFoundError):

@@ -7,21 +7,19 @@ does not know it. It does not keep out whoever can write to the state directory.
 
 from __future__ import annotations
 
-import fcntl
 import hashlib
 import hmac
 import json
 import os
 import secrets
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from roboneuron.errors import InvalidInputError, RefusedError
-from roboneuron.gate.audit import AuditLog, AuditRecord
-from roboneuron.log_files import make_log_directory
+from roboneuron.gate import AuditLog, AuditRecord
+from roboneuron.log_files import locked, make_log_directory
 
 FILE_NAME = "emergency_stop.pin"
 """Name of the hash in the state directory; a fleet has one for all its robots."""
@@ -87,7 +85,8 @@ class ReleasePin:
         """
         if not self.is_set:
             return
-        with self._locked():
+        # one attempt at a time, so that each is counted
+        with locked(self.path):
             reason = self._attempt(pin)
         if reason:
             record = AuditRecord(
@@ -140,13 +139,6 @@ class ReleasePin:
             file.flush()
             os.fsync(file.fileno())
         os.replace(new, self.path)
-
-    @contextmanager
-    def _locked(self) -> Iterator[None]:
-        """One attempt at a time, so that each is counted."""
-        with self.path.with_name(f"{self.path.name}.lock").open("a") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            yield
 
 
 def _hash(pin: str, salt: bytes) -> str:

@@ -6,20 +6,20 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import fcntl
 import json
 import logging
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from roboneuron.errors import RefusedError
-from roboneuron.log_files import make_log_directory
+from roboneuron.log_files import locked, make_log_directory
 
 _MAX_ARGUMENTS = 4096
 """Characters of a call's arguments that are kept: an agent may send a megabyte."""
@@ -105,7 +105,7 @@ class AuditLog:
         self._max_bytes = max_bytes
         self._backups = max(1, backups)
         # guards what follows; `on_record` is called without it, so that a listener may write too
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._descriptor = -1
         self._identity = (-1, -1)
         # the file ends within a line: what is appended would be lost in it
@@ -125,7 +125,7 @@ class AuditLog:
                 self._append(line)
             except OSError as error:
                 self.failed = True
-                self._close()
+                self.close()
                 raise RefusedError(
                     f"The audit {self.path} cannot be written: {error.strerror or error}. Nothing "
                     "moves without it.",
@@ -152,13 +152,10 @@ class AuditLog:
     def close(self) -> None:
         """Close the file; the next record reopens it."""
         with self._lock:
-            self._close()
-
-    def _close(self) -> None:
-        if self._descriptor >= 0:
-            with contextlib.suppress(OSError):
-                os.close(self._descriptor)
-            self._descriptor = -1
+            if self._descriptor >= 0:
+                with contextlib.suppress(OSError):
+                    os.close(self._descriptor)
+                self._descriptor = -1
 
     def _append(self, line: bytes) -> None:
         """Put a line behind the last one. Raises OSError when it is not wholly written."""
@@ -186,7 +183,7 @@ class AuditLog:
                 there = os.stat(self.path)
                 if (there.st_dev, there.st_ino) == self._identity:
                     return there.st_size
-            self._close()
+            self.close()
         make_log_directory(self.path.parent)
         flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
         self._descriptor = os.open(self.path, flags, 0o640)
@@ -203,15 +200,11 @@ class AuditLog:
             coming: bytes that are to be appended.
         """
         # Looked at again under the lock: another process may have rotated them meanwhile.
-        with _locked(self.path.with_name(self.path.name + ".lock")):
+        with locked(self.path):
             if self.path.exists() and self.path.stat().st_size + coming > self._max_bytes:
-                for number in range(self._backups, 0, -1):
-                    older = self.path.with_name(f"{self.path.name}.{number}")
-                    newer = (
-                        self.path
-                        if number == 1
-                        else self.path.with_name(f"{self.path.name}.{number - 1}")
-                    )
+                numbers = range(self._backups, 0, -1)
+                rotated = [self.path.with_name(f"{self.path.name}.{number}") for number in numbers]
+                for older, newer in pairwise([*rotated, self.path]):
                     if newer.exists():
                         newer.replace(older)
         self._open()
@@ -264,16 +257,3 @@ def _to_json(arguments: Mapping[str, Any]) -> str:
         if len(text) > _MAX_ARGUMENTS:
             return text
         return _STRICT.encode(json.loads(text, parse_constant=str))
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Hold the file's lock, alone on this machine; the kernel releases that of a process that
-    dies.
-    """
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o640)
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(descriptor)

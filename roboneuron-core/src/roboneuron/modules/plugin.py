@@ -10,7 +10,7 @@ from roboneuron.errors import PluginError
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.plugins.loading import load_options, load_target
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import DriverSpec, FeatureSpec, Spec
+from roboneuron.plugins.specs import DriverSpec, FeatureSpec, RobotSpec, Spec
 
 _ROBOT = "roboneuron.modules.robot:RobotModule"
 """The module that moves the arm; features that are called as the others bring these."""
@@ -45,7 +45,7 @@ def load_profile(registry: Registry, robot: str) -> RobotProfile:
         ConfigurationError: no installed plugin offers it.
         PluginError: its target returns something else.
     """
-    profile = cast("Callable[[], object]", load_target(registry.get("robot", robot)))()
+    profile = cast("Callable[[], object]", load_target(registry.get(RobotSpec, robot)))()
     if not isinstance(profile, RobotProfile):
         raise PluginError(
             f"The target of robot {robot!r} returned {type(profile).__name__}, expected "

@@ -12,8 +12,8 @@ from functools import cache
 from types import NoneType, UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
-from roboneuron.errors import PluginError
-from roboneuron.plugins.specs import DriverSpec, FeatureSpec, RobotSpec, Spec
+from roboneuron.errors import PluginError, shortened
+from roboneuron.plugins.specs import FeatureSpec, Loadable, RobotSpec, Spec
 
 NAME_PATTERN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of offers and drivers: lower-case letters and digits, single hyphens between them."""
@@ -23,7 +23,7 @@ REFERENCES = (
     "target",
     "config",
     "case",
-    "hooks",
+    "brings",
     "on_discovery",
     "on_join",
     "module",
@@ -75,7 +75,7 @@ def _require(is_right: bool, otherwise: str) -> None:
         raise PluginError(otherwise)
 
 
-def _check_names(spec: Spec | DriverSpec, who: str) -> None:
+def _check_names(spec: Loadable, who: str) -> None:
     _require(
         NAME_PATTERN.fullmatch(spec.name) is not None,
         f"The name of {who} is malformed, expected lower-case letters, digits and single hyphens.",
@@ -145,13 +145,11 @@ def _check_value(value: object, hint: object, who: str) -> None:
     Raises:
         PluginError: they do not agree.
     """
-    origin = get_origin(hint)
-    if origin in (Union, UnionType):
+    if get_origin(hint) in (Union, UnionType):
         if value is None and NoneType in get_args(hint):
             return
         hint = next(a for a in get_args(hint) if a is not NoneType)
-        origin = get_origin(hint)
-    if origin is tuple:
+    if get_origin(hint) is tuple:
         if type(value) is not tuple:
             raise PluginError(
                 f"The {who} is {_describe(value)}, expected a tuple (descriptors are immutable)."
@@ -168,5 +166,4 @@ def _check_value(value: object, hint: object, who: str) -> None:
 
 
 def _describe(value: object) -> str:
-    text = repr(value)
-    return f"{type(value).__name__} {text if len(text) <= 60 else text[:57] + '...'}"
+    return f"{type(value).__name__} {shortened(value)}"

@@ -17,32 +17,24 @@ from dataclasses import replace
 from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint, entry_points
 from types import ModuleType
-from typing import NamedTuple
-
-import pluggy
 
 from roboneuron.errors import ConfigurationError, PluginError, RoboNeuronError, nearest
-from roboneuron.plugins import availability, hookspecs
-from roboneuron.plugins.descriptor import TARGET_PATTERN, check_spec
-from roboneuron.plugins.hookspecs import PROJECT, Hooks
+from roboneuron.plugins import availability
+from roboneuron.plugins.descriptor import check_spec
+from roboneuron.plugins.hookspecs import HOOKS, PROJECT, extended
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.plugins.registry import Offer, PluginRecord, Registry, Status
 from roboneuron.plugins.specs import CONTRACT_VERSION, CommandSpec, FeatureSpec, Spec
 
 _HOOK_PREFIX = f"{PROJECT}_"
+_BRINGING = {hook: spec for hook, spec in HOOKS.items() if spec in (FeatureSpec, CommandSpec)}
+"""Hooks whose descriptors may bring others."""
 _MARK = f"{PROJECT}_impl"
 """Attribute that `pluggy.HookimplMarker` sets on a decorated function."""
 _SPEC_MARK = f"{PROJECT}_spec"
 """Attribute that `pluggy.HookspecMarker` sets: a feature may specify its hooks in its plugin
 module.
 """
-
-
-class _Claim(NamedTuple):
-    """An entry point, and the record of a plugin that is ready and offers nothing."""
-
-    point: EntryPoint
-    record: PluginRecord
 
 
 def discover(disabled: Collection[str] = ()) -> Registry:
@@ -89,28 +81,25 @@ def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) 
         points: of the group `roboneuron`; their order does not matter.
         disabled: as of `discover`.
     """
-    claims = sorted((_identify(point) for point in points), key=lambda claim: _order(claim.record))
-    skipped = _check_disabled(disabled, {name for claim in claims for name in _names(claim.record)})
-    hooks = Hooks()
+    found = sorted(((_record(point), point) for point in points), key=lambda pair: _order(pair[0]))
+    skipped = _check_disabled(disabled, {name for record, _ in found for name in _names(record)})
+    hooks = HOOKS
     records: list[PluginRecord] = []
-    waiting: list[_Claim] = []
-    for claim in claims:  # what they bring has to be known before any other plugin can offer it
-        if not skipped.isdisjoint(map(_normalise, _names(claim.record))):
+    waiting: list[tuple[PluginRecord, EntryPoint]] = []
+    for record, point in found:
+        if not skipped.isdisjoint(map(_normalise, _names(record))):
             records.append(
-                replace(
-                    claim.record, status=Status.DISABLED, reason="Disabled by the configuration."
-                )
+                replace(record, status=Status.DISABLED, reason="Disabled by the configuration.")
             )
             continue
         try:
-            hooks = hooks.extended(_bringing_hooks(claim))
-        except RoboNeuronError as error:
-            records.append(_failed(claim, error))
+            with redirect_stdout(sys.stderr):
+                hooks = extended(hooks, _offered(point.load(), _BRINGING))
+        except (Exception, SystemExit) as error:
+            records.append(_failed(record, error))
         else:
-            waiting.append(claim)
-    # one for all plugins: to make it takes longer than to read a plugin
-    manager = _make_manager(hooks)
-    records += [_examine(claim, hooks, manager) for claim in waiting]
+            waiting.append((record, point))
+    records += [_examine(record, point, hooks) for record, point in waiting]
     return _settle(sorted(records, key=_order), hooks)
 
 
@@ -123,36 +112,16 @@ def _names(record: PluginRecord) -> tuple[str, str]:
     return record.name, record.distribution
 
 
-def _bringing_hooks(claim: _Claim) -> tuple[FeatureSpec | CommandSpec, ...]:
-    """Features and commands with hooks of their own; what else is wrong with the plugin is told by
-    `_examine`.
-    """
-    try:
-        with redirect_stdout(sys.stderr):
-            module = claim.point.load()
-            offers = [
-                getattr(module, hookspecs.HOOKS[kind], tuple) for kind in ("feature", "command")
-            ]
-            offered = [spec for offer in offers for spec in offer()]
-        bringing = (
-            s for s in offered if isinstance(s, (FeatureSpec, CommandSpec)) and s.hooks is not None
-        )
-        return tuple(s for s in bringing if TARGET_PATTERN.fullmatch(str(s.hooks)))
-    except (Exception, SystemExit):
-        return ()
-
-
-def _identify(point: EntryPoint) -> _Claim:
-    """An entry point with the record of its plugin, whose module is not imported for that."""
+def _record(point: EntryPoint) -> PluginRecord:
+    """That of a plugin which is ready and offers nothing; its module is not imported for it."""
     distribution, version = (point.name, "") if point.dist is None else _named(point.dist)
-    record = PluginRecord(
+    return PluginRecord(
         name=point.name,
         distribution=distribution,
         version=version,
         module=point.module,
         status=Status.READY,
     )
-    return _Claim(point, record)
 
 
 @lru_cache
@@ -184,12 +153,19 @@ def _check_disabled(disabled: Collection[str], installed: Collection[str]) -> se
     return set(wanted)
 
 
-def _failed(claim: _Claim, error: RoboNeuronError) -> PluginRecord:
-    trace = "".join(traceback.format_exception(error.__cause__ or error))
-    return replace(claim.record, status=Status.FAILED, reason=str(error), traceback=trace)
+def _failed(record: PluginRecord, error: BaseException) -> PluginRecord:
+    where = f"Importing {record.module} raised {type(error).__name__}: {error}"
+    return replace(
+        record,
+        status=Status.FAILED,
+        reason=str(error) if isinstance(error, RoboNeuronError) else where,
+        traceback="".join(traceback.format_exception(error)),
+    )
 
 
-def _examine(claim: _Claim, hooks: Hooks, manager: pluggy.PluginManager) -> PluginRecord:
+def _examine(
+    record: PluginRecord, point: EntryPoint, hooks: Mapping[str, type[Spec]]
+) -> PluginRecord:
     """Import one plugin and call its hooks; every failure ends in its own record.
 
     What it prints goes to stderr: stdout may be the wire of an agent. A plugin that leaves by
@@ -197,17 +173,12 @@ def _examine(claim: _Claim, hooks: Hooks, manager: pluggy.PluginManager) -> Plug
     """
     try:
         with redirect_stdout(sys.stderr):
-            specs = _read(claim.point.load(), hooks, manager)
-            offers = tuple(_offer(spec, claim.record) for spec in specs)
+            specs = read_module(point.load(), hooks)
+            offers = tuple(_offer(spec, record) for spec in specs)
             _tell_discovered(offers)
-    except PluginError as error:
-        return _failed(claim, error)
     except (Exception, SystemExit) as error:
-        where = f"Importing {claim.point.value} raised {type(error).__name__}: {error}"
-        return replace(
-            claim.record, status=Status.FAILED, reason=where, traceback=traceback.format_exc()
-        )
-    return replace(claim.record, offers=offers)
+        return _failed(record, error)
+    return replace(record, offers=offers)
 
 
 def _tell_discovered(offers: Iterable[Offer]) -> None:
@@ -220,64 +191,22 @@ def _tell_discovered(offers: Iterable[Offer]) -> None:
             found()
 
 
-def read_module(module: object, hooks: Hooks | None = None) -> tuple[Spec, ...]:
-    """Return the descriptors that a plugin module offers, in the order of the hooks (those of core
-    when None).
+def read_module(module: object, hooks: Mapping[str, type[Spec]] = HOOKS) -> tuple[Spec, ...]:
+    """Return the descriptors that a plugin module offers, in the order of the hooks.
 
     Raises:
-        PluginError: the module misspells a hook, forgets its decorator, or a hook raises or returns
-            something else than a sequence of well-formed descriptors.
+        PluginError: the module misspells a hook, forgets its decorator, or offers nothing, or a
+            hook raises or returns something else than a sequence of well-formed descriptors.
     """
-    hooks = hooks or Hooks()
-    return _read(module, hooks, _make_manager(hooks))
-
-
-def _make_manager(hooks: Hooks) -> pluggy.PluginManager:
-    """What calls hooks, and checks that implementations have the arguments of their hook."""
-    manager = pluggy.PluginManager(PROJECT)
-    for container in hooks.containers:
-        manager.add_hookspecs(container)
-    return manager
-
-
-def _read(module: object, hooks: Hooks, manager: pluggy.PluginManager) -> tuple[Spec, ...]:
-    """As `read_module`; `manager` knows these hooks and, before and after, no plugin."""
     if not isinstance(module, ModuleType):
         raise PluginError(
             f"The entry point names {type(module).__name__} {module!r}, expected a module."
         )
-    _check_hook_names(module, tuple(hooks.specs))
-    try:
-        manager.register(module)
-        manager.check_pending()
-        return _call_all(module, hooks, manager)
-    except pluggy.PluginValidationError as error:
-        raise PluginError(f"{module.__name__}: {error}") from error
-    finally:
-        if manager.is_registered(module):
-            manager.unregister(module)
-
-
-def _call_all(module: ModuleType, hooks: Hooks, manager: pluggy.PluginManager) -> tuple[Spec, ...]:
-    """All that a registered plugin offers, each checked.
-
-    Raises:
-        PluginError: a hook returns what is no sequence, a descriptor is malformed, or there is
-            none.
-    """
-    specs: list[Spec] = []
-    for hook, expected in hooks.specs.items():
-        for offered in _call(manager, hook):
-            if not isinstance(offered, (list, tuple)):
-                what = type(offered).__name__
-                raise PluginError(
-                    f"The hook {hook} returned {what}, expected a sequence of descriptors."
-                )
-            specs.extend(check_spec(spec, expected) for spec in offered)
+    _check_hook_names(module, tuple(hooks))
+    specs = _offered(module, hooks)
     if not specs:
         raise PluginError(
-            f"{module.__name__} offers nothing, expected a hook such as "
-            f"{hookspecs.HOOKS['backend']}."
+            f"{module.__name__} offers nothing, expected a hook such as {next(iter(hooks))}."
         )
     return tuple(specs)
 
@@ -303,15 +232,33 @@ def _check_hook_names(module: ModuleType, hooks: Sequence[str]) -> None:
             )
 
 
-def _call(manager: pluggy.PluginManager, hook: str) -> list[object]:
-    caller: pluggy.HookCaller = getattr(manager.hook, hook)
+def _offered(module: object, hooks: Mapping[str, type[Spec]]) -> list[Spec]:
+    """The descriptors of some hooks; raises as `read_module`."""
+    return [
+        check_spec(spec, expected)
+        for hook, expected in hooks.items()
+        for spec in _call(module, hook)
+    ]
+
+
+def _call(module: object, hook: str) -> Sequence[object]:
+    """What a module offers by a hook; nothing when it does not implement it, but specifies it or
+    has nothing of that name.
+
+    Raises:
+        PluginError: the hook raises, or returns what is no sequence.
+    """
+    function = getattr(module, hook, None)
+    if function is None or not hasattr(function, _MARK):
+        return ()
     try:
-        results: list[object] = caller()
+        offered = function()
     except (Exception, SystemExit) as error:
         raise PluginError(f"The hook {hook} raised {type(error).__name__}: {error}") from error
-    if len(results) != len(caller.get_hookimpls()):  # pluggy drops None
-        raise PluginError(f"The hook {hook} returned None, expected a sequence of descriptors.")
-    return results
+    if not isinstance(offered, (list, tuple)):
+        what = "None" if offered is None else type(offered).__name__
+        raise PluginError(f"The hook {hook} returned {what}, expected a sequence of descriptors.")
+    return offered
 
 
 def _offer(spec: Spec, record: PluginRecord) -> Offer:
@@ -341,25 +288,24 @@ def _offer(spec: Spec, record: PluginRecord) -> Offer:
     return ready
 
 
-def _settle(records: Sequence[PluginRecord], hooks: Hooks) -> Registry:
+def _settle(records: Sequence[PluginRecord], hooks: Mapping[str, type[Spec]]) -> Registry:
     """Mark claims on one name as conflicts and give each plugin the worst status of its offers."""
     claims: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for record in records:
         for offer in record.offers:
+            of = "" if offer.plugin == offer.distribution else f" of {offer.distribution}"
             for claim in _claimed(offer.spec):
-                claims[claim].append(_who(offer))
+                claims[claim].append(f"{offer.plugin}{of}")
     settled = tuple(
         _summarise(record, tuple(_contest(o, claims) for o in record.offers)) for record in records
     )
     offers = [offer for record in settled for offer in record.offers]
     offers.sort(key=lambda o: (o.spec.kind, o.spec.name, o.plugin, o.distribution))
-    return Registry(plugins=settled, all_offers=tuple(offers), kinds=hooks.kinds)
-
-
-def _who(offer: Offer) -> str:
-    """A plugin as people find it: with its distribution where that has another name."""
-    of = "" if offer.plugin == offer.distribution else f" of {offer.distribution}"
-    return f"{offer.plugin}{of}"
+    return Registry(
+        plugins=settled,
+        all_offers=tuple(offers),
+        kinds={spec.kind: spec for spec in hooks.values()},
+    )
 
 
 def _claimed(spec: Spec) -> list[tuple[str, str]]:

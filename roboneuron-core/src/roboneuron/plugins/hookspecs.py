@@ -2,16 +2,14 @@
 descriptors.
 
 A plugin is a distribution with an entry point in the group `roboneuron` that points at a module
-holding any of these functions, decorated with `hookimpl`. `Hooks` are those of core and those that
-installed features bring.
+holding any of these functions, decorated with `hookimpl`. `HOOKS` are those of core; installed
+features may bring more.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from types import ModuleType
 
 import pluggy
 
@@ -115,67 +113,36 @@ def roboneuron_commands() -> Sequence[CommandSpec]:  # type: ignore[empty-body]
     """
 
 
-HOOKS = {kind: f"{PROJECT}_{kind}s" for kind in PLUGIN_KINDS}
-"""Hook name by descriptor kind, of the hooks that core knows."""
+HOOKS: Mapping[str, type[Spec]] = {
+    f"{PROJECT}_{kind}s": spec for kind, spec in PLUGIN_KINDS.items()
+}
+"""Descriptor class by hook, of the hooks that core knows, in the order in which they are called."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Hooks:
-    """Hook names with the class of the descriptors they return, and where their specifications are.
+def extended(hooks: Mapping[str, type[Spec]], offered: Iterable[Spec]) -> Mapping[str, type[Spec]]:
+    """`hooks` and those that the features and commands among these descriptors bring.
 
-    Attributes:
-        specs: descriptor class by hook name, in the order in which hooks are called.
-        containers: modules that hold the functions decorated with `hookspec`.
+    Raises:
+        PluginError, MissingDependencyError: what one `brings` cannot be imported, is no descriptor
+            class, has a kind that is there already, or no specification of its hook beside it.
     """
-
-    specs: Mapping[str, type[Spec]] = field(
-        default_factory=lambda: {hook: PLUGIN_KINDS[kind] for kind, hook in HOOKS.items()}
-    )
-    containers: tuple[ModuleType, ...] = (sys.modules[__name__],)
-
-    @property
-    def kinds(self) -> Mapping[str, type[Spec]]:
-        """Descriptor class by kind."""
-        return {spec.kind: spec for spec in self.specs.values()}
-
-    def extended(self, bringing: Iterable[FeatureSpec | CommandSpec]) -> Hooks:
-        """These hooks and those that features and commands bring.
-
-        Raises:
-            PluginError, MissingDependencyError: their `hooks` cannot be imported, is no mapping
-                from hook names to descriptor classes, or claims a hook or a kind that is there
-                already.
-        """
-        specs, containers = dict(self.specs), list(self.containers)
-        for bringer in bringing:
-            if bringer.hooks is None:
-                continue
-            who = f"`hooks` of {bringer.kind} {bringer.name!r}"
-            brought = load_attribute(bringer.hooks, who)
-            if not isinstance(brought, Mapping) or not all(
-                _is_entry(hook, spec) for hook, spec in brought.items()
-            ):
-                raise PluginError(
-                    f"The {who} are {brought!r}, expected a mapping from hook names to descriptor "
-                    "classes."
-                )
-            module = sys.modules[bringer.hooks.partition(":")[0]]
-            known = {spec.kind for spec in specs.values()}
-            for hook, spec in brought.items():
-                if hook in specs or spec.kind in known:
-                    raise PluginError(f"The {who} bring the hook {hook}, which is there already.")
-                if not callable(getattr(module, hook, None)):
-                    raise PluginError(f"The {who} name the hook {hook}, but do not specify it.")
-                specs[hook] = spec
-            containers.append(module)
-        return Hooks(specs=specs, containers=tuple(containers))
-
-
-def _is_entry(hook: object, spec: object) -> bool:
-    return (
-        isinstance(hook, str)
-        and hook.startswith("roboneuron_")
-        and isinstance(spec, type)
-        and issubclass(spec, Spec)
-        and NAME_PATTERN.fullmatch(spec.kind) is not None
-    )
+    found = dict(hooks)
+    for bringer in offered:
+        if not isinstance(bringer, (FeatureSpec, CommandSpec)) or bringer.brings is None:
+            continue
+        who = f"`brings` of {bringer.kind} {bringer.name!r}"
+        spec = load_attribute(bringer.brings, who)
+        if not (
+            isinstance(spec, type)
+            and issubclass(spec, Spec)
+            and NAME_PATTERN.fullmatch(spec.kind) is not None
+        ):
+            raise PluginError(f"The {who} is {spec!r}, expected a descriptor class with a `kind`.")
+        hook = f"{PROJECT}_{spec.kind}s"
+        if hook in found:
+            raise PluginError(f"The {who} is of the hook {hook}, which is there already.")
+        module = sys.modules[bringer.brings.partition(":")[0]]
+        if not callable(getattr(module, hook, None)):
+            raise PluginError(f"The {who} is of the hook {hook}, which {module.__name__} lacks.")
+        found[hook] = spec
+    return found

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from roboneuron.errors import ConfigurationError, MissingDependencyError, PluginError, nearest
 from roboneuron.plugins import availability
-from roboneuron.plugins.specs import DriverSpec, Spec
+from roboneuron.plugins.specs import Loadable
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
 
 
-def load_target(spec: Spec | DriverSpec) -> object:
+def load_target(spec: Loadable) -> object:
     """Import `spec.target` and return the class or function it names.
 
     Raises:
@@ -67,7 +67,7 @@ def load_attribute(reference: str, who: str) -> object:
     return value
 
 
-def load_options_model(spec: Spec | DriverSpec) -> type[BaseModel] | None:
+def load_options_model(spec: Loadable) -> type[BaseModel] | None:
     """Import the pydantic model of a descriptor's options, or None when it names none; raises as
     `load_target`.
     """
@@ -85,7 +85,7 @@ def load_options_model(spec: Spec | DriverSpec) -> type[BaseModel] | None:
 
 
 def load_options(
-    spec: Spec | DriverSpec,
+    spec: Loadable,
     options: Mapping[str, object],
     *,
     section: str | None = None,
@@ -160,19 +160,16 @@ def _explain(error: ValidationError, place: str, is_partial: bool) -> str:
             not problem["loc"] or (problem["type"] == "missing" and len(problem["loc"]) == 1)
         ):
             continue
-        if problem["type"] == "missing":
-            parts.append(f"{path} is required and not given.")
-        else:
-            parts.append(f"{path} is {problem['input']!r}: {problem['msg']}.")
+        is_missing = problem["type"] == "missing"
+        told = "required and not given" if is_missing else f"{problem['input']!r}: {problem['msg']}"
+        parts.append(f"{path} is {told}.")
     return " ".join(parts)
 
 
 def _plain(value: object) -> object:
     """What JSON has no word for but a configuration may hold: paths, dates, read-only mappings."""
-    if isinstance(value, PurePath):
+    if isinstance(value, (PurePath, date, clock_time)):  # a datetime is a date
         return str(value)
-    if isinstance(value, (date, clock_time)):  # a datetime is a date
-        return value.isoformat()
     if isinstance(value, Mapping):
         return dict(value)
     raise ConfigurationError(

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import TypeVar, overload
+from typing import TypeVar, cast
 
 from roboneuron.errors import ConfigurationError, nearest
 from roboneuron.plugins.availability import install_command, known_names, package_of
@@ -93,7 +93,9 @@ class Registry:
         """Every descriptor of `kind`, also those that cannot be used; raises ConfigurationError for
         another kind.
         """
-        _check_kind(kind, self.kinds)
+        if kind not in self.kinds:
+            message = f"{kind!r} is no kind of plugin, expected one of {', '.join(self.kinds)}."
+            raise ConfigurationError(message, hint=nearest(kind, self.kinds))
         return tuple(o for o in self.all_offers if o.spec.kind == kind)
 
     def readers_of(self, name: str) -> Iterator[Spec | DriverSpec]:
@@ -131,40 +133,30 @@ class Registry:
                 f"{place}: nothing is called {name!r}. {meant or f'Installed are: {listed}.'}"
             )
 
-    @overload
-    def specs(self, kind: type[S]) -> Mapping[str, S]: ...
-    @overload
-    def specs(self, kind: str) -> Mapping[str, Spec]: ...
-    def specs(self, kind: str | type[Spec]) -> Mapping[str, Spec]:
-        """The usable descriptors of a kind or class by name, sorted; raises ConfigurationError for
-        another kind.
+    def specs(self, of: type[S]) -> Mapping[str, S]:
+        """The usable descriptors of a class by name, sorted; raises ConfigurationError for one that
+        no hook offers. `kinds` has the class of each kind.
         """
-        word = kind if isinstance(kind, str) else kind.kind
-        ready = self._ready.get(word)
+        ready = self._ready.get(of.kind)
         if ready is None:  # kept: answers to calls ask for it, and there are hundreds of offers
-            usable = {o.spec.name: o.spec for o in self.offers(word) if o.status is Status.READY}
-            ready = self._ready[word] = MappingProxyType(usable)
-        return ready
+            usable = {o.spec.name: o.spec for o in self.offers(of.kind) if o.status is Status.READY}
+            ready = self._ready[of.kind] = MappingProxyType(usable)
+        return cast("Mapping[str, S]", ready)
 
-    @overload
-    def get(self, kind: type[S], name: str, *, elsewhere: bool = False) -> S: ...
-    @overload
-    def get(self, kind: str, name: str, *, elsewhere: bool = False) -> Spec: ...
-    def get(self, kind: str | type[Spec], name: str, *, elsewhere: bool = False) -> Spec:
-        """The usable descriptor of that kind (or class) and name; `elsewhere`: modules that it
-        needs may be absent here, for it runs under another interpreter.
+    def get(self, of: type[S], name: str, *, elsewhere: bool = False) -> S:
+        """The usable descriptor of that class and name; `elsewhere`: modules that it needs may be
+        absent here, for it runs under another interpreter.
 
         Raises:
             ConfigurationError: there is none; says why (disabled, unavailable, failed, unknown),
                 what the choices are and what to do.
         """
-        kind = kind if isinstance(kind, str) else kind.kind
-        ready = self.specs(kind)
+        kind, ready = of.kind, self.specs(of)
         if name in ready:
             return ready[name]
         claims = [o for o in self.offers(kind) if o.spec.name == name]
         if elsewhere and [o.status for o in claims] == [Status.UNAVAILABLE]:
-            return claims[0].spec
+            return cast("S", claims[0].spec)
         if claims:
             reasons = " ".join(dict.fromkeys(f"{o.status}: {o.reason}" for o in claims))
             raise ConfigurationError(
@@ -207,9 +199,3 @@ def _choices(kind: str, ready: Mapping[str, Spec]) -> str:
         if ready
         else f"No {kind} plugin is ready; see `roboneuron plugins list`."
     )
-
-
-def _check_kind(kind: str, kinds: Mapping[str, type[Spec]]) -> None:
-    if kind not in kinds:
-        message = f"{kind!r} is no kind of plugin, expected one of {', '.join(kinds)}."
-        raise ConfigurationError(message, hint=nearest(kind, kinds))

@@ -33,32 +33,23 @@ class Requirement:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ActionSpace:
-    """What a model family itself produces, before the backend converts it to the contract's
-    7-vector.
+    """The chunks that a model family produces; the backend converts them to the contract's
+    7-vector, or to the `space` that it declares.
 
     Attributes:
         width: values per step and arm set; planning refuses what the robot's `action_widths` lacks.
-        translation: unit of the translation ("m", "normalized", "checkpoint" when each checkpoint
-            has its own).
-        rotation: "rotvec", "rpy", "joint", "checkpoint".
-        frame: "base", "tcp", "checkpoint".
-        gripper: "open_fraction", "closed_fraction", "signed_close", "checkpoint".
         horizon: actions per inference.
         step_s: nominal time between two actions [s]; 0 when the checkpoint's profile says it.
     """
 
     width: int = 7
-    translation: str = "m"
-    rotation: str = "rotvec"
-    frame: str = "base"
-    gripper: str = "open_fraction"
     horizon: int = 1
     step_s: float = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Spec:
-    """What every descriptor has.
+class Loadable:
+    """What has a name and can be loaded.
 
     Attributes:
         name: unique within its kind; lower-case letters, digits and hyphens.
@@ -66,6 +57,20 @@ class Spec:
         target: "module:attribute" of the class.
         config: "module:attribute" of the pydantic options model, or None.
         requires: modules that must be importable before `target` is.
+    """
+
+    name: str
+    summary: str
+    target: str
+    config: str | None = None
+    requires: tuple[Requirement, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Spec(Loadable):
+    """What every descriptor has.
+
+    Attributes:
         contract: the CONTRACT_VERSION the plugin was written for.
         case: "module:attribute" of a function without arguments that returns this descriptor's
             contract case: what `roboneuron plugins check` needs to try it (an observation it can
@@ -75,11 +80,6 @@ class Spec:
 
     kind: ClassVar[str] = ""
 
-    name: str
-    summary: str
-    target: str
-    config: str | None = None
-    requires: tuple[Requirement, ...] = ()
     contract: int = CONTRACT_VERSION
     case: str | None = None
 
@@ -202,25 +202,15 @@ class CameraSpec:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class DriverSpec:
-    """One way to move a robot.
+class DriverSpec(Loadable):
+    """One way to move a robot: "simulated", "hardware" ...; `target` is its RobotDriver class.
 
     Attributes:
-        name: "simulated", "hardware" ...
-        summary: one line.
-        target: "module:attribute" of the RobotDriver class.
-        config: "module:attribute" of its pydantic options model, or None.
-        requires: modules it needs beyond the robot package's own.
         recovers: it can clear a fault that has stopped the robot, by a method `recover`; see
             rn-ops.
         simulated: nothing real moves. A driver that does not say so counts as one of a real robot.
     """
 
-    name: str
-    summary: str
-    target: str
-    config: str | None = None
-    requires: tuple[Requirement, ...] = ()
     recovers: bool = False
     simulated: bool = False
 
@@ -258,9 +248,9 @@ class FeatureSpec(Spec):
             the feature with underscores, and `config` is the model of that section. Otherwise
             `config` has one field for each key.
         transports: values of `[server] transport` that it serves.
-        hooks: "module:attribute" of a mapping from names of further hooks to their descriptor
-            classes; the module also holds a hook specification (`hookspec`) of each of these names.
-            Imported while plugins are discovered, so it must be as light as a plugin module.
+        brings: "module:attribute" of the descriptor class of a kind of its own; the module also
+            holds the specification (`hookspec`) of its hook, `roboneuron_<kind>s`. Imported while
+            plugins are discovered, so it must be as light as a plugin module.
         needs: names of features without which it does not work.
         on_discovery: "module:attribute" of a function without arguments that every process calls
             while it discovers plugins (server, modules, commands); as light as a plugin module, and
@@ -287,7 +277,7 @@ class FeatureSpec(Spec):
 
     sections: tuple[str, ...] = ()
     transports: tuple[str, ...] = ()
-    hooks: str | None = None
+    brings: str | None = None
     needs: tuple[str, ...] = ()
     on_discovery: str | None = None
     on_join: str | None = None
@@ -310,12 +300,12 @@ class CommandSpec(Spec):
     """A command of `roboneuron`, called by its name; `config` is not used.
 
     Attributes:
-        hooks: as in FeatureSpec.
+        brings: as in FeatureSpec.
     """
 
     kind: ClassVar[str] = "command"
 
-    hooks: str | None = None
+    brings: str | None = None
 
 
 PLUGIN_KINDS: dict[str, type[Spec]] = {
@@ -331,7 +321,7 @@ PLUGIN_KINDS: dict[str, type[Spec]] = {
         CommandSpec,
     )
 }
-"""Descriptor class by kind, of the kinds that core knows; a feature's `hooks` may bring more."""
+"""Descriptor class by kind, of the kinds that core knows; a feature may bring more."""
 SCHEMA_KEY = "x-configuration-only"
 """True in the JSON schema of an option that is marked."""
 

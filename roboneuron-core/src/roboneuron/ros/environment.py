@@ -32,6 +32,18 @@ PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
 """How many participants of this host are looked for when discovery is LOCALHOST; the shipped
 profile reads it.
 """
+_INSTEAD = {
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": (
+        "ROS_DISCOVERY_SERVER",
+        "ROS_STATIC_PEERS",
+        "ROS_LOCALHOST_ONLY",
+    ),
+    "FASTRTPS_DEFAULT_PROFILES_FILE": (
+        "FASTDDS_DEFAULT_PROFILES_FILE",
+        "FASTDDS_BUILTIN_TRANSPORTS",
+    ),
+}
+"""Variables by which a user says the same otherwise: no default then."""
 _STANDARD_OFFSET = 11
 """Of the ports for data within a domain. Source: RTPS 2.2, 9.6.1.1."""
 MAX_DOMAIN = 232
@@ -106,18 +118,17 @@ def set_defaults(
     _check_middleware(
         environment.get("RMW_IMPLEMENTATION", ""), [Path(prefix), *map(Path, foreign)]
     )
-    environment.setdefault("AMENT_PREFIX_PATH", prefix)
-    if not any(
-        k in environment for k in ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY")
-    ):
-        environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    if not any(
-        k in environment for k in ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
-    ):
-        environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(fast_dds_profile()))
-    environment.setdefault(PORT_OFFSET, str(_STANDARD_OFFSET))
-    environment.setdefault(PARTICIPANTS, "32")
-    environment.setdefault("ROS_LOG_DIR", str(log_directory))
+    defaults = {
+        "AMENT_PREFIX_PATH": prefix,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "FASTRTPS_DEFAULT_PROFILES_FILE": str(fast_dds_profile()),
+        PORT_OFFSET: str(_STANDARD_OFFSET),
+        PARTICIPANTS: "32",
+        "ROS_LOG_DIR": str(log_directory),
+    }
+    for name, value in defaults.items():
+        if environment.keys().isdisjoint(_INSTEAD.get(name, ())):
+            environment.setdefault(name, value)
 
 
 def _check_domain(domain: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -9,11 +10,11 @@ if TYPE_CHECKING:
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 
+@dataclass(frozen=True, slots=True)
 class RosGraph:
     """What the server's node has discovered of the ROS graph; it sends nothing."""
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
+    _node: Node
 
     @property
     def node_name(self) -> str:

@@ -13,15 +13,20 @@ from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from roboneuron.contract.arrays import F64
-from roboneuron.contract.motion import JointCommand
-from roboneuron.contract.observation import Frame, JointSample, Pose
-from roboneuron.contract.space import ACTION_LABEL, EE_DELTA, ControlSpace
+from roboneuron.contract import (
+    ACTION_LABEL,
+    EE_DELTA,
+    F64,
+    STATE_STEP_S,
+    ControlSpace,
+    Frame,
+    JointCommand,
+    JointSample,
+    Pose,
+)
 from roboneuron.errors import InvalidInputError
 
 NS_PER_S = 1_000_000_000
-_STATE_STEP_S = 0.1
-"""Time to reach positions that come without one."""
 _HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 
 
@@ -166,9 +171,7 @@ def commands_from_message(message: JointTrajectory | JointState) -> list[JointCo
     """
     if isinstance(message, JointState):
         joints = joints_from_message(message)
-        return [
-            JointCommand(names=joints.names, position=joints.position, duration_s=_STATE_STEP_S)
-        ]
+        return [JointCommand(names=joints.names, position=joints.position, duration_s=STATE_STEP_S)]
     names = tuple(message.joint_names)
     if not message.points or not names:
         raise InvalidInputError("A joint trajectory has no points or no joint names.")

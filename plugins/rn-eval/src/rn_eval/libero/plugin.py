@@ -85,14 +85,6 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             target="rn_eval.libero.noop:NoopBackend",
             config="rn_eval.libero.noop:NoopOptions",
             cameras=("primary",),
-            action_space=ActionSpace(
-                width=7,
-                translation="m",
-                rotation="rotvec",
-                frame="base",
-                gripper="open_fraction",
-                horizon=MAX_ROWS,
-                step_s=0.05,
-            ),
+            action_space=ActionSpace(horizon=MAX_ROWS, step_s=0.05),
         )
     ]

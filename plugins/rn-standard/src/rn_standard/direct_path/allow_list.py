@@ -22,7 +22,13 @@ from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.limits import check_endpoint
 from rn_standard.direct_path.path_limits import PathLimiter
 from rn_standard.direct_path.request import AllowedEndpoint
-from roboneuron import ConfigurationError, Controller, RobotProfile
+from roboneuron import (
+    ConfigurationError,
+    Controller,
+    ControllerSpec,
+    RobotProfile,
+    RobotSpec,
+)
 from roboneuron.feature import (
     Config,
     Event,
@@ -90,7 +96,7 @@ class ArmPaths:
         """
         limited = replace(profile, collision=self.rules(robot, profile).collision)
         name = self._controller(robot)
-        spec = self._registry().get("controller", name)
+        spec = self._registry().get(ControllerSpec, name)
         controller = cast("Controller", build(spec, self._config.options(name), limited))
         controller.load()
         return controller, limited
@@ -101,7 +107,7 @@ class ArmPaths:
     def _controller(self, robot: str) -> str:
         if self._config.control is not None:
             return self._config.control.controller
-        names = sorted(self._registry().specs("controller"))
+        names = sorted(self._registry().specs(ControllerSpec))
         if len(names) != 1:
             raise ConfigurationError(
                 f"Nothing can compute where the joints would move {robot!r}: the configuration "
@@ -225,7 +231,7 @@ class AllowList:
     def _profile(self) -> list[ExposedEndpoint]:
         config, registry = self._config(), self._registry()
         name = config.robot.name
-        if self._instead or name not in registry.specs("robot"):
+        if self._instead or name not in registry.specs(RobotSpec):
             return []
         return profile_endpoints(name, config.namespace, load_profile(registry, name))
 

@@ -17,6 +17,7 @@ from roboneuron import (
     ConfigurationError,
     NotReadyError,
     PerceptionSource,
+    PerceptionSpec,
     PluginError,
 )
 from roboneuron.node import (
@@ -55,7 +56,7 @@ class PerceptionModule(Module):
             raise ConfigurationError("The configuration has no [perception] section.")
         profile = load_profile(self.registry, self.config.robot.name)
         cameras = _choose(profile.cameras, config.cameras, profile.name)
-        spec = self.registry.get("perception", config.source)
+        spec = self.registry.get(PerceptionSpec, config.source)
         self._topics = NodeTopics(node)
         node.resources.callback(self._topics.close)
         options = self.config.options(spec.name)

@@ -48,5 +48,5 @@ def _installed(host: Host, kind: str, *, with_summaries: bool) -> Callable[[], d
     """
     return lambda: {
         name: spec.summary.rstrip(".") if with_summaries else ""
-        for name, spec in host.registry.specs(kind).items()
+        for name, spec in host.registry.specs(host.registry.kinds[kind]).items()
     }

@@ -15,6 +15,7 @@ from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.events import TASKS, EventLog, Watching, check_thresholds
 from rn_standard.tasks.examples import EXAMPLES
+from rn_standard.tasks.hooks import MonitorSpec
 from rn_standard.tasks.inputs import Inputs, pose_of, pose_topic
 from rn_standard.tasks.lifecycle import list_models_tool, start_all_tool
 from rn_standard.tasks.moving import Mover, Places, check_places, move_to_tool
@@ -122,7 +123,7 @@ class TasksFeature(Feature[TasksSections]):
 
     def _predicates(self) -> str:
         monitors = {
-            name: spec.summary for name, spec in self._host.registry.specs("monitor").items()
+            name: spec.summary for name, spec in self._host.registry.specs(MonitorSpec).items()
         }
         return json.dumps(
             {"examples": EXAMPLES, "monitors": monitors, "schema": ADAPTER.json_schema()}, indent=1

@@ -32,7 +32,3 @@ def roboneuron_monitors() -> Sequence[MonitorSpec]:  # type: ignore[empty-body]
     `target` follows the protocol `rn_standard.tasks.monitor.Monitor`; it is built as
     `target(config)` for each task.
     """
-
-
-HOOKS = {"roboneuron_monitors": MonitorSpec}
-"""Descriptor class by hook."""

@@ -12,7 +12,7 @@ FEATURE = FeatureSpec(
     target="rn_standard.tasks.feature:TasksFeature",
     config="rn_standard.tasks.options:TasksSections",
     sections=("tasks", "postures", "places", "events"),
-    hooks="rn_standard.tasks.hooks:HOOKS",
+    brings="rn_standard.tasks.hooks:MonitorSpec",
     needs=("selection",),
 )
 """Descriptor of the feature."""

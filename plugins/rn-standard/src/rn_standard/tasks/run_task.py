@@ -222,7 +222,7 @@ class TaskTool:
         return PredicateJudge(predicate, instruction, self._monitor, joints)
 
     def _monitor(self, predicate: MonitorSays) -> Monitor:
-        spec = self._host.registry.get("monitor", predicate.name)
+        spec = self._host.registry.get(MonitorSpec, predicate.name)
         monitor = cast("Monitor", build(spec, predicate.options))
         key = f"{spec.target} {json.dumps(predicate.options, sort_keys=True, default=str)}"
         if isinstance(monitor, RememberingMonitor):
@@ -238,8 +238,7 @@ class TaskTool:
         names = list(self._options.evidence_cameras or list(roles)[:_EVIDENCE])
         for part in [] if predicate is None else flat(predicate):
             if isinstance(part, MonitorSays):
-                spec = self._host.registry.get("monitor", part.name)
-                assert isinstance(spec, MonitorSpec)
+                spec = self._host.registry.get(MonitorSpec, part.name)
                 absent = [role for role in spec.cameras if role not in roles.values()]
                 if absent:
                     raise NotReadyError(

@@ -13,7 +13,7 @@ from typing import Any
 
 from rn_standard.tools_arm.limits_tools import limits_tools
 from rn_standard.tools_arm.tightening import FILE_NAME, TightenedRecord, Tightening, TighteningFile
-from roboneuron import Feature, Host, NotReadyError, RoboNeuronError, RobotProfile, Tool
+from roboneuron import Feature, Host, NotReadyError, RoboNeuronError, RobotProfile, RobotSpec, Tool
 from roboneuron.feature import AuditRecord, ModuleKind, load_profile
 from roboneuron.node import settings
 
@@ -40,9 +40,8 @@ class LimitsFeature(Feature[None]):
         self._lock = threading.Lock()
         self._stop = threading.Event()
         self._record = TightenedRecord(tightening=Tightening(), who="", at_ns=0)
-        if host.config.control is None or host.config.robot.name not in host.registry.specs(
-            "robot"
-        ):
+        robots = host.registry.specs(RobotSpec)
+        if host.config.control is None or host.config.robot.name not in robots:
             return ()
         self._profile = load_profile(host.registry, host.config.robot.name)
         host.events.change.listen(self._on_change)

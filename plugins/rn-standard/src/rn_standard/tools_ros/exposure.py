@@ -30,7 +30,7 @@ from rn_standard.tools_ros.options import DiscoverConfig, ExposeConfig, RosTools
 from rn_standard.tools_ros.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
 from rn_standard.tools_ros.pattern_limits import pattern_limits
 from rn_standard.tools_ros.tightening import ConfiguredLimits, tighten
-from roboneuron import ConfigurationError, Endpoint, InvalidInputError, RobotProfile
+from roboneuron import ConfigurationError, Endpoint, InvalidInputError, RobotProfile, RobotSpec
 from roboneuron.feature import Config, ExposedEndpoint, Registry, load_profile
 
 
@@ -77,7 +77,7 @@ def exposure(
     def find(name: str, namespace: str | None) -> _Robot:
         if name not in robots:
             own = config.namespace if name == config.robot.name else name.replace("-", "_")
-            profile = load_profile(registry, name) if name in registry.specs("robot") else None
+            profile = load_profile(registry, name) if name in registry.specs(RobotSpec) else None
             space = namespace or own
             if any(robot.namespace == space for robot in robots.values()):
                 raise ConfigurationError(

@@ -28,6 +28,7 @@ from roboneuron import (
     RefusedError,
     RoboNeuronError,
     RobotProfile,
+    RobotSpec,
     Tool,
 )
 from roboneuron.feature import AuditRecord, Config, ExposedEndpoint, load_profile
@@ -237,7 +238,7 @@ class RosTools(Feature[RosToolsOptions]):
 
     def _profile(self, robot: str) -> RobotProfile | None:
         registry = self._host.registry
-        return load_profile(registry, robot) if robot in registry.specs("robot") else None
+        return load_profile(registry, robot) if robot in registry.specs(RobotSpec) else None
 
     def _on_discovered(self, discovered: tuple[ExposedEndpoint, ...]) -> None:
         self._discovered = discovered

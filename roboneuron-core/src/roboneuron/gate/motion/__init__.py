@@ -2,28 +2,6 @@
 numpy only.
 """
 
-from roboneuron.gate.motion.command import LimitedCommand
-from roboneuron.gate.motion.limiter import MotionLimiter
-from roboneuron.gate.motion.rules import (
-    LIMITS,
-    MotionRules,
-    check_tighter,
-    collision_of,
-    inspector_of,
-    motion_rules,
-    poses_of,
-)
-from roboneuron.gate.motion.task_space import Motion
+from roboneuron.listing import attach
 
-__all__ = [
-    "LIMITS",
-    "LimitedCommand",
-    "Motion",
-    "MotionLimiter",
-    "MotionRules",
-    "check_tighter",
-    "collision_of",
-    "inspector_of",
-    "motion_rules",
-    "poses_of",
-]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -9,8 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from roboneuron.contract import Hold, JointCommand, JointSample
-from roboneuron.contract.arrays import F64
+from roboneuron.contract import F64, Hold, JointCommand, JointSample
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.joint_space import JointLimit
 from roboneuron.gate.motion.task_space import Motion

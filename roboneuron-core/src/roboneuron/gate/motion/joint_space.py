@@ -11,8 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from roboneuron.contract import RobotProfile
-from roboneuron.contract.arrays import F64
+from roboneuron.contract import F64, RobotProfile
 from roboneuron.gate.motion.rules import MotionRules
 
 _SLACK = 1e-6
@@ -73,20 +72,18 @@ class JointLimit:
         travel.
         """
         found: dict[str, JointLimit] = {}
-        velocity = acceleration = 1.0
-        if rules is not None:
-            velocity, acceleration = rules.velocity_fraction, rules.acceleration_fraction
+        rules = rules or MotionRules(reactions={})
         limits = profile.limits
         for i, name in enumerate(profile.arm_joints if limits is not None else ()):
             assert limits is not None
-            fastest, braking = float(limits.acceleration[i]) * acceleration, None
+            braking = None
             if limits.braking_offset is not None and limits.braking_deceleration is not None:
                 braking = float(limits.braking_offset[i]), float(limits.braking_deceleration[i])
             found[name] = cls(
                 lower=float(limits.lower[i]),
                 upper=float(limits.upper[i]),
-                velocity=float(limits.velocity[i]) * velocity,
-                acceleration=fastest,
+                velocity=float(limits.velocity[i]) * rules.velocity_fraction,
+                acceleration=float(limits.acceleration[i]) * rules.acceleration_fraction,
                 effort=float(limits.effort[i]),
                 braking=braking,
             )

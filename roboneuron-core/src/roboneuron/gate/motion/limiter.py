@@ -14,6 +14,8 @@ from typing import Self
 import numpy as np
 
 from roboneuron.contract import (
+    F64,
+    STATE_STEP_S,
     Controller,
     Hold,
     JointCommand,
@@ -21,9 +23,8 @@ from roboneuron.contract import (
     Pose,
     Posture,
     RobotProfile,
+    prismatic_joints,
 )
-from roboneuron.contract.arrays import F64
-from roboneuron.contract.profile import prismatic_joints
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.command import Goals, LimitedCommand, Setpoint, Step, pick, pick_others
 from roboneuron.gate.motion.joint_space import JointLimit, JointSpace
@@ -41,8 +42,6 @@ _SHORTEST_S = 1e-3
 """Two messages that arrive together are no reason to divide by nothing."""
 _HALVINGS = 6
 """Bisections when a step is shortened to stay out of a zone: to 1/64 of the step."""
-_STATE_STEP_S = 0.1
-"""Time in which the robot module executes a command that carries none."""
 _RESERVE = 0.98
 """Share of a Cartesian limit used when a step is scaled: a straight line in joint space is a curve
 in task space.
@@ -310,27 +309,27 @@ class MotionLimiter:
         if step.acted:
             target = self._evaluate(step, step.target)
         target = self._apply_cartesian_limits(step, measured, target)
-        if not step.acted:
-            if self._extend(step, measured, target):
-                return largest(self._motions(step, measured, start, target))
-            return step.asked
-        # Check what would be sent once more: scaling for one limit may violate another one.
-        sent = largest(self._motions(step, measured, start, target))
-        displacement = step.target - step.start
-        for name, _, reason in self._joints.violations(step.start, displacement, step.duration_s):
-            raise _Rejection(name, f"No part of the command is within the limits: {reason}")
-        if not self._joints.is_reachable(
-            step.before, displacement / step.duration_s, step.passed_s
-        ):
-            raise _Rejection(
-                "acceleration", f"The arm is too fast for a limit before it: {step.reason}"
-            )
-        for name, _, reason in self._task.excess(sent):
-            raise _Rejection(name, reason)
-        for name, reason in self._cartesian_violations(step, measured, target):
-            raise _Rejection(name, reason)
+        sent = step.asked
+        if step.acted:
+            # Check what would be sent once more: scaling for one limit may violate another one.
+            sent = largest(self._motions(step, measured, start, target))
+            displacement = step.target - step.start
+            for name, _, reason in self._joints.violations(
+                step.start, displacement, step.duration_s
+            ):
+                raise _Rejection(name, f"No part of the command is within the limits: {reason}")
+            if not self._joints.is_reachable(
+                step.before, displacement / step.duration_s, step.passed_s
+            ):
+                raise _Rejection(
+                    "acceleration", f"The arm is too fast for a limit before it: {step.reason}"
+                )
+            for name, _, reason in self._task.excess(sent):
+                raise _Rejection(name, reason)
+            for name, reason in self._cartesian_violations(step, measured, target):
+                raise _Rejection(name, reason)
         if self._extend(step, measured, target):
-            return largest(self._motions(step, measured, start, target))
+            sent = largest(self._motions(step, measured, start, target))
         return sent
 
     def _extend(self, step: Step, measured: tuple[Pose, ...], target: Posture) -> bool:
@@ -372,7 +371,7 @@ class MotionLimiter:
     ) -> None:
         """Scale the step to the limits of joints, TCP step and TCP speed."""
         displacement, share = step.target - step.start, 1.0
-        if self._immediate and (times := self._speed_ratio(measured, target, _STATE_STEP_S)) > 1.0:
+        if self._immediate and (times := self._speed_ratio(measured, target, STATE_STEP_S)) > 1.0:
             self._act(
                 step,
                 "speed",

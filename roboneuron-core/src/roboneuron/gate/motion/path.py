@@ -8,8 +8,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from roboneuron.contract import ArmProfile, RobotProfile
-from roboneuron.contract.arrays import F64
+from roboneuron.contract import F64, ArmProfile, RobotProfile, urdf_joints
 
 _FINEST_M, _COARSEST_M = 0.005, 0.02
 """Farthest that a point of the arm may move between two postures: each one costs a computation, and
@@ -55,12 +54,9 @@ def levers_m(profile: RobotProfile) -> dict[str, float]:
     Two arms come nearer to each other by the sum of what both move. Empty for a description that
     holds no such chain.
     """
-    try:
-        root = ET.fromstring(profile.urdf)
-    except ET.ParseError:
-        return {}
     # from the TCP down to the base, because each joint moves all that lies behind it
-    above = {_attribute(joint.find("child"), "link"): joint for joint in root.findall("joint")}
+    joints = urdf_joints(profile.urdf)
+    above = {_attribute(joint.find("child"), "link"): joint for joint in joints}
     levers: dict[str, float] = {}
     for arm in profile.each_arm:
         levers |= _levers_m(dict(above), arm)

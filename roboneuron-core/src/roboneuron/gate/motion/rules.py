@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from roboneuron.config import LimitsConfig, Reaction
 from roboneuron.contract import (
+    F64,
     CollisionProfile,
     Controller,
     JointSample,
@@ -21,8 +22,8 @@ from roboneuron.contract import (
     PostureInspector,
     RobotProfile,
     SeveralArms,
+    Workspace,
 )
-from roboneuron.contract.arrays import F64
 from roboneuron.errors import ConfigurationError
 
 LIMITS = (
@@ -52,6 +53,7 @@ _TIGHTER = {
     "min_singular_value": 1.0,
 }
 """Numbers that may be tightened at run time: to greater values (1) or smaller ones (-1)."""
+_EVERYWHERE = Workspace(lower_m=np.full(3, -np.inf), upper_m=np.full(3, np.inf))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -78,8 +80,8 @@ class MotionRules:
     max_step_rad: float = np.inf
     max_speed_m_s: float = np.inf
     max_turn_rad_s: float = np.inf
-    lower_m: F64 = field(default_factory=lambda: np.full(3, -np.inf))
-    upper_m: F64 = field(default_factory=lambda: np.full(3, np.inf))
+    lower_m: F64 = field(default_factory=lambda: _EVERYWHERE.lower_m)
+    upper_m: F64 = field(default_factory=lambda: _EVERYWHERE.upper_m)
     min_height_m: float = -np.inf
     zones: tuple[Obstacle, ...] = ()
     min_singular_value: float = 0.0
@@ -97,19 +99,20 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
         ConfigurationError: a box is empty, a workspace is wider than the profile's, or as
             `collision_of`.
     """
-    widest = profile.workspace
-    lower = np.full(3, -np.inf) if widest is None else widest.lower_m
-    upper = np.full(3, np.inf) if widest is None else widest.upper_m
-    asked_lower = lower if config.workspace_lower_m is None else np.array(config.workspace_lower_m)
-    asked_upper = upper if config.workspace_upper_m is None else np.array(config.workspace_upper_m)
-    if (asked_lower < lower).any() or (asked_upper > upper).any():
+    widest = profile.workspace or _EVERYWHERE
+    lower, upper = config.workspace_lower_m, config.workspace_upper_m
+    workspace = _box(
+        "workspace",
+        "the TCP's",
+        widest.lower_m if lower is None else lower,
+        widest.upper_m if upper is None else upper,
+    )
+    if (workspace.lower_m < widest.lower_m).any() or (workspace.upper_m > widest.upper_m).any():
         raise ConfigurationError(
-            f"limits.workspace {asked_lower.tolist()} .. {asked_upper.tolist()} m is wider than "
-            "that of robot "
-            f"{profile.name!r}, {lower.tolist()} .. {upper.tolist()} m; limits can only be "
-            "tightened."
+            f"limits.workspace {workspace.lower_m.tolist()} .. {workspace.upper_m.tolist()} m is "
+            f"wider than that of robot {profile.name!r}, {widest.lower_m.tolist()} .. "
+            f"{widest.upper_m.tolist()} m; limits can only be tightened."
         )
-    workspace = _box("workspace", "the TCP's", asked_lower, asked_upper)
     return MotionRules(
         reactions={name: getattr(config, f"on_{name}") for name in LIMITS},
         velocity_fraction=config.velocity_fraction,
@@ -168,28 +171,19 @@ def collision_of(config: LimitsConfig, profile: RobotProfile) -> CollisionProfil
     Raises:
         ConfigurationError: an obstacle is no box, or the distance is shorter than the robot's.
     """
-    given = profile.collision
-    if not config.collision or (
-        given is None and config.min_distance_m is None and config.obstacles is None
-    ):
+    given, least_m, obstacles = profile.collision, config.min_distance_m, config.obstacles
+    if not config.collision or (given is None and least_m is None and obstacles is None):
         return None
-    made = given or CollisionProfile()
-    if (
-        given is not None
-        and config.min_distance_m is not None
-        and config.min_distance_m < given.min_distance_m
-    ):
+    if given is not None and least_m is not None and least_m < given.min_distance_m:
         raise ConfigurationError(
-            f"limits.min_distance_m = {config.min_distance_m:g} is less than the "
-            f"{given.min_distance_m:g} m of robot "
-            f"{profile.name!r}; limits can only be tightened."
+            f"limits.min_distance_m = {least_m:g} is less than the {given.min_distance_m:g} m of "
+            f"robot {profile.name!r}; limits can only be tightened."
         )
-    if config.min_distance_m is not None:
-        made = replace(made, min_distance_m=config.min_distance_m)
-    if config.obstacles is not None:
-        boxes = tuple(
-            _box("obstacles", box.name, box.lower_m, box.upper_m) for box in config.obstacles
-        )
+    made = given or CollisionProfile()
+    if least_m is not None:
+        made = replace(made, min_distance_m=least_m)
+    if obstacles is not None:
+        boxes = tuple(_box("obstacles", box.name, box.lower_m, box.upper_m) for box in obstacles)
         made = replace(made, obstacles=boxes)
     return made
 

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roboneuron.contract import Obstacle, Pose, Posture
-from roboneuron.contract.arrays import F64
+from roboneuron.contract import F64, Obstacle, Pose, Posture
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.rules import MotionRules
 
@@ -52,11 +51,11 @@ def largest(motions: Sequence[Motion]) -> Motion:
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class TaskSpace:
     """Limits on where the TCP and the links go, for actions and joint motions alike; stateless."""
 
-    def __init__(self, rules: MotionRules) -> None:
-        self._rules = rules
+    _rules: MotionRules
 
     def motion(
         self, measured: Pose, start: Pose, end: Posture, duration_s: float, joint_speed: float

@@ -1,0 +1,75 @@
+"""The names of the contract by the modules that define them; `__init__.py` reads this at run time,
+type checkers as a stub.
+"""
+
+# ruff: noqa: I001
+from .action import (
+    ACTION_SIZE as ACTION_SIZE,
+    Action as Action,
+    ActionChunk as ActionChunk,
+    apply_delta as apply_delta,
+)
+from .arrays import (
+    F64 as F64,
+)
+from .image import (
+    check_rgb8 as check_rgb8,
+    frame_from_buffer as frame_from_buffer,
+)
+from .motion import (
+    STATE_STEP_S as STATE_STEP_S,
+    Hold as Hold,
+    JointCommand as JointCommand,
+    Posture as Posture,
+    Proximity as Proximity,
+    RobotState as RobotState,
+)
+from .observation import (
+    Ahead as Ahead,
+    ArmState as ArmState,
+    CameraCalibration as CameraCalibration,
+    Frame as Frame,
+    JointSample as JointSample,
+    Observation as Observation,
+    Pose as Pose,
+)
+from .profile import (
+    TOPIC_RULE as TOPIC_RULE,
+    ArmProfile as ArmProfile,
+    CameraProfile as CameraProfile,
+    CollisionProfile as CollisionProfile,
+    Endpoint as Endpoint,
+    GripperProfile as GripperProfile,
+    JointLimits as JointLimits,
+    Obstacle as Obstacle,
+    RobotProfile as RobotProfile,
+    Workspace as Workspace,
+    check_topic as check_topic,
+    prismatic_joints as prismatic_joints,
+    urdf_joints as urdf_joints,
+)
+from .protocols import (
+    Acceleration as Acceleration,
+    AnyAcceleration as AnyAcceleration,
+    AnyRuntime as AnyRuntime,
+    Backend as Backend,
+    Controller as Controller,
+    PerceptionSource as PerceptionSource,
+    PostureInspector as PostureInspector,
+    RobotDriver as RobotDriver,
+    Runtime as Runtime,
+    SeveralArms as SeveralArms,
+    SpaceController as SpaceController,
+    Topics as Topics,
+)
+from .space import (
+    ACTION_FIELDS as ACTION_FIELDS,
+    ACTION_LABEL as ACTION_LABEL,
+    EE_DELTA as EE_DELTA,
+    GRIPPER as GRIPPER,
+    SPACE_KINDS as SPACE_KINDS,
+    Channel as Channel,
+    ControlSpace as ControlSpace,
+    channel_keys as channel_keys,
+    robot_space as robot_space,
+)
