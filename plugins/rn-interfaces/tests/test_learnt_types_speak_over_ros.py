@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from rn_interfaces.finder import PREFIXES
-from rn_interfaces.graph import hash_here
+from rn_interfaces.graph import hashes_here
 from rn_interfaces.store import Name, Store
 from rn_interfaces_learning.nodes import NodeGraph, ask_nodes
 from rn_testing.domain import free_ros_domain
@@ -159,6 +159,5 @@ def test_a_node_gives_the_definition_of_what_it_publishes(
     found = ask_nodes(until_discovered(link, "/seam"), empty)
     assert SEAM in found.texts, found.unanswered
     assert found.texts[SEAM].text == store.text(SEAM)
-    assert found.texts[SEAM].type_hash == hash_here(store, SEAM)
-    assert "learn it from a folder" in found.unanswered["weld_msgs/srv/Strike"]
+    assert found.texts[SEAM].hashes[str(SEAM)] == hashes_here(store, SEAM)[str(SEAM)]
     assert not ask_nodes(NodeGraph(link), store).texts, "all of it is known"
