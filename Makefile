@@ -413,7 +413,7 @@ $(VENV)/.develop: $(PROJECTS) | $(BIN)/python
 	$(call install,every plugin,--constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)))
 	-$(call install,types of ros2_control (compiled),--constraint constraints.txt $(addprefix --editable ,$(COMPILED)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
-	  pytest pytest-timeout pytest-xdist pytest-rerunfailures hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
+	  pytest pytest-timeout pytest-xdist pytest-rerunfailures hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables auditwheel \
 	  ros-jazzy-test-msgs transformers mujoco franky-control 'pylibfranka; python_version < "3.13"' ruckig playwright rosbags)
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet $(VENV)/.demo-so101
 
