@@ -26,6 +26,7 @@ from .plugins import (
 )
 from .ros import (
     environment as environment,
+    installation as installation,
     messages as messages,
     qos as qos,
     topics as topics,

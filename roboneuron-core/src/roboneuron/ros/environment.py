@@ -1,9 +1,7 @@
 """Defaults that make ROS 2 from pip wheels work on a laptop; whatever the user has set stays as it
 is.
 
-Source of the facts: the ros-python-wheels bootstrapper (a .pth file) re-executes Python with
-LD_LIBRARY_PATH and marks that with `_ROS_WHEELS_BOOTSTRAP_COMPLETE`; AMENT_PREFIX_PATH is left
-unset by it.
+Source of the facts: the ros-python-wheels bootstrapper leaves AMENT_PREFIX_PATH unset.
 """
 
 from __future__ import annotations
@@ -18,8 +16,13 @@ from tempfile import TemporaryFile
 
 from roboneuron.errors import ConfigurationError
 from roboneuron.log_files import make_log_directory
+from roboneuron.ros.installation import (
+    BOOTSTRAP_GUARD,
+    Sourced,
+    check_not_mixed,
+    find_sourced,
+)
 
-BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 CLIENT_TOKEN = "ROBONEURON_TOKEN"
 """Environment variable with the bearer token of `roboneuron call --url` and alike, when no other is
 named.
@@ -90,22 +93,12 @@ def set_defaults(
         ConfigurationError: a sourced ROS installation is mixed with the wheels of this environment,
             or a variable has a value for which rcl would end this process.
     """
-    foreign = [
-        p
-        for p in environment.get("AMENT_PREFIX_PATH", "").split(":")
-        if p and Path(p) != Path(prefix)
-    ]
-    distribution = environment.get("ROS_DISTRO")
-    if distribution and any(p.startswith("/opt/ros") for p in foreign):
-        raise ConfigurationError(
-            f"ROS {distribution} is sourced in this shell and would be mixed with the ROS wheels "
-            f"of {prefix}.",
-            hint="Start from a shell without `source /opt/ros/.../setup.bash`.",
-        )
+    check_not_mixed(environment, prefix)
     _check_domain(environment.get("ROS_DOMAIN_ID", ""))
-    _check_middleware(
-        environment.get("RMW_IMPLEMENTATION", ""), [Path(prefix), *map(Path, foreign)]
-    )
+    sourced = find_sourced(environment, prefix)
+    prefixes = [Path(p) for p in environment.get("AMENT_PREFIX_PATH", "").split(":") if p]
+    installed = prefixes if sourced else [Path(prefix), *prefixes]
+    _check_middleware(environment.get("RMW_IMPLEMENTATION", ""), installed)
     environment.setdefault("AMENT_PREFIX_PATH", prefix)
     if not any(
         k in environment for k in ("ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY")
@@ -114,10 +107,16 @@ def set_defaults(
     if not any(
         k in environment for k in ("FASTDDS_DEFAULT_PROFILES_FILE", "FASTDDS_BUILTIN_TRANSPORTS")
     ):
-        environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(fast_dds_profile()))
+        environment.setdefault(_profile_variable(sourced), str(fast_dds_profile()))
     environment.setdefault(PORT_OFFSET, str(_STANDARD_OFFSET))
     environment.setdefault(PARTICIPANTS, "32")
     environment.setdefault("ROS_LOG_DIR", str(log_directory))
+
+
+def _profile_variable(sourced: Sourced | None) -> str:
+    """How Fast DDS calls the variable with its profile, of which version 3 is `libfastdds`."""
+    libraries = sourced.prefix.glob("lib/**/libfastdds.so*") if sourced else iter(())
+    return f"{'FASTRTPS' if next(libraries, None) is None else 'FASTDDS'}_DEFAULT_PROFILES_FILE"
 
 
 def _check_domain(domain: str) -> None:
@@ -149,15 +148,16 @@ def _check_middleware(name: str, prefixes: Sequence[Path]) -> None:
 
 
 def _check_not_hidden(prefix: str) -> None:
-    """Refuse another rclpy before the one of this environment on the import path, as PYTHONPATH
-    puts it there.
+    """Refuse another rclpy before that of this environment, or of the sourced installation, on the
+    import path, as PYTHONPATH puts it there.
     """
     try:
         spec = find_spec("rclpy")
     except ValueError:  # a stand-in without a spec
         return
     found = Path(spec.origin).parent if spec is not None and spec.origin else None
-    if found is None or found.is_relative_to(prefix):
+    sourced = find_sourced(os.environ, prefix)
+    if found is None or found.is_relative_to(sourced.prefix if sourced else prefix):
         return
     own = [
         Path(entry) / "rclpy" for entry in sys.path if entry and Path(entry).is_relative_to(prefix)
@@ -176,12 +176,12 @@ def prepare_environment(log_directory: Path | None = None) -> None:
     Raises:
         ConfigurationError: as `set_defaults`; or another rclpy hides the one of this environment.
     """
-    _check_not_hidden(sys.prefix)
     set_defaults(
         os.environ,
         prefix=sys.prefix,
         log_directory=log_directory or state_directory() / "log" / "ros",
     )
+    _check_not_hidden(sys.prefix)
 
 
 def port_offset(domain: int, start: int) -> int:
