@@ -16,7 +16,6 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "descriptor": "NAME_PATTERN check_spec",
         "environment": "CLIENT_TOKEN module_environment prepare_environment state_directory",
         "estop": "EmergencyStopLatch",
-        "installation": "choose chosen find_sourced foreign_folders",
         "loading": "load_attribute load_options load_options_model load_target",
         "log_files": "begin_logging escaped opener",
         "messages": "intrinsics_from_camera_info joints_from_message to_image to_ns",

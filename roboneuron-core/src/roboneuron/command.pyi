@@ -26,7 +26,6 @@ from .plugins import (
 )
 from .ros import (
     environment as environment,
-    installation as installation,
     messages as messages,
     qos as qos,
     topics as topics,

@@ -21,7 +21,7 @@ from roboneuron.ros.installation import (
     choose,
     chosen,
     find_sourced,
-    foreign_folders,
+    in_use,
 )
 
 VENV = "/venv"
@@ -152,12 +152,15 @@ def test_a_mixture_is_refused(tmp_path: Path, ros: Path) -> None:
         set_defaults(environment, prefix=VENV, log_directory=tmp_path)
 
 
-def test_folders_of_another_ros_are_named(tmp_path: Path, ros: Path) -> None:
-    folders = {"LD_LIBRARY_PATH": f"{ros}/lib:/mine", "PYTHONPATH": "/my/modules"}
-    assert foreign_folders(folders, [Path(VENV)]) == [("LD_LIBRARY_PATH", f"{ros}/lib")]
-    assert foreign_folders(folders, [ros]) == []
+def test_folders_of_another_ros_are_named(ros: Path) -> None:
     modules = f"{ros}/lib/python3.12/site-packages"
-    assert foreign_folders({"PYTHONPATH": modules}, []) == [("PYTHONPATH", modules)]
+    folders = {"LD_LIBRARY_PATH": f"{ros}/lib:/mine", "PYTHONPATH": f"/my/modules:{modules}"}
+    used = in_use(folders, VENV, "auto")
+    assert used.roots == (Path(VENV),)
+    assert used.foreign == (("LD_LIBRARY_PATH", f"{ros}/lib"), ("PYTHONPATH", modules))
+    assert in_use({**folders, "AMENT_PREFIX_PATH": str(ros)}, VENV, "auto").foreign == ()
+    with pytest.raises(ConfigurationError, match="no ROS installation is sourced"):
+        in_use(folders, VENV, "sourced")
 
 
 @pytest.mark.parametrize("form", ["--config={}", "--config {}"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -46,12 +47,16 @@ def test_libraries_of_two_are_named(paths: tuple[str, ...], words: str) -> None:
     assert words in installations.mixed(libraries(*paths), [ROOT])
 
 
-def test_what_brings_another_ros_is_named_with_what_to_type(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "librcl.so").touch()
-    monkeypatch.setenv("LD_LIBRARY_PATH", str(tmp_path))
-    finding = installations.look()
+class Mixed(NamedTuple):
+    """An environment with a variable too many."""
+
+    choice: tuple[str, str] = ("wheels", "so")
+    roots: tuple[Path, ...] = (ROOT,)
+    foreign: tuple[tuple[str, str], ...] = (("LD_LIBRARY_PATH", "/other/lib"),)
+
+
+def test_what_brings_another_ros_is_named_with_what_to_type() -> None:
+    finding = installations.look(Mixed())
     assert finding.verdict is Severity.FAILED
-    assert f"{tmp_path} by LD_LIBRARY_PATH" in finding.text
+    assert f"mixed with that of {ROOT}: /other/lib by LD_LIBRARY_PATH" in finding.text
     assert finding.hint == "Type: unset LD_LIBRARY_PATH"

@@ -18,9 +18,12 @@ from roboneuron.errors import ConfigurationError
 from roboneuron.log_files import make_log_directory
 from roboneuron.ros.installation import (
     BOOTSTRAP_GUARD,
+    Installation,
+    InUse,
     Sourced,
     check_not_mixed,
     find_sourced,
+    in_use,
 )
 
 CLIENT_TOKEN = "ROBONEURON_TOKEN"
@@ -170,18 +173,30 @@ def _check_not_hidden(prefix: str) -> None:
         )
 
 
-def prepare_environment(log_directory: Path | None = None) -> None:
+def prepare_environment(
+    log_directory: Path | None = None, *, wanted: Installation = "auto"
+) -> InUse:
     """Set this process's defaults; call it before rclpy is imported.
 
+    Args:
+        log_directory: where rcl writes its logs; below the state directory when None.
+        wanted: installation, as the configuration says.
+
+    Returns:
+        Which ROS installation this process uses.
+
     Raises:
-        ConfigurationError: as `set_defaults`; or another rclpy hides the one of this environment.
+        ConfigurationError: as `set_defaults` and `choose`; or another rclpy hides the one of this
+            environment.
     """
+    used = in_use(os.environ, sys.prefix, wanted)
     set_defaults(
         os.environ,
         prefix=sys.prefix,
         log_directory=log_directory or state_directory() / "log" / "ros",
     )
     _check_not_hidden(sys.prefix)
+    return used
 
 
 def port_offset(domain: int, start: int) -> int:

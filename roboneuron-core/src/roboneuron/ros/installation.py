@@ -174,17 +174,38 @@ def chosen(environment: Mapping[str, str]) -> Choice:
     return Choice("wheels", reason) if installation else choose("auto", None)
 
 
-def foreign_folders(environment: Mapping[str, str], roots: Sequence[Path]) -> list[tuple[str, str]]:
-    """Folders with libraries or modules of another ROS than below `roots`, each with the variable
-    that brings it.
+class InUse(NamedTuple):
+    """The installation that a process uses.
+
+    Attributes:
+        choice: with its reason.
+        roots: folders of it and of the workspaces over it.
+        foreign: folders with libraries or modules of another ROS, each with the variable that
+            brings it.
     """
+
+    choice: Choice
+    roots: tuple[Path, ...]
+    foreign: tuple[tuple[str, str], ...]
+
+
+def in_use(environment: Mapping[str, str], prefix: str, wanted: Installation) -> InUse:
+    """Which installation an environment has, and what of others.
+
+    Raises:
+        ConfigurationError: as `choose`.
+    """
+    sourced = find_sourced(environment, prefix)
+    choose(wanted, sourced)
+    roots = sourced.prefixes if sourced else (Path(prefix),)
     marks = {_LIBRARIES: "librcl.so", _MODULES: "rclpy/__init__.py"}
-    return [
+    foreign = tuple(
         (name, folder)
         for name, mark in marks.items()
         for folder in _split(environment, name)
         if Path(folder, mark).exists() and not any(Path(folder).is_relative_to(r) for r in roots)
-    ]
+    )
+    return InUse(chosen(environment), roots, foreign)
 
 
 def _wanted(words: Sequence[str]) -> Installation:

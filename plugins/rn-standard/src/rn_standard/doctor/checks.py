@@ -16,16 +16,7 @@ from rn_standard.doctor import installations
 from rn_standard.doctor.finding import Check, Finding, Severity, failed, ok, warning
 from rn_standard.doctor.images import measure_image_transport
 from roboneuron import RoboNeuronError, RobotSpec
-from roboneuron.command import (
-    Config,
-    Registry,
-    Status,
-    availability,
-    discover,
-    environment,
-    estop,
-    installation,
-)
+from roboneuron.command import Config, Registry, Status, availability, discover, environment, estop
 
 MIN_SHARED_MEMORY_MIB = 256
 """A segment of 32 MiB for each of the five processes, and as much again for a switch and for what
@@ -136,15 +127,12 @@ def _shared_memory(_: Config) -> Finding:
 
 
 def _ros(config: Config) -> Finding:
-    sourced = installation.find_sourced(os.environ, sys.prefix)
-    installation.choose(config.ros.installation, sourced)
     if importlib.util.find_spec("rclpy") is None:
         return failed(
             "rclpy is not installed.",
             "It comes with roboneuron-core: is this the environment that it is installed in?",
         )
-    environment.prepare_environment()
-    return installations.look()
+    return installations.look(environment.prepare_environment(wanted=config.ros.installation))
 
 
 def _images(_: Config) -> Finding:

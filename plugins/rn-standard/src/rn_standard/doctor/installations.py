@@ -9,9 +9,9 @@ import subprocess
 import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Protocol
 
 from rn_standard.doctor.finding import Finding, failed, ok
-from roboneuron.command import installation
 
 _ROS_S = 30.0
 _PROBE = """
@@ -28,14 +28,28 @@ _OF_ROS = re.compile(r"lib(fastrtps|fastdds|fastcdr|rcl|rmw|rosidl_typesupport)[
 _OF_DDS = re.compile(r"lib(fastrtps|fastdds)\.so")
 
 
-def look() -> Finding:
+class InUse(Protocol):
+    """What `prepare_environment` says about the installation that is used."""
+
+    @property
+    def choice(self) -> tuple[str, str]:
+        """Its kind, and why it is that one."""
+
+    @property
+    def roots(self) -> tuple[Path, ...]:
+        """Its folders."""
+
+    @property
+    def foreign(self) -> tuple[tuple[str, str], ...]:
+        """Variable and folder of what belongs to others."""
+
+
+def look(used: InUse) -> Finding:
     """Which installation this environment has, or what is mixed in it and what to type."""
-    choice = installation.chosen(os.environ)
-    sourced = installation.find_sourced(os.environ, sys.prefix)
-    roots = sourced.prefixes if sourced else (Path(sys.prefix),)
-    if folders := installation.foreign_folders(os.environ, roots):
-        listed = ", ".join(f"{folder} by {name}" for name, folder in folders)
-        variables = " ".join(sorted({name for name, _ in folders}))
+    roots = used.roots
+    if used.foreign:
+        listed = ", ".join(f"{folder} by {name}" for name, folder in used.foreign)
+        variables = " ".join(sorted({name for name, _ in used.foreign}))
         return failed(
             f"Another ROS would be mixed with that of {roots[0]}: {listed}.",
             f"Type: unset {variables}",
@@ -61,7 +75,7 @@ def look() -> Finding:
     )
     return ok(
         f"rclpy from {module.parent}, domain {domain}, discovery range {reach}; "
-        f"{choice.installation}: {choice.reason}."
+        f"{': '.join(used.choice)}."
     )
 
 
