@@ -175,6 +175,8 @@ test-sourced: $(VENV)/.develop .venv-kilted/.ready .venv-sourced/.ready ## a sou
 # RoboNeuron as users install it, for the Python that the sourced ROS is for.
 .venv-sourced/.ready: $(PROJECTS)
 	$(MAKE) VENV=.venv-sourced PYTHON=$(KILTED_PYTHON) .venv-sourced/.demo
+	.venv-sourced/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt \
+	  --editable plugins/rn-interfaces
 	@touch $@
 
 test-lerobot-policies: $(VENV)/.develop .venv-lerobot-policies/.ready ## policies of LeRobot beside LeRobot's own engines, then through ROS (its own environment)

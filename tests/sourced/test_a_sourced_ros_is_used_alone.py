@@ -84,9 +84,9 @@ def shell() -> dict[str, str]:
     return {**kept, "ROS_DOMAIN_ID": str(free_ros_domain())}
 
 
-def in_sourced_shell(*words: str) -> list[str]:
+def in_sourced_shell(*words: str, setup: Path = SETUP) -> list[str]:
     """A command line that sources the workspace, and the ROS below it, before others."""
-    return ["bash", "-c", '. "$0" && exec "$@"', str(SETUP), *words]
+    return ["bash", "-c", '. "$0" && exec "$@"', str(setup), *words]
 
 
 def configuration(folder: Path, installation: str, more: str = "") -> Path:
@@ -158,6 +158,27 @@ def own_node(shell: dict[str, str]) -> Iterator[None]:
             process.kill()
 
 
+async def speak(client: Client) -> None:
+    """Publish, read and call types of the workspace, with a node of the sourced ROS."""
+
+    async def do(tool: str, **arguments: Any) -> dict[str, Any]:
+        answer = await client.call_tool(tool, arguments)
+        assert not answer.is_error, answer.content
+        return dict(answer.structured_content or {})
+
+    message = {"offset": [0.25, 0.0, 0.5], "tool": "tig", "picture": [1, 2, 3]}
+    heard = ""
+    with anyio.fail_after(WAIT_S):
+        while not heard:
+            await do("publish_seam", message=message)
+            heard = (await do("read_heard", timeout_s=WAIT_S))["messages"][0]["data"]
+    assert heard == "tig [0.25, 0.0, 0.5] 3"
+    struck = await do("call_strike", request={"seam": {"tool": "mag"}}, timeout_s=WAIT_S)
+    assert struck["response"] == {"success": True, "message": "mag"}
+    far = await client.call_tool("publish_seam", {"message": {"offset": [0, 0, 9]}})
+    assert far.is_error
+
+
 @pytest.mark.parametrize("installation", ["sourced", "auto"])
 def test_server_and_modules_use_the_sourced_ros_and_its_types(
     shell: dict[str, str], own_node: None, tmp_path: Path, installation: str
@@ -168,25 +189,43 @@ def test_server_and_modules_use_the_sourced_ros_and_its_types(
 
     async def scenario() -> None:
         async with Client(server) as client:
-
-            async def do(tool: str, **arguments: Any) -> dict[str, Any]:
-                answer = await client.call_tool(tool, arguments)
-                assert not answer.is_error, answer.content
-                return dict(answer.structured_content or {})
-
-            message = {"offset": [0.25, 0.0, 0.5], "tool": "tig", "picture": [1, 2, 3]}
-            heard = ""
-            with anyio.fail_after(WAIT_S):
-                while not heard:
-                    await do("publish_seam", message=message)
-                    heard = (await do("read_heard"))["messages"][0]["data"]
-            assert heard == "tig [0.25, 0.0, 0.5] 3"
-            struck = await do("call_strike", request={"seam": {"tool": "mag"}}, timeout_s=WAIT_S)
-            assert struck["response"] == {"success": True, "message": "mag"}
-            far = await client.call_tool("publish_seam", {"message": {"offset": [0, 0, 9]}})
-            assert far.is_error
-            await do("start_robot")
+            await speak(client)
+            started = await client.call_tool("start_robot", {})
+            assert not started.is_error, started.content
             await check_processes(server_below(psutil.Process()), ROS, SETUP.parent)
+
+    anyio.run(scenario)
+
+
+@pytest.mark.parametrize("installation", ["wheels", "sourced"])
+def test_types_of_a_node_are_learnt_by_either_ros(
+    shell: dict[str, str], own_node: None, tmp_path: Path, installation: str
+) -> None:
+    """Without the workspace: Jazzy's wheels, or Kilted alone, beside a node of Kilted."""
+    if installation == "wheels":
+        prefix = [str(OWN / "bin" / "roboneuron")]
+    else:
+        prefix = in_sourced_shell(str(SOURCED / "bin" / "roboneuron"), setup=ROS / "setup.bash")
+    environment = {**shell, "XDG_DATA_HOME": str(tmp_path / "data")}
+    environment["XDG_CACHE_HOME"] = str(tmp_path / "cache")
+    learnt = subprocess.run(
+        [*prefix, "ros", "learn", "graph"],
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert learnt.returncode == 0, learnt.stdout + learnt.stderr
+    assert re.search(r"^own_msgs/msg/Seam  RIHS01_", learnt.stdout, re.MULTILINE)
+    assert re.search(r"^own_msgs/srv/Strike  RIHS01_", learnt.stdout, re.MULTILINE)
+    config = configuration(tmp_path, installation, OWN_TYPES)
+    words = [*prefix, "serve", "--config", str(config)]
+    server = StdioServerParameters(command=words[0], args=words[1:], env=environment)
+
+    async def scenario() -> None:
+        async with Client(server) as client:
+            await speak(client)
 
     anyio.run(scenario)
 
