@@ -154,6 +154,31 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[dataset]==0.6.1'
 	@touch $@
 
+# Kilted is for Python 3.12, as what its packages for Ubuntu are.
+KILTED_PYTHON ?= python3.12
+
+test-sourced: $(VENV)/.develop .venv-kilted/.ready .venv-sourced/.ready ## a sourced ROS (Kilted, laid out as /opt/ros, with a workspace over it): server, modules, doctor, demo
+	$(BIN)/python -m pytest -m sourced tests/sourced $(ARGS)
+
+.venv-kilted: .venv-kilted/.ready
+
+.venv-kilted/.ready: tests/sourced/standin.py
+	@echo "Setting up .venv-kilted (once, about a minute) ..."
+	$(KILTED_PYTHON) -m venv .venv-kilted
+	.venv-kilted/bin/python -m pip install --quiet --disable-pip-version-check 'ros-kilted-rclpy[fastrtps]' \
+	  ros-kilted-common-interfaces ros-kilted-test-msgs numpy
+	.venv-kilted/bin/python $< .venv-kilted/opt/ros/kilted .venv-kilted/workspace
+	@touch $@
+
+.venv-sourced: .venv-sourced/.ready
+
+# RoboNeuron as users install it, for the Python that the sourced ROS is for.
+.venv-sourced/.ready: $(PROJECTS)
+	$(MAKE) VENV=.venv-sourced PYTHON=$(KILTED_PYTHON) .venv-sourced/.demo
+	.venv-sourced/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt \
+	  --editable plugins/rn-interfaces
+	@touch $@
+
 test-lerobot-policies: $(VENV)/.develop .venv-lerobot-policies/.ready ## policies of LeRobot beside LeRobot's own engines, then through ROS (its own environment)
 	.venv-lerobot-policies/bin/python -m pytest plugins/rn-backend-lerobot/tests/policies \
 	  plugins/rn-backend-lerobot/tests/test_lerobot_keeps_its_contract.py $(ARGS)
@@ -291,7 +316,7 @@ test-units: $(VENV)/.develop ## its tests without ROS processes, UNIT_JOBS at a 
 
 test-ros: $(VENV)/.develop ## its tests with ROS processes, ROS_JOBS at a time
 	$(BIN)/python -m pytest -n $(ROS_JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(RERUN) \
-	  -m "ros and not timing and not gpu and not hardware and not slow" $(ARGS)
+	  -m "ros and not timing and not sourced and not gpu and not hardware and not slow" $(ARGS)
 
 test-timing: $(VENV)/.develop ## tests that judge how soon something happens, one at a time: let nothing run beside them
 	$(BIN)/python -m pytest $(RERUN) -m "ros and timing and not gpu and not hardware and not slow" $(ARGS)
@@ -417,7 +442,7 @@ $(VENV)/.develop: $(PROJECTS) | $(BIN)/python
 	$(call install,every plugin,--constraint constraints.txt $(addprefix --editable ,$(WITH_EXTRAS)))
 	-$(call install,types of ros2_control (compiled),--constraint constraints.txt $(addprefix --editable ,$(COMPILED)))
 	$(call install,tools for tests and checks,--constraint constraints.txt \
-	  pytest pytest-timeout pytest-xdist pytest-rerunfailures hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables \
+	  pytest pytest-timeout pytest-xdist pytest-rerunfailures hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables auditwheel \
 	  ros-jazzy-test-msgs transformers mujoco franky-control 'pylibfranka; python_version < "3.13"' ruckig playwright rosbags)
 	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet $(VENV)/.demo-so101
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -23,6 +24,7 @@ PACKAGES = [
 pytest.importorskip("hatchling", reason="wheels are built with hatchling")
 pytestmark = pytest.mark.release
 
+GLIBC = re.compile(r"manylinux_(\d+)_(\d+)_")
 PROBE = """
 import json, sys, importlib
 from roboneuron.plugins.discovery import discover
@@ -88,6 +90,24 @@ def test_a_wheel_holds_the_files_that_are_no_python(wheel):
     ).stdout.splitlines()
     missing = [path for path in tracked if path.removeprefix("src/") not in names]
     assert missing == []
+
+
+def test_compiled_code_is_as_old_as_the_wheel_says(wheel):
+    """Judged by auditwheel, by the symbols; ROS libraries are those of the ROS wheels."""
+    pytest.importorskip("auditwheel", reason="it judges symbols")
+    _, built = wheel
+    if built.stem.endswith("-none-any"):
+        return
+    command = [sys.executable, "-m", "auditwheel", "show", "--json", str(built)]
+    judged = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    facts = json.loads(judged.stdout)
+    said = GLIBC.search(built.stem)
+    needed = GLIBC.search(facts["sym_tag"])
+    assert said is not None, f"an index does not take {built.name}"
+    assert needed is not None, facts
+    assert tuple(map(int, needed.groups())) <= tuple(map(int, said.groups()))
+    if built.name.startswith("rn_interfaces"):
+        assert not facts["external_libs"]
 
 
 def test_a_plugin_works_from_its_wheel(wheel, tmp_path):

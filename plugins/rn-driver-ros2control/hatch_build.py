@@ -48,10 +48,12 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
         typesupport = _typesupport()
         try:
             built = typesupport.build_once(ROOT / PACKAGE, ROOT / "build")
+            platform = typesupport.wheel_platform(built)
         except typesupport.BuildError as error:
             raise SystemExit(f"rn-driver-ros2control: {error}") from error
         build_data["pure_python"] = False
-        build_data["infer_tag"] = True
+        python = f"cp{sys.version_info.major}{sys.version_info.minor}"
+        build_data["tag"] = f"{python}-{python}-{platform}"
         build_data["shared_data"].update({f"{built}/{name}": name for name in ("lib", "share")})
         included = {f"{built}/{PACKAGE}": PACKAGE}
         build_data["force_include"].update(included)

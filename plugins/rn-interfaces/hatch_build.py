@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import sysconfig
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import ModuleType
@@ -36,9 +35,9 @@ class CustomBuildHook(BuildHookInterface):  # type: ignore[type-arg]
         made = Path(self._scratch.name, library.SHIPPED.name)
         try:
             library.compile_library(library.SOURCE, made)
+            platform = library.wheel_platform(made)
         except library.LibraryError as error:
             raise SystemExit(f"rn-interfaces: {error}") from error
-        platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data["pure_python"] = False
         build_data["tag"] = f"py3-none-{platform}"  # it does not use the Python API
         build_data["force_include"][str(made)] = f"rn_interfaces/{made.name}"

@@ -14,7 +14,7 @@ from rosidl_parser.definition import (
     NamespacedType,
 )
 
-from rn_interfaces.codec import type_of
+from rn_interfaces.cdr_fields import type_of
 
 NUMBERS = (
     *("bool", "byte", "char", "float32", "float64"),

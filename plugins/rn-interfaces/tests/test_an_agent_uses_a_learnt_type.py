@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,9 @@ from rn_interfaces.sources import definitions
 from rn_interfaces.store import Store
 from roboneuron.ros.environment import prepare_environment
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(150)]
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
+WAIT_S = 60.0
+"""For what another process does, on a machine that does much else."""
 CONFIG = """
 [robot]
 name = "fr3"
@@ -148,7 +151,7 @@ def test_an_agent_publishes_reads_and_records_a_learnt_type(
                 return dict(answer.structured_content or {})
 
             async def until(condition: Callable[[dict[str, Any]], bool]) -> None:
-                with anyio.fail_after(60):
+                with anyio.fail_after(WAIT_S):
                     while not condition(await do("list_recordings")):
                         await anyio.sleep(0.05)
 
@@ -160,17 +163,23 @@ def test_an_agent_publishes_reads_and_records_a_learnt_type(
             await do("start_recording", name="weld")
             await until(lambda _: welder.node.count_subscribers("/fr3/done") == 1)  # the recorder
             for _ in range(3):
-                read = await do("read_done")
+                read = await do("read_done", timeout_s=WAIT_S)
             assert read["messages"][0]["seams"][0]["tool"] == "mag"
             assert read["messages"][0]["note"] == "漢"
-            sent = await do("publish_seam", message={"offset": [0.1, 0.2, 0.3], "tool": "tig"})
-            assert sent["subscribers"] >= 1
+            with anyio.fail_after(WAIT_S):
+                while not welder.seams:  # the server's own events listen too, so it may go first
+                    message = {"offset": [0.1, 0.2, 0.3], "tool": "tig"}
+                    await do("publish_seam", message=message)
+                    await anyio.sleep(0.1)
             refused = await client.call_tool("publish_seam", {"message": {"offset": [0, 0, 9]}})
             assert refused.is_error
             assert "offset" in refused.content[0].text  # type: ignore[union-attr]
-            struck = await do("call_strike", request={"seam": {"tool": "mag"}, "dry": True})
+            struck = await do(
+                "call_strike", request={"seam": {"tool": "mag"}, "dry": True}, timeout_s=WAIT_S
+            )
             assert struck["response"] == {"success": True, "message": "mag"}
-            welded = await do("send_weld_goal", goal={"seam": {"offset": [0.25, 0.0, 0.0]}})
+            goal = {"seam": {"offset": [0.25, 0.0, 0.0]}}
+            welded = await do("send_weld_goal", goal=goal, server_timeout_s=WAIT_S)
             assert (welded["status"], welded["result"]) == ("succeeded", {"length": 0.25})
             far = {"seam": {"offset": [9.0, 0.0, 0.0]}}
             for tool, part in (("call_strike", "request"), ("send_weld_goal", "goal")):
@@ -185,11 +194,12 @@ def test_an_agent_publishes_reads_and_records_a_learnt_type(
             await do("stop_recording", outcome="success")
 
     anyio.run(scenario)
-    assert [list(seam.offset) for seam in welder.seams] == [[0.1, 0.2, 0.3]]
+    assert {tuple(seam.offset) for seam in welder.seams} == {(0.1, 0.2, 0.3)}
     audit = (tmp_path / "state" / "audit.jsonl").read_text().splitlines()
     for tool in ("publish_seam", "call_strike", "send_weld_goal"):
         records = [one for one in map(json.loads, audit) if one.get("tool") == tool]
-        assert [one["verdict"] for one in records] == ["allowed", "refused"], tool
+        verdicts = [verdict for verdict, _ in groupby(one["verdict"] for one in records)]
+        assert verdicts == ["allowed", "refused"], tool
     files = sorted((tmp_path / "state" / "runs").rglob("*.mcap"))
     schemas: dict[str, str] = {}
     for path in files:
@@ -236,10 +246,13 @@ def test_another_definition_of_the_type_is_refused(store: Store, tmp_path: Path)
     async def scenario() -> None:
         async with Client(server) as client:
             for tool, arguments in (("read_done", {}), ("publish_seam", {"message": {}})):
-                answer = await client.call_tool(tool, arguments)
+                text = ""
+                with anyio.fail_after(WAIT_S):
+                    while "has another definition of weld_msgs/msg/" not in text:  # discovered
+                        answer = await client.call_tool(tool, arguments)
+                        text = answer.content[0].text  # type: ignore[union-attr]
+                        await anyio.sleep(0.1)
                 assert answer.is_error
-                text = answer.content[0].text  # type: ignore[union-attr]
-                assert "has another definition of weld_msgs/msg/" in text
                 assert "ros learn graph" in text
 
     with subprocess.Popen(
@@ -258,6 +271,6 @@ def _end(process: subprocess.Popen[str]) -> None:
     for _ in range(3):
         process.terminate()
         with suppress(subprocess.TimeoutExpired):
-            process.wait(5)
+            process.wait(WAIT_S / 3)
             return
     process.kill()

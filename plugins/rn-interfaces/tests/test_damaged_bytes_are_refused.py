@@ -11,7 +11,8 @@ from made_messages import filled
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.serialization import deserialize_message, serialize_message
 
-from rn_interfaces.codec import CdrError, codec
+from rn_interfaces.cdr_fields import CdrError
+from rn_interfaces.codec import codec
 from rn_interfaces.store import Store
 
 TRIALS = 3000

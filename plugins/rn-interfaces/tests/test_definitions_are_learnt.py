@@ -19,6 +19,7 @@ from rn_interfaces.finder import PREFIXES
 from rn_interfaces.learning import Learnt, Text, learn
 from rn_interfaces.sources import definitions
 from rn_interfaces.store import MOST_TEXT, Name, Store, parse_name
+from rn_interfaces_learning.processes import definition_of, prefixes_of_processes
 from roboneuron import ConfigurationError
 
 SEAM = Name("weld_msgs", "msg", "Seam")
@@ -105,7 +106,7 @@ def test_compiled_packages_are_left_alone(empty: Store) -> None:
 
 def test_a_hash_that_the_node_does_not_have_is_refused(empty: Store) -> None:
     wrong = "RIHS01_" + "0" * 64
-    learnt = learn(empty, {SEAM: Text("int32 a\n", "node /welder", wrong)})
+    learnt = learn(empty, {SEAM: Text("int32 a\n", "node /welder", {str(SEAM): wrong})})
     assert f"the node says {wrong}" in learnt.refused[SEAM]
     assert not empty.names()
 
@@ -176,3 +177,22 @@ def test_the_command_learns_lists_shows_and_forgets(user: Path, tmp_path: Path) 
     assert ros("show", "weld_msgs/msg/None").returncode == 2
     assert ros("forget", "weld_msgs").stdout.startswith("5 interfaces")
     assert ros("learn", str(tmp_path / "nowhere")).returncode == 2
+
+
+def test_damaged_descriptions_are_passed_over(tmp_path: Path) -> None:
+    strike = Name("weld_msgs", "srv", "Strike")
+    for number, text in enumerate(("", "[]", "{}", '{"type_hashes": [1]}', "\udcff")):
+        path = tmp_path / str(number) / "share" / "weld_msgs" / "srv" / "Strike.json"
+        path.parent.mkdir(parents=True)
+        path.write_bytes(text.encode("utf-8", "surrogateescape"))
+    prefixes = sorted(tmp_path.iterdir())
+    assert len(prefixes) == 5
+    assert definition_of(strike, {f"{strike}_Request": "RIHS01_00"}, prefixes) == {}
+
+
+def test_prefixes_are_those_of_processes(tmp_path: Path) -> None:
+    for number, variables in (("1", b"A=1\0AMENT_PREFIX_PATH=/a:/b\0"), ("2", b""), ("x", b"")):
+        (tmp_path / number).mkdir()
+        (tmp_path / number / "environ").write_bytes(variables)
+    (tmp_path / "3").mkdir()
+    assert prefixes_of_processes(tmp_path) == [Path("/a"), Path("/b")]

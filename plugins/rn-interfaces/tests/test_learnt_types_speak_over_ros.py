@@ -20,16 +20,18 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 
 from rn_interfaces.finder import PREFIXES
-from rn_interfaces.graph import hash_here
+from rn_interfaces.graph import hashes_here
 from rn_interfaces.store import Name, Store
 from rn_interfaces_learning.nodes import NodeGraph, ask_nodes
 from rn_testing.domain import free_ros_domain
-from rn_testing.waiting import wait_until
+from rn_testing.waiting import holds_within, wait_until
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.ros.link import RosLink
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(120)]
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 SEAM = Name("weld_msgs", "msg", "Seam")
+WAIT_S = 60.0
+"""For what another thread or process does, on a machine that does much else."""
 
 
 @pytest.fixture
@@ -58,7 +60,7 @@ def node(store: Store, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterat
 
 def result_of(future: Any) -> Any:
     """What a future becomes."""
-    wait_until(future.done, 10.0)
+    wait_until(future.done, WAIT_S)
     return future.result()
 
 
@@ -71,10 +73,10 @@ def test_topic_service_and_action_carry_learnt_types(node: Node) -> None:
     got: list[Path] = []
     node.create_subscription(Path, "/path", got.append, 10, callback_group=group)
     publisher = node.create_publisher(Path, "/path", 10)
-    wait_until(lambda: publisher.get_subscription_count() == 1, 10.0)
+    wait_until(lambda: publisher.get_subscription_count() == 1, WAIT_S)
     sent = filled(Path, random.Random(1))
     publisher.publish(sent)
-    wait_until(lambda: got == [sent], 10.0)
+    wait_until(lambda: got == [sent], WAIT_S)
 
     def strike(request: Strike.Request, response: Strike.Response) -> Strike.Response:
         response.success, response.message = request.dry, request.seam.tool
@@ -82,19 +84,25 @@ def test_topic_service_and_action_carry_learnt_types(node: Node) -> None:
 
     node.create_service(Strike, "/strike", strike, callback_group=group)
     client = node.create_client(Strike, "/strike", callback_group=group)
-    assert client.wait_for_service(10.0)
+    assert client.wait_for_service(WAIT_S)
     answer = result_of(client.call_async(Strike.Request(dry=True, seam=Seam(tool="mag"))))
     assert (answer.success, answer.message) == (True, "mag")
 
+    told: list[float] = []
+
     def weld(goal: Any) -> Weld.Result:
-        goal.publish_feedback(Weld.Feedback(done=0.5))
+        def tell() -> list[float]:
+            """Again, because feedback is lost until its two ends have found each other."""
+            goal.publish_feedback(Weld.Feedback(done=0.5))
+            return told
+
+        holds_within(tell, WAIT_S, poll_s=0.05)
         goal.succeed()
         return Weld.Result(length=goal.request.seam.offset[0])
 
     server = ActionServer(node, Weld, "/weld", weld, callback_group=group)
     asking = ActionClient(node, Weld, "/weld", callback_group=group)
-    assert asking.wait_for_server(10.0)
-    told: list[float] = []
+    assert asking.wait_for_server(WAIT_S)
     goal = result_of(
         asking.send_goal_async(
             Weld.Goal(seam=Seam(offset=[1.5, 2.0, 3.0])),
@@ -102,7 +110,7 @@ def test_topic_service_and_action_carry_learnt_types(node: Node) -> None:
         )
     )
     assert result_of(goal.get_result_async()).result.length == 1.5
-    wait_until(lambda: told == [0.5], 10.0)
+    assert {*told} == {0.5}
     asking.destroy()
     server.destroy()
 
@@ -114,13 +122,13 @@ def test_what_a_stranger_sends_is_dropped_and_the_next_message_comes(node: Node)
     got: list[Path] = []
     node.create_subscription(Path, "/odd", got.append, 100)
     publisher = node.create_publisher(Path, "/odd", 100)
-    wait_until(lambda: publisher.get_subscription_count() == 1, 10.0)
+    wait_until(lambda: publisher.get_subscription_count() == 1, WAIT_S)
     good = filled(Path, rng)
     data = serialize_message(good)
     for _ in range(50):
         publisher.publish(data[:4] + bytes(rng.randrange(256) for _ in range(len(data) // 3)))
     publisher.publish(good)
-    wait_until(lambda: bool(got) and got[-1] == good, 10.0)
+    wait_until(lambda: bool(got) and got[-1] == good, WAIT_S)
 
 
 @pytest.fixture
@@ -139,10 +147,10 @@ def until_discovered(link: RosLink, *topics: str) -> NodeGraph:
     def owners(topic: str) -> set[str]:
         return {endpoint.node_name for endpoint in graph.endpoints(topic)}
 
-    wait_until(lambda: graph.topics().keys() >= set(topics), 10.0)
+    wait_until(lambda: graph.topics().keys() >= set(topics), WAIT_S)
     # DDS discovers an endpoint before ROS tells the name of its node
-    wait_until(lambda: all(owners(topic) == {"welder"} for topic in topics), 10.0)
-    wait_until(lambda: "/welder/get_type_description" in graph.services(), 10.0)
+    wait_until(lambda: all(owners(topic) == {"welder"} for topic in topics), WAIT_S)
+    wait_until(lambda: "/welder/get_type_description" in graph.services(), WAIT_S)
     return graph
 
 
@@ -159,6 +167,5 @@ def test_a_node_gives_the_definition_of_what_it_publishes(
     found = ask_nodes(until_discovered(link, "/seam"), empty)
     assert SEAM in found.texts, found.unanswered
     assert found.texts[SEAM].text == store.text(SEAM)
-    assert found.texts[SEAM].type_hash == hash_here(store, SEAM)
-    assert "learn it from a folder" in found.unanswered["weld_msgs/srv/Strike"]
+    assert found.texts[SEAM].hashes[str(SEAM)] == hashes_here(store, SEAM)[str(SEAM)]
     assert not ask_nodes(NodeGraph(link), store).texts, "all of it is known"

@@ -13,7 +13,8 @@ from test_damaged_bytes_are_refused import damaged
 from test_every_compiled_type_agrees import classes, compiled
 
 from rn_interfaces import native
-from rn_interfaces.codec import CdrError, codec
+from rn_interfaces.cdr_fields import CdrError
+from rn_interfaces.codec import codec
 from rn_interfaces.program import program
 from rn_interfaces.store import Store
 from rn_interfaces.structures import LayoutError

@@ -10,7 +10,6 @@ import platform
 import shutil
 import subprocess
 import sys
-import sysconfig
 import zipfile
 from pathlib import Path
 
@@ -146,6 +145,15 @@ def test_a_library_that_cannot_be_loaded_is_no_reason_to_compile(
     assert not cache.exists()
 
 
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="manylinux is of glibc")
+def test_a_library_that_needs_a_newer_glibc_is_not_called_manylinux(tmp_path: Path) -> None:
+    made = tmp_path / "native.so"
+    made.write_bytes(b"\0GLIBC_2.2.5\0GLIBC_2.17\0")
+    assert library.wheel_platform(made) == f"manylinux_2_17_{platform.machine()}"
+    made.write_bytes(b"\0GLIBC_2.34\0")
+    assert library.wheel_platform(made) == f"linux_{platform.machine()}"
+
+
 def build(out: Path, path: str | None = None) -> subprocess.CompletedProcess[str]:
     """Build the wheel, with another PATH where one is given."""
     return subprocess.run(
@@ -167,8 +175,7 @@ def test_a_wheel_holds_the_library_and_works_without_a_compiler(
     done = build(tmp_path / "out")
     assert done.returncode == 0, done.stderr
     (built,) = (tmp_path / "out").glob("*.whl")
-    machine = sysconfig.get_platform().replace("-", "_").replace(".", "_")
-    assert built.name.endswith(f"-py3-none-{machine}.whl")
+    assert built.name.endswith(f"-py3-none-manylinux_2_17_{platform.machine()}.whl")
     site = tmp_path / "site"
     with zipfile.ZipFile(built) as archive:
         archive.extractall(site)

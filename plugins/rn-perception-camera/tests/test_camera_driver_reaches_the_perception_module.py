@@ -78,13 +78,13 @@ class Graph:
         self.processes.append(process)
         return process
 
-    def start_perception(self) -> None:
+    def start_perception(self, options: dict[str, Any]) -> None:
         from lifecycle_msgs.srv import ChangeState
 
         config = {
             "robot": {"name": "cell"},
             "perception": {"source": "ros-camera"},
-            "plugins": {"ros-camera": OPTIONS},
+            "plugins": {"ros-camera": options},
         }
         settings = {
             "kind": "perception",
@@ -142,7 +142,7 @@ def test_images_arrive_with_stamps_and_calibration_and_drivers_may_change(graph:
     )
     infos = graph.listen(CameraInfo, "/cell/camera/front/camera_info")
     driver = graph.start(str(HERE / "camera_driver.py"), "best_effort")
-    graph.start_perception()
+    graph.start_perception(OPTIONS)
     graph.wait_for(
         lambda: len(fronts) > 5 and len(sides) > 4 and len(infos) > 5, "images of both cameras"
     )
@@ -174,3 +174,37 @@ def test_images_arrive_with_stamps_and_calibration_and_drivers_may_change(graph:
     fronts.clear()
     graph.start(str(HERE / "camera_driver.py"), "reliable")
     graph.wait_for(lambda: len(fronts) > 2, "images of the new driver")
+
+
+def test_images_inside_learnt_messages_arrive(graph: Graph) -> None:
+    """Of types that nobody has compiled: `roboneuron ros learn` reads their definitions."""
+    pytest.importorskip("rn_interfaces", reason="rn-interfaces makes types at run time")
+    from sensor_msgs.msg import Image
+
+    definitions = graph.folder / "src" / "rig_msgs" / "msg"
+    definitions.mkdir(parents=True)
+    (definitions / "View.msg").write_text("string name\nsensor_msgs/Image picture\n")
+    (definitions / "Views.msg").write_text(
+        "View[] views\nsensor_msgs/CompressedImage overview\nfloat64 gain\n"
+    )
+    graph.environment["XDG_DATA_HOME"] = str(graph.folder / "data")
+    graph.environment["XDG_CACHE_HOME"] = str(graph.folder / "cache")
+    learn = graph.start("-m", "roboneuron.cli.main", "ros", "learn", str(graph.folder / "src"))
+    assert learn.wait(60.0) == 0, (graph.folder / "processes.log").read_text()
+    fronts, sides = (
+        graph.listen(Image, f"/cell/camera/{name}/image") for name in ("front", "side")
+    )
+    graph.start(str(HERE / "rig_driver.py"))
+    common = {"topic": "/rig/views", "type": "rig_msgs/msg/Views"}
+    side = {**common, "field": "overview", "transport": "compressed"}
+    graph.start_perception(
+        {"cameras": {"front": {**common, "field": "views[1].picture"}, "side": side}}
+    )
+    graph.wait_for(lambda: len(fronts) > 5 and len(sides) > 5, "images of both cameras")
+
+    for received, colour in ((fronts, [9, 100]), (sides, [200, 100])):
+        for message in received:
+            assert (message.width, message.height, message.encoding) == (64, 48, "rgb8")
+            pixel = [*colour, message.header.stamp.nanosec % 1000]
+            assert list(message.data[:3]) == pixel, "image and stamp belong together"
+            assert message.header.frame_id == "rig_optical"

@@ -59,11 +59,6 @@ def test_profile_is_left_alone_when_transports_are_configured_otherwise() -> Non
     assert "FASTRTPS_DEFAULT_PROFILES_FILE" not in defaults(FASTDDS_BUILTIN_TRANSPORTS="UDPv4")
 
 
-def test_a_sourced_ros_installation_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="ROS jazzy is sourced"):
-        defaults(ROS_DISTRO="jazzy", AMENT_PREFIX_PATH="/opt/ros/jazzy")
-
-
 @pytest.mark.parametrize("domain", ["abc", "-1", "233", "300", "1.0", "\u0661"])
 def test_a_domain_for_which_rcl_would_end_the_process_is_refused(domain: str) -> None:
     with pytest.raises(

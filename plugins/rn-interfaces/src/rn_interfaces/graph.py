@@ -30,14 +30,16 @@ def is_known(store: Store, name: Name) -> bool:
     return store.has(name)
 
 
-def hash_here(store: Store, name: Name) -> str:
-    """RIHS01 of a known type; empty when it is unknown."""
+def hashes_here(store: Store, name: Name) -> dict[str, str]:
+    """RIHS01 of a known type and of all that it consists of, by full name; empty when unknown."""
     folder = installed(name.package, besides=store.prefix) or store.share / name.package
     path = folder / name.kind / f"{name.word}.json"
-    if not path.is_file():
-        return ""
-    hashes: list[dict[str, str]] = json.loads(path.read_text(encoding="utf-8"))["type_hashes"]
-    return next(one["hash_string"] for one in hashes if one["type_name"] == str(name))
+    return described_hashes(path.read_text(encoding="utf-8")) if path.is_file() else {}
+
+
+def described_hashes(description: str) -> dict[str, str]:
+    """RIHS01 by full name, of the JSON text that rosidl writes about an interface."""
+    return {one["type_name"]: one["hash_string"] for one in json.loads(description)["type_hashes"]}
 
 
 def interface_of(type_name: str) -> Name | None:

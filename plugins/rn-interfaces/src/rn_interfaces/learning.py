@@ -4,18 +4,19 @@ does not hold is refused with a reason.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable, Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 from typing import NamedTuple
 
 from rn_interfaces.cache import installed
 from rn_interfaces.definitions import by_package, used_by
 from rn_interfaces.generate import describe
+from rn_interfaces.graph import described_hashes
 from rn_interfaces.store import Interface, Name, Origin, Store, write
 from rn_interfaces.stores import known_definition
 from roboneuron import ConfigurationError
@@ -27,12 +28,13 @@ class Text(NamedTuple):
     Attributes:
         text: of the file.
         source: where it was found.
-        type_hash: RIHS01 that a node says it has; empty where nobody does.
+        hashes: RIHS01 that nodes announce, of the type or of parts such as
+            `weld_msgs/srv/Strike_Request`.
     """
 
     text: str
     source: str
-    type_hash: str = ""
+    hashes: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(kw_only=True, slots=True)
@@ -183,14 +185,16 @@ class _Lesson:
         place = work / name.package / name.kind
         files = [place / f"{name.word}.json", *place.glob(f"{name.word}_*.json")]
         descriptions = {path.stem: path.read_text(encoding="utf-8") for path in files}
-        found = _hash(descriptions[name.word], name)
-        if expected not in ("", found):
-            self._refuse(
-                name,
-                f"{name} of {source} gives {found}, but the node says {expected}: its definition "
-                "is not the one that it was built with",
-            )
-            return
+        hashes = described_hashes(descriptions[name.word])
+        for part, announced in expected.items():
+            if announced != hashes.get(part):
+                self._refuse(
+                    name,
+                    f"{part} of {source} gives {hashes.get(part)}, but the node says {announced}: "
+                    "its definition is not the one that it was built with",
+                )
+                return
+        found = hashes[str(name)]
         if (
             self._store.has(name)
             and self._store.text(name) == text
@@ -201,8 +205,3 @@ class _Lesson:
         idl = (place / f"{name.word}.idl").read_text(encoding="utf-8")
         self._learnt.added[name] = found
         made[name] = Interface(text, idl, descriptions, Origin(source, found))
-
-
-def _hash(description: str, name: Name) -> str:
-    hashes: list[dict[str, str]] = json.loads(description)["type_hashes"]
-    return next(one["hash_string"] for one in hashes if one["type_name"] == str(name))

@@ -8,8 +8,10 @@ from __future__ import annotations
 import hashlib
 import os
 import platform
+import re
 import shutil
 import subprocess
+import sysconfig
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,6 +19,8 @@ SOURCE = Path(__file__).with_name("native.c")
 SHIPPED = Path(__file__).with_name("_native.so")
 """What a wheel holds."""
 FLAGS = ("-std=c11", "-O2", "-shared", "-fPIC", "-Wall", "-Werror", "-fvisibility=hidden")
+GLIBC = (2, 17)
+"""The oldest that a wheel works with: manylinux2014, which pip knows since 2019."""
 _TIMEOUT_S = 60.0
 _PRIVATE = 0o700
 _OPEN_TO_OTHERS = 0o077
@@ -82,6 +86,17 @@ def compile_library(source: Path, to: Path) -> None:
         told = getattr(error, "stderr", None) or str(error)
         raise LibraryError(f"{compiler} does not compile {source}: {told}") from error
     to.chmod(_PRIVATE)
+
+
+def wheel_platform(made: Path) -> str:
+    """Platform tag of the wheel that holds a library: manylinux, which package indexes ask for, if
+    no symbol of it is of a newer glibc; else that of this system.
+    """
+    versions = re.findall(rb"GLIBC_(\d+)\.(\d+)", made.read_bytes())
+    newest = max(((int(major), int(minor)) for major, minor in versions), default=(0, 0))
+    if platform.libc_ver()[0] == "glibc" and newest <= GLIBC:
+        return f"manylinux_{GLIBC[0]}_{GLIBC[1]}_{platform.machine()}"
+    return sysconfig.get_platform().replace("-", "_").replace(".", "_")
 
 
 def _check_folder(folder: Path) -> None:

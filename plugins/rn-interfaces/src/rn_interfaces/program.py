@@ -14,7 +14,7 @@ from rosidl_parser.definition import (
     BoundedSequence,
 )
 
-from rn_interfaces.codec import WIDE, number_size, type_of
+from rn_interfaces.cdr_fields import WIDE, number_size, type_of
 
 END, NUMBERS, NUMBER_SEQUENCE, TEXT, ARRAY, SEQUENCE = range(6)
 ANY = (1 << 63) - 1

@@ -10,6 +10,7 @@ message_introspection.h and field_types.h.
 from __future__ import annotations
 
 import ctypes
+import os
 import sys
 from functools import cache
 from pathlib import Path
@@ -240,8 +241,11 @@ class LayoutError(RuntimeError):
 
 @cache
 def library(name: str) -> ctypes.CDLL:
-    """Load a library of the ROS wheels, whose symbols others then use too."""
-    return ctypes.CDLL(str(Path(sys.prefix) / "lib" / name), mode=ctypes.RTLD_GLOBAL)
+    """Load a library of the ROS that is used, whose symbols others then use too."""
+    prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    places = [Path(prefix, "lib", name) for prefix in prefixes if prefix]
+    place = next((place for place in places if place.exists()), places[-1])
+    return ctypes.CDLL(str(place), mode=ctypes.RTLD_GLOBAL)
 
 
 def pointer_of(capsule: object) -> int:

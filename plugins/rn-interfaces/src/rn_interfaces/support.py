@@ -32,7 +32,9 @@ from rosidl_pycommon import (  # type: ignore[import-untyped]
 
 from rn_interfaces import native
 from rn_interfaces import structures as c
-from rn_interfaces.codec import LARGE, CdrError, codec, type_of
+from rn_interfaces.cdr_fields import CdrError, type_of
+from rn_interfaces.cdr_writing import LARGE
+from rn_interfaces.codec import codec
 from rn_interfaces.description import TypeDescription
 from rn_interfaces.kept import address_of, keep
 from rn_interfaces.program import program

@@ -5,13 +5,15 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from rn_interfaces.graph import hash_here, is_known, uses
+from rn_interfaces.graph import hashes_here, is_known, uses
 from rn_interfaces.learning import Text
 from rn_interfaces.store import Name, Store, parse_name
+from rn_interfaces_learning.processes import definition_of, prefixes_of_processes
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
@@ -63,10 +65,20 @@ class NodeGraph:
 
     def endpoints(self, topic: str) -> list[Endpoint]:
         """Publishers and subscriptions."""
+        return self._endpoints(topic)
+
+    def service_endpoints(self, service: str) -> tuple[list[Endpoint], list[Endpoint]]:
+        """Those of a service's requests, and those of its responses."""
+        return (
+            self._endpoints(f"rq{service}Request", no_mangle=True),
+            self._endpoints(f"rr{service}Reply", no_mangle=True),
+        )
+
+    def _endpoints(self, topic: str, *, no_mangle: bool = False) -> list[Endpoint]:
         node = self._link.node
         return [
-            *node.get_publishers_info_by_topic(topic),
-            *node.get_subscriptions_info_by_topic(topic),
+            *node.get_publishers_info_by_topic(topic, no_mangle),
+            *node.get_subscriptions_info_by_topic(topic, no_mangle),
         ]
 
     def ask(self, node: str, name: Name, type_hash: str) -> GetTypeDescription.Response | str:
@@ -90,29 +102,82 @@ class NodeGraph:
         return response
 
 
-def ask_nodes(graph: NodeGraph, store: Store) -> Found:
+def ask_nodes(
+    graph: NodeGraph, store: Store, prefixes: Callable[[], Sequence[Path]] = prefixes_of_processes
+) -> Found:
     """Ask the nodes for definitions of the messages that they publish or subscribe to.
 
-    Services and actions are reported only: a node gives a definition for the hash of its type, and
-    ROS 2 tells others the hash of messages alone.
+    A node gives a definition for the hash of its type alone. Of a service or action, ROS 2
+    announces the hashes of parts only, so its definition is looked for where the processes of this
+    machine have their interfaces, and taken when it gives the hashes that are announced.
+
+    Args:
+        graph: that is asked.
+        store: of what is learnt already.
+        prefixes: ament prefixes where definitions of services and actions may be.
     """
     found = Found()
     for name, topics in uses(graph).items():
-        if name.kind != "msg":
-            if not is_known(store, name):
-                found.unanswered[str(name)] = (
-                    "nodes give no definitions of services and actions; learn it from a folder"
-                )
+        if name.kind == "msg":
+            infos = [info for topic in topics for info in graph.endpoints(topic)]
+            spoken = {str(name): _hashes(infos)}
+        else:
+            infos = []
+            spoken = _part_hashes(graph, name, topics)
+        here = hashes_here(store, name)
+        if is_known(store, name) and all(has <= {here.get(one)} for one, has in spoken.items()):
             continue
-        infos = [info for topic in topics for info in graph.endpoints(topic)]
-        spoken = {str(info.topic_type_hash) for info in infos if "INVALID" not in _hash_of(info)}
-        if is_known(store, name) and spoken <= {hash_here(store, name)}:
-            continue
-        if len(spoken) > 1:
-            found.unanswered[str(name)] = f"nodes disagree on it: {', '.join(sorted(spoken))}"
-            continue
-        _ask(graph, name, infos, found)
+        if any(len(hashes) > 1 for hashes in spoken.values()):
+            listed = ", ".join(sorted(one for hashes in spoken.values() for one in hashes))
+            found.unanswered[str(name)] = f"nodes disagree on it: {listed}"
+        elif name.kind == "msg":
+            _ask(graph, name, infos, found)
+        else:
+            announced = {part: one for part, hashes in spoken.items() for one in hashes}
+            _look_up(name, announced, prefixes(), found)
     return found
+
+
+def _part_hashes(graph: NodeGraph, name: Name, places: Iterable[str]) -> dict[str, set[str]]:
+    """What endpoints announce of the parts of a service or action, by full name of the part."""
+    found: dict[str, set[str]] = {}
+
+    def note(part: str, infos: Iterable[Endpoint]) -> None:
+        found.setdefault(f"{name}_{part}", set()).update(_hashes(infos))
+
+    for place in places:
+        if name.kind == "srv":
+            requests, responses = graph.service_endpoints(place)
+            note("Request", requests)
+            note("Response", responses)
+        else:
+            note("SendGoal_Request", graph.service_endpoints(f"{place}/_action/send_goal")[0])
+            note("GetResult_Response", graph.service_endpoints(f"{place}/_action/get_result")[1])
+            note("FeedbackMessage", graph.endpoints(f"{place}/_action/feedback"))
+    return found
+
+
+def _look_up(
+    name: Name, announced: Mapping[str, str], prefixes: Sequence[Path], found: Found
+) -> None:
+    if not announced:
+        found.unanswered[str(name)] = (
+            "its nodes announce no hash (ROS 2 before Iron does not); learn it from a folder"
+        )
+        return
+    texts = definition_of(name, announced, prefixes)
+    if name in texts:
+        found.texts = {**texts, **found.texts}
+        return
+    found.unanswered[str(name)] = (
+        "nodes tell nobody the definition of a service or action, and no process of yours on this "
+        "machine has that one; copy the folder share/"
+        f"{name.package} of its machine here and learn that"
+    )
+
+
+def _hashes(infos: Iterable[Endpoint]) -> set[str]:
+    return {_hash_of(info) for info in infos if "INVALID" not in _hash_of(info)}
 
 
 def _hash_of(info: Endpoint) -> str:
@@ -148,9 +213,8 @@ def _texts(
             name = parse_name(source.type_name)
         except ConfigurationError:
             continue  # what is no name of a message cannot be used by one
-        found[name] = Text(
-            source.raw_file_contents, f"node {node}", hashes.get(source.type_name, "")
-        )
+        announced = {str(name): hashes[str(name)]} if str(name) in hashes else {}
+        found[name] = Text(source.raw_file_contents, f"node {node}", announced)
     return found
 
 

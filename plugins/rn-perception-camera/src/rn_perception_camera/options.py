@@ -7,6 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from rn_perception_camera.nested import PATH_PATTERN, TYPE_PATTERN
 from roboneuron import ConfigurationOnly
 
 SIDE_PX = Annotated[int, Field(ge=1, le=8192)]
@@ -56,6 +57,16 @@ class RosCameraOptions(_CameraOptions):
         default="raw",
         description="raw: sensor_msgs/Image; compressed: sensor_msgs/CompressedImage, JPEG or PNG",
     )
+    type: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None,
+        pattern=TYPE_PATTERN,
+        description="type of a topic whose messages hold the image, such as rig_msgs/msg/Views",
+    )
+    field: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None,
+        pattern=PATH_PATTERN,
+        description="the image in a message of that type, such as views[0].picture",
+    )
     camera_info: Annotated[str | None, ConfigurationOnly()] = Field(
         default=None,
         min_length=1,
@@ -77,7 +88,9 @@ class RosCameraOptions(_CameraOptions):
     )
 
     @model_validator(mode="after")
-    def _check_distortion(self) -> Self:
+    def _check_pairs(self) -> Self:
+        if (self.type is None) != (self.field is None):
+            raise ValueError("type and field go together: the image is the field of that type")
         if self.distortion != "refuse" and self.camera_info is None:
             raise ValueError(
                 f'distortion = "{self.distortion}" needs camera_info, which tells the distortion'

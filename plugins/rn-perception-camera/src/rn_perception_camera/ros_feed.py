@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rn_perception_camera.camera_info import CameraFacts, read_optics
 from rn_perception_camera.fit import Size
 from rn_perception_camera.messages import decompress, to_rgb
+from rn_perception_camera.nested import image_getter, load_type
 from rn_perception_camera.options import RosCameraOptions
 from rn_perception_camera.preparation import Preparation, prepare
 from roboneuron import CameraProfile, ConfigurationError, Frame, InvalidInputError, Topics
@@ -33,7 +34,7 @@ _NS_PER_S = 1_000_000_000
 class Arrival:
     """A message and the ROS time [ns] at which it came."""
 
-    message: Image | CompressedImage
+    message: object
     arrived_ns: int
 
 
@@ -62,12 +63,16 @@ class CameraFeed:
         self._newest_ns = 0
         self._prepared: tuple[Size, CameraFacts | None] | None = None
         self._preparation: Preparation | None = None
+        self._image_type = RAW if options.transport == "raw" else COMPRESSED
+        self._image_of: Callable[[object], object] = lambda message: message
 
     def check(self) -> None:
-        """Raises ConfigurationError when a topic is published with another type, or no mount is
-        known.
+        """Raises ConfigurationError when a topic is published with another type, the type or its
+        field with the image is unknown, or no mount is known.
         """
         options = self._options
+        if options.type is not None and options.field is not None:
+            self._image_of = image_getter(options.type, options.field, self._image_type)
         if (
             options.camera_info is not None
             and self._profile.calibration is None
@@ -79,15 +84,16 @@ class CameraFeed:
                 " does not tell where it is mounted.",
                 hint="Leave camera_info out, or use a robot whose profile has this camera's mount.",
             )
-        self._check_type(options.topic, RAW if options.transport == "raw" else COMPRESSED)
+        self._check_type(options.topic, options.type or self._image_type)
         if options.camera_info is not None:
             self._check_type(options.camera_info, INFO)
 
     def subscribe(self) -> None:
-        """Listen until the host closes; called once, from `open`."""
-        from sensor_msgs.msg import CameraInfo, CompressedImage, Image  # heavy
+        """Listen until the host closes; called once, from `open`, after `check`."""
+        from sensor_msgs.msg import CameraInfo  # heavy
 
-        kind = Image if self._options.transport == "raw" else CompressedImage
+        options = self._options
+        kind = load_type(options.type or self._image_type)
         if self._options.camera_info is not None:
             self._topics.subscribe(
                 self._options.camera_info, CameraInfo, self._take_info, best_effort=True
@@ -102,8 +108,8 @@ class CameraFeed:
                 another clock.
             ConfigurationError: its camera_info cannot be used for it.
         """
-        message = arrival.message
-        stamp_ns = self._stamp_ns(arrival)
+        message = cast("Image | CompressedImage", self._image_of(arrival.message))
+        stamp_ns = self._stamp_ns(message, arrival.arrived_ns)
         if self._newest_ns > arrival.arrived_ns + CLOCK_LIMIT_S * _NS_PER_S:
             self._newest_ns = 0  # the clock was set back
         self._went_back = stamp_ns <= self._newest_ns
@@ -151,7 +157,7 @@ class CameraFeed:
             )
         return f"Topic {options.topic!r} of camera {name!r} has a publisher, but nothing new came."
 
-    def _take(self, message: Image | CompressedImage) -> None:
+    def _take(self, message: object) -> None:
         self._waits_for_info = self._options.camera_info is not None and self._facts is None
         if not self._waits_for_info:
             self._deliver(Arrival(message=message, arrived_ns=self._topics.now_ns()))
@@ -164,8 +170,10 @@ class CameraFeed:
         if not types or expected in types:
             return
         hint = f"Name a topic that carries {expected}."
+        if self._options.type is None and expected != INFO:
+            hint += " If its messages hold the image, set type and field."
         other = {RAW: "raw", COMPRESSED: "compressed"}.get(types[0])
-        if other is not None and expected != INFO:
+        if other is not None and expected == self._image_type:
             hint = f'Set transport = "{other}".'
         raise ConfigurationError(
             f"Topic {topic!r} of camera {self._profile.name!r} carries {types[0]}, expected "
@@ -173,12 +181,12 @@ class CameraFeed:
             hint=hint,
         )
 
-    def _stamp_ns(self, arrival: Arrival) -> int:
+    def _stamp_ns(self, message: Image | CompressedImage, arrived_ns: int) -> int:
         if self._options.stamp == "arrival":
-            return arrival.arrived_ns
-        stamp = arrival.message.header.stamp
+            return arrived_ns
+        stamp = message.header.stamp
         stamp_ns = int(stamp.sec) * _NS_PER_S + int(stamp.nanosec)
-        ahead_s = (stamp_ns - arrival.arrived_ns) / _NS_PER_S
+        ahead_s = (stamp_ns - arrived_ns) / _NS_PER_S
         what = ""
         if stamp_ns <= 0:
             what = "carries no capture time in header.stamp"

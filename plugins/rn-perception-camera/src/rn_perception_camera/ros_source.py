@@ -39,7 +39,8 @@ class RosCameras:
 
         Raises:
             ConfigurationError: no camera, one without options, one whose mount is not known though
-                camera_info is given, or a topic that is published with another type.
+                camera_info is given, a type that is unknown, or a topic that is published with
+                another one.
             StateError: it is open already.
         """
         check_cameras("ros-camera", self._cameras, self._options)
@@ -57,8 +58,8 @@ class RosCameras:
         Raises:
             NotReadyError: none came within `timeout_s`; says for each camera why.
             StateError: not open.
-            InvalidInputError: a damaged image, an unknown encoding, or a bad stamp; that image is
-                dropped.
+            InvalidInputError: a damaged image, an unknown encoding, a bad stamp, or a message
+                without the image that is to be in it; that message is dropped.
             ConfigurationError: a topic carries another type, or a camera_info cannot be used.
         """
         deadline_s = time.monotonic() + timeout_s

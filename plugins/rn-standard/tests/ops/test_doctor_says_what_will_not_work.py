@@ -155,7 +155,7 @@ def test_an_error_of_a_check_is_a_finding_and_the_others_go_on(
 def test_a_check_that_breaks_is_a_finding_and_what_needs_it_is_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(checks, "_try_ros", lambda: 1 / 0)
+    monkeypatch.setattr(checks.installations, "look", lambda _: 1 / 0)
     monkeypatch.setattr(
         checks, "measure_image_transport", lambda: pytest.fail("ROS cannot be used")
     )

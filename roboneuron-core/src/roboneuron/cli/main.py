@@ -28,6 +28,7 @@ from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry, Status
 from roboneuron.plugins.specs import CommandSpec
+from roboneuron.ros.installation import keep_apart
 
 
 class Command(NamedTuple):
@@ -197,6 +198,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"roboneuron: There is no command {spoken(name)!r}. {meant}", file=sys.stderr)
         return EXIT_USAGE
     try:
+        if argv is None and name != "estop":  # that has to work whatever else is wrong
+            keep_apart(own)
         return run_command(load_command(name, registry), f"roboneuron {spoken(name)}", own)
     except BrokenPipeError:  # the reader of our output went away, as `| head` does
         sys.stderr.close()

@@ -16,6 +16,7 @@ from roboneuron.plugins.availability import known_names
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
+from roboneuron.ros.installation import choose, find_sourced
 
 _AT_A_TERMINAL = (
     "roboneuron serve waits for an MCP client on standard input, which is this terminal: an "
@@ -91,7 +92,7 @@ def run(arguments: Namespace) -> int:
     Imports stand below, in the order in which they are needed: a client waits for the first answer.
 
     Raises:
-        ConfigurationError, PlanningError: as `load_config` and `serve`.
+        ConfigurationError, PlanningError: as `load_config`, `choose` and `serve`.
     """
     wire = divert_standard_streams()
     begin_logging(arguments.log_level.upper())
@@ -100,6 +101,7 @@ def run(arguments: Namespace) -> int:
     from roboneuron.config import STDIO, load_config
 
     config = load_config(arguments.config, arguments=arguments)
+    choose(config.ros.installation, find_sourced(os.environ, sys.prefix))
     if config.server.transport == STDIO and os.isatty(wire[0]):
         print(_AT_A_TERMINAL, file=sys.stderr)
     from roboneuron.server.app import serve  # heavy

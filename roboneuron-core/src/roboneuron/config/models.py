@@ -254,6 +254,16 @@ class ServerConfig(Section):
     )
 
 
+class RosConfig(Section):
+    """`[ros]`: which ROS 2 is used; `roboneuron doctor` says which, and why."""
+
+    installation: Literal["auto", "wheels", "sourced"] = Field(
+        default="auto",
+        description="wheels: of this Python environment; sourced: whose setup.bash is sourced, "
+        "with its workspaces; auto: sourced where one for this Python is there",
+    )
+
+
 class Config(Section):
     """A whole roboneuron.toml."""
 
@@ -264,6 +274,7 @@ class Config(Section):
     limits: LimitsConfig = LimitsConfig()
     supervisor: SupervisorConfig = SupervisorConfig()
     server: ServerConfig = ServerConfig()
+    ros: RosConfig = RosConfig()
     disabled_plugins: tuple[str, ...] = Field(
         default=(),
         strict=False,

@@ -1,9 +1,7 @@
 """Defaults that make ROS 2 from pip wheels work on a laptop; whatever the user has set stays as it
 is.
 
-Source of the facts: the ros-python-wheels bootstrapper (a .pth file) re-executes Python with
-LD_LIBRARY_PATH and marks that with `_ROS_WHEELS_BOOTSTRAP_COMPLETE`; AMENT_PREFIX_PATH is left
-unset by it.
+Source of the facts: the ros-python-wheels bootstrapper leaves AMENT_PREFIX_PATH unset.
 """
 
 from __future__ import annotations
@@ -18,8 +16,16 @@ from tempfile import TemporaryFile
 
 from roboneuron.errors import ConfigurationError
 from roboneuron.log_files import make_log_directory
+from roboneuron.ros.installation import (
+    BOOTSTRAP_GUARD,
+    Installation,
+    InUse,
+    Sourced,
+    check_not_mixed,
+    find_sourced,
+    in_use,
+)
 
-BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 CLIENT_TOKEN = "ROBONEURON_TOKEN"
 """Environment variable with the bearer token of `roboneuron call --url` and alike, when no other is
 named.
@@ -32,16 +38,16 @@ PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
 """How many participants of this host are looked for when discovery is LOCALHOST; the shipped
 profile reads it.
 """
+_PROFILE_OF_2, _PROFILE_OF_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
+"""How Fast DDS 2 and 3 call the variable with their profile."""
 _INSTEAD = {
     "ROS_AUTOMATIC_DISCOVERY_RANGE": (
         "ROS_DISCOVERY_SERVER",
         "ROS_STATIC_PEERS",
         "ROS_LOCALHOST_ONLY",
     ),
-    "FASTRTPS_DEFAULT_PROFILES_FILE": (
-        "FASTDDS_DEFAULT_PROFILES_FILE",
-        "FASTDDS_BUILTIN_TRANSPORTS",
-    ),
+    _PROFILE_OF_2: (_PROFILE_OF_3, "FASTDDS_BUILTIN_TRANSPORTS"),
+    _PROFILE_OF_3: ("FASTDDS_BUILTIN_TRANSPORTS",),
 }
 """Variables by which a user says the same otherwise: no default then."""
 _STANDARD_OFFSET = 11
@@ -102,26 +108,16 @@ def set_defaults(
         ConfigurationError: a sourced ROS installation is mixed with the wheels of this environment,
             or a variable has a value for which rcl would end this process.
     """
-    foreign = [
-        p
-        for p in environment.get("AMENT_PREFIX_PATH", "").split(":")
-        if p and Path(p) != Path(prefix)
-    ]
-    distribution = environment.get("ROS_DISTRO")
-    if distribution and any(p.startswith("/opt/ros") for p in foreign):
-        raise ConfigurationError(
-            f"ROS {distribution} is sourced in this shell and would be mixed with the ROS wheels "
-            f"of {prefix}.",
-            hint="Start from a shell without `source /opt/ros/.../setup.bash`.",
-        )
+    check_not_mixed(environment, prefix)
     _check_domain(environment.get("ROS_DOMAIN_ID", ""))
-    _check_middleware(
-        environment.get("RMW_IMPLEMENTATION", ""), [Path(prefix), *map(Path, foreign)]
-    )
+    sourced = find_sourced(environment, prefix)
+    prefixes = [Path(p) for p in environment.get("AMENT_PREFIX_PATH", "").split(":") if p]
+    installed = prefixes if sourced else [Path(prefix), *prefixes]
+    _check_middleware(environment.get("RMW_IMPLEMENTATION", ""), installed)
     defaults = {
         "AMENT_PREFIX_PATH": prefix,
         "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(fast_dds_profile()),
+        _profile_variable(sourced): str(fast_dds_profile()),
         PORT_OFFSET: str(_STANDARD_OFFSET),
         PARTICIPANTS: "32",
         "ROS_LOG_DIR": str(log_directory),
@@ -129,6 +125,12 @@ def set_defaults(
     for name, value in defaults.items():
         if environment.keys().isdisjoint(_INSTEAD.get(name, ())):
             environment.setdefault(name, value)
+
+
+def _profile_variable(sourced: Sourced | None) -> str:
+    """How Fast DDS calls the variable with its profile; the library of version 3 is `libfastdds`."""
+    libraries = sourced.prefix.glob("lib/**/libfastdds.so*") if sourced else iter(())
+    return _PROFILE_OF_2 if next(libraries, None) is None else _PROFILE_OF_3
 
 
 def _check_domain(domain: str) -> None:
@@ -160,15 +162,16 @@ def _check_middleware(name: str, prefixes: Sequence[Path]) -> None:
 
 
 def _check_not_hidden(prefix: str) -> None:
-    """Refuse another rclpy before the one of this environment on the import path, as PYTHONPATH
-    puts it there.
+    """Refuse another rclpy before that of this environment, or of the sourced installation, on the
+    import path, as PYTHONPATH puts it there.
     """
     try:
         spec = find_spec("rclpy")
     except ValueError:  # a stand-in without a spec
         return
     found = Path(spec.origin).parent if spec is not None and spec.origin else None
-    if found is None or found.is_relative_to(prefix):
+    sourced = find_sourced(os.environ, prefix)
+    if found is None or found.is_relative_to(sourced.prefix if sourced else prefix):
         return
     own = [
         Path(entry) / "rclpy" for entry in sys.path if entry and Path(entry).is_relative_to(prefix)
@@ -181,18 +184,30 @@ def _check_not_hidden(prefix: str) -> None:
         )
 
 
-def prepare_environment(log_directory: Path | None = None) -> None:
+def prepare_environment(
+    log_directory: Path | None = None, *, wanted: Installation = "auto"
+) -> InUse:
     """Set this process's defaults; call it before rclpy is imported.
 
+    Args:
+        log_directory: where rcl writes its logs; below the state directory when None.
+        wanted: installation, as the configuration says.
+
+    Returns:
+        Which ROS installation this process uses.
+
     Raises:
-        ConfigurationError: as `set_defaults`; or another rclpy hides the one of this environment.
+        ConfigurationError: as `set_defaults` and `choose`; or another rclpy hides the one of this
+            environment.
     """
-    _check_not_hidden(sys.prefix)
+    used = in_use(os.environ, sys.prefix, wanted)
     set_defaults(
         os.environ,
         prefix=sys.prefix,
         log_directory=log_directory or state_directory() / "log" / "ros",
     )
+    _check_not_hidden(sys.prefix)
+    return used
 
 
 def port_offset(domain: int, start: int) -> int:

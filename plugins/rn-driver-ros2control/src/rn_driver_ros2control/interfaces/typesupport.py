@@ -17,6 +17,8 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
+import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -49,6 +51,10 @@ REQUIRED = (
     "numpy",
 )
 """What brings the generators, the headers and the libraries."""
+_MANYLINUX = "manylinux_2_28"
+"""As the ROS wheels have it."""
+_NEWEST = {"GLIBC": (2, 28), "GLIBCXX": (3, 4, 24), "CXXABI": (1, 3, 11)}
+"""Versions of symbols that it has. Source: AlmaLinux 8, of which its image is made."""
 _PROBE = """
 import em, lark, numpy, rosidl_adapter, rosidl_generator_c, rosidl_generator_py, rosidl_generator_type_description
 import rosidl_typesupport_c, rosidl_typesupport_fastrtps_c, rosidl_typesupport_introspection_c
@@ -161,6 +167,22 @@ def build_once(folder: Path, cache: Path) -> Path:
             build(folder, Path(scratch) / "built")
             (Path(scratch) / "built").rename(target)
     return target
+
+
+def wheel_platform(built: Path) -> str:
+    """Platform tag of a wheel that holds what `build` made: manylinux, which package indexes ask
+    for, if no symbol is of newer libraries; else that of this system. The ROS libraries that it
+    needs come with the ROS wheels.
+    """
+    data = b"".join(library.read_bytes() for library in sorted(built.rglob("*.so")))
+    is_old = all(
+        tuple(map(int, version.split(b"."))) <= newest
+        for name, newest in _NEWEST.items()
+        for version in re.findall(rb"%s_(\d+(?:\.\d+)+)" % name.encode(), data)
+    )
+    if platform.libc_ver()[0] == "glibc" and is_old:
+        return f"{_MANYLINUX}_{platform.machine()}"
+    return sysconfig.get_platform().replace("-", "_").replace(".", "_")
 
 
 def build(folder: Path, output: Path) -> None:

@@ -7,12 +7,12 @@ import importlib.util
 import os
 import platform
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from rn_standard.doctor import installations
 from rn_standard.doctor.finding import Check, Finding, Severity, failed, ok, warning
 from rn_standard.doctor.images import measure_image_transport
 from roboneuron import RoboNeuronError, RobotSpec
@@ -26,7 +26,6 @@ MIN_DISK_MIB = 100
 LATE_MS = 20.0
 """A 640x480 image takes about 2 ms between processes on an idle laptop."""
 _MIB = 1 << 20
-_ROS_S = 30.0
 
 
 def run_checks(config: Config) -> Iterator[tuple[Check, Finding]]:
@@ -127,41 +126,13 @@ def _shared_memory(_: Config) -> Finding:
     return ok(text)
 
 
-def _ros(_: Config) -> Finding:
+def _ros(config: Config) -> Finding:
     if importlib.util.find_spec("rclpy") is None:
         return failed(
             "rclpy is not installed.",
             "It comes with roboneuron-core: is this the environment that it is installed in?",
         )
-    environment.prepare_environment()
-    problem = _try_ros()
-    if problem:
-        return failed(
-            f"rclpy cannot be used: {problem}",
-            "Try it from a shell without PYTHONPATH, LD_LIBRARY_PATH, AMENT_PREFIX_PATH and "
-            "RMW_IMPLEMENTATION; then "
-            "install roboneuron-core again.",
-        )
-    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    reach = os.environ.get(
-        "ROS_AUTOMATIC_DISCOVERY_RANGE", "as ROS_DISCOVERY_SERVER or ROS_STATIC_PEERS say"
-    )
-    return ok(f"rclpy from {Path(sys.prefix)}, domain {domain}, discovery range {reach}.")
-
-
-def _try_ros() -> str:
-    """Why rclpy cannot be started; empty when it can. In a process of its own: rcl may end the one
-    it runs in.
-    """
-    command = [sys.executable, "-P", "-c", "import rclpy; rclpy.init(); rclpy.shutdown()"]
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, errors="replace", timeout=_ROS_S, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return f"it did not start within {_ROS_S:g} s."
-    lines = [line.strip() for line in (done.stderr or done.stdout).splitlines() if line.strip()]
-    return "" if done.returncode == 0 else lines[-1] if lines else f"exit status {done.returncode}."
+    return installations.look(environment.prepare_environment(wanted=config.ros.installation))
 
 
 def _images(_: Config) -> Finding:

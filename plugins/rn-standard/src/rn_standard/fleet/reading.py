@@ -43,7 +43,7 @@ def read_robots(raw: Mapping[str, object], source: str, registry: Registry) -> C
                 f"{place}: 'robot' is missing.", hint='Write `robot = "husky"`, for instance.'
             )
         for key in sorted(
-            {"server", "disabled_plugins", "features", "robots", *served} & table.keys()
+            {"server", "ros", "disabled_plugins", "features", "robots", *served} & table.keys()
         ):
             raise ConfigurationError(
                 f"{place}: {key!r} is shared by all robots: write it at the top level."

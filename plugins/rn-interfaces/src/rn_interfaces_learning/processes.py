@@ -1,0 +1,67 @@
+"""Definitions that the processes of this machine have where they are installed."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from rn_interfaces.definitions import used_by
+from rn_interfaces.finder import PREFIXES
+from rn_interfaces.graph import described_hashes
+from rn_interfaces.learning import Text
+from rn_interfaces.store import Name
+from roboneuron import ConfigurationError
+
+PROCESSES = Path("/proc")
+
+
+def prefixes_of_processes(processes: Path = PROCESSES) -> list[Path]:
+    """Ament prefixes in the environments of all processes that this user may look into."""
+    found: dict[Path, None] = {}
+    for path in processes.glob("[0-9]*/environ"):
+        try:
+            variables = path.read_bytes().split(b"\0")
+        except OSError:  # it is another user's, or has just ended
+            continue
+        for variable in variables:
+            name, _, value = os.fsdecode(variable).partition("=")
+            if name == PREFIXES:
+                found.update(dict.fromkeys(Path(one) for one in value.split(os.pathsep) if one))
+    return list(found)
+
+
+def definition_of(
+    name: Name, announced: Mapping[str, str], prefixes: Sequence[Path]
+) -> dict[Name, Text]:
+    """The definition of a service or action and of what it uses, from the first prefix whose
+    description has all hashes that are announced; empty when there is none.
+
+    Args:
+        name: of the service or action.
+        announced: RIHS01 by full name of a part.
+        prefixes: that are looked at in turn.
+    """
+    for prefix in prefixes:
+        try:
+            path = (prefix / "share" / name.file).with_suffix(".json")
+            hashes = described_hashes(path.read_text(encoding="utf-8"))
+            if announced.items() <= hashes.items():
+                return dict(_texts(prefix, name, announced))
+        except (OSError, ValueError, KeyError, TypeError, ConfigurationError):
+            continue  # it has none, or one that is damaged
+    return {}
+
+
+def _texts(prefix: Path, name: Name, announced: Mapping[str, str]) -> Iterator[tuple[Name, Text]]:
+    waiting = [name]
+    done: set[Name] = set()
+    while waiting:
+        one = waiting.pop()
+        path = prefix / "share" / one.file
+        if one in done or (one != name and not path.is_file()):  # others are looked up as always
+            continue
+        done.add(one)
+        text = path.read_text(encoding="utf-8")
+        yield one, Text(text, str(path), announced if one == name else {})
+        waiting += used_by(one, text)

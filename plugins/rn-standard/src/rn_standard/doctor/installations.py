@@ -1,0 +1,117 @@
+"""Whether one ROS installation alone is used: what a process loads, and what brings others."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Protocol
+
+from rn_standard.doctor.finding import Finding, failed, ok
+
+_ROS_S = 30.0
+_PROBE = """
+import json, rclpy
+rclpy.init()
+from std_msgs.msg import String
+rclpy.create_node("roboneuron_doctor_libraries").create_publisher(String, "~/nothing", 1)
+rclpy.shutdown()
+with open("/proc/self/maps") as maps:
+    paths = {line.split(maxsplit=5)[-1].strip() for line in maps if ".so" in line}
+print(json.dumps({"module": rclpy.__file__, "libraries": sorted(paths)}))
+"""
+_OF_ROS = re.compile(r"lib(fastrtps|fastdds|fastcdr|rcl|rmw|rosidl_typesupport)[a-z_]*\.so")
+_OF_DDS = re.compile(r"lib(fastrtps|fastdds)\.so")
+
+
+class InUse(Protocol):
+    """What `prepare_environment` says about the installation that is used."""
+
+    @property
+    def choice(self) -> tuple[str, str]:
+        """Its kind, and why it is that one."""
+
+    @property
+    def roots(self) -> tuple[Path, ...]:
+        """Its folders."""
+
+    @property
+    def foreign(self) -> tuple[tuple[str, str], ...]:
+        """Variable and folder of what belongs to others."""
+
+
+def look(used: InUse) -> Finding:
+    """Which installation this environment has, or what is mixed in it and what to type."""
+    roots = used.roots
+    if used.foreign:
+        listed = ", ".join(f"{folder} by {name}" for name, folder in used.foreign)
+        variables = " ".join(sorted({name for name, _ in used.foreign}))
+        return failed(
+            f"Another ROS would be mixed with that of {roots[0]}: {listed}.",
+            f"Type: unset {variables}",
+        )
+    found = _loaded()
+    if isinstance(found, str):
+        return failed(
+            f"rclpy cannot be used: {found}",
+            "Try it from a shell without PYTHONPATH, LD_LIBRARY_PATH, AMENT_PREFIX_PATH and "
+            "RMW_IMPLEMENTATION; then "
+            "install roboneuron-core again.",
+        )
+    module, libraries = found
+    if problem := mixed(libraries, roots):
+        return failed(
+            f"{problem}.",
+            "Type: unset LD_LIBRARY_PATH PYTHONPATH AMENT_PREFIX_PATH; or source one setup.bash "
+            "in a new shell.",
+        )
+    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
+    reach = os.environ.get(
+        "ROS_AUTOMATIC_DISCOVERY_RANGE", "as ROS_DISCOVERY_SERVER or ROS_STATIC_PEERS say"
+    )
+    return ok(
+        f"rclpy from {module.parent}, domain {domain}, discovery range {reach}; "
+        f"{': '.join(used.choice)}."
+    )
+
+
+def mixed(libraries: Iterable[Path], roots: Iterable[Path]) -> str:
+    """What is wrong with the libraries that one process has loaded; empty when nothing is.
+
+    Args:
+        libraries: files.
+        roots: of the installation that is used, and of workspaces over it.
+    """
+    real = {path.resolve() for path in libraries if _OF_ROS.match(path.name)}
+    middleware = sorted(str(path) for path in real if _OF_DDS.match(path.name))
+    if len(middleware) > 1:
+        return f"One process loads more than one Fast DDS: {' and '.join(middleware)}"
+    inside = [root.resolve() for root in roots]
+    foreign = sorted(
+        str(path) for path in real if not any(path.is_relative_to(root) for root in inside)
+    )
+    if foreign:
+        return f"One process loads libraries from outside {inside[0]}: {', '.join(foreign[:3])}"
+    return ""
+
+
+def _loaded() -> tuple[Path, list[Path]] | str:
+    """The file of rclpy and the libraries that it loads, or why it cannot be started. In a process
+    of its own: rcl may end the one it runs in.
+    """
+    command = [sys.executable, "-P", "-c", _PROBE]
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=_ROS_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return f"it did not start within {_ROS_S:g} s."
+    lines = [line.strip() for line in (done.stderr or done.stdout).splitlines() if line.strip()]
+    if done.returncode != 0:
+        return lines[-1] if lines else f"exit status {done.returncode}."
+    facts = json.loads(done.stdout.splitlines()[-1])
+    return Path(facts["module"]), [Path(one) for one in facts["libraries"]]

@@ -1,0 +1,240 @@
+"""Which ROS 2 installation this process uses: the wheels of its environment, or one whose
+`setup.bash` is sourced in the shell; never parts of both.
+
+Source: the setup files of ament put the installation before AMENT_PREFIX_PATH, LD_LIBRARY_PATH,
+PYTHONPATH and PATH; the ros-python-wheels bootstrapper adds the wheels' libraries to
+LD_LIBRARY_PATH at each start of Python that has no guard variable.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from roboneuron.errors import ConfigurationError
+
+Installation = Literal["auto", "wheels", "sourced"]
+"""As `[ros] installation` has it."""
+BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+CHOICE = "ROBONEURON_ROS"
+"""Environment variable with what was chosen, and why, where a ROS installation is sourced."""
+_PREFIXES = "AMENT_PREFIX_PATH"
+_LIBRARIES = "LD_LIBRARY_PATH"
+_MODULES = "PYTHONPATH"
+_LEAST_PYTHON = (3, 12)
+"""Of Jazzy and later; before, rclpy has another interface."""
+_OWN_PYTHON = sys.version_info[:2]
+
+
+class Sourced(NamedTuple):
+    """A ROS installation that is sourced.
+
+    Attributes:
+        prefix: that has rclpy.
+        distribution: such as kilted.
+        python: version of Python that its rclpy is for.
+        prefixes: it and the workspaces over it.
+    """
+
+    prefix: Path
+    distribution: str
+    python: tuple[int, int]
+    prefixes: tuple[Path, ...]
+
+    def __str__(self) -> str:
+        return f"ROS {self.distribution} of {self.prefix}"
+
+
+class Choice(NamedTuple):
+    """An installation, and why it is that one."""
+
+    installation: Literal["wheels", "sourced"]
+    reason: str
+
+
+def find_sourced(environment: Mapping[str, str], prefix: str) -> Sourced | None:
+    """The installation that is sourced: the first prefix with an rclpy that is not `prefix`."""
+    foreign = [Path(p) for p in _split(environment, _PREFIXES) if Path(p) != Path(prefix)]
+    for found in foreign:
+        for package in sorted(found.glob("lib/python3.*/*-packages/rclpy")):
+            major, _, minor = package.parents[1].name.removeprefix("python").partition(".")
+            distribution = environment.get("ROS_DISTRO") or found.name
+            return Sourced(found, distribution, (int(major), int(minor)), tuple(foreign))
+    return None
+
+
+def choose(
+    wanted: Installation, sourced: Sourced | None, python: tuple[int, int] = _OWN_PYTHON
+) -> Choice:
+    """Decide which installation is used.
+
+    Args:
+        wanted: by the configuration.
+        sourced: what is sourced.
+        python: version of this process's Python.
+
+    Raises:
+        ConfigurationError: the sourced installation is wanted and cannot be used; says what to do.
+    """
+    if wanted == "wheels":
+        return Choice("wheels", 'the configuration says installation = "wheels"')
+    if sourced is None:
+        if wanted == "sourced":
+            raise ConfigurationError(
+                '[ros] installation is "sourced", but no ROS installation is sourced.',
+                hint="Type `source /opt/ros/DISTRIBUTION/setup.bash` and start again, or set "
+                'installation = "wheels".',
+            )
+        return Choice("wheels", "no ROS installation is sourced in this shell")
+    theirs, ours = (".".join(map(str, version)) for version in (sourced.python, python))
+    if sourced.python == python and python >= _LEAST_PYTHON:
+        return Choice("sourced", f"{sourced} is sourced, for this Python {ours}")
+    problem = f"{sourced} is for Python {theirs}, and this is Python {ours}"
+    if wanted == "sourced":
+        hint = (
+            f"Install RoboNeuron with python{theirs}"
+            if sourced.python >= _LEAST_PYTHON
+            else "RoboNeuron needs Python 3.12 or newer for a sourced ROS (Jazzy or later)"
+        )
+        raise ConfigurationError(f"{problem}.", hint=f'{hint}, or set installation = "wheels".')
+    return Choice("wheels", problem)
+
+
+def arranged(
+    environment: Mapping[str, str], prefix: str, sourced: Sourced, choice: Choice
+) -> dict[str, str]:
+    """The environment that holds the chosen installation alone.
+
+    Args:
+        environment: of the process.
+        prefix: the virtual environment that holds the ROS wheels.
+        sourced: what is sourced.
+        choice: which one is used.
+    """
+    found = {**environment, CHOICE: f"{choice.installation}: {choice.reason}"}
+    if choice.installation == "sourced":
+        found[BOOTSTRAP_GUARD] = "1"  # otherwise the wheels' libraries come back
+        _leave_out(found, _LIBRARIES, [Path(prefix)])
+        return found
+    for name in (_PREFIXES, _LIBRARIES, _MODULES):
+        _leave_out(found, name, sourced.prefixes)
+    found.pop("ROS_DISTRO", None)
+    return found
+
+
+def check_not_mixed(environment: Mapping[str, str], prefix: str) -> None:
+    """Refuse a sourced installation beside the libraries of the wheels.
+
+    Raises:
+        ConfigurationError: says how to start.
+    """
+    sourced = find_sourced(environment, prefix)
+    if sourced is None:
+        return
+    choice = chosen(environment)
+    if choice.installation == "sourced":
+        alone = arranged(environment, prefix, sourced, choice)
+        if alone == dict(environment):
+            return
+    raise ConfigurationError(
+        f"{sourced} is sourced in this shell and would be mixed with the ROS wheels of {prefix}.",
+        hint="Start it by the command `roboneuron`, which keeps them apart, or from a shell "
+        "without `source .../setup.bash`.",
+    )
+
+
+def keep_apart(words: Sequence[str]) -> None:
+    """Start this process again with the environment of one installation alone, where a sourced one
+    is in the shell; does nothing else.
+
+    Args:
+        words: of the command line, among which may be `--config FILE`.
+
+    Raises:
+        ConfigurationError: as `choose`.
+    """
+    sourced = find_sourced(os.environ, sys.prefix)
+    if sourced is None:
+        return
+    choice = choose(_wanted(words), sourced)
+    environment = arranged(os.environ, sys.prefix, sourced, choice)
+    if environment != dict(os.environ):
+        os.execve(sys.executable, sys.orig_argv, environment)
+
+
+def chosen(environment: Mapping[str, str]) -> Choice:
+    """What was chosen for this process, by `keep_apart` or because nothing is sourced."""
+    installation, _, reason = environment.get(CHOICE, "").partition(": ")
+    if installation == "sourced":
+        return Choice("sourced", reason)
+    return Choice("wheels", reason) if installation else choose("auto", None)
+
+
+class InUse(NamedTuple):
+    """The installation that a process uses.
+
+    Attributes:
+        choice: with its reason.
+        roots: folders of it and of the workspaces over it.
+        foreign: folders with libraries or modules of another ROS, each with the variable that
+            brings it.
+    """
+
+    choice: Choice
+    roots: tuple[Path, ...]
+    foreign: tuple[tuple[str, str], ...]
+
+
+def in_use(environment: Mapping[str, str], prefix: str, wanted: Installation) -> InUse:
+    """Which installation an environment has, and what of others.
+
+    Raises:
+        ConfigurationError: as `choose`.
+    """
+    sourced = find_sourced(environment, prefix)
+    choose(wanted, sourced)
+    roots = sourced.prefixes if sourced else (Path(prefix),)
+    marks = {_LIBRARIES: "librcl.so", _MODULES: "rclpy/__init__.py"}
+    foreign = tuple(
+        (name, folder)
+        for name, mark in marks.items()
+        for folder in _split(environment, name)
+        if Path(folder, mark).exists() and not any(Path(folder).is_relative_to(r) for r in roots)
+    )
+    return InUse(chosen(environment), roots, foreign)
+
+
+def _wanted(words: Sequence[str]) -> Installation:
+    """What a configuration on the command line says; what is wrong with it, its reader tells."""
+    known: tuple[Installation, ...] = ("wheels", "sourced")
+    for word, following in zip(words, [*words, ""][1:], strict=True):
+        name, _, value = word.partition("=")
+        if name != "--config":
+            continue
+        try:
+            table = tomllib.loads(Path(value or following).read_text(encoding="utf-8")).get("ros")
+        except (OSError, ValueError):
+            break
+        wanted = table.get("installation") if isinstance(table, dict) else None
+        return next((one for one in known if one == wanted), "auto")
+    return "auto"
+
+
+def _leave_out(environment: dict[str, str], name: str, prefixes: Sequence[Path]) -> None:
+    """Take what lies below some folders out of a variable with folders."""
+    kept = [
+        folder
+        for folder in _split(environment, name)
+        if not any(Path(folder).is_relative_to(prefix) for prefix in prefixes)
+    ]
+    environment.pop(name, None)
+    if kept:
+        environment[name] = os.pathsep.join(kept)
+
+
+def _split(environment: Mapping[str, str], name: str) -> list[str]:
+    return [folder for folder in environment.get(name, "").split(os.pathsep) if folder]
