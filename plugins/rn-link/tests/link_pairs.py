@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
-from machines import Machine as TestMachine
+from link_machines import Machine as TestMachine
 
 from rn_link.certificates import new_key, read_certificate
 from rn_link.machine import Machine, Peer, Ports

@@ -17,7 +17,7 @@ from typing import Any
 
 from rn_testing.waiting import wait_until
 
-TALKER = Path(__file__).with_name("talker.py")
+TALKER = Path(__file__).with_name("link_talker.py")
 NETWORK = "10.213.91"
 
 
