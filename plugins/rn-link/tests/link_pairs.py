@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
-from link_machines import Machine as TestMachine
+from link_machines import Machine as Namespace
 
 from rn_link.certificates import new_key, read_certificate
 from rn_link.machine import Machine, Peer, Ports
@@ -13,7 +13,7 @@ from rn_link_pairing.keeping import add_member, become_hub, become_member
 PORTS = Ports(7411, 7418)
 
 
-def pair(hub: TestMachine, member: TestMachine, *, age_days: int = 0, days: int = 365) -> None:
+def pair(hub: Namespace, member: Namespace, *, age_days: int = 0, days: int = 365) -> None:
     """Make `hub` a hub, unless it is one, and pair `member` with it, `age_days` ago."""
     now = datetime.now(UTC)
     if not (hub.link / "link.json").exists():

@@ -1,5 +1,5 @@
-"""`link_talker.py NAME FOLDER [--images]`: says its name on `/talk` 20 times a second, counts the names
-that it hears, and writes FOLDER/NAME.json; with --images it also sends 30 images a second.
+"""`link_talker.py NAME FOLDER [--images]`: says its name on `/talk` 20 times a second, counts the
+names that it hears, and writes FOLDER/NAME.json; with --images it also sends 30 images a second.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
-from link_machines import Machine as TestMachine
+from link_machines import Machine as Namespace
 from link_machines import Talker, impossible, machines
 from link_pairs import PORTS, pair
 
@@ -56,9 +56,9 @@ EDITS: Mapping[str, Edit] = {"none": without_certificate, "plain": without_tls}
 class Lab:
     """A robot and its GPU machine, and a third machine on the same switch."""
 
-    robot: TestMachine
-    gpu: TestMachine
-    third: TestMachine
+    robot: Namespace
+    gpu: Namespace
+    third: Namespace
 
     def stranger(self, role: str, kind: str, number: int = 0) -> Talker:
         """Start a stranger of that kind, on the third machine.
@@ -86,7 +86,7 @@ class Lab:
             ROS_AUTOMATIC_DISCOVERY_RANGE="SYSTEM_DEFAULT",
         )
 
-    def keep(self, role: str, kind: str, own: TestMachine | Path, trusted: Path) -> None:
+    def keep(self, role: str, kind: str, own: Namespace | Path, trusted: Path) -> None:
         """Give a stranger keys: those in `own`, and the issuer of whom it wants to talk with."""
         folder = self.third.state / f"{role}-{kind}"
         folder.mkdir()
