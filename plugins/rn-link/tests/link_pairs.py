@@ -19,7 +19,7 @@ def pair(hub: Namespace, member: Namespace, *, age_days: int = 0, days: int = 36
     if not (hub.link / "link.json").exists():
         become_hub(hub.link, hub.name, now, 365)
     key = new_key()
-    certificate = add_member(
+    certificates = add_member(
         hub.link,
         member.name,
         Peer(member.address, PORTS),
@@ -36,6 +36,6 @@ def pair(hub: Namespace, member: Namespace, *, age_days: int = 0, days: int = 36
             peers={hub.name: Peer(hub.address, PORTS)},
         ),
         key,
-        certificate,
+        certificates,
         read_certificate(hub.link / "ca.pem"),
     )

@@ -56,16 +56,17 @@ def hub(tmp_path: Path) -> Path:
     return folder
 
 
-def add(hub: Path, name: str, days: int = 365, ago_days: int = 0) -> x509.Certificate:
-    return add_member(hub, name, PEER, new_key().public_key(), NOW - timedelta(days=ago_days), days)
+def add(hub: Path, name: str) -> x509.Certificate:
+    certificate, _ = add_member(hub, name, PEER, new_key().public_key(), NOW, 365)
+    return certificate
 
 
 def member(hub: Path, folder: Path, days: int = 365, ago_days: int = 0) -> Machine:
     key = new_key()
     now = NOW - timedelta(days=ago_days)
-    certificate = add_member(hub, "gpu", PEER, key.public_key(), now, days)
+    certificates = add_member(hub, "gpu", PEER, key.public_key(), now, days)
     machine = Machine(name="gpu", role="member", ports=PEER.ports, peers={"robot": PEER})
-    become_member(folder, machine, key, certificate, read_certificate(hub / "ca.pem"))
+    become_member(folder, machine, key, certificates, read_certificate(hub / "ca.pem"))
     return machine
 
 
@@ -118,7 +119,7 @@ def test_renewing_the_hub_keeps_its_authority_and_members(hub: Path) -> None:
     assert expiries(machine, hub)["robot"] - NOW < timedelta(days=31)
 
 
-def test_neither_side_can_take_the_others_part(hub: Path, tmp_path: Path) -> None:
+def test_a_hub_cannot_pose_as_a_member(hub: Path, tmp_path: Path) -> None:
     member(hub, tmp_path / "gpu")
     purposes = [
         read_certificate(folder / "own.pem")
@@ -128,7 +129,7 @@ def test_neither_side_can_take_the_others_part(hub: Path, tmp_path: Path) -> Non
     ]
     assert [list(one) for one in purposes] == [
         [ExtendedKeyUsageOID.CLIENT_AUTH],
-        [ExtendedKeyUsageOID.SERVER_AUTH],
+        [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH],
     ]
 
 
@@ -242,7 +243,7 @@ def test_a_hub_connects_and_a_member_listens(hub: Path, tmp_path: Path) -> None:
     assert _texts(at_hub, "handshake_role") == ["CLIENT"]
     assert _texts(at_hub, "listening_ports") == []
     assert _texts(at_member, "physical_port") == []
-    assert _texts(at_member, "handshake_role") == ["SERVER"]
+    assert _texts(at_member, "handshake_role") == ["DEFAULT"]
     assert _texts(at_member, "verify") == [], "it would weaken what OPENSSL_CONF asks for"
 
 

@@ -73,7 +73,9 @@ def _transport(machine: Machine, folder: Path) -> ElementTree.Element:
     _add(tls, "verify_file", str(folder / "trusted.pem"))
     if not listens:
         _add(_add(tls, "verify_mode"), "verify", "VERIFY_PEER")
-    _add(tls, "handshake_role", "SERVER" if listens else "CLIENT")
+    # processes of a member also connect to each other: two servers would wait for ever, and accept
+    # nobody else meanwhile
+    _add(tls, "handshake_role", "DEFAULT" if listens else "CLIENT")
     return transport
 
 

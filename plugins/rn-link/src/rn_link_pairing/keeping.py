@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterable
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -25,8 +24,6 @@ from rn_link.certificates import (
 from rn_link.machine import Machine, Peer, check_name, read_machine
 from rn_link.profile import OPENSSL, fast_dds_profile
 from roboneuron import ConfigurationError
-
-FILES = ("link.json", "own.pem", "own.key", "trusted.pem", "fastdds.xml", "openssl.cnf")
 
 
 def read_hub(folder: Path) -> Machine:
@@ -73,8 +70,9 @@ def become_hub(folder: Path, name: str, now: datetime, days: int) -> Machine:
 
 def add_member(
     folder: Path, name: str, peer: Peer, key: ec.EllipticCurvePublicKey, now: datetime, days: int
-) -> x509.Certificate:
-    """Admit a machine, in place of an earlier one of that name, and return its certificate.
+) -> tuple[x509.Certificate, x509.Certificate]:
+    """Admit a machine, in place of an earlier one of that name; returns its certificate and its
+    issuer's.
 
     The key of its issuer is forgotten: nobody can issue another one for it.
     """
@@ -84,21 +82,25 @@ def add_member(
     write_private(folder / "peers" / f"{name}.pem", to_pem(certificate))
     write_private(folder / "peers" / f"{name}.issuer.pem", to_pem(issuer.certificate))
     _publish(folder, replace(hub, peers={**hub.peers, name: peer}))
-    return certificate
+    return certificate, issuer.certificate
 
 
 def become_member(
     folder: Path,
     machine: Machine,
     key: ec.EllipticCurvePrivateKey,
-    certificate: x509.Certificate,
+    certificates: tuple[x509.Certificate, x509.Certificate],
     trusted: x509.Certificate,
 ) -> None:
-    """Keep what a hub has issued for this machine; `trusted` is the issuer of the hub."""
+    """Keep what a hub has issued for this machine, as `add_member` returns it; `trusted` is the
+    issuer of the hub.
+    """
+    certificate, issuer = certificates
     _make_folder(folder)
     (hub,) = machine.peers
     write_private(folder / "own.key", key_to_pem(key))
     write_private(folder / "own.pem", to_pem(certificate))
+    write_private(folder / "own.issuer.pem", to_pem(issuer))
     write_private(folder / "peers" / f"{hub}.issuer.pem", to_pem(trusted))
     _publish(folder, machine)
 
@@ -147,11 +149,11 @@ def _make_folder(folder: Path) -> None:
 
 def _publish(folder: Path, machine: Machine) -> None:
     """Write what processes read; the entry that makes them use it is the last."""
-    write_private(folder / "trusted.pem", b"".join(_issuers(folder, machine.peers)))
+    issuers = [folder / "peers" / f"{name}.issuer.pem" for name in machine.peers]
+    if machine.role == "member":
+        issuers.append(folder / "own.issuer.pem")
+    trusted = [to_pem(read_certificate(path)) for path in issuers]
+    write_private(folder / "trusted.pem", b"".join(trusted))
     write_private(folder / "openssl.cnf", OPENSSL.encode())
     write_private(folder / "fastdds.xml", fast_dds_profile(machine, folder).encode())
     write_private(folder / "link.json", machine.to_json().encode())
-
-
-def _issuers(folder: Path, names: Iterable[str]) -> list[bytes]:
-    return [to_pem(read_certificate(folder / "peers" / f"{name}.issuer.pem")) for name in names]

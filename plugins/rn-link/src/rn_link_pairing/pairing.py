@@ -126,13 +126,14 @@ class Admission:
             raise WrongCodeError(str(error)) from error
         request, first, count = parse(content, "request", "first_port", "port_count")
         peer = Peer(self._address or address, _ports(first, count))
-        certificate = add_member(
+        certificate, issuer = add_member(
             self._folder, self._name, peer, _key(request), datetime.now(UTC), self._days
         )
         answer = {
             "hub": self._hub.name,
             "name": self._name,
             "certificate": to_pem(certificate).decode(),
+            "issuer": to_pem(issuer).decode(),
             "trusted": (self._folder / "ca.pem").read_text(encoding="ascii"),
         }
         wire.send(sealed=to_member.seal(json.dumps(answer).encode()).hex())
@@ -194,9 +195,10 @@ def join(
             f"No hub answers at {address}, port {port}: {error.strerror or error}.",
             hint="Type `roboneuron link add NAME` there first, and let TCP through.",
         ) from error
-    hub, name, certificate, trusted = parse(content, "hub", "name", "certificate", "trusted")
+    hub, name, *texts = parse(content, "hub", "name", "certificate", "issuer", "trusted")
+    certificate, issuer, trusted = (x509.load_pem_x509_certificate(one.encode()) for one in texts)
     machine = Machine(name=name, role="member", ports=ports, peers={hub: Peer(address, Ports())})
-    become_member(folder, machine, key, _certificate(certificate), _certificate(trusted))
+    become_member(folder, machine, key, (certificate, issuer), trusted)
     return machine
 
 
@@ -212,7 +214,3 @@ def _request(key: ec.EllipticCurvePrivateKey) -> str:
     builder = x509.CertificateSigningRequestBuilder().subject_name(x509.Name([]))
     signed = builder.sign(key, hashes.SHA256())
     return signed.public_bytes(serialization.Encoding.PEM).decode()
-
-
-def _certificate(text: str) -> x509.Certificate:
-    return x509.load_pem_x509_certificate(text.encode())
