@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+from rn_link.connections import watch_connections
 from rn_link.environment import join_link
 from roboneuron.command import environment
 
@@ -26,6 +27,7 @@ def main(name: str, folder: Path, *options: str) -> None:
     from std_msgs.msg import String
 
     rclpy.init()
+    watch_connections()
     node = rclpy.create_node(f"talker_{name}")
     heard: dict[str, int] = {}
     gaps_s: dict[str, float] = {}

@@ -6,10 +6,11 @@ import logging
 import os
 from datetime import UTC, datetime, timedelta
 
+from rn_link.connections import watch_connections
 from rn_link.environment import check_unopposed
 from rn_link.machine import Machine, link_folder, read_machine
 from rn_link.options import LinkOptions
-from roboneuron import ConfigurationError, Feature
+from roboneuron import ConfigurationError, Feature, Host
 from roboneuron.feature import Config
 
 log = logging.getLogger(__name__)
@@ -35,6 +36,10 @@ class LinkFeature(Feature[LinkOptions]):
             return
         check_unopposed(os.environ, folder)
         self._check_dates(machine)
+
+    def start(self, host: Host) -> None:
+        """Watch the connections of the server's own process."""
+        watch_connections()
 
     def _check_dates(self, machine: Machine) -> None:
         from rn_link.certificates import check_in_time, expiries  # heavy

@@ -8,6 +8,7 @@ FEATURE = FeatureSpec(
     target="rn_link.feature:LinkFeature",
     config="rn_link.options:LinkOptions",
     on_discovery="rn_link.environment:join_link",
+    on_join="rn_link.connections:watch_connections",
 )
 """Descriptor of the feature."""
 

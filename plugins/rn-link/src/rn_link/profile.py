@@ -16,6 +16,8 @@ PORT_VARIABLE = "ROBONEURON_LINK_PORT"
 """Environment variable with the port that a process listens on; the profile reads it."""
 NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 LOOPBACK = "127.0.0.1"
+SEND_BUFFER_BYTES = 4_194_304
+"""Of each connection, as far as the kernel allows: what is sent until a cut one is given up."""
 _TCP = "roboneuron_link"
 OPENSSL = """\
 # Fast DDS 2.14 takes no verify_mode for the side that listens: without this a peer without a
@@ -61,6 +63,9 @@ def _transport(machine: Machine, folder: Path) -> ElementTree.Element:
     transport = ElementTree.Element(_tag("transport_descriptor"))
     _add(transport, "transport_id", _TCP)
     _add(transport, "type", "TCPv4")
+    _add(transport, "sendBufferSize", str(SEND_BUFFER_BYTES))
+    # where the connection is slower than what is sent
+    _add(transport, "non_blocking_send", "true")
     listens = machine.role == "member"
     if listens:
         _add(_add(transport, "listening_ports"), "port", f"${{{PORT_VARIABLE}}}")
