@@ -25,15 +25,7 @@ from rn_link.certificates import (
     read_certificate,
     read_key,
 )
-from rn_link.machine import (
-    Machine,
-    Peer,
-    Ports,
-    check_address,
-    check_name,
-    parse_ports,
-    read_machine,
-)
+from rn_link.machine import Machine, Peer, check_address, check_name, check_port, read_machine
 from rn_link.profile import NAMESPACE, OPENSSL, fast_dds_profile
 from rn_link_pairing.keeping import (
     add_member,
@@ -46,7 +38,7 @@ from rn_link_pairing.keeping import (
 from roboneuron import ConfigurationError
 
 NOW = datetime.now(UTC)
-PEER = Peer("10.1.2.3", Ports(7500, 7501))
+PEER = Peer("10.1.2.3", 7500)
 
 
 @pytest.fixture
@@ -65,7 +57,7 @@ def member(hub: Path, folder: Path, days: int = 365, ago_days: int = 0) -> Machi
     key = new_key()
     now = NOW - timedelta(days=ago_days)
     certificates = add_member(hub, "gpu", PEER, key.public_key(), now, days)
-    machine = Machine(name="gpu", role="member", ports=PEER.ports, peers={"robot": PEER})
+    machine = Machine(name="gpu", role="member", port=PEER.port, peers={"robot": PEER})
     become_member(folder, machine, key, certificates, read_certificate(hub / "ca.pem"))
     return machine
 
@@ -170,11 +162,11 @@ def test_a_damaged_file_is_named(hub: Path, name: str) -> None:
         "",
         "{}",
         "[]",
-        '{"name": "a", "role": "boss", "ports": [7411, 7412], "peers": {}}',
-        '{"name": "a", "role": "hub", "ports": [7411, 9000], "peers": {}}',
-        '{"name": "a", "role": "hub", "ports": [1024, 1025], "peers": {"b": ["<", [7411, 7412]]}}',
-        '{"name": "a", "role": "hub", "ports": [1024, 1025], "peers": {"/": ["::", [7411, 7412]]}}',
-        '{"name": "../a", "role": "hub", "ports": [1024, 1025], "peers": {}}',
+        '{"name": "a", "role": "boss", "port": 7411, "peers": {}}',
+        '{"name": "a", "role": "hub", "port": 70000, "peers": {}}',
+        '{"name": "a", "role": "hub", "port": 7411, "peers": {"b": ["<", 7411]}}',
+        '{"name": "a", "role": "hub", "port": 7411, "peers": {"/": ["::", 7411]}}',
+        '{"name": "../a", "role": "hub", "port": 7411, "peers": {}}',
     ],
 )
 def test_a_damaged_entry_is_refused(hub: Path, content: str) -> None:
@@ -224,10 +216,10 @@ def test_a_bad_address_is_refused(address: str) -> None:
         check_address(address)
 
 
-@pytest.mark.parametrize(("first", "count"), [(80, 1), (7411, 0), (7411, 17), (65535, 2), (-1, 1)])
-def test_bad_ports_are_refused(first: int, count: int) -> None:
-    with pytest.raises(ConfigurationError, match="cannot use"):
-        parse_ports(first, count)
+@pytest.mark.parametrize("port", [-1, 0, 80, 65536])
+def test_a_bad_port_is_refused(port: int) -> None:
+    with pytest.raises(ConfigurationError, match=f"cannot use port {port}"):
+        check_port(port)
 
 
 def _texts(profile: str, name: str) -> list[str | None]:
@@ -239,11 +231,11 @@ def test_a_hub_connects_and_a_member_listens(hub: Path, tmp_path: Path) -> None:
     machine = member(hub, tmp_path / "gpu")
     at_hub = (hub / "fastdds.xml").read_text()
     at_member = fast_dds_profile(machine, tmp_path / "gpu")
-    assert _texts(at_hub, "physical_port") == ["7500", "7501"]
+    assert _texts(at_hub, "physical_port") == ["7500"]
     assert _texts(at_hub, "handshake_role") == ["CLIENT"]
     assert _texts(at_hub, "listening_ports") == []
     assert _texts(at_member, "physical_port") == []
-    assert _texts(at_member, "handshake_role") == ["DEFAULT"]
+    assert _texts(at_member, "handshake_role") == ["SERVER"]
     assert _texts(at_member, "verify") == [], "it would weaken what OPENSSL_CONF asks for"
 
 

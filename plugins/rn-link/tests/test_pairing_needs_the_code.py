@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from rn_link.machine import Peer, Ports, read_machine
+from rn_link.machine import Peer, read_machine
 from rn_link_pairing.keeping import become_hub
 from rn_link_pairing.pairing import ATTEMPTS, Admission, join, new_code, open_listener
 from rn_link_pairing.pake import PARTIES, Exchange, PairingError, generator
 from roboneuron import ConfigurationError
 
 CODE, OTHER = "123456", "123457"
-PORTS = Ports(7500, 7501)
+PORT = 7500
 
 
 @pytest.fixture
@@ -92,13 +92,13 @@ def test_a_machine_with_the_code_is_admitted(
     port = listener.getsockname()[1]
     admitted = admitting(hub, listener, [])
     member = tmp_path / "member"
-    machine = join(member, "127.0.0.1", port, CODE, PORTS)
-    assert admitted.result(10.0) == Peer("127.0.0.1", PORTS)
+    machine = join(member, "127.0.0.1", port, CODE, PORT)
+    assert admitted.result(10.0) == Peer("127.0.0.1", PORT)
     assert machine == read_machine(member)
     assert (machine.name, machine.role, list(machine.peers)) == ("gpu", "member", ["robot"])
     found = read_machine(hub)
     assert found is not None
-    assert found.peers == {"gpu": Peer("127.0.0.1", PORTS)}
+    assert found.peers == {"gpu": Peer("127.0.0.1", PORT)}
     trusted = (hub / "ca.pem").read_bytes() + (hub / "peers/gpu.issuer.pem").read_bytes()
     assert (member / "trusted.pem").read_bytes() == trusted
     assert not (member / "ca.key").exists(), "no authority leaves the hub"
@@ -111,9 +111,9 @@ def test_a_wrong_code_changes_nothing_and_the_right_one_still_works(
     complaints: list[str] = []
     admitted = admitting(hub, listener, complaints)
     with pytest.raises(ConfigurationError, match="not admitted"):
-        join(tmp_path / "member", "127.0.0.1", port, OTHER, PORTS)
+        join(tmp_path / "member", "127.0.0.1", port, OTHER, PORT)
     assert read_machine(tmp_path / "member") is None
-    join(tmp_path / "member", "127.0.0.1", port, CODE, PORTS)
+    join(tmp_path / "member", "127.0.0.1", port, CODE, PORT)
     assert admitted.result(10.0).address == "127.0.0.1"
     assert complaints == ["127.0.0.1: the code is not that of the other machine."]
 
@@ -125,7 +125,7 @@ def test_a_code_is_void_after_three_attempts(
     admitted = admitting(hub, listener, [])
     for _ in range(ATTEMPTS):
         with pytest.raises(ConfigurationError, match="not admitted"):
-            join(tmp_path / "member", "127.0.0.1", port, OTHER, PORTS)
+            join(tmp_path / "member", "127.0.0.1", port, OTHER, PORT)
     with pytest.raises(ConfigurationError, match="3 attempts had a wrong code"):
         admitted.result(10.0)
     found = read_machine(hub)
@@ -164,8 +164,8 @@ def test_other_traffic_uses_no_attempt(
     for _ in range(2 * ATTEMPTS):
         with socket.create_connection(listener.getsockname()) as connection:
             connection.sendall(content)
-    join(tmp_path / "member", "127.0.0.1", listener.getsockname()[1], CODE, PORTS)
-    assert admitted.result(10.0).ports == PORTS
+    join(tmp_path / "member", "127.0.0.1", listener.getsockname()[1], CODE, PORT)
+    assert admitted.result(10.0).port == PORT
     assert len(complaints) == 2 * ATTEMPTS
 
 
@@ -179,7 +179,7 @@ def test_a_hub_that_is_not_there_is_named(tmp_path: Path, listener: socket.socke
     port = listener.getsockname()[1]
     listener.close()
     with pytest.raises(ConfigurationError, match=rf"No hub answers at 127\.0\.0\.1, port {port}"):
-        join(tmp_path / "member", "127.0.0.1", port, CODE, PORTS)
+        join(tmp_path / "member", "127.0.0.1", port, CODE, PORT)
 
 
 def test_a_taken_port_is_told(listener: socket.socket) -> None:

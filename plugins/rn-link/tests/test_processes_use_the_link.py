@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -14,14 +14,13 @@ import pytest
 from rn_link.certificates import new_key, read_certificate
 from rn_link.environment import OTHERS, check_unopposed, join_link, set_link, take_port
 from rn_link.feature import LinkFeature
-from rn_link.machine import Machine, Peer, Ports, link_folder
+from rn_link.machine import Machine, Peer, link_folder
 from rn_link.options import LinkOptions
 from rn_link_pairing.keeping import add_member, become_hub, become_member
 from roboneuron import ConfigurationError
 from roboneuron.feature import Config
 
-PORTS = Ports(7500, 7501)
-PEER = Peer("10.1.2.3", PORTS)
+PEER = Peer("10.1.2.3", 7500)
 CONFIG = Config.model_construct()
 CHANGED = ("FASTRTPS_DEFAULT_PROFILES_FILE", "OPENSSL_CONF", "ROS_AUTOMATIC_DISCOVERY_RANGE")
 
@@ -32,7 +31,7 @@ def _clean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in (*CHANGED, *OTHERS, "RMW_IMPLEMENTATION"):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
-    for name in ("ROBONEURON_LINK_PORT", "ROBONEURON_LINK_HOLDER"):
+    for name in ("ROBONEURON_LINK", "ROBONEURON_LINK_HOLDER"):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
 
@@ -54,7 +53,7 @@ def member(folder: Path, tmp_path: Path) -> Machine:
     become_hub(tmp_path / "far", "robot", now, 365)
     key = new_key()
     certificates = add_member(tmp_path / "far", "gpu", PEER, key.public_key(), now, 365)
-    machine = Machine(name="gpu", role="member", ports=PORTS, peers={"robot": PEER})
+    machine = Machine(name="gpu", role="member", port=7500, peers={"robot": PEER})
     become_member(folder, machine, key, certificates, read_certificate(tmp_path / "far/ca.pem"))
     return machine
 
@@ -81,44 +80,46 @@ def test_a_process_of_the_hub_gets_profile_and_openssl(folder: Path) -> None:
         str(folder / "openssl.cnf"),
         "SYSTEM_DEFAULT",
     ]
-    assert "ROBONEURON_LINK_PORT" not in os.environ, "it connects"
+    assert not (folder / "port.lock").exists(), "it connects"
 
 
-def test_each_process_of_a_member_has_its_own_port(folder: Path, tmp_path: Path) -> None:
+def test_one_process_of_a_member_has_the_port(folder: Path, tmp_path: Path) -> None:
     machine = member(folder, tmp_path)
     own: dict[str, str] = {}
     set_link(own, machine, folder)
     set_link(own, machine, folder)
-    assert own["ROBONEURON_LINK_PORT"] == "7500"
+    assert own["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(folder / "fastdds.xml")
     program = "import os, rn_link.environment as e; e.join_link(); "
-    program += "print(os.environ['ROBONEURON_LINK_PORT'])"
+    program += f"print([os.environ.get(name) for name in {CHANGED}])"
     # a child inherits the variables of its parent
-    made = [
-        subprocess.run(
-            [sys.executable, "-c", program],
-            env={**os.environ, **own},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.strip()
-        for _ in range(2)
-    ]
-    assert made == ["7501", "7501"], "a port is free again when its process has ended"
-    assert take_port(PORTS, folder) == 7501
-    with pytest.raises(ConfigurationError, match="7500-7501, are taken"):
-        take_port(PORTS, folder)
+    made = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, **own},
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    shipped = str(files("roboneuron") / "data" / "fastdds.xml")
+    assert made.strip() == str([shipped, None, "LOCALHOST"])
 
 
-def test_a_process_without_a_port_stays_on_this_machine(
-    folder: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+def test_the_port_is_free_again_when_its_process_has_ended(folder: Path, tmp_path: Path) -> None:
+    member(folder, tmp_path)
+    program = "import rn_link.environment as e; assert e.take_port(e.link_folder())"
+    for _ in range(2):
+        subprocess.run([sys.executable, "-c", program], check=True)
+    assert take_port(folder)
+    assert not take_port(folder)
+
+
+def test_a_process_can_leave_the_link_to_another(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     member(folder, tmp_path)
-    for _ in PORTS.numbers:
-        take_port(PORTS, folder)
-    with caplog.at_level(logging.WARNING):
-        join_link()
-    assert "are taken" in caplog.text
+    monkeypatch.setenv("ROBONEURON_LINK", "off")
+    join_link()
     assert not any(name in os.environ for name in CHANGED)
+    assert take_port(folder)
 
 
 @pytest.mark.parametrize("name", [*OTHERS, *CHANGED[:2], "RMW_IMPLEMENTATION"])
@@ -136,8 +137,6 @@ def test_what_contradicts_the_link_is_refused(
 
 
 def test_the_shipped_profile_gives_way(folder: Path) -> None:
-    from importlib.resources import files
-
     hub(folder)
     os.environ[CHANGED[0]] = str(files("roboneuron") / "data" / "fastdds.xml")
     join_link()

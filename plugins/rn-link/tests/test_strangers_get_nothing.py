@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from link_machines import Machine as Namespace
 from link_machines import Talker, impossible, machines
-from link_pairs import PORTS, pair
+from link_pairs import admit, pair
 
 from rn_link.certificates import (
     Issuer,
@@ -23,7 +23,7 @@ from rn_link.certificates import (
     to_pem,
     write_private,
 )
-from rn_link.machine import Machine, Peer
+from rn_link.machine import PORT, Machine, Peer
 from rn_link.profile import fast_dds_profile
 from rn_link_pairing.keeping import become_hub
 from rn_testing.waiting import wait_until
@@ -73,8 +73,8 @@ class Lab:
         machine = Machine(
             name="stranger",
             role="hub" if role == "hub" else "member",
-            ports=PORTS,
-            peers={"gpu": Peer(self.gpu.address, PORTS)},
+            port=PORT + number,
+            peers={"gpu": Peer(self.gpu.address)},
         )
         profile = EDITS.get(kind, as_it_is)(fast_dds_profile(machine, folder))
         (folder / "stranger.xml").write_text(profile)
@@ -82,52 +82,60 @@ class Lab:
             name,
             link=False,
             FASTRTPS_DEFAULT_PROFILES_FILE=str(folder / "stranger.xml"),
-            ROBONEURON_LINK_PORT=str(PORTS.first + number),
             ROS_AUTOMATIC_DISCOVERY_RANGE="SYSTEM_DEFAULT",
         )
 
-    def keep(self, role: str, kind: str, own: Namespace | Path, trusted: Path) -> None:
+    def keep(self, role: str, kind: str, own: Path, trusted: Path) -> None:
         """Give a stranger keys: those in `own`, and the issuer of whom it wants to talk with."""
         folder = self.third.state / f"{role}-{kind}"
         folder.mkdir()
-        source = own if isinstance(own, Path) else own.link
         for file in ("own.key", "own.pem"):
-            write_private(folder / file, (source / file).read_bytes())
+            write_private(folder / file, (own / file).read_bytes())
         write_private(folder / "trusted.pem", trusted.read_bytes())
 
 
 def prepare(lab: Lab, folder: Path) -> None:
     """Pair robot and GPU machine, and make the keys of all strangers."""
     now = datetime.now(UTC)
-    robot, gpu, third = lab.robot, lab.gpu, lab.third
-    foreign = folder / "foreign"
+    robot = lab.robot
+    foreign, revoked, expired = (folder / name for name in ("foreign", "revoked", "expired"))
     become_hub(foreign, "robot", now, 365)
-    authority = robot.link / "ca.pem"
     # the GPU machine was paired with a hub that has a new authority since
-    pair(robot, gpu)
-    revoked = folder / "revoked"
+    pair(robot, lab.gpu)
     robot.link.rename(revoked)
-    pair(robot, gpu)
-    issuer_of_gpu = robot.link / "peers" / "gpu.issuer.pem"
-    for kind, keys in {"foreign": foreign, "none": foreign, "plain": foreign}.items():
-        lab.keep("hub", kind, keys, issuer_of_gpu)
-        lab.keep("member", kind, keys, authority)
-    lab.keep("hub", "revoked", revoked, issuer_of_gpu)
-    expired = folder / "expired"
+    pair(robot, lab.gpu)
     expired.mkdir()
     key = new_key()
+    authority = robot.link / "ca.pem"
     issuer = Issuer(read_key(robot.link / "ca.key"), read_certificate(authority))
     past = now - timedelta(days=40)
     certificate = issue(issuer, "robot", "hub", key.public_key(), past, 30)
     write_private(expired / "own.key", key_to_pem(key))
     write_private(expired / "own.pem", to_pem(certificate))
-    lab.keep("hub", "expired", expired, issuer_of_gpu)
-    pair(robot, third)
-    lab.keep("member", "revoked", third, authority)
-    # which takes the issuer of the pairing before out of what the robot trusts
-    pair(robot, third, age_days=40, days=30)
-    lab.keep("member", "expired", third, authority)
-    lab.keep("hub", "member", third, issuer_of_gpu)
+    listening = _admit_listeners(lab, folder)
+    for kind in LISTENING:
+        lab.keep("member", kind, listening.get(kind, foreign), authority)
+    connecting = {"expired": expired, "revoked": revoked, "member": listening["expired-not"]}
+    for kind in CONNECTING[:-1]:
+        keys = connecting.get(kind, foreign)
+        lab.keep("hub", kind, keys, robot.link / "peers" / "gpu.issuer.pem")
+
+
+def _admit_listeners(lab: Lab, folder: Path) -> dict[str, Path]:
+    """Have the robot connect to each listening stranger; returns keys by kind."""
+    kept = {}
+    for number, kind in enumerate(LISTENING):
+        peer = Peer(lab.third.address, PORT + number)
+        for times in range(2):  # the second takes the first one's issuer out
+            keys = folder / f"{kind}-{times}"
+            admit(lab.robot, f"third-{kind}", peer, keys)
+            if (kind, times) == ("revoked", 0):
+                kept[kind] = keys
+        if kind == "expired":
+            kept["expired-not"] = keys
+            kept[kind] = folder / "expired-member"
+            admit(lab.robot, f"third-{kind}", peer, kept[kind], age_days=40, days=30)
+    return kept
 
 
 @dataclass(frozen=True)
@@ -187,7 +195,6 @@ def test_the_profile_alone_would_let_a_foreign_certificate_in(lab: Lab, heard: H
         "careless",
         link=False,
         FASTRTPS_DEFAULT_PROFILES_FILE=str(lab.gpu.link / "fastdds.xml"),
-        ROBONEURON_LINK_PORT=str(PORTS.first),
         ROS_AUTOMATIC_DISCOVERY_RANGE="SYSTEM_DEFAULT",
     )
     heard.strangers["hub-foreign"].wait_for("careless", 1, 30.0)

@@ -18,40 +18,19 @@ from roboneuron import ConfigurationError
 
 Role = Literal["hub", "member"]
 """The hub holds the certificate authority and connects to its members, which listen."""
-FIRST_PORT = 7411
-PORT_COUNT = 4
-MOST_PORTS = 16
+PORT = 7411
+"""TCP port that a member listens on."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,30}")
 _FILE = "link.json"
 
 
-class Ports(NamedTuple):
-    """TCP ports that a machine's processes listen on, one each."""
-
-    first: int = FIRST_PORT
-    last: int = FIRST_PORT + PORT_COUNT - 1
-
-    def __str__(self) -> str:
-        return f"{self.first}-{self.last}"
-
-    @property
-    def numbers(self) -> range:
-        """All of them."""
-        return range(self.first, self.last + 1)
-
-
-def parse_ports(first: int, count: int) -> Ports:
-    """Check the bounds of a range of ports.
-
-    Raises:
-        ConfigurationError: a port is none, or there are too many.
-    """
-    if not (first >= 1024 and 1 <= count <= MOST_PORTS and first + count <= 65536):
+def check_port(port: int) -> int:
+    """Raises ConfigurationError for what is no port of an unprivileged process."""
+    if not 1024 <= port <= 65535:
         raise ConfigurationError(
-            f"The link cannot use {count} ports from {first}.",
-            hint=f"Name 1 to {MOST_PORTS} ports between 1024 and 65535.",
+            f"The link cannot use port {port}.", hint="Name one between 1024 and 65535."
         )
-    return Ports(first, first + count - 1)
+    return port
 
 
 class Peer(NamedTuple):
@@ -59,11 +38,11 @@ class Peer(NamedTuple):
 
     Attributes:
         address: IPv4 address.
-        ports: that its processes listen on; those of a hub are not used.
+        port: TCP port that it listens on; that of a hub is not used.
     """
 
     address: str
-    ports: Ports
+    port: int = PORT
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -72,7 +51,7 @@ class Machine:
 
     name: str
     role: Role
-    ports: Ports = field(default_factory=Ports)
+    port: int = PORT
     peers: Mapping[str, Peer] = field(default_factory=dict)
 
     def to_json(self) -> str:
@@ -80,7 +59,7 @@ class Machine:
         facts = {
             "name": self.name,
             "role": self.role,
-            "ports": self.ports,
+            "port": self.port,
             "peers": self.peers,
         }
         return json.dumps(facts, indent=2) + "\n"
@@ -137,16 +116,15 @@ def _parse(facts: dict[str, object]) -> Machine:
     return Machine(
         name=check_name(str(facts["name"])),
         role="hub" if facts["role"] == "hub" else "member",
-        ports=_ports(facts["ports"]),
+        port=_port(facts["port"]),
         peers={
-            check_name(name): Peer(check_address(address), _ports(ports))
-            for name, (address, ports) in peers.items()
+            check_name(name): Peer(check_address(address), _port(port))
+            for name, (address, port) in peers.items()
         },
     )
 
 
-def _ports(found: object) -> Ports:
-    if not isinstance(found, list) or [type(one) for one in found] != [int, int]:
-        raise ValueError("a range of ports is two numbers")
-    first, last = found
-    return parse_ports(first, last - first + 1)
+def _port(found: object) -> int:
+    if not isinstance(found, int):
+        raise ValueError("a port is a number")
+    return check_port(found)

@@ -12,12 +12,11 @@ from xml.etree import ElementTree
 
 from rn_link.machine import Machine
 
-PORT_VARIABLE = "ROBONEURON_LINK_PORT"
-"""Environment variable with the port that a process listens on; the profile reads it."""
 NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 LOOPBACK = "127.0.0.1"
-SEND_BUFFER_BYTES = 4_194_304
-"""Of each connection, as far as the kernel allows: what is sent until a cut one is given up."""
+SEND_BUFFER_BYTES = 2_097_152
+"""Of each connection at most; twice this may wait to be sent, then messages are dropped."""
+LIMIT = Path("/proc/sys/net/core/wmem_max")
 _TCP = "roboneuron_link"
 OPENSSL = """\
 # Fast DDS 2.14 takes no verify_mode for the side that listens: without this a peer without a
@@ -59,16 +58,21 @@ def fast_dds_profile(machine: Machine, folder: Path) -> str:
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
 
 
+def send_buffer_bytes() -> int:
+    """Half of what the kernel of this machine allows a process to ask for; see `connections`."""
+    return min(SEND_BUFFER_BYTES, int(LIMIT.read_text(encoding="ascii")) // 2)
+
+
 def _transport(machine: Machine, folder: Path) -> ElementTree.Element:
     transport = ElementTree.Element(_tag("transport_descriptor"))
     _add(transport, "transport_id", _TCP)
     _add(transport, "type", "TCPv4")
-    _add(transport, "sendBufferSize", str(SEND_BUFFER_BYTES))
-    # where the connection is slower than what is sent
+    _add(transport, "sendBufferSize", str(send_buffer_bytes()))
+    # see `connections`
     _add(transport, "non_blocking_send", "true")
     listens = machine.role == "member"
     if listens:
-        _add(_add(transport, "listening_ports"), "port", f"${{{PORT_VARIABLE}}}")
+        _add(_add(transport, "listening_ports"), "port", str(machine.port))
     # TLS protects each byte already
     _add(transport, "calculate_crc", "false")
     _add(transport, "check_crc", "false")
@@ -78,9 +82,7 @@ def _transport(machine: Machine, folder: Path) -> ElementTree.Element:
     _add(tls, "verify_file", str(folder / "trusted.pem"))
     if not listens:
         _add(_add(tls, "verify_mode"), "verify", "VERIFY_PEER")
-    # processes of a member also connect to each other: two servers would wait for ever, and accept
-    # nobody else meanwhile
-    _add(tls, "handshake_role", "DEFAULT" if listens else "CLIENT")
+    _add(tls, "handshake_role", "SERVER" if listens else "CLIENT")
     return transport
 
 
@@ -88,10 +90,9 @@ def _initial_peers(machine: Machine) -> ElementTree.Element:
     peers = ElementTree.Element(_tag("initialPeersList"))
     if machine.role == "hub":
         for peer in machine.peers.values():
-            for port in peer.ports.numbers:
-                place = _add(_add(peers, "locator"), "tcpv4")
-                _add(place, "address", peer.address)
-                _add(place, "physical_port", str(port))
+            place = _add(_add(peers, "locator"), "tcpv4")
+            _add(place, "address", peer.address)
+            _add(place, "physical_port", str(peer.port))
     _add(_add(_add(peers, "locator"), "udpv4"), "address", LOOPBACK)
     return peers
 

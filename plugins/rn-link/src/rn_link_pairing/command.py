@@ -11,11 +11,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from rn_link.machine import (
-    FIRST_PORT,
-    PORT_COUNT,
+    PORT,
     check_address,
+    check_port,
     link_folder,
-    parse_ports,
     read_machine,
 )
 from roboneuron import ConfigurationError
@@ -43,13 +42,7 @@ class LinkCommand:
         init.add_argument("--name", help="of this machine; default: its host name")
         init.add_argument("--join", metavar="ADDRESS[:PORT]", help="hub to join as a member")
         init.add_argument(
-            "--first-port", type=int, default=FIRST_PORT, help="of a member (%(default)s)"
-        )
-        init.add_argument(
-            "--port-count",
-            type=int,
-            default=PORT_COUNT,
-            help="how many processes of a member can use the link (%(default)s)",
+            "--port", type=int, default=PORT, help="that a member listens on (%(default)s)"
         )
         add = actions.add_parser("add", help="admit a member: shows a code for its `init --join`")
         add.add_argument("name", metavar="NAME", help="that it gets")
@@ -110,13 +103,13 @@ def _join(folder: Path, arguments: Namespace) -> None:
             f"This machine is itself a hub, {found.name}.",
             hint="Type `roboneuron link remove --all` first, if its members may lose it.",
         )
-    ports = parse_ports(arguments.first_port, arguments.port_count)
+    port_here = check_port(arguments.port)
     sys.stderr.write(f"Code that {address} shows: ")
     sys.stderr.flush()
     code = check_code(sys.stdin.readline())
-    machine = join(folder, address, _port(port), code, ports)
+    machine = join(folder, address, _port(port), code, port_here)
     (hub,) = machine.peers
-    _say(f"This machine is {machine.name}, a member of {hub}; its processes listen on TCP {ports}.")
+    _say(f"This machine is {machine.name}, a member of {hub}, and listens on TCP {port_here}.")
     _say(_RESTART)
 
 
@@ -136,7 +129,7 @@ def _add(folder: Path, arguments: Namespace) -> None:
             f"--join ADDRESS{port}`, ADDRESS being the IPv4 address of this machine."
         )
         peer = admission.serve(listener, code)
-    _say(f"{arguments.name} is added: {peer.address}, TCP {peer.ports}. {_RESTART}")
+    _say(f"{arguments.name} is added: {peer.address}, TCP {peer.port}. {_RESTART}")
 
 
 def _show(folder: Path, as_json: bool) -> None:
@@ -158,7 +151,7 @@ def _show(folder: Path, as_json: bool) -> None:
     now = datetime.now(UTC)
     rows = [(machine.name, f"{machine.role}, this machine")]
     rows += [
-        (name, f"{peer.address}, TCP {peer.ports}" if machine.role == "hub" else peer.address)
+        (name, f"{peer.address}, TCP {peer.port}" if machine.role == "hub" else peer.address)
         for name, peer in machine.peers.items()
     ]
     width = max(len(name) for name, _ in rows)

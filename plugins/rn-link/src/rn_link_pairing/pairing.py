@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from rn_link.certificates import new_key, to_pem
-from rn_link.machine import Machine, Peer, Ports, check_name, parse_ports
+from rn_link.machine import Machine, Peer, check_name, check_port
 from rn_link_pairing.keeping import add_member, become_member, read_hub
 from rn_link_pairing.pake import Exchange, PairingError, Sealer
 from rn_link_pairing.wire import Wire, parse, to_bytes
@@ -124,8 +124,8 @@ class Admission:
             content = to_hub.open(to_bytes(sealed))
         except (PairingError, OSError) as error:
             raise WrongCodeError(str(error)) from error
-        request, first, count = parse(content, "request", "first_port", "port_count")
-        peer = Peer(self._address or address, _ports(first, count))
+        request, port = parse(content, "request", "port")
+        peer = Peer(self._address or address, _port(port))
         certificate, issuer = add_member(
             self._folder, self._name, peer, _key(request), datetime.now(UTC), self._days
         )
@@ -144,11 +144,11 @@ class WrongCodeError(PairingError):
     """An attempt that has tried a code."""
 
 
-def _ports(first: str, count: str) -> Ports:
+def _port(text: str) -> int:
     try:
-        return parse_ports(int(first), int(count))
+        return check_port(int(text))
     except (ValueError, ConfigurationError) as error:
-        raise PairingError("the member named no ports") from error
+        raise PairingError("the member named no port") from error
 
 
 def _key(request: str) -> ec.EllipticCurvePublicKey:
@@ -164,7 +164,7 @@ def _key(request: str) -> ec.EllipticCurvePublicKey:
 
 
 def join(
-    folder: Path, address: str, port: int, code: str, ports: Ports, limit_s: float = _ATTEMPT_S
+    folder: Path, address: str, port: int, code: str, own_port: int, limit_s: float = _ATTEMPT_S
 ) -> Machine:
     """Become a member of the link of the hub at that address, and return this machine's part.
 
@@ -177,11 +177,7 @@ def join(
         with closing(socket.create_connection((address, port), limit_s)) as connection:
             wire = Wire(connection, deadline_s)
             to_hub, to_member = _agree(wire, code)
-            facts = {
-                "request": _request(key),
-                "first_port": str(ports.first),
-                "port_count": str(len(ports.numbers)),
-            }
+            facts = {"request": _request(key), "port": str(own_port)}
             wire.send(sealed=to_hub.seal(json.dumps(facts).encode()).hex())
             (sealed,) = wire.receive("sealed")
             content = to_member.open(to_bytes(sealed))
@@ -197,7 +193,7 @@ def join(
         ) from error
     hub, name, *texts = parse(content, "hub", "name", "certificate", "issuer", "trusted")
     certificate, issuer, trusted = (x509.load_pem_x509_certificate(one.encode()) for one in texts)
-    machine = Machine(name=name, role="member", ports=ports, peers={hub: Peer(address, Ports())})
+    machine = Machine(name=name, role="member", port=own_port, peers={hub: Peer(address)})
     become_member(folder, machine, key, (certificate, issuer), trusted)
     return machine
 
