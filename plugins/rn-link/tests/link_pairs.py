@@ -25,8 +25,8 @@ def admit(
     """Admit a member, `age_days` ago, and keep in `folder` what it gets."""
     key = new_key()
     then = datetime.now(UTC) - timedelta(days=age_days)
-    certificates = add_member(hub.link, name, peer, key.public_key(), then, days)
+    certificate = add_member(hub.link, name, peer, key.public_key(), then, days)
     machine = Machine(
         name=name, role="member", port=peer.port, peers={hub.name: Peer(hub.address, PORT)}
     )
-    become_member(folder, machine, key, certificates, read_certificate(hub.link / "ca.pem"))
+    become_member(folder, machine, key, certificate, read_certificate(hub.link / "ca.pem"))

@@ -52,9 +52,9 @@ def member(folder: Path, tmp_path: Path) -> Machine:
     now = datetime.now(UTC)
     become_hub(tmp_path / "far", "robot", now, 365)
     key = new_key()
-    certificates = add_member(tmp_path / "far", "gpu", PEER, key.public_key(), now, 365)
+    certificate = add_member(tmp_path / "far", "gpu", PEER, key.public_key(), now, 365)
     machine = Machine(name="gpu", role="member", port=7500, peers={"robot": PEER})
-    become_member(folder, machine, key, certificates, read_certificate(tmp_path / "far/ca.pem"))
+    become_member(folder, machine, key, certificate, read_certificate(tmp_path / "far/ca.pem"))
     return machine
 
 

@@ -24,11 +24,8 @@ MOST_DAYS = 3650
 """How long an issuer is valid, which bounds what it issues."""
 _CLOCKS = timedelta(days=1)
 """By how much the clocks of two machines may differ."""
-_PURPOSES = {
-    "hub": [ExtendedKeyUsageOID.CLIENT_AUTH],
-    "member": [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH],
-}
-"""The hub connects and listens to nobody; members listen, and connect to their own processes."""
+_PURPOSES = {"hub": ExtendedKeyUsageOID.CLIENT_AUTH, "member": ExtendedKeyUsageOID.SERVER_AUTH}
+"""The hub connects and members listen: neither can take the other's part."""
 
 
 class Issuer(NamedTuple):
@@ -86,7 +83,7 @@ def issue(
     return (
         _builder(_name(name), issuer.certificate.subject, key, now, days)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
-        .add_extension(x509.ExtendedKeyUsage(_PURPOSES[role]), critical=True)
+        .add_extension(x509.ExtendedKeyUsage([_PURPOSES[role]]), critical=True)
         .sign(issuer.key, hashes.SHA256())
     )
 

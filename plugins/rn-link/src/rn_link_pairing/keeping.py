@@ -70,9 +70,8 @@ def become_hub(folder: Path, name: str, now: datetime, days: int) -> Machine:
 
 def add_member(
     folder: Path, name: str, peer: Peer, key: ec.EllipticCurvePublicKey, now: datetime, days: int
-) -> tuple[x509.Certificate, x509.Certificate]:
-    """Admit a machine, in place of an earlier one of that name; returns its certificate and its
-    issuer's.
+) -> x509.Certificate:
+    """Admit a machine, in place of an earlier one of that name, and return its certificate.
 
     The key of its issuer is forgotten: nobody can issue another one for it.
     """
@@ -82,25 +81,21 @@ def add_member(
     write_private(folder / "peers" / f"{name}.pem", to_pem(certificate))
     write_private(folder / "peers" / f"{name}.issuer.pem", to_pem(issuer.certificate))
     _publish(folder, replace(hub, peers={**hub.peers, name: peer}))
-    return certificate, issuer.certificate
+    return certificate
 
 
 def become_member(
     folder: Path,
     machine: Machine,
     key: ec.EllipticCurvePrivateKey,
-    certificates: tuple[x509.Certificate, x509.Certificate],
+    certificate: x509.Certificate,
     trusted: x509.Certificate,
 ) -> None:
-    """Keep what a hub has issued for this machine, as `add_member` returns it; `trusted` is the
-    issuer of the hub.
-    """
-    certificate, issuer = certificates
+    """Keep what a hub has issued for this machine; `trusted` is the issuer of the hub."""
     _make_folder(folder)
     (hub,) = machine.peers
     write_private(folder / "own.key", key_to_pem(key))
     write_private(folder / "own.pem", to_pem(certificate))
-    write_private(folder / "own.issuer.pem", to_pem(issuer))
     write_private(folder / "peers" / f"{hub}.issuer.pem", to_pem(trusted))
     _publish(folder, machine)
 
@@ -150,8 +145,6 @@ def _make_folder(folder: Path) -> None:
 def _publish(folder: Path, machine: Machine) -> None:
     """Write what processes read; the entry that makes them use it is the last."""
     issuers = [folder / "peers" / f"{name}.issuer.pem" for name in machine.peers]
-    if machine.role == "member":
-        issuers.append(folder / "own.issuer.pem")
     trusted = [to_pem(read_certificate(path)) for path in issuers]
     write_private(folder / "trusted.pem", b"".join(trusted))
     write_private(folder / "openssl.cnf", OPENSSL.encode())

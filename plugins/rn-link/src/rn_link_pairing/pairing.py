@@ -126,14 +126,13 @@ class Admission:
             raise WrongCodeError(str(error)) from error
         request, port = parse(content, "request", "port")
         peer = Peer(self._address or address, _port(port))
-        certificate, issuer = add_member(
+        certificate = add_member(
             self._folder, self._name, peer, _key(request), datetime.now(UTC), self._days
         )
         answer = {
             "hub": self._hub.name,
             "name": self._name,
             "certificate": to_pem(certificate).decode(),
-            "issuer": to_pem(issuer).decode(),
             "trusted": (self._folder / "ca.pem").read_text(encoding="ascii"),
         }
         wire.send(sealed=to_member.seal(json.dumps(answer).encode()).hex())
@@ -191,10 +190,10 @@ def join(
             f"No hub answers at {address}, port {port}: {error.strerror or error}.",
             hint="Type `roboneuron link add NAME` there first, and let TCP through.",
         ) from error
-    hub, name, *texts = parse(content, "hub", "name", "certificate", "issuer", "trusted")
-    certificate, issuer, trusted = (x509.load_pem_x509_certificate(one.encode()) for one in texts)
+    hub, name, *texts = parse(content, "hub", "name", "certificate", "trusted")
+    certificate, trusted = (x509.load_pem_x509_certificate(one.encode()) for one in texts)
     machine = Machine(name=name, role="member", port=own_port, peers={hub: Peer(address)})
-    become_member(folder, machine, key, (certificate, issuer), trusted)
+    become_member(folder, machine, key, certificate, trusted)
     return machine
 
 
