@@ -111,6 +111,7 @@ class Cable:
 
 def node(role: str, report: Path, seconds: float) -> None:
     """One of the two processes."""
+    from rn_link.connections import watch_connections
     from rn_link.environment import join_link
     from roboneuron.command import environment
 
@@ -123,6 +124,7 @@ def node(role: str, report: Path, seconds: float) -> None:
     from sensor_msgs.msg import Image
 
     rclpy.init()
+    watch_connections()
     made = rclpy.create_node(f"link_{role}")
     if role == "receiver":
         delays_s: list[tuple[float, float]] = []
