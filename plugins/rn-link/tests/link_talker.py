@@ -28,7 +28,7 @@ def main(name: str, folder: Path, *options: str) -> None:
 
     rclpy.init()
     watch_connections()
-    node = rclpy.create_node(f"talker_{name}")
+    node = rclpy.create_node(f"talker_{name.replace('-', '_')}")
     heard: dict[str, int] = {}
     gaps_s: dict[str, float] = {}
     last_s: dict[str, float] = {}
