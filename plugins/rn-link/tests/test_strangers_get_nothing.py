@@ -54,10 +54,14 @@ EDITS: Mapping[str, Edit] = {"none": without_certificate, "plain": without_tls}
 
 @dataclass(frozen=True)
 class Lab:
-    """A robot and its GPU machine, and a third machine on the same switch."""
+    """A robot and its GPU machine, another robot, and a third machine with all strangers.
+
+    The other robot connects to strangers alone: one that it refuses keeps it from reaching others.
+    """
 
     robot: Namespace
     gpu: Namespace
+    other: Namespace
     third: Namespace
 
     def stranger(self, role: str, kind: str, number: int = 0) -> Talker:
@@ -112,29 +116,30 @@ def prepare(lab: Lab, folder: Path) -> None:
     certificate = issue(issuer, "robot", "hub", key.public_key(), past, 30)
     write_private(expired / "own.key", key_to_pem(key))
     write_private(expired / "own.pem", to_pem(certificate))
+    become_hub(lab.other.link, "other", now, 365)
     listening = _admit_listeners(lab, folder)
     for kind in LISTENING:
-        lab.keep("member", kind, listening.get(kind, foreign), authority)
-    connecting = {"expired": expired, "revoked": revoked, "member": listening["expired-not"]}
+        lab.keep("member", kind, listening.get(kind, foreign), lab.other.link / "ca.pem")
+    admit(robot, "third", Peer(lab.third.address, PORT + len(LISTENING)), folder / "member")
+    connecting = {"expired": expired, "revoked": revoked, "member": folder / "member"}
     for kind in CONNECTING[:-1]:
         keys = connecting.get(kind, foreign)
         lab.keep("hub", kind, keys, robot.link / "peers" / "gpu.issuer.pem")
 
 
 def _admit_listeners(lab: Lab, folder: Path) -> dict[str, Path]:
-    """Have the robot connect to each listening stranger; returns keys by kind."""
+    """Have the other robot connect to each listening stranger; returns keys by kind."""
     kept = {}
     for number, kind in enumerate(LISTENING):
         peer = Peer(lab.third.address, PORT + number)
         for times in range(2):  # the second takes the first one's issuer out
             keys = folder / f"{kind}-{times}"
-            admit(lab.robot, f"third-{kind}", peer, keys)
+            admit(lab.other, f"third-{kind}", peer, keys)
             if (kind, times) == ("revoked", 0):
                 kept[kind] = keys
         if kind == "expired":
-            kept["expired-not"] = keys
             kept[kind] = folder / "expired-member"
-            admit(lab.robot, f"third-{kind}", peer, kept[kind], age_days=40, days=30)
+            admit(lab.other, f"third-{kind}", peer, kept[kind], age_days=40, days=30)
     return kept
 
 
@@ -145,12 +150,18 @@ class Heard:
     strangers: Mapping[str, Talker]
     robot: Talker
     gpu: Talker
+    other: Talker
+
+    @property
+    def ours(self) -> tuple[Talker, ...]:
+        """Those that no stranger may hear."""
+        return (self.robot, self.gpu, self.other)
 
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     folder = tmp_path_factory.mktemp("machines")
-    with machines(folder, "robot", "gpu", "third") as made:
+    with machines(folder, "robot", "gpu", "other", "third") as made:
         found = Lab(**made)
         prepare(found, folder)
         yield found
@@ -163,11 +174,12 @@ def heard(lab: Lab) -> Iterator[Heard]:
         strangers[f"member-{kind}"] = lab.stranger("member", kind, number)
     for talker in strangers.values():
         wait_until(lambda talker=talker: talker.heard(talker.name), 60.0, talker.name)
-    gpu, robot = lab.gpu.talk("gpu"), lab.robot.talk("robot")
-    robot.wait_for("gpu", 100, 60.0)
-    gpu.wait_for("robot", 100, 60.0)
-    yield Heard(strangers, robot, gpu)
-    for talker in (*strangers.values(), gpu, robot):
+    found = Heard(strangers, lab.robot.talk("robot"), lab.gpu.talk("gpu"), lab.other.talk("other"))
+    found.robot.wait_for("gpu", 100, 60.0)
+    found.gpu.wait_for("robot", 100, 60.0)
+    wait_until(lambda: found.other.heard("other") > 100, 60.0, "time to connect to strangers")
+    yield found
+    for talker in (*strangers.values(), *found.ours):
         talker.end()
 
 
@@ -182,9 +194,8 @@ def test_paired_machines_hear_each_other(heard: Heard) -> None:
 def test_a_stranger_hears_nothing_and_is_not_heard(heard: Heard, name: str) -> None:
     stranger = heard.strangers[name]
     assert stranger.process.poll() is None, stranger.log.read_text()
-    assert {one: stranger.heard(one) for one in ("robot", "gpu")} == {"robot": 0, "gpu": 0}
-    assert heard.robot.heard(name) == 0
-    assert heard.gpu.heard(name) == 0
+    assert [stranger.heard(one.name) for one in heard.ours] == [0, 0, 0]
+    assert [one.heard(name) for one in heard.ours] == [0, 0, 0]
 
 
 def test_the_profile_alone_would_let_a_foreign_certificate_in(lab: Lab, heard: Heard) -> None:
