@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -67,15 +66,10 @@ class Talker:
             f"{self.name} hears {name}: {self.log.read_text(encoding='utf-8')[-2000:]}",
         )
 
-    def end(self, number: int = signal.SIGTERM) -> None:
-        """End it with that signal and reap it."""
-        if self.process.poll() is None:
-            self.process.send_signal(number)
-        try:
-            self.process.wait(10.0)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait(10.0)
+    def end(self) -> None:
+        """Kill it and reap it."""
+        self.process.kill()
+        self.process.wait(10.0)
 
 
 class Machine:
@@ -152,7 +146,7 @@ class Machine:
     def close(self) -> None:
         """End what runs there, and the namespaces with it."""
         for talker in self._talkers:
-            talker.end(signal.SIGKILL)
+            talker.end()
         self._holder.kill()
         self._holder.wait(10.0)
 

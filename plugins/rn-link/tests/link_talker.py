@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import array
 import json
-import signal
 import sys
 import time
 from pathlib import Path
@@ -19,7 +18,7 @@ SIDE = 224
 
 
 def main(name: str, folder: Path, *options: str) -> None:
-    """Talk until SIGTERM."""
+    """Talk until it is killed."""
     join_link()
     environment.prepare_environment(folder)
     import rclpy
@@ -68,7 +67,6 @@ def main(name: str, folder: Path, *options: str) -> None:
     if "--images" in options:
         node.create_timer(1 / 30, lambda: publish(images.publish, picture))
     node.create_timer(0.1, report)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     while True:
         rclpy.spin_once(node, timeout_sec=0.5)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -65,7 +64,7 @@ def test_a_cut_cable_stops_nobody_on_the_robot_and_the_link_returns(cell: Cell) 
 
 
 def test_a_killed_process_is_replaced(cell: Cell) -> None:
-    cell.far.end(signal.SIGKILL)
+    cell.far.end()
     cell.control.wait_for("camera's image", 30, 20.0)
     far = cell.restart()
     far.wait_for("camera's image", 5, BACK_S)
@@ -80,7 +79,7 @@ def test_a_half_open_connection_delays_nobody_on_the_robot(cell: Cell) -> None:
     robot's processes have to be restarted.
     """
     cell.gpu.cut()
-    cell.far.end(signal.SIGKILL)
+    cell.far.end()
     far = cell.restart()
     cell.control.wait_for("camera's image", 150, 30.0)
     cell.gpu.plug()
