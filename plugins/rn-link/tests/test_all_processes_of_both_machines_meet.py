@@ -6,7 +6,7 @@ from itertools import permutations
 from pathlib import Path
 
 import pytest
-from link_machines import Talker, impossible, machines
+from link_machines import Machine, Talker, impossible, machines
 from link_pairs import pair
 
 from rn_testing.waiting import wait_until
@@ -27,19 +27,25 @@ def all_hear(*talkers: Talker) -> None:
         )
 
 
+def with_port(gpu: Machine) -> Talker:
+    """Start the process of the member that takes the port, as the first one does."""
+    far = gpu.talk("far")
+    wait_until(lambda: far.heard("far"), 30.0, "the process with the port")
+    return far
+
+
 @pytest.mark.parametrize("first", ["robot", "gpu"])
 def test_processes_of_both_machines_hear_each_other(tmp_path: Path, first: str) -> None:
     with machines(tmp_path, "robot", "gpu") as made:
         robot, gpu = made["robot"], made["gpu"]
         pair(robot, gpu)
         if first == "gpu":
-            far = gpu.talk("far")
+            far = with_port(gpu)
             all_hear(far, gpu.talk("local"))
         near = [robot.talk("camera"), robot.talk("control")]
         all_hear(*near)
         if first == "robot":
-            far = gpu.talk("far")
-            wait_until(lambda: far.heard("far"), 30.0, "the process with the port")
+            far = with_port(gpu)
         local = gpu.talk("local-later")
         all_hear(*near, far)
         all_hear(far, local)
