@@ -128,7 +128,7 @@ def set_defaults(
 
 
 def _profile_variable(sourced: Sourced | None) -> str:
-    """How Fast DDS calls the variable with its profile; the library of version 3 is `libfastdds`."""
+    """How Fast DDS calls the variable with its profile: version 3 is called `libfastdds`."""
     libraries = sourced.prefix.glob("lib/**/libfastdds.so*") if sourced else iter(())
     return _PROFILE_OF_2 if next(libraries, None) is None else _PROFILE_OF_3
 

@@ -1,0 +1,52 @@
+"""The feature: a server starts only with a link that works."""
+
+from __future__ import annotations
+
+import logging
+import os
+from datetime import UTC, datetime, timedelta
+
+from rn_link.connections import watch_connections
+from rn_link.environment import check_unopposed
+from rn_link.machine import Machine, link_folder, read_machine
+from rn_link.options import LinkOptions
+from roboneuron import ConfigurationError, Feature, Host
+from roboneuron.feature import Config
+
+log = logging.getLogger(__name__)
+
+
+class LinkFeature(Feature[LinkOptions]):
+    """Checks keys and certificates; the link itself is the environment of the processes."""
+
+    def check(self, config: Config) -> None:
+        """Check that the link of this machine can be used, and warn of what expires soon.
+
+        Raises:
+            ConfigurationError: it cannot, or there is none and the configuration requires one.
+        """
+        folder = link_folder()
+        machine = read_machine(folder)
+        if machine is None or not machine.peers:
+            if self.options.required:
+                raise ConfigurationError(
+                    "No other machine is paired with this one, and [link] requires it.",
+                    hint="Pair one with `roboneuron link init` and `roboneuron link add NAME`.",
+                )
+            return
+        check_unopposed(os.environ, folder)
+        self._check_dates(machine)
+
+    def start(self, host: Host) -> None:
+        """Watch the connections of the server's own process."""
+        watch_connections()
+
+    def _check_dates(self, machine: Machine) -> None:
+        from rn_link.certificates import check_in_time, expiries  # heavy
+
+        now = datetime.now(UTC)
+        folder = link_folder()
+        check_in_time(machine, folder, now)
+        for name, expiry in expiries(machine, folder).items():
+            if expiry - now < timedelta(days=self.options.warn_days):
+                log.warning("The certificate of %s expires on %s.", name, f"{expiry:%Y-%m-%d}")

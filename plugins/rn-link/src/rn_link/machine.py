@@ -1,0 +1,130 @@
+"""The link of this machine, as the command `roboneuron link` leaves it in the state directory.
+
+Standard library alone: every process imports this.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from ipaddress import IPv4Address
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from roboneuron import ConfigurationError
+
+Role = Literal["hub", "member"]
+"""The hub holds the certificate authority and connects to its members, which listen."""
+PORT = 7411
+"""TCP port that a member listens on."""
+_NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,30}")
+_FILE = "link.json"
+
+
+def check_port(port: int) -> int:
+    """Raises ConfigurationError for what is no port of an unprivileged process."""
+    if not 1024 <= port <= 65535:
+        raise ConfigurationError(
+            f"The link cannot use port {port}.", hint="Name one between 1024 and 65535."
+        )
+    return port
+
+
+class Peer(NamedTuple):
+    """Another machine of the link.
+
+    Attributes:
+        address: IPv4 address.
+        port: TCP port that it listens on; that of a hub is not used.
+    """
+
+    address: str
+    port: int = PORT
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Machine:
+    """This machine's part of the link."""
+
+    name: str
+    role: Role
+    port: int = PORT
+    peers: Mapping[str, Peer] = field(default_factory=dict)
+
+    def to_json(self) -> str:
+        """As it is kept."""
+        facts = {
+            "name": self.name,
+            "role": self.role,
+            "port": self.port,
+            "peers": self.peers,
+        }
+        return json.dumps(facts, indent=2) + "\n"
+
+
+def check_name(name: str) -> str:
+    """Raises ConfigurationError for what is no name of a machine."""
+    if not _NAME.fullmatch(name):
+        raise ConfigurationError(
+            f"{name[:60]!r} is not a name for a machine.",
+            hint="Use up to 31 lower-case letters, digits and hyphens, such as gpu-1.",
+        )
+    return name
+
+
+def check_address(address: str) -> str:
+    """Raises ConfigurationError for what is no IPv4 address: the transport takes no names."""
+    try:
+        return str(IPv4Address(address))
+    except ValueError as error:
+        raise ConfigurationError(
+            f"{address[:60]!r} is not an IPv4 address.", hint="Write it as 192.168.1.20."
+        ) from error
+
+
+def link_folder() -> Path:
+    """Where keys, certificates and profile of this user's link are."""
+    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(base) / "roboneuron" / "link"
+
+
+def read_machine(folder: Path) -> Machine | None:
+    """Return this machine's part of the link; None when it has none.
+
+    Raises:
+        ConfigurationError: the file cannot be read, or was damaged.
+    """
+    path = folder / _FILE
+    try:
+        return _parse(json.loads(path.read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, ConfigurationError) as error:
+        raise ConfigurationError(
+            f"{path} cannot be read: {error}.",
+            hint="Remove its folder and pair the machine again with `roboneuron link`.",
+        ) from error
+
+
+def _parse(facts: dict[str, object]) -> Machine:
+    peers = facts["peers"]
+    if facts["role"] not in ("hub", "member") or not isinstance(peers, dict):
+        raise ValueError("it is no link")
+    return Machine(
+        name=check_name(str(facts["name"])),
+        role="hub" if facts["role"] == "hub" else "member",
+        port=_port(facts["port"]),
+        peers={
+            check_name(name): Peer(check_address(address), _port(port))
+            for name, (address, port) in peers.items()
+        },
+    )
+
+
+def _port(found: object) -> int:
+    if not isinstance(found, int):
+        raise ValueError("a port is a number")
+    return check_port(found)

@@ -1,0 +1,32 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import CommandSpec, FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="link",
+    summary="Encrypts and authenticates ROS between paired machines.",
+    target="rn_link.feature:LinkFeature",
+    config="rn_link.options:LinkOptions",
+    on_discovery="rn_link.environment:join_link",
+    on_join="rn_link.connections:watch_connections",
+)
+"""Descriptor of the feature."""
+
+COMMAND = CommandSpec(
+    name="link",
+    summary="pair machines, and show or remove what is paired",
+    target="rn_link_pairing.command:LinkCommand",
+)
+"""Descriptor of the command."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)
+
+
+@hookimpl
+def roboneuron_commands() -> tuple[CommandSpec, ...]:
+    """The commands of this package."""
+    return (COMMAND,)

@@ -1,0 +1,1 @@
+"""The command `roboneuron link`: keys, certificates, and the pairing of two machines."""

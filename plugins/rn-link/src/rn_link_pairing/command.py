@@ -1,0 +1,208 @@
+"""The command `roboneuron link`."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import sys
+from argparse import ArgumentParser, Namespace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from rn_link.machine import (
+    PORT,
+    check_address,
+    check_port,
+    link_folder,
+    read_machine,
+)
+from roboneuron import ConfigurationError
+
+_DAYS = 365
+_PAIRING_PORT = 7410
+_RESTART = "Restart the server and its modules here: what runs keeps the link that it began with."
+
+
+class LinkCommand:
+    """Pair machines, and show or remove what is paired.
+
+    The robot's machine is the hub: `init`, then `add` for each other machine, which joins with
+    `init --join`.
+    """
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Arguments of `roboneuron link`."""
+        actions = parser.add_subparsers(
+            dest="action", required=True, metavar="ACTION", help="what to do (each: --help)"
+        )
+        init = actions.add_parser(
+            "init", help="make this machine the hub, renew its certificate, or join a hub"
+        )
+        init.add_argument("--name", help="of this machine; default: its host name")
+        init.add_argument("--join", metavar="ADDRESS[:PORT]", help="hub to join as a member")
+        init.add_argument(
+            "--port", type=int, default=PORT, help="that a member listens on (%(default)s)"
+        )
+        add = actions.add_parser("add", help="admit a member: shows a code for its `init --join`")
+        add.add_argument("name", metavar="NAME", help="that it gets")
+        add.add_argument("--address", help="that it is reached at; default: where it comes from")
+        add.add_argument("--port", type=int, default=_PAIRING_PORT, help="to pair on (%(default)s)")
+        for one in (init, add):
+            one.add_argument(
+                "--days", type=int, default=_DAYS, help="validity of the certificate (%(default)s)"
+            )
+        show = actions.add_parser("show", help="machines, addresses and dates")
+        show.add_argument("--json", action="store_true", help="for programs")
+        remove = actions.add_parser(
+            "remove", help="revoke a member; or leave the link, on a member or with --all"
+        )
+        chosen = remove.add_mutually_exclusive_group(required=True)
+        chosen.add_argument("name", metavar="NAME", nargs="?", help="as `show` names it")
+        chosen.add_argument("--all", action="store_true", help="remove keys and authority too")
+
+    def run(self, arguments: Namespace) -> int:
+        """Run `roboneuron link`."""
+        folder = link_folder()
+        if arguments.action == "init":
+            _init(folder, arguments)
+        elif arguments.action == "add":
+            _add(folder, arguments)
+        elif arguments.action == "show":
+            _show(folder, arguments.json)
+        else:
+            _remove(folder, arguments)
+        return 0
+
+
+def _init(folder: Path, arguments: Namespace) -> None:
+    if arguments.join is not None:
+        _join(folder, arguments)
+        return
+    from rn_link_pairing.keeping import become_hub  # heavy
+
+    name = arguments.name or host_name()
+    machine = become_hub(folder, name, datetime.now(UTC), arguments.days)
+    members = ", ".join(machine.peers)
+    _say(f"This machine is the hub {machine.name}; its certificate is valid {arguments.days} days.")
+    _say(
+        f"Its members ({members}) accept it. {_RESTART}"
+        if members
+        else "Next: `roboneuron link add NAME` for each other machine."
+    )
+
+
+def _join(folder: Path, arguments: Namespace) -> None:
+    from rn_link_pairing.pairing import join  # heavy
+
+    host, _, port = arguments.join.partition(":")
+    address = check_address(host)
+    found = read_machine(folder)
+    if found is not None and found.role == "hub":
+        raise ConfigurationError(
+            f"This machine is itself a hub, {found.name}.",
+            hint="Type `roboneuron link remove --all` first, if its members may lose it.",
+        )
+    port_here = check_port(arguments.port)
+    sys.stderr.write(f"Code that {address} shows: ")
+    sys.stderr.flush()
+    code = check_code(sys.stdin.readline())
+    machine = join(folder, address, _port(port), code, port_here)
+    (hub,) = machine.peers
+    _say(f"This machine is {machine.name}, a member of {hub}, and listens on TCP {port_here}.")
+    _say(_RESTART)
+
+
+def _add(folder: Path, arguments: Namespace) -> None:
+    from rn_link_pairing.pairing import PAIRING_S, Admission, new_code, open_listener  # heavy
+
+    address = None if arguments.address is None else check_address(arguments.address)
+    admission = Admission(
+        folder, arguments.name, address=address, days=arguments.days, notify=_complain
+    )
+    code = new_code()
+    with open_listener(arguments.port) as listener:
+        port = "" if arguments.port == _PAIRING_PORT else f":{arguments.port}"
+        _say(f"Code: {code[:3]} {code[3:]}")
+        _say(
+            f"Type on {arguments.name}, within {PAIRING_S / 60:g} minutes: `roboneuron link init "
+            f"--join ADDRESS{port}`, ADDRESS being the IPv4 address of this machine."
+        )
+        peer = admission.serve(listener, code)
+    _say(f"{arguments.name} is added: {peer.address}, TCP {peer.port}. {_RESTART}")
+
+
+def _show(folder: Path, as_json: bool) -> None:
+    machine = read_machine(folder)
+    if machine is None:
+        if as_json:
+            _say("{}")
+        else:
+            _say("This machine has no link. `roboneuron link init` makes one.")
+        return
+    from rn_link.certificates import expiries  # heavy
+
+    dates = expiries(machine, folder)
+    if as_json:
+        facts = json.loads(machine.to_json())
+        facts["expires"] = {name: date.isoformat() for name, date in dates.items()}
+        _say(json.dumps(facts, indent=2))
+        return
+    now = datetime.now(UTC)
+    rows = [(machine.name, f"{machine.role}, this machine")]
+    rows += [
+        (name, f"{peer.address}, TCP {peer.port}" if machine.role == "hub" else peer.address)
+        for name, peer in machine.peers.items()
+    ]
+    width = max(len(name) for name, _ in rows)
+    for name, text in rows:
+        _say(f"{name:<{width}}  {text}{_validity(dates.get(name), now)}")
+
+
+def _validity(date: datetime | None, now: datetime) -> str:
+    if date is None:
+        return ""
+    return f", {'EXPIRED on' if date <= now else 'valid until'} {date:%Y-%m-%d}"
+
+
+def _remove(folder: Path, arguments: Namespace) -> None:
+    from rn_link_pairing.keeping import remove_all, remove_peer  # heavy
+
+    if arguments.all:
+        remove_all(folder)
+        _say(f"Keys, certificates and profile of this machine are removed. {_RESTART}")
+    else:
+        remove_peer(folder, arguments.name)
+        _say(f"{arguments.name} is removed. {_RESTART}")
+
+
+def host_name() -> str:
+    """This machine's name, in the form that the link takes."""
+    return re.sub(r"[^a-z0-9-]+", "-", socket.gethostname().lower()).strip("-")[:31] or "robot"
+
+
+def check_code(text: str) -> str:
+    """Raises ConfigurationError for what is not six digits, spaces aside."""
+    code = "".join(text.split())
+    if not (len(code) == 6 and code.isascii() and code.isdecimal()):
+        raise ConfigurationError(
+            "The code is not six digits.", hint="`roboneuron link add NAME` on the hub shows it."
+        )
+    return code
+
+
+def _port(text: str) -> int:
+    if not text:
+        return _PAIRING_PORT
+    if not (text.isascii() and text.isdecimal() and 0 < int(text) < 65536):
+        raise ConfigurationError(f"{text[:20]!r} is no port.", hint="Write ADDRESS:PORT.")
+    return int(text)
+
+
+def _complain(sentence: str) -> None:
+    sys.stderr.write(f"{sentence}\n")
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()

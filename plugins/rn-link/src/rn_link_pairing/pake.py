@@ -1,0 +1,99 @@
+"""CPace: a strong key from a six-digit code, of which each attempt can try one.
+
+Source: draft-irtf-cfrg-cpace, group X25519 with SHA-512; the map is Elligator 2 (RFC 9380, 6.7.1).
+"""
+
+from __future__ import annotations
+
+import hashlib
+
+from cryptography.exceptions import InvalidTag
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
+from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
+from cryptography.hazmat.primitives.kdf.hkdf import HKDF
+
+PARTIES = b"\x06member\x03hub"
+_DOMAIN = b"CPace255"
+_PRIME = 2**255 - 19
+_A = 486662
+_BLOCK = 128
+_NONCE = bytes(12)
+"""Each key seals one message."""
+
+
+class PairingError(ValueError):
+    """The other side does not know the code, or does not speak this protocol."""
+
+
+def generator(code: bytes, parties: bytes, session: bytes) -> bytes:
+    """The point of the curve that stands for the code, as its u coordinate."""
+    padding = max(0, _BLOCK - 1 - len(_framed(code)) - len(_framed(_DOMAIN)))
+    parts = (_DOMAIN, code, bytes(padding), parties, session)
+    digest = hashlib.sha512(b"".join(map(_framed, parts))).digest()[:32]
+    element = (int.from_bytes(digest, "little") & (2**255 - 1)) % _PRIME
+    candidate = -_A * pow(1 + 2 * element * element, -1, _PRIME) % _PRIME
+    on_curve = candidate * (candidate * candidate + _A * candidate + 1)
+    is_square = pow(on_curve, (_PRIME - 1) // 2, _PRIME) in (0, 1)
+    u = candidate if is_square else (-candidate - _A) % _PRIME
+    return u.to_bytes(32, "little")
+
+
+def _framed(part: bytes) -> bytes:
+    """With its length before it; a length beyond 127 takes more bytes in the draft."""
+    if len(part) > 127:
+        raise PairingError("a part of the pairing is too long")
+    return bytes([len(part)]) + part
+
+
+class Exchange:
+    """One side of one attempt.
+
+    Args:
+        code: that the person typed or the hub shows.
+        session: random, the member's.
+    """
+
+    def __init__(self, code: str, session: bytes) -> None:
+        self._session = session
+        self._secret = X25519PrivateKey.generate()
+        self._generator = generator(code.encode(), PARTIES, session)
+        self.share = self._times(self._generator)
+
+    def _times(self, point: bytes) -> bytes:
+        try:
+            return self._secret.exchange(X25519PublicKey.from_public_bytes(point))
+        except ValueError as error:  # a point of small order, which would fix the key
+            raise PairingError("the other side sent no valid share") from error
+
+    def keys(self, other: bytes, *, is_hub: bool) -> tuple[Sealer, Sealer]:
+        """Return what seals the member's message and the hub's.
+
+        Raises:
+            PairingError: the share of the other side is none.
+        """
+        secret = self._times(other)
+        member, hub = (other, self.share) if is_hub else (self.share, other)
+        parts = (_DOMAIN + b"_ISK", self._session, secret)
+        shares = (member, b"", hub, b"")
+        material = hashlib.sha512(b"".join(map(_framed, parts + shares))).digest()
+        return Sealer(material, b"member to hub"), Sealer(material, b"hub to member")
+
+
+class Sealer:
+    """Seals and opens the one message of a direction."""
+
+    def __init__(self, material: bytes, direction: bytes) -> None:
+        key = HKDF(hashes.SHA256(), 32, None, b"roboneuron link 1, " + direction).derive(material)
+        self._cipher = ChaCha20Poly1305(key)
+
+    def seal(self, content: bytes) -> bytes:
+        """Encrypt and authenticate."""
+        return self._cipher.encrypt(_NONCE, content, None)
+
+    def open(self, sealed: bytes) -> bytes:
+        """Decrypt. Raises PairingError: the other side does not know the code."""
+        try:
+            return self._cipher.decrypt(_NONCE, sealed, None)
+        except InvalidTag as error:
+            raise PairingError("the code is not that of the other machine") from error

@@ -1,0 +1,75 @@
+"""Messages of a pairing over TCP: JSON objects with their length before them."""
+
+from __future__ import annotations
+
+import json
+import socket
+import struct
+import time
+
+from rn_link_pairing.pake import PairingError
+
+MOST_BYTES = 16_384
+_LENGTH = struct.Struct(">I")
+
+
+class Wire:
+    """One connection; every message must be complete before `deadline_s` (monotonic)."""
+
+    def __init__(self, connection: socket.socket, deadline_s: float) -> None:
+        self._connection = connection
+        self._deadline_s = deadline_s
+
+    def send(self, **fields: object) -> None:
+        """Send one message; raises OSError."""
+        content = json.dumps(fields).encode()
+        self._connection.settimeout(self._left_s())
+        self._connection.sendall(_LENGTH.pack(len(content)) + content)
+
+    def receive(self, *names: str) -> list[str]:
+        """Return these fields of the next message, all of which are texts.
+
+        Raises:
+            PairingError: it is no such message.
+            OSError: it did not come in time.
+        """
+        (length,) = _LENGTH.unpack(self._read(_LENGTH.size))
+        if length > MOST_BYTES:
+            raise PairingError("the other side does not speak this protocol")
+        return parse(self._read(length), *names)
+
+    def _read(self, size: int) -> bytes:
+        content = b""
+        while len(content) < size:
+            self._connection.settimeout(self._left_s())
+            part = self._connection.recv(size - len(content))
+            if not part:
+                raise PairingError("the other side has closed the connection")
+            content += part
+        return content
+
+    def _left_s(self) -> float:
+        left_s = self._deadline_s - time.monotonic()
+        if left_s <= 0:
+            raise TimeoutError("the other side did not answer in time")
+        return left_s
+
+
+def parse(content: bytes, *names: str) -> list[str]:
+    """Return fields of a JSON object, all of which are texts; raises PairingError."""
+    try:
+        fields = json.loads(content)
+        found = [fields[name] for name in names]
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise PairingError("the other side does not speak this protocol") from error
+    if not all(isinstance(one, str) for one in found):
+        raise PairingError("the other side does not speak this protocol")
+    return found
+
+
+def to_bytes(text: str) -> bytes:
+    """Bytes from hexadecimal digits; raises PairingError."""
+    try:
+        return bytes.fromhex(text)
+    except ValueError as error:
+        raise PairingError("the other side does not speak this protocol") from error

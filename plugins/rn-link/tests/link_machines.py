@@ -1,0 +1,187 @@
+"""Machines for tests: network namespaces on one switch, each with shared memory and files of its
+own; needs root.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from rn_testing.waiting import wait_until
+
+TALKER = Path(__file__).with_name("link_talker.py")
+NETWORK = "10.213.91"
+
+
+def impossible() -> str:
+    """Why there can be no machines here; empty when there can."""
+    if os.geteuid() != 0:
+        return "needs the rights to make network namespaces"
+    made = subprocess.run(
+        ["unshare", "-n", "-m", "ip", "link", "add", "switch", "type", "bridge"],
+        capture_output=True,
+        check=False,
+    )
+    return "" if made.returncode == 0 else "this machine makes no network namespaces"
+
+
+class Talker:
+    """A process that says its name on `/talk`, and counts the names that it hears."""
+
+    def __init__(self, name: str, process: subprocess.Popen[bytes], folder: Path) -> None:
+        self.name = name
+        self.process = process
+        self._report = folder / f"{name}.json"
+        self.log = folder / f"{name}.log"
+
+    def report(self) -> dict[str, Any]:
+        """What it wrote last; empty before that."""
+        try:
+            found: dict[str, Any] = json.loads(self._report.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return {}
+        return found
+
+    def heard(self, name: str) -> int:
+        """How many messages of `name` it has heard."""
+        return int(self.report().get("heard", {}).get(name, 0))
+
+    def longest_gap_s(self, name: str) -> float:
+        """Longest time between two messages of `name` [s]."""
+        return float(self.report().get("gaps_s", {}).get(name, 0.0))
+
+    def wait_for(self, name: str, more: int = 5, timeout_s: float = 20.0) -> float:
+        """Wait for further messages of `name`; returns how long that took [s]."""
+        goal = self.heard(name) + more
+        return wait_until(
+            lambda: self.heard(name) >= goal,
+            timeout_s,
+            f"{self.name} hears {name}: {self.log.read_text(encoding='utf-8')[-2000:]}",
+        )
+
+    def end(self) -> None:
+        """Kill it and reap it."""
+        self.process.kill()
+        self.process.wait(10.0)
+
+
+class Machine:
+    """A network namespace with its own loopback, /dev/shm and state directory.
+
+    Args:
+        folder: for its files.
+        number: last byte of its address.
+    """
+
+    def __init__(self, folder: Path, name: str, number: int) -> None:
+        self.name = name
+        self.address = f"{NETWORK}.{number}"
+        self.state = folder / name
+        self.state.mkdir(parents=True)
+        self._holder = subprocess.Popen(
+            ["unshare", "-n", "-m", "sh", "-c", "mount -t tmpfs tmpfs /dev/shm; exec sleep 900"]
+        )
+        self._talkers: list[Talker] = []
+        wait_until(self._is_apart, 5.0, "a namespace of its own")
+
+    def _is_apart(self) -> bool:
+        mounts = Path(f"/proc/{self._holder.pid}/comm").read_text(encoding="ascii")
+        return mounts.strip() == "sleep"
+
+    @property
+    def pid(self) -> int:
+        """The process that holds its namespaces."""
+        return self._holder.pid
+
+    @property
+    def link(self) -> Path:
+        """Where its link is kept."""
+        return self.state / "roboneuron" / "link"
+
+    def inside(self, *command: str) -> list[str]:
+        """The command line that runs a command there."""
+        return ["nsenter", "-t", str(self.pid), "-n", "-m", *command]
+
+    def run(self, *command: str) -> None:
+        """Run a command there."""
+        subprocess.run(self.inside(*command), check=True, capture_output=True)
+
+    def talk(self, name: str, *arguments: str, link: bool = True, **variables: str) -> Talker:
+        """Start a talker there.
+
+        Args:
+            link: whether it uses the machine's link; else `variables` alone.
+        """
+        environment = {
+            **{k: v for k, v in os.environ.items() if not k.startswith(("ROS_AUTO", "FAST"))},
+            "XDG_STATE_HOME": str(self.state if link else self.state / "none"),
+            **variables,
+        }
+        with (self.state / f"{name}.log").open("wb") as log:
+            process = subprocess.Popen(
+                self.inside(sys.executable, str(TALKER), name, str(self.state), *arguments),
+                env=environment,
+                stdout=log,
+                stderr=log,
+            )
+        talker = Talker(name, process, self.state)
+        self._talkers.append(talker)
+        return talker
+
+    def cut(self) -> None:
+        """Pull its cable."""
+        self.run("ip", "link", "set", "cable", "down")
+
+    def plug(self) -> None:
+        """Put the cable back."""
+        self.run("ip", "link", "set", "cable", "up")
+
+    def close(self) -> None:
+        """End what runs there, and the namespaces with it."""
+        for talker in self._talkers:
+            talker.end()
+        self._holder.kill()
+        self._holder.wait(10.0)
+
+    def __enter__(self) -> Machine:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+@contextmanager
+def machines(folder: Path, *names: str) -> Iterator[Mapping[str, Machine]]:
+    """Machines on one switch, until the context ends."""
+    with ExitStack() as stack:
+        switch = stack.enter_context(Machine(folder, "switch", 254))
+        switch.run("ip", "link", "add", "switch", "type", "bridge")
+        switch.run("ip", "link", "set", "switch", "up")
+        made = {}
+        for number, name in enumerate(names, 1):
+            made[name] = stack.enter_context(Machine(folder, name, number))
+            _connect(made[name], switch, f"port{number}")
+        yield made
+
+
+def _connect(machine: Machine, switch: Machine, port: str) -> None:
+    veth = ["type", "veth", "peer", "name", port, "netns", str(switch.pid)]
+    machine.run("ip", "link", "add", "cable", *veth)
+    machine.run("ip", "addr", "add", f"{machine.address}/24", "dev", "cable")
+    for device in ("lo", "cable"):
+        machine.run("ip", "link", "set", device, "up")
+    machine.run("ip", "route", "add", "224.0.0.0/4", "dev", "cable")
+    switch.run("ip", "link", "set", port, "master", "switch")
+    switch.run("ip", "link", "set", port, "up")

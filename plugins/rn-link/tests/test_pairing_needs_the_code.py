@@ -1,0 +1,193 @@
+"""A machine is admitted by the six digits that the hub shows, and by nothing else."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from rn_link.machine import Peer, read_machine
+from rn_link_pairing.keeping import become_hub
+from rn_link_pairing.pairing import ATTEMPTS, Admission, join, new_code, open_listener
+from rn_link_pairing.pake import PARTIES, Exchange, PairingError, generator
+from roboneuron import ConfigurationError
+
+CODE, OTHER = "123456", "123457"
+PORT = 7500
+
+
+@pytest.fixture
+def hub(tmp_path: Path) -> Path:
+    folder = tmp_path / "hub"
+    become_hub(folder, "robot", datetime.now(UTC), 365)
+    return folder
+
+
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as made:
+        yield made
+
+
+def in_background(function: Callable[[], Peer]) -> Future[Peer]:
+    """What the function returns or raises, on a thread of its own."""
+    future: Future[Peer] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(function())
+        except ConfigurationError as error:
+            future.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return future
+
+
+def admitting(
+    hub: Path, listener: socket.socket, complaints: list[str], limit_s: float = 30.0
+) -> Future[Peer]:
+    admission = Admission(hub, "gpu", address=None, days=90, notify=complaints.append)
+    return in_background(lambda: admission.serve(listener, CODE, limit_s))
+
+
+def test_the_generator_is_that_of_the_draft() -> None:
+    session = bytes.fromhex("7e4b4791d6a8ef019b936c79fb7f2c57")
+    found = generator(b"Password", b"\nAinitiator\nBresponder", session)
+    assert found.hex() == "4e6098733061c0e8486611a904fe5edb049804d26130a44131a6229e55c5c321"
+
+
+def test_equal_codes_make_equal_keys_and_others_do_not() -> None:
+    session = bytes(16)
+    member, hub, stranger = (
+        Exchange(CODE, session),
+        Exchange(CODE, session),
+        Exchange(OTHER, session),
+    )
+    sealed = member.keys(hub.share, is_hub=False)[0].seal(b"hello")
+    assert hub.keys(member.share, is_hub=True)[0].open(sealed) == b"hello"
+    with pytest.raises(PairingError, match="code is not that"):
+        stranger.keys(member.share, is_hub=True)[0].open(sealed)
+    with pytest.raises(PairingError, match="code is not that"):
+        hub.keys(member.share, is_hub=True)[1].open(sealed)
+
+
+@pytest.mark.parametrize("point", [bytes(32), (1).to_bytes(32, "little")])
+def test_a_share_that_would_fix_the_key_is_refused(point: bytes) -> None:
+    with pytest.raises(PairingError, match="no valid share"):
+        Exchange(CODE, bytes(16)).keys(point, is_hub=True)
+
+
+def test_parties_are_part_of_the_key() -> None:
+    assert generator(b"1", PARTIES, b"") != generator(b"1", b"", b"")
+
+
+def test_a_machine_with_the_code_is_admitted(
+    hub: Path, listener: socket.socket, tmp_path: Path
+) -> None:
+    port = listener.getsockname()[1]
+    admitted = admitting(hub, listener, [])
+    member = tmp_path / "member"
+    machine = join(member, "127.0.0.1", port, CODE, PORT)
+    assert admitted.result(10.0) == Peer("127.0.0.1", PORT)
+    assert machine == read_machine(member)
+    assert (machine.name, machine.role, list(machine.peers)) == ("gpu", "member", ["robot"])
+    found = read_machine(hub)
+    assert found is not None
+    assert found.peers == {"gpu": Peer("127.0.0.1", PORT)}
+    assert (member / "trusted.pem").read_bytes() == (hub / "ca.pem").read_bytes()
+    assert not (member / "ca.key").exists(), "no authority leaves the hub"
+
+
+def test_a_wrong_code_changes_nothing_and_the_right_one_still_works(
+    hub: Path, listener: socket.socket, tmp_path: Path
+) -> None:
+    port = listener.getsockname()[1]
+    complaints: list[str] = []
+    admitted = admitting(hub, listener, complaints)
+    with pytest.raises(ConfigurationError, match="not admitted"):
+        join(tmp_path / "member", "127.0.0.1", port, OTHER, PORT)
+    assert read_machine(tmp_path / "member") is None
+    join(tmp_path / "member", "127.0.0.1", port, CODE, PORT)
+    assert admitted.result(10.0).address == "127.0.0.1"
+    assert complaints == ["127.0.0.1: the code is not that of the other machine."]
+
+
+def test_a_code_is_void_after_three_attempts(
+    hub: Path, listener: socket.socket, tmp_path: Path
+) -> None:
+    port = listener.getsockname()[1]
+    admitted = admitting(hub, listener, [])
+    for _ in range(ATTEMPTS):
+        with pytest.raises(ConfigurationError, match="not admitted"):
+            join(tmp_path / "member", "127.0.0.1", port, OTHER, PORT)
+    with pytest.raises(ConfigurationError, match="3 attempts had a wrong code"):
+        admitted.result(10.0)
+    found = read_machine(hub)
+    assert found is not None
+    assert not found.peers
+
+
+def test_a_peer_that_leaves_after_the_share_has_used_an_attempt(
+    hub: Path, listener: socket.socket
+) -> None:
+    admitted = admitting(hub, listener, [])
+    message = b'{"session": "' + b"00" * 16 + b'", "share": "' + b"09" + b"00" * 31 + b'"}'
+    for _ in range(ATTEMPTS):
+        with socket.create_connection(listener.getsockname()) as connection:
+            connection.sendall(len(message).to_bytes(4, "big") + message)
+            connection.recv(1)
+    with pytest.raises(ConfigurationError, match="3 attempts"):
+        admitted.result(10.0)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"GET / HTTP/1.1\r\n\r\n",
+        b"\x00\x00\x00\x02[]",
+        b"\xff\xff\xff\xff",
+        b"\x00\x00\x00\x02{}",
+    ],
+)
+def test_other_traffic_uses_no_attempt(
+    hub: Path, listener: socket.socket, tmp_path: Path, content: bytes
+) -> None:
+    complaints: list[str] = []
+    admitted = admitting(hub, listener, complaints)
+    for _ in range(2 * ATTEMPTS):
+        with socket.create_connection(listener.getsockname()) as connection:
+            connection.sendall(content)
+    join(tmp_path / "member", "127.0.0.1", listener.getsockname()[1], CODE, PORT)
+    assert admitted.result(10.0).port == PORT
+    assert len(complaints) == 2 * ATTEMPTS
+
+
+def test_nobody_in_time_is_told_with_what_to_type(hub: Path, listener: socket.socket) -> None:
+    with pytest.raises(ConfigurationError, match=r"within 0\.01 s") as caught:
+        admitting(hub, listener, [], 0.01).result(10.0)
+    assert "roboneuron link add gpu" in str(caught.value)
+
+
+def test_a_hub_that_is_not_there_is_named(tmp_path: Path, listener: socket.socket) -> None:
+    port = listener.getsockname()[1]
+    listener.close()
+    with pytest.raises(ConfigurationError, match=rf"No hub answers at 127\.0\.0\.1, port {port}"):
+        join(tmp_path / "member", "127.0.0.1", port, CODE, PORT)
+
+
+def test_a_taken_port_is_told(listener: socket.socket) -> None:
+    taken = socket.create_server(("0.0.0.0", 0))
+    with taken, pytest.raises(ConfigurationError, match="cannot listen on port"):
+        open_listener(taken.getsockname()[1])
+
+
+def test_codes_are_six_digits_and_differ() -> None:
+    codes = {new_code() for _ in range(100)}
+    assert all(len(code) == 6 and code.isdecimal() for code in codes)
+    assert len(codes) > 90
