@@ -11,6 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from own_robots import children
 
 from rn_robot_lerobot.bus.arm import SERIAL_LEKIWI, SerialArm
 from rn_robot_lerobot.bus.chain import WRITE, Packet
@@ -24,21 +25,6 @@ from roboneuron import NotReadyError
 WHEELS = range(7, 10)
 MODE, TORQUE, SPEED = 33, 40, 46
 HUNG_S = 2.0
-
-
-def children(pid: int) -> list[int]:
-    """Processes that a process has started."""
-    found = []
-    for entry in os.listdir("/proc"):
-        if entry.isdecimal():
-            try:
-                with open(f"/proc/{entry}/stat", encoding="ascii") as file:
-                    parent = int(file.read().rpartition(")")[2].split()[1])
-            except (FileNotFoundError, ProcessLookupError):  # it has just ended
-                continue
-            if parent == pid:
-                found.append(int(entry))
-    return found
 
 
 @pytest.fixture
