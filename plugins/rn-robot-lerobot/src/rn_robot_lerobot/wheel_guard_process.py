@@ -41,7 +41,7 @@ def main(packets: Sequence[bytes]) -> None:
             with suppress(OSError):
                 os.write(1, packet)
             time.sleep(_PAUSE_S)
-    sys.exit(f"The driver is {reason}: its wheels were stopped.")
+    sys.exit(f"The driver is {reason}: its wheels were told to stop.")
 
 
 if __name__ == "__main__":

@@ -106,6 +106,7 @@ class FeetechChain(MotorChain):
             self.stay(i)
         if address == registers.goal:
             self.take_goal(i, is_bounded=True)
-        if address == _GOAL_VELOCITY and not (self.is_wheel(i) and self.has_torque(i)):
+        rolls = self.is_wheel(i) and self.has_torque(i)
+        if address == _GOAL_VELOCITY and self.goal_steps_s(i) and not rolls:
             self.broken_rules.append(f"{self.joints[i]}: speed for a motor that does not roll")
         return 0
