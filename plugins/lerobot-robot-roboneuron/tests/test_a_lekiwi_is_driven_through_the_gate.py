@@ -85,11 +85,12 @@ def test_velocities_pass_the_gate_and_stops_hold_base_and_arm(cell: SerialCell) 
     assert cell.arm.motors.broken_rules == []
 
     drive_in_background(cell)
+    begun_s = time.monotonic()
     os.kill(int(str(cell.robot()["pid"])), signal.SIGKILL)
-    killed = pose(cell)
-    wait_until(lambda: pose(cell).x_m > killed.x_m + 0.1, 10.0, "what nobody can stop")
+    after_s = rest_after_s(cell, begun_s)
+    print(f"wheels at rest {after_s:.2f} s after the death of their driver")
+    assert after_s < STOPPED_S
     cell.server.call("start_robot")
-    wait_until(lambda: not is_rolling(cell), 10.0, "the new driver to stop the wheels")
 
     drive_in_background(cell)
     begun_s = time.monotonic()

@@ -28,6 +28,20 @@ NEEDED = pytest.mark.skipif(
 )
 
 
+def children(pid: int) -> list[int]:
+    """Processes that a process has started."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            try:
+                stat = (entry / "stat").read_text(encoding="utf-8")
+            except (FileNotFoundError, ProcessLookupError):  # it has just ended
+                continue
+            if int(stat.rpartition(")")[2].split()[1]) == pid:
+                found.append(int(entry.name))
+    return found
+
+
 class DriverError(Exception):
     """An error that the driver has raised."""
 
@@ -38,6 +52,7 @@ class Process:
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
         self._lock = threading.Lock()
+        self.pid = process.pid
 
     def __call__(self, name: str, *arguments: object) -> Any:
         assert self._process.stdin is not None
@@ -86,8 +101,8 @@ class Cell:
         self.arm = stack.enter_context(SerialArm(kind))
         self.write_calibration(kind.assembled.calibration())
         # an answer may take longer than that of a real motor, see BUSY_MS
-        options = {"port": self.arm.port, "calibration_dir": str(folder), "silence_s": 1.0}
-        driver("new", self.name, options)
+        self.options = {"port": self.arm.port, "calibration_dir": str(folder), "silence_s": 1.0}
+        driver("new", self.name, self.options)
 
     def write_calibration(self, calibration: dict[str, MotorCalibration]) -> None:
         text = json.dumps({name: asdict(motor) for name, motor in calibration.items()})

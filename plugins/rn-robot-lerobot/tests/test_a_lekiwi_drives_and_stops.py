@@ -5,6 +5,8 @@ that speak the protocol of the real ones.
 from __future__ import annotations
 
 import json
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from own_robots import NEEDED, Cell, DriverError, Process, process_with
+from own_robots import NEEDED, Cell, DriverError, Process, children, process_with
 
 from rn_robot_lerobot.bus.arm import SERIAL_LEKIWI, RollingArm
 from rn_robot_lerobot.bus.chain import WRITE, BusFaults, Packet
@@ -33,6 +35,8 @@ MODE, TORQUE, SPEED = 33, 40, 46
 TIMEOUT_S = 0.5
 REST_S = 1.0
 """From the last command to wheels at rest: the dead man's time, and braking from 0.2 m/s."""
+GONE_S, FROZEN_S = 0.5, 1.0
+"""From the death of a driver, or its freeze, to wheels at rest."""
 own_lerobot = [pytest.mark.slow, pytest.mark.timeout(180), NEEDED]
 
 
@@ -110,6 +114,15 @@ def driving(cell: Cell, *velocity: float) -> Iterator[None]:
     finally:
         ended.set()
         thread.join()
+
+
+def is_running(pid: int) -> bool:
+    """Also after the death of its parent; a process that only waits to be reaped is none."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    return stat.rpartition(")")[2].split()[0] != "Z"
 
 
 def later(since_s: float, seconds: float) -> Callable[[], bool]:
@@ -220,3 +233,58 @@ class TestWithLerobotsOwnClass:
         wait_until(lambda: not is_rolling(cell), 2.0)
         assert set(motors.speeds().values()) == {0.0}
         assert len(motors.speeds()) == len(WHEELS)
+
+    def test_a_lost_guard_is_a_fault_that_stops_the_base(self, cell: Cell) -> None:
+        cell.driver("open")
+        with driving(cell, 0.2, 0.0, 0.0):
+            wait_until(lambda: pose(cell).x_m > 0.05, 20.0)
+            (guard,) = children(cell.driver.pid)
+            os.kill(guard, signal.SIGKILL)
+            wait_until(lambda: not is_rolling(cell), 5.0)
+            refused = "The base is held by a fault: the guard of the wheels has ended; start"
+            wait_until(lambda: refused in cell.driver("read")["refused"], 5.0)
+        with pytest.raises(DriverError, match="the guard of the wheels has ended"):
+            cell.driver("send", {"shoulder_pan": 0.1}, 0.5)
+        cell.driver("close")
+        cell.driver("open")
+        with driving(cell, 0.2, 0.0, 0.0):
+            wait_until(lambda: is_rolling(cell), 20.0)
+
+    def test_the_end_leaves_no_process_behind(self, cell: Cell) -> None:
+        cell.driver("open")
+        assert len(children(cell.driver.pid)) == 1
+        cell.driver("close")
+        assert children(cell.driver.pid) == []
+        cell.arm.motors.faults = BusFaults(silent=True)
+        with pytest.raises(DriverError):
+            cell.driver("open")
+        assert children(cell.driver.pid) == []
+
+    @pytest.mark.parametrize(
+        ("number", "bound_s"), [(signal.SIGKILL, GONE_S), (signal.SIGSTOP, FROZEN_S)]
+    )
+    def test_the_wheels_of_a_lost_driver_stop(
+        self, tmp_path: Path, number: signal.Signals, bound_s: float
+    ) -> None:
+        with process_with(tmp_path / "lost.log") as process, ExitStack() as stack:
+            cell = Cell(SERIAL_LEKIWI, tmp_path, process, stack)
+            # with commands that keep for long, nothing but the guard stops it soon
+            process("new", "lekiwi", cell.options | {"base_timeout_s": 5.0})
+            process("open")
+            (guard,) = children(process.pid)
+            process("drive", 0.2, 0.0, 0.0)
+            wait_until(lambda: pose(cell).x_m > 0.05, 20.0)
+            begun_s = time.monotonic()
+            os.kill(process.pid, number)
+            wait_until(lambda: not is_rolling(cell), 10.0)
+            after_s = time.monotonic() - begun_s
+            print(f"wheels at rest {after_s:.2f} s after {number.name}")
+            assert after_s < bound_s
+            wait_until(lambda: not is_running(guard), 5.0)
+            if number == signal.SIGSTOP:
+                stood = pose(cell)
+                os.kill(process.pid, signal.SIGCONT)
+                wait_until(lambda: "has ended" in process.fault(), 5.0)
+                process("drive", 0.2, 0.0, 0.0)
+                assert "the guard of the wheels has ended" in process("read")["refused"]
+                assert pose(cell) == stood

@@ -13,10 +13,12 @@ import numpy as np
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 
+from rn_robot_lerobot.bus.motors import wheel_stop
 from rn_robot_lerobot.lerobot_arm import LerobotRobot
 from rn_robot_lerobot.lerobot_driver import LerobotDriver
 from rn_robot_lerobot.lerobot_options import LekiwiOptions
-from rn_robot_lerobot.omni_base import BaseSetpoint
+from rn_robot_lerobot.omni_base import WHEELS, BaseSetpoint
+from rn_robot_lerobot.wheel_guard import WheelGuard
 from rn_simulation.planar_motion import BaseVelocity, PlanarPose, integrate, to_message
 from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
 from roboneuron import InvalidInputError, RefusedError, RobotProfile, RobotState, Topics
@@ -27,7 +29,18 @@ _LONGEST_STEP_S = 0.1
 """Of dead reckoning: nothing is known of a longer silence."""
 
 
+class _Motor(Protocol):
+    id: int
+
+
+class _Bus(Protocol):
+    port: str
+    motors: Mapping[str, _Motor]
+
+
 class _LekiwiRobot(LerobotRobot, Protocol):
+    bus: _Bus
+
     def stop_base(self) -> None:
         """Stop the wheels."""
 
@@ -36,9 +49,9 @@ class LekiwiDriver(LerobotDriver):
     """Velocities come on `cmd_vel`, odometry goes out on `odom`.
 
     The wheels' motors keep their last speed until they hear another one: this driver stops them
-    when commands cease, at a hold, at a fault, and at its start and end. While the motors hear
-    nothing, or when the process is killed, nobody does. A twist that the base cannot carry out is
-    refused as a whole, and the base brakes.
+    when commands cease, at a hold, at a fault, and at its start and end, and its guard when this
+    process is killed or frozen. While the motors hear nothing, nobody does. A twist that the base
+    cannot carry out is refused as a whole, and the base brakes.
     """
 
     def __init__(self, config: LekiwiOptions | None, profile: RobotProfile, topics: Topics) -> None:
@@ -48,6 +61,7 @@ class LekiwiDriver(LerobotDriver):
         self._endpoint = next(one for one in profile.endpoints if one.topic == CMD_VEL)
         self._publish: Callable[[Odometry], None] | None = None
         self._is_rolling = False
+        self._guard: WheelGuard | None = None
         # these are guarded by the lock, too
         self._base = BaseSetpoint(options.base_timeout_s)
         self._pose, self._observed_s = PlanarPose(), 0.0
@@ -100,8 +114,22 @@ class LekiwiDriver(LerobotDriver):
                 self._begin()
 
     def _connected(self, robot: LerobotRobot) -> None:
-        # the wheels may still turn for a driver that was killed
-        cast("_LekiwiRobot", robot).stop_base()
+        lekiwi = cast("_LekiwiRobot", robot)
+        # the wheels may still turn for a driver that was killed together with its guard
+        lekiwi.stop_base()
+        wheels = [lekiwi.bus.motors[name].id for name in WHEELS]
+        self._guard = WheelGuard(lekiwi.bus.port, wheel_stop(wheels))
+        self._guard.start()
+
+    def _disconnect(self, robot: LerobotRobot) -> None:
+        guard, self._guard = self._guard, None
+        wheels_stand, is_connected = False, robot.is_connected
+        try:
+            super()._disconnect(robot)
+            wheels_stand = is_connected
+        finally:
+            if guard is not None:
+                guard.close(wheels_stand=wheels_stand)
 
     def _halt(self) -> None:
         super()._halt()
@@ -109,6 +137,7 @@ class LekiwiDriver(LerobotDriver):
 
     def _note_silence(self, robot: LerobotRobot, error: Exception) -> None:
         super()._note_silence(robot, error)
+        self._tell_guard()
         with self._lock:
             is_fault = bool(self._told_fault())
         if is_fault and self._is_rolling:
@@ -121,6 +150,9 @@ class LekiwiDriver(LerobotDriver):
         if absent:
             raise InvalidInputError(f"The robot does not tell {', '.join(absent)}.")
         forwards, leftwards, turning = (float(observed[key]) for key in _KEYS)
+        if self._guard is not None and (fault := self._guard.fault()):
+            with self._lock:
+                self._note_fault(fault)
         velocity = BaseVelocity(
             linear_x=forwards, linear_y=leftwards, angular_z=math.radians(turning)
         )
@@ -141,11 +173,20 @@ class LekiwiDriver(LerobotDriver):
             else:
                 self._base.drop()
             forwards, leftwards, turning = self._base.velocity.tolist()
+        sent: Mapping[str, float] = {}
+        is_rolling = any((forwards, leftwards, turning))
         if goals:
-            self._is_rolling = any((forwards, leftwards, turning))
+            # the guard knows before the wheels roll, and until they have heard that they stand
+            self._is_rolling = self._is_rolling or is_rolling
+            self._tell_guard()
             values = (forwards, leftwards, math.degrees(turning))
-            return robot.send_action({**goals, **dict(zip(_KEYS, values, strict=True))})
-        if self._is_rolling:
+            sent = robot.send_action({**goals, **dict(zip(_KEYS, values, strict=True))})
+        elif self._is_rolling:
             cast("_LekiwiRobot", robot).stop_base()
-            self._is_rolling = False
-        return {}
+        self._is_rolling = is_rolling
+        self._tell_guard()
+        return sent
+
+    def _tell_guard(self) -> None:
+        if self._guard is not None:
+            self._guard.note(is_rolling=self._is_rolling)

@@ -101,10 +101,10 @@ class LerobotDriver:
             self._connected(robot)
             position = motors.measured(robot.get_observation())
         except RoboNeuronError:
-            robot.disconnect()
+            self._disconnect(robot)
             raise
         except (OSError, RuntimeError) as error:
-            robot.disconnect()
+            self._disconnect(robot)
             words = " ".join(str(error).split())
             raise NotReadyError(f"The first reading of the arm failed: {words}") from error
         self._robot, self._motors = robot, motors
@@ -181,9 +181,9 @@ class LerobotDriver:
         robot, self._robot = self._robot, None
         if thread is not None:
             thread.join(_JOIN_S)
-        if robot is not None and robot.is_connected:
+        if robot is not None:
             try:
-                robot.disconnect()
+                self._disconnect(robot)
             except (OSError, RuntimeError) as error:
                 raise UnsafeError(f"The bus did not answer to the end: {error}.") from error
             finally:
@@ -196,6 +196,11 @@ class LerobotDriver:
 
     def _connected(self, robot: LerobotRobot) -> None:
         """The bus is open; called before anything else is asked of the robot."""
+
+    def _disconnect(self, robot: LerobotRobot) -> None:
+        """The last that is asked of the robot."""
+        if robot.is_connected:
+            robot.disconnect()
 
     def _observe(self, observed: Mapping[str, float]) -> None:
         """Take what the robot tells beside its joints.

@@ -6,7 +6,7 @@ numbers by a sign bit. Source: Feetech, memory table of the STS3215.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from rn_robot_lerobot.bus import packets
 from rn_robot_lerobot.bus.chain import MotorChain, Registers
@@ -42,6 +42,16 @@ def decode(value: int, sign_bit: int) -> int:
     """The number of a sign and a magnitude."""
     magnitude = value & ((1 << sign_bit) - 1)
     return -magnitude if value >> sign_bit & 1 else magnitude
+
+
+def wheel_stop(motors: Sequence[int]) -> tuple[bytes, bytes]:
+    """Packets that stop motors in velocity mode: speed 0, then no torque, without which another
+    speed moves nothing.
+    """
+    return (
+        packets.sync_write(motors, _GOAL_VELOCITY, bytes(_REGISTERS.width)),
+        packets.sync_write(motors, _REGISTERS.torque, bytes(1)),
+    )
 
 
 class FeetechChain(MotorChain):
@@ -96,6 +106,7 @@ class FeetechChain(MotorChain):
             self.stay(i)
         if address == registers.goal:
             self.take_goal(i, is_bounded=True)
-        if address == _GOAL_VELOCITY and not (self.is_wheel(i) and self.has_torque(i)):
+        rolls = self.is_wheel(i) and self.has_torque(i)
+        if address == _GOAL_VELOCITY and self.goal_steps_s(i) and not rolls:
             self.broken_rules.append(f"{self.joints[i]}: speed for a motor that does not roll")
         return 0

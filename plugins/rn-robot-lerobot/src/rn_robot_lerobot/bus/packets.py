@@ -6,8 +6,10 @@ error of an answer), parameters, checksum (the complement of the sum from the nu
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rn_robot_lerobot.bus import chain
-from rn_robot_lerobot.bus.chain import Packet
+from rn_robot_lerobot.bus.chain import BROADCAST, SYNC_WRITE, Packet
 
 _HEADER = b"\xff\xff"
 _LONGEST = 250
@@ -21,6 +23,14 @@ def checksum(body: bytes) -> int:
 def status(motor: int, error: int, data: bytes = b"") -> bytes:
     """The answer of a motor."""
     body = bytes((motor, len(data) + 2, error)) + data
+    return _HEADER + body + bytes((checksum(body),))
+
+
+def sync_write(motors: Sequence[int], address: int, data: bytes) -> bytes:
+    """The instruction that writes the same into several motors; none of them answers."""
+    rows = b"".join(bytes((motor,)) + data for motor in motors)
+    parameters = bytes((address, len(data))) + rows
+    body = bytes((BROADCAST, len(parameters) + 2, SYNC_WRITE)) + parameters
     return _HEADER + body + bytes((checksum(body),))
 
 
