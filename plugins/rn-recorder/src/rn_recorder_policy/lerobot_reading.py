@@ -162,8 +162,8 @@ def _no_such(directory: Path, info: Mapping[str, Any], episode: int) -> InvalidI
 def _read_table(path: Path, filters: list[tuple[str, str, int]]) -> Any:
     """A table of pyarrow. Raises InvalidInputError, MissingDependencyError."""
     try:
-        import pyarrow as pa  # type: ignore[import-untyped]  # heavy
-        import pyarrow.parquet as pq  # type: ignore[import-untyped]
+        import pyarrow as pa  # heavy
+        import pyarrow.parquet as pq
     except ImportError as error:
         raise MissingDependencyError(
             "Data sets need pyarrow.",

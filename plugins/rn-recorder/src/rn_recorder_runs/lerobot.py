@@ -153,8 +153,8 @@ def _write_with_lerobot(
 
 
 def _write(sources: Sequence[ExportSource], directory: Path, rate: int, codec: Codec) -> None:
-    import pyarrow as pa  # type: ignore[import-untyped]  # heavy
-    import pyarrow.parquet as pq  # type: ignore[import-untyped]
+    import pyarrow as pa  # heavy
+    import pyarrow.parquet as pq
 
     first = sources[0]
     episodes = [episode for source in sources for episode in source.episodes]
