@@ -59,7 +59,7 @@ def open_tap(machine: Machine, device: str) -> int:
 
     thread = threading.Thread(target=enter)
     thread.start()
-    thread.join()
+    thread.join(5.0)
     return made[0]
 
 
@@ -86,7 +86,7 @@ class Cable:
     def close(self) -> None:
         """End it."""
         self._stopping.set()
-        self._thread.join()
+        self._thread.join(5.0)
 
     def _run(self) -> None:
         waiting: list[tuple[float, int, int, bytes]] = []

@@ -39,7 +39,7 @@ NEEDS = {
 """Packages of rn_standard by those beside them that they may import."""
 PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
-    "control": "module",
+    "control": "module planning",
     "direct_path": "allow_list arbiter delivery derived exposed fields joints limits speeds twists "
     "type_hashes",
     "execution": "adaptive mode",

@@ -16,7 +16,7 @@ from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.availability import install_command, known_names, package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry, Status
-from roboneuron.plugins.specs import FeatureSpec
+from roboneuron.plugins.specs import BackendSpec, FeatureSpec
 
 ROOT = Path(__file__).parents[1]
 closure = runpy.run_path(str(ROOT / "tools" / "requirements.py"))["closure"]
@@ -96,24 +96,22 @@ def test_the_table_knows_what_each_package_needs() -> None:
 
 
 @pytest.mark.parametrize(
-    ("kind", "name", "words"),
+    ("name", "words"),
     [
         (
-            "backend",
             "openvla",
             r"brings it\. Run: pip install (\./plugins/rn-(backend-openvla|runtime-torch|vla) "
             r"){3}\(in",
         ),
         (
-            "backend",
             "pi0-remote",
             r'rn-backend-pi0 brings it\. Run: pip install "\./plugins/rn-backend-pi0\[remote\]"',
         ),
     ],
 )
-def test_what_is_not_installed_is_named_with_its_package(kind: str, name: str, words: str) -> None:
+def test_what_is_not_installed_is_named_with_its_package(name: str, words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
-        Registry(plugins=(), all_offers=()).get(kind, name)
+        Registry(plugins=(), all_offers=()).get(BackendSpec, name)
 
 
 def installs() -> list[tuple[str, str]]:

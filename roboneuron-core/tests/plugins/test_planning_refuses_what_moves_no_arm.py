@@ -33,6 +33,13 @@ ROVER = RobotSpec(
 )
 IK = ControllerSpec(name="ik", summary="I.", target=TARGET)
 DRIVE = ControllerSpec(name="drive", summary="D.", target=TARGET, robot_kinds=("base",))
+CONTROL = FeatureSpec(
+    name="control",
+    summary="C.",
+    target=TARGET,
+    module=TARGET,
+    module_plan="rn_standard.control.planning:plan_control",
+)
 FEATURE = FeatureSpec(
     name="inference",
     summary="F.",
@@ -52,7 +59,7 @@ def _registry(*specs: Spec, status: Status = Status.READY) -> Registry:
             spec=spec,
             plugin="rn-test",
             distribution="rn-test",
-            status=Status.READY if isinstance(spec, RobotSpec) else status,
+            status=Status.READY if isinstance(spec, RobotSpec | FeatureSpec) else status,
             reason="Needs 'absent_x'.",
         )
         for spec in specs
@@ -60,7 +67,7 @@ def _registry(*specs: Spec, status: Status = Status.READY) -> Registry:
     return Registry(plugins=(), all_offers=tuple(offers))
 
 
-REGISTRY = _registry(ARM, ROVER, IK, DRIVE)
+REGISTRY = _registry(ARM, ROVER, IK, DRIVE, CONTROL)
 
 
 def _plan(kind: str = "control", registry: Registry = REGISTRY, **sections: dict[str, str]) -> Plan:
@@ -84,7 +91,7 @@ def test_a_robot_alone_is_a_plan():
 
 
 def test_what_runs_under_another_interpreter_may_lack_its_modules_here():
-    lacking = _registry(ARM, IK, status=Status.UNAVAILABLE)
+    lacking = _registry(ARM, IK, CONTROL, status=Status.UNAVAILABLE)
     robot = {"name": "arm", "driver": "hardware", "python": "/x"}
     control = {"controller": "ik", "python": "/x"}
     assert _plan(registry=lacking, robot=robot, control=control).spec is IK

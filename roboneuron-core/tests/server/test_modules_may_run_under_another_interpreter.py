@@ -91,4 +91,4 @@ def test_a_module_that_no_feature_brings_is_refused_before_it_is_started(kind):
     sections = {name: {**section, "python": "/x"} for name, section in SECTIONS.items()}
     with pytest.raises(ConfigurationError, match="the package rn-standard brings it"):
         KIND_ENTRIES[kind].check(Config.model_validate(sections), registry)
-    assert KIND_ENTRIES["robot"].check(Config.model_validate(sections), registry).plugin == "fr3"
+    assert KIND_ENTRIES["robot"].check(Config.model_validate(sections), registry).plugin == "arm"

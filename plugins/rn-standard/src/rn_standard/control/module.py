@@ -30,7 +30,6 @@ from roboneuron import (
     PostureInspector,
     RoboNeuronError,
     RobotProfile,
-    RobotSpec,
     SeveralArms,
     SpaceController,
     UnsafeError,
@@ -41,6 +40,7 @@ from roboneuron.node import (
     LimitedCommand,
     ModuleHost,
     build,
+    find_robot,
     messages,
     split_label,
     topics,
@@ -75,7 +75,9 @@ class ControlModule(HoldingModule):
         # a command of ours has gone out: from then on the predecessor's count no more
         self._is_sent = False
         self._pose_s = 0.0
-        robot = self.registry.get(RobotSpec, self.profile.name)
+        robot, _ = find_robot(
+            self.registry, self.profile.name, self.config.robot.driver, is_elsewhere=True
+        )
         spec = find_controller(self.registry, self.section.controller, robot)
         self._controller = cast(
             "Controller", build(spec, self.config.options(spec.name), self.profile)
