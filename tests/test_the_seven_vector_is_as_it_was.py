@@ -1,9 +1,11 @@
-"""Actions of the default space: for one seed the bytes on the topic, and the joint commands that
-control makes of them, are those of the version before control spaces (data/seven-vector.npz).
+"""Actions of the default space: for one seed the bytes on the topic are those of the version before
+control spaces, and the joint commands that control makes of them change with the limiter alone
+(data/seven-vector.npz).
 
     python tests/test_the_seven_vector_is_as_it_was.py OUT.npz
 
-writes the numbers; those in data/ were written so with the sources of bf5b77ad.
+writes the numbers. The bytes are those of bf5b77ad; the commands were written anew when the limiter
+began to brake in time for a goal that jumps.
 """
 
 from __future__ import annotations
@@ -69,7 +71,7 @@ def produce(chunk: ActionChunk) -> tuple[np.ndarray, np.ndarray]:
     return np.array(messages), np.array(commands)
 
 
-def test_bytes_and_commands_of_a_seed_are_those_before_control_spaces() -> None:
+def test_bytes_and_commands_of_a_seed_are_those_that_were_written_down() -> None:
     with np.load(DATA) as expected:
         messages, commands = expected["messages"], expected["commands"]
     found, made = produce(ActionChunk(actions=rows(), step_s=STEP_S))
