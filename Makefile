@@ -154,6 +154,9 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 	.venv-lerobot/bin/python -m pip install --quiet --disable-pip-version-check 'lerobot[dataset]==0.6.1'
 	@touch $@
 
+test-link: $(VENV)/.develop ## an encrypted link between two network namespaces: strangers, cut cables (needs root)
+	$(BIN)/python -m pytest plugins/rn-link/tests -m "ros" $(ARGS)
+
 # Kilted is for Python 3.12, as what its packages for Ubuntu are.
 KILTED_PYTHON ?= python3.12
 

@@ -11,6 +11,7 @@ from link_pairs import pair
 
 pytestmark = [
     pytest.mark.ros,
+    pytest.mark.slow,
     pytest.mark.skipif(bool(impossible()), reason=impossible() or "possible"),
 ]
 BACK_S = 30.0

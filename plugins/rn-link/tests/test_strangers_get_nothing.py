@@ -30,6 +30,7 @@ from rn_testing.waiting import wait_until
 
 pytestmark = [
     pytest.mark.ros,
+    pytest.mark.slow,
     pytest.mark.skipif(bool(impossible()), reason=impossible() or "possible"),
 ]
 CONNECTING = ("foreign", "none", "plain", "expired", "revoked", "member", "udp")
