@@ -16,10 +16,11 @@ import mutants_backend
 import mutants_controllers
 import mutants_descriptors
 import mutants_devices
+import mutants_drivers
 import mutants_engines
 import mutants_models
 import mutants_processes
-import mutants_robots
+import mutants_profiles
 import mutants_sources
 import pytest
 from mutation import Mutant
@@ -84,10 +85,11 @@ MODULES = (
     mutants_controllers,
     mutants_descriptors,
     mutants_devices,
+    mutants_drivers,
     mutants_engines,
     mutants_models,
     mutants_processes,
-    mutants_robots,
+    mutants_profiles,
     mutants_sources,
 )
 MUTANTS: dict[str, Mutant] = {
