@@ -22,6 +22,7 @@ import mutants_models
 import mutants_processes
 import mutants_profiles
 import mutants_sources
+import mutants_spaces
 import pytest
 from mutation import Mutant
 
@@ -91,6 +92,7 @@ MODULES = (
     mutants_processes,
     mutants_profiles,
     mutants_sources,
+    mutants_spaces,
 )
 MUTANTS: dict[str, Mutant] = {
     f"{module.__name__.removeprefix('mutants_')}:{name}": mutant
@@ -179,8 +181,8 @@ def test_a_backend_that_continues_rows_passes_what_its_mutants_fail(declared, ru
 def test_a_backend_of_joint_velocities_passes_what_its_mutants_fail():
     spec = replace(
         fakes.FAKE_BACKEND,
-        target="mutants_backend:VelocityBackend",
-        space="mutants_backend:velocities",
+        target="mutants_spaces:VelocityBackend",
+        space="mutants_spaces:velocities",
     )
     outcomes = {rule.id: verify(rule, BackendCase(spec=spec)) for rule in RULES["backend"]}
     failed = [one for one in outcomes.values() if one.verdict is RuleVerdict.FAILED]

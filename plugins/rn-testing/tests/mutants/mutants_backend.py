@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
 
@@ -21,8 +20,8 @@ from mutation import (
     then,
 )
 
-from rn_testing.fakes import InstantBackend, gantry_profile
-from roboneuron.contract import ActionChunk, robot_space
+from rn_testing.fakes import InstantBackend
+from roboneuron.contract import ActionChunk
 from roboneuron.errors import StateError
 from roboneuron.plugins.specs import ActionSpace
 
@@ -167,98 +166,7 @@ def turns_with_joints(self, call, observation):
     return plus(call(observation), 0.1 * float(observation.joints.position[0]))
 
 
-def velocities(options, profile):
-    """What `VelocityBackend` declares."""
-    return robot_space("joint_velocity", profile, 10.0)
-
-
-class VelocityBackend(InstantBackend):
-    """Joint velocities of the gantry at 10 Hz."""
-
-    def predict(self, observation):
-        chunk = super().predict(observation)
-        space = velocities({}, gantry_profile())
-        return ActionChunk(actions=[[0.01] * 6 + [1.0]], step_s=chunk.step_s, space=space)
-
-
-def no_rate(options, profile):
-    return robot_space("joint_velocity", profile)
-
-
-def another_each_time(options, profile):
-    return robot_space("joint_velocity", profile, 10.0 + noise(0.1))
-
-
-def deltas(options, profile):
-    return robot_space("joint_delta", profile, 10.0)
-
-
-def text(options, profile):
-    return "joint_velocity"
-
-
-def needs_a_key(options, profile):
-    return robot_space(options["kind"], profile)
-
-
-def imports_heavy(options, profile):
-    import pinocchio  # noqa: F401
-
-    return velocities(options, profile)
-
-
-def fails_elsewhere(options, profile):
-    if "pytest" not in sys.modules:
-        raise StateError("not here")
-    return velocities(options, profile)
-
-
-def respaced(change):
-    """A backend of velocities whose space is another one than it declares."""
-    return mutate(
-        VelocityBackend,
-        predict=lambda s, call, o: replace(call(o), space=change(velocities({}, gantry_profile()))),
-    )
-
-
-def spaced(rule, words="", *, space="velocities", target=VelocityBackend, **spec):
-    declared = {"space": f"mutants_backend:{space}", **spec}
-    return Mutant(rule=f"backend/{rule}", target=target, spec=declared, words=words)
-
-
-def in_degrees(space):
-    channels = [replace(one, unit="deg/s") for one in space.channels[:-1]]
-    return replace(space, channels=(*channels, space.channels[-1]))
-
-
-SPACES: dict[str, Mutant] = {
-    "velocities_without_rate": spaced("space-answers", "no rate_hz", space="no_rate"),
-    "another_space_each_time": spaced("space-answers", "different", space="another_each_time"),
-    "deltas_without_state": spaced(
-        "space-answers", "needs_state", space="deltas", needs_state=False
-    ),
-    "space_is_a_text": spaced("space-answers", "returned str", space="text"),
-    "space_needs_an_option": spaced("space-answers", "KeyError", space="needs_a_key"),
-    "space_imports_heavy": spaced("space-light", "imports pinocchio", space="imports_heavy"),
-    "space_fails_elsewhere": spaced("space-light", "not here", space="fails_elsewhere"),
-    "actions_though_velocities_declared": spaced(
-        "space-kept", "'ee_delta_base', declared", target=mutate(InstantBackend)
-    ),
-    "velocities_undeclared": Mutant(
-        rule="backend/space-kept", target=mutate(VelocityBackend), words="'ee_delta_base'"
-    ),
-    "velocities_in_degrees": spaced("space-kept", "other units", target=respaced(in_degrees)),
-    "joints_in_another_order": spaced(
-        "space-kept",
-        target=respaced(lambda space: replace(space, channels=space.channels[::-1])),
-    ),
-    "period_is_not_the_declared": spaced(
-        "space-kept",
-        "a chunk has 5 rows a second",
-        target=mutate(VelocityBackend, predict=lambda s, call, o: replace(call(o), step_s=0.2)),
-    ),
-}
-MUTANTS: dict[str, Mutant] = SPACES | {
+MUTANTS: dict[str, Mutant] = {
     "no_reset": Mutant(
         rule="backend/protocol",
         target=mutate(
