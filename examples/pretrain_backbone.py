@@ -44,7 +44,7 @@ MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 BACKBONE = "model.backbone."
 """What the names of the backbone's weights begin with in a checkpoint of ACT."""
 LABELS = 8
-BATCH, LEARNING_RATE, HELD_OUT = 64, 1e-3, 512
+BATCH, LEARNING_RATE, HELD_OUT = 32, 1e-3, 512
 
 
 def arm_poses(data: Path) -> F64:
@@ -210,7 +210,7 @@ def main() -> None:
     parser.add_argument("checkpoint", type=Path, help="folder pretrained_model of an ACT")
     parser.add_argument("--data", type=Path, default=Path("out/lerobot/data"), help="data set")
     parser.add_argument("--scenes", type=int, default=12_000)
-    parser.add_argument("--epochs", type=int, default=3)
+    parser.add_argument("--epochs", type=int, default=16)
     chosen = parser.parse_args()
     torch.manual_seed(0)
     pictures, labels = take_pictures(
