@@ -209,7 +209,8 @@ LEROBOT_POLICIES := roboneuron-core $(addprefix plugins/,rn-standard rn-simulati
 
 # A whole turn: lerobot-record through ROS, lerobot-train, roboneuron eval. Each goes on where it was.
 ACT := out/lerobot/act
-ACT_STEPS ?= 20000
+# The learning rate falls to zero until the last step: to go on later is to begin a second fall.
+ACT_STEPS ?= 3000
 # One thread alone wastes nothing where others work; take all cores of a quiet machine.
 TRAIN_THREADS ?= 1
 ACT_LAST := $(ACT)/checkpoints/last/pretrained_model
@@ -223,7 +224,9 @@ $(ACT)/.sees: .venv-lerobot-policies/.ready
 	rm -rf $(ACT)
 	$(TRAIN_ACT) --steps=1 --save_freq=1 --dataset.repo_id=local/cubes --dataset.root=out/lerobot/data --output_dir=$(ACT) \
 	  --policy.type=act --policy.device=cpu --policy.use_amp=true --policy.push_to_hub=false \
-	  --policy.pretrained_backbone_weights=null --policy.optimizer_lr=1e-4 --policy.optimizer_lr_backbone=1e-5 \
+	  --policy.pretrained_backbone_weights=null --policy.optimizer_lr_backbone=3e-5 \
+	  --use_policy_training_preset=false --optimizer.type=adamw --optimizer.lr=3e-4 --optimizer.weight_decay=1e-4 \
+	  --optimizer.grad_clip_norm=10 --scheduler.type=cosine_annealing_with_warmup --scheduler.num_warmup_steps=100 \
 	  --policy.dim_model=192 --policy.n_heads=4 --policy.dim_feedforward=768 --policy.n_encoder_layers=2 \
 	  --policy.use_vae=false --policy.chunk_size=20 --policy.n_action_steps=8 \
 	  --batch_size=16 --num_workers=0 --log_freq=50 --env_eval_freq=0
