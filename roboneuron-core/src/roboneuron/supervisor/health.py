@@ -160,18 +160,6 @@ class Modules:
         with self.changes.lock:
             return self.slots[kind][0]
 
-    def report_of(self, slot: Slot) -> Report | None:
-        """The newest report of a module, standby or not.
-
-        Args:
-            slot: one of `slots`.
-
-        Returns:
-            None before the first report, and without a process.
-        """
-        with self.changes.lock:
-            return slot.report
-
     def receive(self, message: DiagnosticArray) -> None:
         """Subscription callback of /diagnostics, on the thread of the ROS link."""
         now_s = time.monotonic()

@@ -209,7 +209,7 @@ class Supervisor(Modules):
         """Settings of what is to replace the module in `working`: in its shadow until the handover,
         under the one of two node names that it does not use, and still for the same stop.
         """
-        kind, report = settings.kind, self.report_of(working)
+        kind, report = settings.kind, working.report
         is_named_so = working.choice is not None and working.choice.settings.node_name == kind
         changes: dict[str, object] = {
             "shadow": True,
@@ -333,7 +333,7 @@ class Supervisor(Modules):
             started_s: when the stop began [monotonic s].
         """
         slot, process = claim.slot, claim.process
-        report = self.report_of(slot)
+        report = slot.report
         slot.settle("stopped")
         log.info("Stopped %s: pid %d, exit code %s.", slot.kind, process.pid, process.exit_code)
         stopped = Stopped(
