@@ -40,9 +40,6 @@ from .supervisor import (
 from .config.models import (
     Config as Config,
 )
-from .config.reading import (
-    feature_options as feature_options,
-)
 from .contract.profile import (
     check_topic as check_topic,
 )

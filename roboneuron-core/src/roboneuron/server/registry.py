@@ -56,6 +56,9 @@ class ToolRegistry:
             before.
         on_call: told of each call that was answered, as `Events.call`.
         acts_on: the robot in words; stands in every answer of a tool that acts on it.
+
+    Attributes:
+        admissions: asked before each call, in this order; features add who may act now.
     """
 
     def __init__(
@@ -70,7 +73,7 @@ class ToolRegistry:
     ) -> None:
         self._acts_on = acts_on
         self._on_call = on_call
-        self._admissions: list[Admission] = []
+        self.admissions: list[Admission] = []
         self._ready = ready
         self._on_change = on_change
         self._lock = threading.Lock()
@@ -78,10 +81,6 @@ class ToolRegistry:
         self._calls: Counter[str] = Counter()
         self._owned: dict[str, dict[str, _Entry]] = {_FIXED: {}}
         self.add_all(tools)
-
-    def add_admission(self, admit: Admission) -> None:
-        """Ask this one too before each call; those of features ask who may act now."""
-        self._admissions.append(admit)
 
     def add_all(self, tools: Iterable[Tool[Any]]) -> None:
         """Add all of them, or none.
@@ -237,7 +236,7 @@ class ToolRegistry:
                     hint="Wait for one to end; max_concurrent_calls in [server] sets how many "
                     "there may be.",
                 )
-            for admit in self._admissions:
+            for admit in self.admissions:
                 admit(tool, context)
             return await tool.call(arguments, context)
         finally:

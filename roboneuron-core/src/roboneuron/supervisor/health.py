@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from roboneuron.config import LimitsConfig
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.supervisor.changes import Changes, Periodic
@@ -139,6 +140,8 @@ class Modules:
             were replaced.
         log_directory: as given.
         process_events: what happens to module processes, for listeners.
+        tightened: limits that modules are started with instead of the configured ones, None for
+            these; the feature that tightens them sets it.
         secret_variables: environment variables that modules do not get; features may add some.
     """
 
@@ -146,6 +149,7 @@ class Modules:
         self.log_directory = log_directory
         self.on_change = on_change
         self.process_events = ProcessEvents()
+        self.tightened: LimitsConfig | None = None
         self.secret_variables: set[str] = set()
         self.changes = Changes()
         self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}

@@ -15,7 +15,7 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.config import Config, LimitsConfig, ModuleSettings
+from roboneuron.config import Config, ModuleSettings
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind
 from roboneuron.planning import Plan
@@ -62,8 +62,6 @@ class Supervisor(Modules):
 
     Attributes:
         log_directory: `<state>/log/<time>-<pid>`.
-        tightened: limits that modules are started with instead of the configured ones; None for
-            these.
         on_join: functions of features that modules call with their node, as "module:attribute"; see
             `ModuleHost`.
         needs_start: which stop keeps robot and control still, when they are started, until somebody
@@ -83,7 +81,6 @@ class Supervisor(Modules):
         run = f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
         super().__init__(state_directory / "log" / run, on_change)
         self.state_directory = state_directory
-        self.tightened: LimitsConfig | None = None
         self.on_join: tuple[str, ...] = ()
         self.needs_start = ""
         self.connection = connect(self.receive, self.log_directory)
