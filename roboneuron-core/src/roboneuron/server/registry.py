@@ -92,20 +92,26 @@ class ToolRegistry:
 
     def replace(self, tool: Tool[Any]) -> None:
         """Have this tool in the place of the one of its name that was added."""
-        entries = [entry.tool for entry in self._owned[_FIXED].values()]
-        self._replace(_FIXED, [tool if entry.name == tool.name else entry for entry in entries])
+        added = self._owned[_FIXED].items()
+        self._replace(_FIXED, [tool if name == tool.name else entry.tool for name, entry in added])
 
     def names(self, besides: str = "") -> frozenset[str]:
         """Names of all tools but the derived ones of the owner `besides`."""
-        kept = [
-            entries for owner, entries in self._owned.items() if owner == _FIXED or owner != besides
-        ]
-        return frozenset(name for entries in kept for name in entries)
+        return frozenset(
+            name
+            for owner, entries in self._owned.items()
+            if owner == _FIXED or owner != besides
+            for name in entries
+        )
 
     def derived(self, owner: str = "") -> list[Tool[Any]]:
         """The derived tools of an owner, or all of them; listed or not."""
-        owners = [owner] if owner else [name for name in self._owned if name != _FIXED]
-        return [entry.tool for name in owners for entry in self._owned.get(name, {}).values()]
+        return [
+            entry.tool
+            for name, entries in self._owned.items()
+            if name != _FIXED and owner in ("", name)
+            for entry in entries.values()
+        ]
 
     def replace_derived(self, owner: str, tools: Iterable[Tool[Any]]) -> None:
         """Have these derived tools of an owner and no others of it; callable from any thread.

@@ -72,8 +72,6 @@ class Bringup:
         config = choice.settings.config
         self._timeout_s = config.start_timeout_s(slot.kind)
         self._stop_timeout_s = config.supervisor.stop_timeout_s
-        self._doing = "starting"
-        self._since_s = self._reported_s = time.monotonic()
 
     def run(self) -> None:
         """Spawn, configure, activate and wait for readiness; a failure ends the process.

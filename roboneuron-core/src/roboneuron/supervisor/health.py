@@ -234,19 +234,20 @@ class Modules:
             return self.view(kind)
 
 
-Listener = Callable[[ModuleView, Health, Health], object]
-"""Called from the watching thread with the module, how it was, and how it is."""
-
-
 class Watch(Periodic):
     """A thread that looks at all modules and tells of every change of their health.
 
     Args:
         views: the modules.
-        listener: told of each; must return quickly.
+        listener: called from the watching thread with the module, how it was, and how it is; must
+            return quickly.
     """
 
-    def __init__(self, views: Callable[[], Sequence[ModuleView]], listener: Listener) -> None:
+    def __init__(
+        self,
+        views: Callable[[], Sequence[ModuleView]],
+        listener: Callable[[ModuleView, Health, Health], object],
+    ) -> None:
         super().__init__("watch", LOOK_S, self.look)
         self._views = views
         self._listener = listener

@@ -178,7 +178,9 @@ class Supervisor(Modules):
             ConfigurationError: it cannot be started, or its log cannot be written.
         """
         settings = choice.settings
-        command = self._command(choice.python)
+        section = getattr(settings.config, settings.kind)
+        python = None if section is None else section.python
+        command = self._command(python)
         number = next(self.connection.starts)
         check_state_directory(self.log_directory)
         try:
@@ -186,7 +188,7 @@ class Supervisor(Modules):
                 spawn,
                 settings.node_name,
                 command,
-                module_environment(choice.python, number, self.secret_variables),
+                module_environment(python, number, self.secret_variables),
                 settings.to_line(),
                 self.log_directory / f"{settings.node_name}.log",
                 self.process_events,
