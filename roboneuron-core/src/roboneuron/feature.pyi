@@ -121,7 +121,6 @@ from .server.tool import (
 )
 from .supervisor.changes import (
     Changes as Changes,
-    Event as Event,
     Periodic as Periodic,
 )
 from .supervisor.health import (

@@ -44,6 +44,7 @@ class Events:
             is.
         change: a module started, stopped or ended by itself.
         stop: a module is about to be stopped because somebody asked for it.
+        exposed: what agents may use through the gate changed; on the thread that changed it.
         tools: the tools that are listed changed; told from any thread.
         resource: the content of the resource with that URI changed; told from any thread.
         fault: a fault that is no module's health (a lapsed lease, a memory limit); the module, a
@@ -63,6 +64,7 @@ class Events:
         self.health: Event[[ModuleView, Health, Health]] = Event()
         self.change: Event[[ModuleKind]] = Event()
         self.stop: Event[[ModuleKind]] = Event()
+        self.exposed: Event[[]] = Event()
         self.tools: Event[[]] = Event()
         self.resource: Event[[str]] = Event()
         self.fault: Event[[str, str, Mapping[str, Any]]] = Event()
