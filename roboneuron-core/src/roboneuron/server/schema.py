@@ -149,11 +149,13 @@ def parse(
     Raises:
         InvalidInputError: they do not fit; names which, what came and what is allowed.
     """
+    model = kind.model if isinstance(kind, Shape) else kind
+    fields = model.model_fields
     if isinstance(kind, Shape):
-        model, names, required = kind.model, tuple(kind.properties), tuple(kind.required)
+        names, required = tuple(kind.properties), tuple(kind.required)
     else:
-        model, names = kind, tuple(kind.model_fields)
-        required = tuple(name for name in names if kind.model_fields[name].is_required())
+        names = tuple(fields)
+        required = tuple(name for name, field in fields.items() if field.is_required())
     for name in arguments:
         if name not in names:
             raise InvalidInputError.unknown_name("The call", name, names)
@@ -165,7 +167,7 @@ def parse(
             raise InvalidInputError(f"Argument {name!r} is missing.", path=name)
     for name, value in given.items():
         is_whole = isinstance(value, float) and value.is_integer()
-        if is_whole and model.model_fields[name].annotation is int:  # to JSON, 1.0 is an integer
+        if is_whole and fields[name].annotation is int:  # to JSON, 1.0 is an integer
             given[name] = int(value)
     try:
         # as JSON: strict, but a list is a tuple where one is due
