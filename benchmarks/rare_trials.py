@@ -264,7 +264,7 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
     def look() -> None:
         while not over.wait(0.1):
             for slot in loop.modules.slots["control"][1:]:
-                seen.append(f"{time.time_ns()} new {loop.modules.report_of(slot)}")
+                seen.append(f"{time.time_ns()} new {slot.report}")
             seen.append(f"{time.time_ns()} old {loop.modules.view('control').report}")
 
     looking = threading.Thread(target=look)

@@ -40,9 +40,6 @@ from .supervisor import (
 from .config.models import (
     Config as Config,
 )
-from .config.reading import (
-    feature_options as feature_options,
-)
 from .contract.profile import (
     check_topic as check_topic,
 )
@@ -124,7 +121,6 @@ from .server.tool import (
 )
 from .supervisor.changes import (
     Changes as Changes,
-    Event as Event,
     Periodic as Periodic,
 )
 from .supervisor.health import (

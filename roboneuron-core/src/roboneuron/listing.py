@@ -2,6 +2,7 @@
 
 import ast
 from collections.abc import Callable
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -27,16 +28,14 @@ def attach(
         for alias in node.names
     }
     names = sorted(modules)
-    known: dict[str, object] = {}
 
+    @cache
     def get(name: str) -> object:
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        if name not in known:
-            module = import_module(modules[name])
-            if not hasattr(module, name):  # a module that nobody has imported yet
-                import_module(f"{modules[name]}.{name}")
-            known[name] = getattr(module, name)
-        return known[name]
+        module = import_module(modules[name])
+        if not hasattr(module, name):  # a module that nobody has imported yet
+            import_module(f"{modules[name]}.{name}")
+        return getattr(module, name)
 
     return get, lambda: names, names

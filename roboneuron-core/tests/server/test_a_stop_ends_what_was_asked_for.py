@@ -58,6 +58,20 @@ class Process:
         return ""
 
 
+class Slot:
+    """The place of a process, which has reported just now."""
+
+    def __init__(self, process: Process) -> None:
+        self.kind, self.phase, self.process = process.kind, "running", process
+
+    @property
+    def report(self) -> Report:
+        return self.process.report
+
+    def check_alive(self, doing: str) -> None:
+        pass
+
+
 class Machine:
     """A supervisor of one process of each kind."""
 
@@ -67,14 +81,8 @@ class Machine:
             lock=threading.RLock(), wait_for=lambda look, timeout_s: look()
         )
         self.slots: dict[str, list[Any]] = {
-            kind: [self.slot_of(Process(kind, 10 + number))]
-            for number, kind in enumerate(MODULE_KINDS)
+            kind: [Slot(Process(kind, 10 + number))] for number, kind in enumerate(MODULE_KINDS)
         }
-
-    def slot_of(self, process: Process) -> Any:
-        slot = SimpleNamespace(kind=process.kind, phase="running", process=process)
-        slot.check_alive = lambda doing: None
-        return slot
 
     def __getitem__(self, kind: str) -> Process:
         return cast(Process, self.slots[kind][0].process)
@@ -88,9 +96,6 @@ class Machine:
                 ModuleView(kind=kind, phase=slot.phase, process=slot.process, report=report)
             )
         return found
-
-    def report_of(self, slot: Any) -> Report:
-        return cast(Report, slot.process.report)
 
     def parameters(self, slot: Any) -> Process:
         return cast(Process, slot.process)
@@ -159,9 +164,7 @@ def test_robot_and_control_that_come_back_keep_still(
     machine.slots["control"][0].phase = "exited"
     starts.look(False)
     assert machine.needs_start == "control has ended by itself"
-    machine.slots["control"] = [
-        machine.slot_of(Process("control", 99, needs_start=machine.needs_start))
-    ]
+    machine.slots["control"] = [Slot(Process("control", 99, needs_start=machine.needs_start))]
     starts.arm_started()
     assert machine["control"].needs_start, "a start of a module is no start of motion"
     starts.permit()
@@ -213,7 +216,7 @@ def test_an_instruction_is_taken_back_from_everybody_who_holds_it(
     machine: Machine, starts: MotionStarts
 ) -> None:
     successor = Process("inference", 77)
-    machine.slots["inference"].append(machine.slot_of(successor))
+    machine.slots["inference"].append(Slot(successor))
     ticket, refused = starts.give("pick it up", 1.0)
     assert (refused, successor.instruction) == ("", "pick it up")
     starts.withdraw(ticket)
@@ -225,7 +228,7 @@ def test_a_policy_that_was_loaded_meanwhile_follows_the_end(
 ) -> None:
     ticket, _ = starts.give("pick it up", 1.0)
     starts.withdraw(ticket)
-    successor = machine.slot_of(Process("inference", 77, instruction="pick it up"))
+    successor = Slot(Process("inference", 77, instruction="pick it up"))
     starts.follow(successor, ticket)
     assert successor.process.instruction == ""
 

@@ -93,7 +93,7 @@ class Pigeons(Feature[None]):
         def admit(tool: object, context: CallContext) -> None:
             raise RefusedError(f"It is Monday, {context.who}.")
 
-        host.tools.add_admission(admit)
+        host.tools.admissions.append(admit)
         return []
 
     def listen(self, host: Host) -> Transport:

@@ -247,7 +247,7 @@ def test_what_waits_can_be_cancelled(
     cancel = {"jsonrpc": "2.0", "method": "notifications/cancelled", "params": {"requestId": 2}}
     reader._take(json.dumps(cancel).encode())
     assert reader._next().method == "notifications/cancelled"
-    reader._settle(1)
+    anyio.run(reader._settle, 1)
     assert reader._next() is None
 
 

@@ -136,7 +136,7 @@ def test_a_standby_is_heard_by_the_other_name_of_its_kind(world: World) -> None:
     world.supervisor._ours.add(str(module.pid))
     status = DiagnosticStatus(name=settings.status_name, hardware_id=str(module.pid))
     world.supervisor.receive(DiagnosticArray(status=[status]))
-    assert world.supervisor.report_of(slot) is not None
+    assert slot.report is not None
 
 
 def test_all_are_silenced_in_the_reverse_order_of_starting_and_then_ended_together(

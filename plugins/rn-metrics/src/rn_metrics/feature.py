@@ -5,17 +5,16 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from rn_metrics.options import MetricsOptions
 from rn_standard.http.addresses import bind
 from rn_standard.http.feature import HttpFeature
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.origins import HostRules
-from rn_standard.http.plugin import FEATURE as HTTP
 from rn_standard.http.tokens import TokenFiles, read_tokens
 from roboneuron import Feature, Host, Tool
-from roboneuron.feature import Config, Periodic, feature_options
+from roboneuron.feature import Config, Periodic
 
 if TYPE_CHECKING:
     from rn_metrics.exposition import Exposition
@@ -43,7 +42,7 @@ class MetricsFeature(Feature[MetricsOptions]):
         to be sent.
         """
         if self.options.prometheus:
-            http = cast(HttpOptions, feature_options(HTTP, config))
+            http = HttpOptions.of(config)
             host_rules(self.options.host, http)
             bind("metrics", self.options.host, 0, read_tokens(http.tokens, os.environ)).close()
         if self.options.traces:

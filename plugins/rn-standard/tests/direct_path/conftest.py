@@ -247,7 +247,7 @@ class Bench:
         self.permitted: list[str] = []
         self.on_permit: Callable[[], object] = lambda: None
         self.is_still = False
-        self.listed = SimpleNamespace(exposed=("one",), expose=None, on_change=None, relimit=None)
+        self.listed = SimpleNamespace(exposed=("one",), expose=None, relimit=None)
         self.motion_gate = DirectGate(
             gate,
             self.arbiter,

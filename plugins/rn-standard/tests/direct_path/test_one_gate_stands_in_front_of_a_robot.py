@@ -226,7 +226,7 @@ def test_another_robot_has_other_endpoints(
     application: Application, caplog: pytest.LogCaptureFixture
 ) -> None:
     gate, told = application.host.gate, []
-    gate.on_change(lambda: told.append(len(gate.exposed)))
+    application.events.exposed.listen(lambda: told.append(len(gate.exposed)))
     application.events.change.tell("control")
     assert told == []
     application.events.change.tell("robot")

@@ -61,9 +61,10 @@ class Cell:
         self.config = parse_config(text)
         self.registry = fake_registry()
         self.limits = LimitsConfig()
-        self.list = AllowList(gate, lambda: self.config, lambda: self.registry, lambda: self.limits)
         self.told = 0
-        self.list.on_change(self.note)
+        self.list = AllowList(
+            gate, lambda: self.config, lambda: self.registry, lambda: self.limits, self.note
+        )
 
     def note(self) -> None:
         self.told += 1

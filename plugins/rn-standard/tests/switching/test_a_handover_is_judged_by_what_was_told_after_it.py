@@ -34,16 +34,13 @@ class Machine:
 
     def __init__(self) -> None:
         self.changes = Changes()
-        self.newest = Report(received_s=time.monotonic())
-        slot = SimpleNamespace(check_alive=lambda doing: None, phase="running")
-        self.slots: Any = {"control": [slot], "inference": [slot]}
-
-    def report_of(self, slot: Any) -> Report:
-        return self.newest
+        self.slot = SimpleNamespace(check_alive=lambda doing: None, phase="running")
+        self.slot.report = Report(received_s=time.monotonic())
+        self.slots: Any = {"control": [self.slot], "inference": [self.slot]}
 
     def tell(self, delay_s: float, **metrics: str) -> None:
         def now() -> None:
-            self.newest = Report(received_s=time.monotonic(), metrics=metrics)
+            self.slot.report = Report(received_s=time.monotonic(), metrics=metrics)
             self.changes.notify()
 
         threading.Timer(delay_s, now).start()

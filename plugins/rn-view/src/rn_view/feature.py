@@ -8,20 +8,19 @@ import os
 import threading
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from anyio import from_thread
 
 from rn_standard.http.feature import HttpFeature
 from rn_standard.http.options import HttpOptions
-from rn_standard.http.plugin import FEATURE as HTTP
 from rn_standard.http.tokens import TokenFiles, read_tokens
 from rn_view.access import Admission, check_address, check_port, host_rules
 from rn_view.event_list import ToolCalls
 from rn_view.live import LiveOperator, LiveSource
 from rn_view.options import ViewOptions
 from roboneuron import Feature, Host, Tool
-from roboneuron.feature import Config, feature_options
+from roboneuron.feature import Config
 
 if TYPE_CHECKING:
     from rn_view.viewer import Viewer
@@ -39,14 +38,14 @@ class ViewFeature(Feature[ViewOptions]):
     def check(self, config: Config) -> None:
         """Check address, tokens and hosts, when they will be used."""
         if self.options.enabled:
-            http = cast(HttpOptions, feature_options(HTTP, config))
+            http = HttpOptions.of(config)
             host_rules(self.options, http)
             check_address(self.options, read_tokens(http.tokens, os.environ))
 
     def reserve(self, config: Config) -> None:
         """Refuse to start beside another server that serves its page on this port."""
         if self.options.enabled:
-            http = cast(HttpOptions, feature_options(HTTP, config))
+            http = HttpOptions.of(config)
             check_port(self.options, read_tokens(http.tokens, os.environ))
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:

@@ -53,7 +53,6 @@ class ViewCommand:
         import os
 
         from rn_standard.http.options import HttpOptions
-        from rn_standard.http.plugin import FEATURE as HTTP
         from rn_standard.http.tokens import TokenFiles
         from rn_view.access import Admission, host_rules
         from rn_view.options import ViewOptions
@@ -65,9 +64,8 @@ class ViewCommand:
         robots = _chosen(config, arguments.robot)
         if arguments.robot is not None:
             config = robots[arguments.robot]
-        options, http = feature_options(FEATURE, config), feature_options(HTTP, config)
+        options, http = feature_options(FEATURE, config), HttpOptions.of(config)
         assert isinstance(options, ViewOptions)
-        assert isinstance(http, HttpOptions)
         given = {
             name: getattr(arguments, name)
             for name in ("host", "port")

@@ -119,9 +119,7 @@ class MotionStarts:
     @property
     def are_needed(self) -> bool:
         """Whether a stop keeps a module still until `permit`."""
-        reports = [
-            self._supervisor.report_of(slot) for kind in ARM_KINDS for slot in self._running(kind)
-        ]
+        reports = [slot.report for kind in ARM_KINDS for slot in self._running(kind)]
         return any(report is not None and report.needs_start for report in reports)
 
     def permit(self) -> int:
@@ -157,7 +155,7 @@ class MotionStarts:
         """Have robot and control obey again, and their successors. Raises as `permit`."""
         for kind in ARM_KINDS:
             for slot in self._running(kind):
-                report = self._supervisor.report_of(slot)
+                report = slot.report
                 if report is None or not report.needs_start or slot.process is None:
                     continue
                 # newer than what was asked for
@@ -308,7 +306,7 @@ class MotionStarts:
         """
 
         def obeys() -> bool:
-            report = self._supervisor.report_of(slot)
+            report = slot.report
             return report is not None and (not report.needs_start or report.stops != stops)
 
         if not self._supervisor.changes.wait_for(obeys, _PERMITTED_S):

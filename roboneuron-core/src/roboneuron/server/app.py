@@ -71,8 +71,6 @@ class Application:
         attached: clients come to `server`; not so for one of several robots.
     """
 
-    resources: Mapping[str, Resource]
-
     def __init__(
         self,
         config: Config,
@@ -130,7 +128,7 @@ class Application:
         self.server.introduce(
             f"RoboNeuron operates one {self.loop.robot_facts}.", self.tools.names()
         )
-        self.resources = {resource.uri: resource for resource in offered}
+        self.resources: Mapping[str, Resource] = {resource.uri: resource for resource in offered}
         if attached:
             self.features.attach(self.host)
 

@@ -248,9 +248,8 @@ class Features:
             log.error("%s", said)
 
     def _is_asked_for(self, spec: FeatureSpec) -> bool:
-        sections = any(key in self._config.sections for key in spec.keys)
         return (
-            sections
+            any(key in self._config.sections for key in spec.keys)
             or spec.name in self._config.features
             or self._config.server.transport in spec.transports
         )

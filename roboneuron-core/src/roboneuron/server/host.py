@@ -37,15 +37,15 @@ class Events:
     """What happens in a server. Listeners are added while it is put together.
 
     Attributes:
-        open: the server begins to serve; told first of all, before ROS is joined and features
-            start.
-        end: the server has closed everything; told last of all, possibly twice, and without `open`.
+        open: serving begins; told first of all, before ROS is joined and features start.
+        end: everything is closed; told last of all, possibly twice, and without `open`.
         health: the health of a module changed at most 30 ms ago; the module, how it was, and how it
             is.
         change: a module started, stopped or ended by itself.
-        stop: a module is about to be stopped because somebody asked for it.
-        tools: the tools that are listed changed; told from any thread.
-        resource: the content of the resource with that URI changed; told from any thread.
+        stop: somebody asked to stop a module, which still runs.
+        exposed: what agents may use through the gate changed; on the changing thread.
+        tools: the listed tools changed; from any thread.
+        resource: the content of that URI changed; from any thread.
         fault: a fault that is no module's health (a lapsed lease, a memory limit); the module, a
             word for the fault, and facts that JSON can hold.
         decision: the gate or the emergency stop of this process wrote a record; on the thread that
@@ -63,6 +63,7 @@ class Events:
         self.health: Event[[ModuleView, Health, Health]] = Event()
         self.change: Event[[ModuleKind]] = Event()
         self.stop: Event[[ModuleKind]] = Event()
+        self.exposed: Event[[]] = Event()
         self.tools: Event[[]] = Event()
         self.resource: Event[[str]] = Event()
         self.fault: Event[[str, str, Mapping[str, Any]]] = Event()

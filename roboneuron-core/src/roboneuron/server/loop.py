@@ -150,18 +150,7 @@ class ClosedLoop:
         """The limits in force: those of the configuration, or what a client has tightened them
         to.
         """
-        return self.tightened or self.base.limits
-
-    @property
-    def tightened(self) -> LimitsConfig | None:
-        """What a client has tightened the configured limits to; None when it has not."""
-        return self._supervisor.tightened
-
-    def tighten(self, limits: LimitsConfig | None) -> None:
-        """Start modules from now on with these limits; None: with the configured ones.
-        Those that run are told by `set_parameters`.
-        """
-        self._supervisor.tightened = limits
+        return self.modules.tightened or self.base.limits
 
     @property
     def robot_facts(self) -> RobotFacts:

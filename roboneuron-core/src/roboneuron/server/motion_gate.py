@@ -192,8 +192,8 @@ class MotionGate(Protocol):
 
     @property
     def exposed(self) -> tuple[ExposedEndpoint, ...]:
-        """What agents may use now, by any feature; the action topic of an arm is among it,
-        hidden.
+        """What agents may use now, by any feature; the action topic of an arm is among it, hidden.
+        `Events.exposed` tells of changes.
         """
 
     def expose(
@@ -215,11 +215,6 @@ class MotionGate(Protocol):
             ConfigurationError: one may not be exposed, or two contradict each other; the old list
                 stays.
             PluginError, MissingDependencyError: the robot's profile cannot be loaded.
-        """
-
-    def on_change(self, listener: Callable[[], object]) -> None:
-        """Have a listener called after each change of what is exposed, from the thread that made
-        it.
         """
 
     def relimit(self) -> None:

@@ -56,6 +56,9 @@ class ToolRegistry:
             before.
         on_call: told of each call that was answered, as `Events.call`.
         acts_on: the robot in words; stands in every answer of a tool that acts on it.
+
+    Attributes:
+        admissions: asked before each call, in this order; features add who may act now.
     """
 
     def __init__(
@@ -70,7 +73,7 @@ class ToolRegistry:
     ) -> None:
         self._acts_on = acts_on
         self._on_call = on_call
-        self._admissions: list[Admission] = []
+        self.admissions: list[Admission] = []
         self._ready = ready
         self._on_change = on_change
         self._lock = threading.Lock()
@@ -78,10 +81,6 @@ class ToolRegistry:
         self._calls: Counter[str] = Counter()
         self._owned: dict[str, dict[str, _Entry]] = {_FIXED: {}}
         self.add_all(tools)
-
-    def add_admission(self, admit: Admission) -> None:
-        """Ask this one too before each call; those of features ask who may act now."""
-        self._admissions.append(admit)
 
     def add_all(self, tools: Iterable[Tool[Any]]) -> None:
         """Add all of them, or none.
@@ -93,20 +92,26 @@ class ToolRegistry:
 
     def replace(self, tool: Tool[Any]) -> None:
         """Have this tool in the place of the one of its name that was added."""
-        entries = [entry.tool for entry in self._owned[_FIXED].values()]
-        self._replace(_FIXED, [tool if entry.name == tool.name else entry for entry in entries])
+        added = self._owned[_FIXED].items()
+        self._replace(_FIXED, [tool if name == tool.name else entry.tool for name, entry in added])
 
     def names(self, besides: str = "") -> frozenset[str]:
         """Names of all tools but the derived ones of the owner `besides`."""
-        kept = [
-            entries for owner, entries in self._owned.items() if owner == _FIXED or owner != besides
-        ]
-        return frozenset(name for entries in kept for name in entries)
+        return frozenset(
+            name
+            for owner, entries in self._owned.items()
+            if owner == _FIXED or owner != besides
+            for name in entries
+        )
 
     def derived(self, owner: str = "") -> list[Tool[Any]]:
         """The derived tools of an owner, or all of them; listed or not."""
-        owners = [owner] if owner else [name for name in self._owned if name != _FIXED]
-        return [entry.tool for name in owners for entry in self._owned.get(name, {}).values()]
+        return [
+            entry.tool
+            for name, entries in self._owned.items()
+            if name != _FIXED and owner in ("", name)
+            for entry in entries.values()
+        ]
 
     def replace_derived(self, owner: str, tools: Iterable[Tool[Any]]) -> None:
         """Have these derived tools of an owner and no others of it; callable from any thread.
@@ -237,7 +242,7 @@ class ToolRegistry:
                     hint="Wait for one to end; max_concurrent_calls in [server] sets how many "
                     "there may be.",
                 )
-            for admit in self._admissions:
+            for admit in self.admissions:
                 admit(tool, context)
             return await tool.call(arguments, context)
         finally:

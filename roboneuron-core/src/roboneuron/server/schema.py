@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cache, cached_property
+from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -24,33 +23,24 @@ M_co = TypeVar("M_co", bound=BaseModel, covariant=True)
 class Shape(ABC, Generic[M_co]):
     """Some fields of `model`, as one tool takes or returns them; results leave out what their
     handler did not set.
+
+    Attributes:
+        model: whose fields these are.
+        properties: JSON schema by field; a call may give these.
+        required: fields that a call must give.
     """
 
     model: type[M_co]
+    properties: Mapping[str, Schema]
+    required: Sequence[str]
 
     @abstractmethod
     def schema(self, own: Schema) -> Schema:
-        """The strict JSON schema, from the model's own; a call may give `properties` and must give
-        `required`.
-        """
+        """The strict JSON schema of `properties` and `required`, from the model's own."""
 
     @abstractmethod
     def check(self, name: str, value: object) -> None:
         """Raise InvalidInputError for a value that fits the model and not the tool."""
-
-    @cached_property
-    def _accepted(self) -> _Accepted:
-        """Made once: to merge the schemas with each call costs more than to check the call."""
-        return _accepted_by(self.model, self.schema(_own_schema(self.model, False)))
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class _Accepted:
-    """What a call may hold: names of arguments, those it must hold, and those that are integers."""
-
-    names: tuple[str, ...]
-    required: tuple[str, ...]
-    integers: tuple[str, ...]
 
 
 def model_schema(kind: type[BaseModel] | Shape[BaseModel], *, result: bool = False) -> Schema:
@@ -67,21 +57,6 @@ def _own_schema(model: type[BaseModel], result: bool) -> Schema:
     made = model.model_json_schema(mode="serialization" if result else "validation")
     schema: Schema = _plain(made, keep_null=result)
     return {**schema, "properties": schema.get("properties", {})}
-
-
-@cache
-def _accepted_of(model: type[BaseModel]) -> _Accepted:
-    return _accepted_by(model, _own_schema(model, False))
-
-
-def _accepted_by(model: type[BaseModel], schema: Schema) -> _Accepted:
-    names = tuple(schema["properties"])
-    integers = [name for name in names if model.model_fields[name].annotation is int]
-    return _Accepted(
-        names=names,
-        required=tuple(schema.get("required", ())),
-        integers=tuple(integers),
-    )
 
 
 def with_choices(schema: Schema, choices: Mapping[str, Mapping[str, str]]) -> Schema:
@@ -174,24 +149,25 @@ def parse(
     Raises:
         InvalidInputError: they do not fit; names which, what came and what is allowed.
     """
+    model = kind.model if isinstance(kind, Shape) else kind
+    fields = model.model_fields
     if isinstance(kind, Shape):
-        model, accepted = kind.model, kind._accepted
+        names, required = tuple(kind.properties), tuple(kind.required)
     else:
-        model, accepted = kind, _accepted_of(kind)
+        names = tuple(fields)
+        required = tuple(name for name, field in fields.items() if field.is_required())
     for name in arguments:
-        if name not in accepted.names:
-            raise InvalidInputError.unknown_name("The call", name, accepted.names)
+        if name not in names:
+            raise InvalidInputError.unknown_name("The call", name, names)
     given = {
-        name: value
-        for name, value in arguments.items()
-        if value is not None or name in accepted.required
+        name: value for name, value in arguments.items() if value is not None or name in required
     }
-    for name in accepted.required:
+    for name in required:
         if name not in given:
             raise InvalidInputError(f"Argument {name!r} is missing.", path=name)
-    for name in accepted.integers:  # to JSON, 1.0 is an integer
-        value = given.get(name)
-        if isinstance(value, float) and value.is_integer():
+    for name, value in given.items():
+        is_whole = isinstance(value, float) and value.is_integer()
+        if is_whole and fields[name].annotation is int:  # to JSON, 1.0 is an integer
             given[name] = int(value)
     try:
         # as JSON: strict, but a list is a tuple where one is due

@@ -16,6 +16,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
 import anyio
 from anyio import EndOfStream
@@ -128,10 +129,7 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
             self._changed.clear()
             message = self._next()
             if isinstance(message, JSONRPCRequest):
-
-                async def settled(request_id: int | str = message.id) -> None:
-                    self._settle(request_id)
-
+                settled = partial(self._settle, message.id)
                 return SessionMessage(message, ServerMessageMetadata(on_request_unanswered=settled))
             if message is not None:
                 return SessionMessage(message)
@@ -144,9 +142,9 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
         message = item.message
         self._answer(message.model_dump_json(by_alias=True, exclude_unset=True))
         if isinstance(message, JSONRPCResponse | JSONRPCError):
-            self._settle(message.id)
+            await self._settle(message.id)
 
-    def _settle(self, request_id: int | str | None) -> None:
+    async def _settle(self, request_id: int | str | None) -> None:
         """A request was answered, or never will be: its id is free."""
         if request_id is None:
             return
@@ -174,23 +172,15 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
         return None
 
     def _read(self) -> None:
-        buffer, too_long = bytearray(), False
+        goes_on = False  # of a line that was refused for its length
         try:
-            while chunk := os.read(self._descriptor, _CHUNK):
-                buffer += chunk
-                *lines, rest = buffer.split(b"\n")
-                for line in lines:
-                    if not too_long and line.strip():
-                        self._take(bytes(line))
-                    too_long = False
-                buffer = bytearray(rest)
-                if len(buffer) > MAX_LINE_BYTES:
-                    if not too_long:
-                        self._take(bytes(buffer))  # which refuses its length
-                    too_long = True
-                    buffer.clear()
-                if lines:
-                    self._wake()
+            with open(self._descriptor, "rb", _CHUNK, closefd=False) as wire:
+                while line := wire.readline(MAX_LINE_BYTES + 1):
+                    is_whole = line.endswith(b"\n")
+                    if not goes_on and (is_whole or len(line) > MAX_LINE_BYTES) and line.strip():
+                        self._take(line.removesuffix(b"\n"))
+                        self._wake()
+                    goes_on = not is_whole
         except OSError as error:
             sys.stderr.write(f"Reading from the client failed: {error}\n")
         finally:

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
-from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
 from roboneuron.supervisor.changes import Lasting
@@ -73,8 +72,6 @@ class Bringup:
         config = choice.settings.config
         self._timeout_s = config.start_timeout_s(slot.kind)
         self._stop_timeout_s = config.supervisor.stop_timeout_s
-        self._doing = "starting"
-        self._since_s = self._reported_s = time.monotonic()
 
     def run(self) -> None:
         """Spawn, configure, activate and wait for readiness; a failure ends the process.
@@ -131,7 +128,10 @@ class Bringup:
         self._stage("starting")
         client = self._client = self._make_client(self._slot, self._check)
         self._check_alone()
-        if self._changes.wait_for(self._report, _left(deadline_s), self._check) is None:
+        if (
+            self._changes.wait_for(lambda: self._slot.report, _left(deadline_s), self._check)
+            is None
+        ):
             raise self._too_late("its first status on /diagnostics")
         if not client.wait_until_served(_left(deadline_s)):
             raise self._too_late("its lifecycle services")
@@ -149,7 +149,7 @@ class Bringup:
             RoboNeuronError: why the module refused, as it reports.
         """
         self._stage(f"{name.removesuffix('e')}ing")
-        report = self._report()
+        report = self._slot.report
         before = report.error_count if report is not None else 0
         made = self._client.transition(name, _left(deadline_s))
         if made is None:
@@ -158,7 +158,7 @@ class Bringup:
             return
 
         def reason() -> RoboNeuronError | None:
-            report = self._report()
+            report = self._slot.report
             return report.failure() if report is not None and report.error_count > before else None
 
         failure = self._changes.wait_for(reason, _REASON_S)
@@ -183,7 +183,7 @@ class Bringup:
         def ready() -> bool:
             nonlocal reported
             self._check()
-            report = self._report()
+            report = self._slot.report
             if report is None:
                 return False
             if report.ready and report.state == "active":
@@ -206,7 +206,7 @@ class Bringup:
             return False
 
         if not self._changes.wait_for(ready, _left(deadline_s)):
-            report = self._report()
+            report = self._slot.report
             raise self._too_late(
                 report.waiting_for if report and report.waiting_for else "its first output"
             )
@@ -245,7 +245,7 @@ class Bringup:
         Args:
             missing: what was waited for.
         """
-        report = self._report()
+        report = self._slot.report
         said = f" It says: {report.error}" if report is not None and report.error else ""
         return NotReadyError(
             f"{self._slot.kind} (pid {self._process.pid}) was not ready within "
@@ -260,9 +260,6 @@ class Bringup:
         self._doing = doing
         self._since_s = self._reported_s = time.monotonic()
         self._on_stage(f"{self._slot.kind}: {doing}")
-
-    def _report(self) -> Report | None:
-        return self._modules.report_of(self._slot)
 
     def _check(self) -> None:
         """What every wait of a start looks at; raises what makes waiting needless."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from roboneuron.config import LimitsConfig
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
 from roboneuron.supervisor.changes import Changes, Periodic
@@ -139,6 +140,8 @@ class Modules:
             were replaced.
         log_directory: as given.
         process_events: what happens to module processes, for listeners.
+        tightened: limits that modules are started with instead of the configured ones, None for
+            these; the feature that tightens them sets it.
         secret_variables: environment variables that modules do not get; features may add some.
     """
 
@@ -146,6 +149,7 @@ class Modules:
         self.log_directory = log_directory
         self.on_change = on_change
         self.process_events = ProcessEvents()
+        self.tightened: LimitsConfig | None = None
         self.secret_variables: set[str] = set()
         self.changes = Changes()
         self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}
@@ -159,18 +163,6 @@ class Modules:
         """
         with self.changes.lock:
             return self.slots[kind][0]
-
-    def report_of(self, slot: Slot) -> Report | None:
-        """The newest report of a module, standby or not.
-
-        Args:
-            slot: one of `slots`.
-
-        Returns:
-            None before the first report, and without a process.
-        """
-        with self.changes.lock:
-            return slot.report
 
     def receive(self, message: DiagnosticArray) -> None:
         """Subscription callback of /diagnostics, on the thread of the ROS link."""
@@ -242,19 +234,20 @@ class Modules:
             return self.view(kind)
 
 
-Listener = Callable[[ModuleView, Health, Health], object]
-"""Called from the watching thread with the module, how it was, and how it is."""
-
-
 class Watch(Periodic):
     """A thread that looks at all modules and tells of every change of their health.
 
     Args:
         views: the modules.
-        listener: told of each; must return quickly.
+        listener: called from the watching thread with the module, how it was, and how it is; must
+            return quickly.
     """
 
-    def __init__(self, views: Callable[[], Sequence[ModuleView]], listener: Listener) -> None:
+    def __init__(
+        self,
+        views: Callable[[], Sequence[ModuleView]],
+        listener: Callable[[ModuleView, Health, Health], object],
+    ) -> None:
         super().__init__("watch", LOOK_S, self.look)
         self._views = views
         self._listener = listener

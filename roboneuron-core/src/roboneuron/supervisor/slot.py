@@ -56,12 +56,6 @@ class Selection:
         """The effective configuration."""
         return self.settings.config
 
-    @property
-    def python(self) -> str | None:
-        """Interpreter of the module's own environment; None for the server's."""
-        section = getattr(self.config, self.kind)
-        return section.python if section is not None else None
-
     def with_config(self, config: Config) -> Self:
         """The same with another configuration."""
         return replace(self, settings=self.settings.model_copy(update={"config": config}))

@@ -15,7 +15,7 @@ from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.config import Config, LimitsConfig, ModuleSettings
+from roboneuron.config import Config, ModuleSettings
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind
 from roboneuron.planning import Plan
@@ -62,8 +62,6 @@ class Supervisor(Modules):
 
     Attributes:
         log_directory: `<state>/log/<time>-<pid>`.
-        tightened: limits that modules are started with instead of the configured ones; None for
-            these.
         on_join: functions of features that modules call with their node, as "module:attribute"; see
             `ModuleHost`.
         needs_start: which stop keeps robot and control still, when they are started, until somebody
@@ -83,7 +81,6 @@ class Supervisor(Modules):
         run = f"{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}"
         super().__init__(state_directory / "log" / run, on_change)
         self.state_directory = state_directory
-        self.tightened: LimitsConfig | None = None
         self.on_join: tuple[str, ...] = ()
         self.needs_start = ""
         self.connection = connect(self.receive, self.log_directory)
@@ -181,7 +178,9 @@ class Supervisor(Modules):
             ConfigurationError: it cannot be started, or its log cannot be written.
         """
         settings = choice.settings
-        command = self._command(choice.python)
+        section = getattr(settings.config, settings.kind)
+        python = None if section is None else section.python
+        command = self._command(python)
         number = next(self.connection.starts)
         check_state_directory(self.log_directory)
         try:
@@ -189,7 +188,7 @@ class Supervisor(Modules):
                 spawn,
                 settings.node_name,
                 command,
-                module_environment(choice.python, number, self.secret_variables),
+                module_environment(python, number, self.secret_variables),
                 settings.to_line(),
                 self.log_directory / f"{settings.node_name}.log",
                 self.process_events,
@@ -209,7 +208,7 @@ class Supervisor(Modules):
         """Settings of what is to replace the module in `working`: in its shadow until the handover,
         under the one of two node names that it does not use, and still for the same stop.
         """
-        kind, report = settings.kind, self.report_of(working)
+        kind, report = settings.kind, working.report
         is_named_so = working.choice is not None and working.choice.settings.node_name == kind
         changes: dict[str, object] = {
             "shadow": True,
@@ -333,7 +332,7 @@ class Supervisor(Modules):
             started_s: when the stop began [monotonic s].
         """
         slot, process = claim.slot, claim.process
-        report = self.report_of(slot)
+        report = slot.report
         slot.settle("stopped")
         log.info("Stopped %s: pid %d, exit code %s.", slot.kind, process.pid, process.exit_code)
         stopped = Stopped(

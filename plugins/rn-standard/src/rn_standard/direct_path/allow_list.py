@@ -31,7 +31,6 @@ from roboneuron import (
 )
 from roboneuron.feature import (
     Config,
-    Event,
     ExposedEndpoint,
     MotionRules,
     Registry,
@@ -127,7 +126,6 @@ class AllowList:
 
     Attributes:
         exposed: what is in force; the action topic of an arm is among it, hidden.
-        on_change: has a listener called after each change, from the thread that made it.
     """
 
     def __init__(
@@ -135,13 +133,15 @@ class AllowList:
         gate: Gate,
         config: Callable[[], Config],
         registry: Callable[[], Registry],
-        limits: Callable[[], models.LimitsConfig] | None = None,
+        limits: Callable[[], models.LimitsConfig],
+        on_change: Callable[[], object],
     ) -> None:
         """Args:
         gate: judges by the list.
         config: the configuration with the present robot.
         registry: the plugins that are installed now.
         limits: see `ArmPaths`.
+        on_change: called after each change, on the thread that made it.
         """
         self._gate = gate
         self._config = config
@@ -151,8 +151,7 @@ class AllowList:
         self._by_owner: dict[str, tuple[ExposedEndpoint, ...]] = {}
         self._instead: frozenset[str] = frozenset()
         self.exposed: tuple[ExposedEndpoint, ...] = ()
-        self._changed: Event[[]] = Event()
-        self.on_change = self._changed.listen
+        self._on_change = on_change
 
     def expose(
         self, owner: str, endpoints: Sequence[ExposedEndpoint], *, instead_of_profile: bool = False
@@ -180,7 +179,7 @@ class AllowList:
             except Exception:
                 self._by_owner, self._instead = before
                 raise
-        self._changed.tell()
+        self._on_change()
 
     def relimit(self) -> None:
         """Judge by the limits that are in force now. Raises as `expose`; the old ones stay then."""
@@ -195,7 +194,7 @@ class AllowList:
         with self._lock:
             if not self._instead:
                 self._apply()
-        self._changed.tell()
+        self._on_change()
 
     def _apply(self) -> None:
         listed = [

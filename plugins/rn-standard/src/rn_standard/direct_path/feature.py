@@ -67,7 +67,11 @@ class DirectPath(Feature[DirectPathOptions]):
             self._is_followed, _REPORTED_S + (0.0 if control is None else control.action_timeout_s),
         )  # fmt: skip
         self.allow_list = AllowList(
-            self.judge, lambda: host.config, lambda: host.registry, lambda: host.loop.limits
+            self.judge,
+            lambda: host.config,
+            lambda: host.registry,
+            lambda: host.loop.limits,
+            host.events.exposed.tell,
         )
         traffic = Traffic(lambda: host.link(self))
         self._gate = DirectGate(

@@ -55,11 +55,7 @@ class DirectGate:
         self._traffic = traffic
         self._allow_list = allow_list
         self.max_duration_s = max_duration_s
-        self.expose, self.on_change, self.relimit = (
-            allow_list.expose,
-            allow_list.on_change,
-            allow_list.relimit,
-        )
+        self.expose, self.relimit = allow_list.expose, allow_list.relimit
         self.check, self.slowdown = gate.check, gate.slowdown
         self.check_free, self.claim, self.end_motions = (
             arbiter.check_free,

@@ -58,7 +58,7 @@ class HttpFeature(Feature[HttpOptions]):
             has_left=has_left,
             by_streams=self.options.lease_streams,
         )
-        host.tools.add_admission(self.lease.admit)
+        host.tools.admissions.append(self.lease.admit)
         host.events.client.listen(self.lease.note_client)
         host.events.presence.listen(self.lease.note_presence)
         return self.lease.tools()

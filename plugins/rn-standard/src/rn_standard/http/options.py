@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from pydantic import Field
 
 from roboneuron import Section
-from roboneuron.feature import models
+from roboneuron.feature import Config, models
 
 
 class TokenConfig(Section):
@@ -65,6 +65,11 @@ class HttpOptions(Section):
         strict=False,
         description="who may connect: tables of `name`, `role`, `variable`, `file`",
     )
+
+    @classmethod
+    def of(cls, config: Config) -> Self:
+        """Those of a configuration: its section was checked when it was read."""
+        return cls.model_validate(config.sections.get("http", {}))
 
     def lease_on(self, transport: str) -> float | None:
         """Longest silence of the operator of a server with this transport [s]; None: no lease."""

@@ -107,7 +107,7 @@ class AccelerationSwitch:
         self, slot: Slot, parameters: NodeClient, answers: int, former: str
     ) -> Report:
         def answer() -> Report | None:
-            report = self._loop.modules.report_of(slot)
+            report = slot.report
             return report if report is not None and _answers(report) > answers else None
 
         report = self._changes.wait_for(answer, _DONE_S, lambda: self._check(slot))

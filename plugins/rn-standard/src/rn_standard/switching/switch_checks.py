@@ -81,7 +81,7 @@ class SwitchCheck(ABC):
 
     def old(self) -> Report | None:
         """The newest report of the module that works now."""
-        return self._modules.report_of(self._modules.slot(self.kind))
+        return self._modules.slot(self.kind).report
 
 
 class InferenceCheck(SwitchCheck):

@@ -180,7 +180,7 @@ class WarmSwitch:
         """
 
         def lacking() -> dict[str, str]:
-            old = self._modules.report_of(self._working())
+            old = self._working().report
             needed, found = _listeners(old), _listeners(self._healthy(standby))
             return {
                 topic: f"{found[topic]} of {count} on {topic}"
@@ -197,12 +197,12 @@ class WarmSwitch:
 
     def _measure(self, old: Slot, new: Slot) -> Gap | None:
         """From what both tell afterwards; None when there was no output before or after."""
-        modules, now_s = self._modules, time.monotonic()
+        now_s = time.monotonic()
 
         def gap() -> Gap | None:
-            last = modules.report_of(old)
+            last = old.report
             is_last = last is None or last.received_s > now_s
-            return self._check.measure(last, modules.report_of(new)) if is_last else None
+            return self._check.measure(last, new.report) if is_last else None
 
         return self._changes.wait_for(gap, ARRIVAL_S)
 
@@ -328,7 +328,7 @@ class WarmSwitch:
         """
         slot.check_alive("working in shadow")
         self._working().check_alive("being replaced")
-        report = self._modules.report_of(slot)
+        report = slot.report
         if report is None:
             raise NotReadyError(
                 f"The new {self._check.noun} stopped reporting; nothing was replaced."

@@ -61,7 +61,7 @@ class TasksFeature(Feature[TasksSections]):
         """See `Feature.tools`."""
         self._host = host
         arbiter = self._arbiter = TaskArbiter()
-        host.tools.add_admission(arbiter.admit)
+        host.tools.admissions.append(arbiter.admit)
         host.events.stop.listen(lambda kind: arbiter.end(f"{kind} was stopped"))
         self._events = EventLog(self.options.events.kept, host.events.resource.tell)
         self._watching = Watching(host, self.options.events, self._events)

@@ -35,7 +35,6 @@ class ArmTools(Feature[ArmToolsOptions]):
                     grip.watch()
 
         host.events.change.listen(watch)
-
-        host.gate.on_change(derive)
+        host.events.exposed.listen(derive)
         derive()
         return ()

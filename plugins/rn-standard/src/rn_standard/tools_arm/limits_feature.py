@@ -100,9 +100,8 @@ class LimitsFeature(Feature[None]):
         motion ends.
         """
         assert self._profile is not None
-        loop = self._host.loop
-        limits = record.tightening.applied(loop.base.limits, self._profile)
-        loop.tighten(None if record.tightening.is_empty else limits)
+        limits = record.tightening.applied(self._host.loop.base.limits, self._profile)
+        self._host.modules.tightened = None if record.tightening.is_empty else limits
         self._record = record
         gate = self._host.gate
         gate.relimit()
@@ -116,7 +115,7 @@ class LimitsFeature(Feature[None]):
         Raises:
             NotReadyError: one did not take them.
         """
-        tightened = self._host.loop.tightened
+        tightened = self._host.modules.tightened
         text = "" if tightened is None else tightened.model_dump_json()
         values = {settings.LIMITS_PARAMETER: text}
         try:
@@ -135,7 +134,7 @@ class LimitsFeature(Feature[None]):
         view = self._host.modules.view(kind)
         if kind != "control" or view.phase != "running" or view.choice is None:
             return
-        if view.choice.settings.tightened != self._host.loop.tightened:
+        if view.choice.settings.tightened != self._host.modules.tightened:
             threading.Thread(target=self._tell_quietly, name="limits-control", daemon=True).start()
 
     def _tell_quietly(self) -> None:

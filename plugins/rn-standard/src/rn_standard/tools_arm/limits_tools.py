@@ -88,7 +88,7 @@ def limits_tools(
             lower_m=limits.workspace_lower_m,
             upper_m=limits.workspace_upper_m,
             keep_out={zone.name: [zone.lower_m, zone.upper_m] for zone in limits.zones},
-            is_tightened=host.loop.tightened is not None,
+            is_tightened=host.modules.tightened is not None,
         )
 
     async def tighten_limits(arguments: TightenLimits, context: CallContext) -> LimitsResult:
@@ -98,10 +98,13 @@ def limits_tools(
 
     async def loosen_limits(_: NoArguments, context: CallContext) -> LimitsResult:
         who = context.who
-        if host.config.server.reset_emergency_stop == "person" and host.loop.tightened is not None:
+        if (
+            host.config.server.reset_emergency_stop == "person"
+            and host.modules.tightened is not None
+        ):
             await _ask(host, context)
             who = f"a person asked by {who}"
-        if host.loop.tightened is not None:
+        if host.modules.tightened is not None:
             await context.run(lambda _: loosen(who, context.role))
         return answer()
 
