@@ -212,6 +212,8 @@ class Traffic:
         assert isinstance(exposed, ExposedEndpoint)
         return self.served.pop(0) if len(self.served) > 1 else self.served[0]
 
+    def check_server(self, exposed: ExposedEndpoint) -> None: ...
+
     def cancel_goal(self, exposed: ExposedEndpoint, goal_id: object) -> None: ...
 
     def link(self) -> Any:

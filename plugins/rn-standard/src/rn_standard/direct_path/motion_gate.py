@@ -76,6 +76,8 @@ class DirectGate:
 
     def ask(self, exposed: ExposedEndpoint, request: GateRequest) -> Verdict:
         """As `MotionGate.ask`."""
+        if exposed.endpoint.kind in ("service", "action"):
+            self._traffic.check_server(exposed)
         try:
             self.check_free(exposed)
         except RefusedError as error:
