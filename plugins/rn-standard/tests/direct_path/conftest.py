@@ -157,6 +157,8 @@ class Writer:
         self.waits_s: list[float] = []
         self.subscribers = 2
         self.listeners = 2
+        self.misfit = ""
+        self.has_new_misfit = False
         self.takes_s = 0.0
         self.on_connect: Callable[[], object] = lambda: None
         self._clock = clock
