@@ -143,7 +143,7 @@ def test_quality_of_service_that_does_not_fit_is_named(
         why = "no subscriber that fits, because of a setting of its DDS that ROS does not show"
         until(lambda: why in server.refusal("publish_owned", message={"data": ""}, timeout_s=1.0))
     told = server.doctor()
-    assert said in told
+    assert said in told, told
     assert ("Services of another DDS cannot be called: /fr3/count" in told) == (peer == "cyclone")
     assert ("1 x Cyclone DDS" in told) == (peer == "cyclone")
     note("recognised as", "its nodes" if peer == "kilted" else "Cyclone DDS without ROS")

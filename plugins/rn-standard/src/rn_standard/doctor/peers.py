@@ -23,12 +23,13 @@ from rn_standard.direct_path.peers import (
 )
 from rn_standard.doctor.finding import Finding, ok, warning
 
-_DISCOVERY_S = 2.0
+_DISCOVERY_S = 3.5
+"""Fast DDS announces a participant every 3 s, and the first answers to a new one may be lost."""
 _MOST = 5
 
 
 def look_around() -> Finding:
-    """Join the graph, wait until it is discovered, and look; takes about 3 s."""
+    """Join the graph, wait until it is discovered, and look; takes about 4 s."""
     from roboneuron.command import RosLink
 
     link = RosLink(f"roboneuron_doctor_peers_{os.getpid()}")
