@@ -182,6 +182,17 @@ test-sourced: $(VENV)/.develop .venv-kilted/.ready .venv-sourced/.ready ## a sou
 	  --editable plugins/rn-interfaces
 	@touch $@
 
+test-peers: $(VENV)/.develop .venv-kilted/.ready .venv-cyclone/.ready ## nodes of Kilted, a program of Cyclone DDS and what Humble announces beside our server; prints a table
+	$(BIN)/python -m pytest -m peers tests/peers $(ARGS)
+
+.venv-cyclone: .venv-cyclone/.ready
+
+.venv-cyclone/.ready:
+	@echo "Setting up .venv-cyclone (once, ten seconds) ..."
+	$(PYTHON) -m venv .venv-cyclone
+	.venv-cyclone/bin/python -m pip install --quiet --disable-pip-version-check 'cyclonedds==11.*'
+	@touch $@
+
 test-lerobot-policies: $(VENV)/.develop .venv-lerobot-policies/.ready ## policies of LeRobot beside LeRobot's own engines, then through ROS (its own environment)
 	.venv-lerobot-policies/bin/python -m pytest plugins/rn-backend-lerobot/tests/policies \
 	  plugins/rn-backend-lerobot/tests/test_lerobot_keeps_its_contract.py $(ARGS)
@@ -322,7 +333,7 @@ test-units: $(VENV)/.develop ## its tests without ROS processes, UNIT_JOBS at a 
 
 test-ros: $(VENV)/.develop ## its tests with ROS processes, ROS_JOBS at a time
 	$(BIN)/python -m pytest -n $(ROS_JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(RERUN) \
-	  -m "ros and not timing and not sourced and not gpu and not hardware and not slow" $(ARGS)
+	  -m "ros and not timing and not sourced and not peers and not gpu and not hardware and not slow" $(ARGS)
 
 test-timing: $(VENV)/.develop ## tests that judge how soon something happens, one at a time: let nothing run beside them
 	$(BIN)/python -m pytest $(RERUN) -m "ros and timing and not gpu and not hardware and not slow" $(ARGS)

@@ -26,6 +26,7 @@ COMMANDS_APART = {"doctor": "ops", "limits": "tools_arm"}
 NEEDS = {
     "console": {"selection"},
     "demo": {"console"},
+    "doctor": {"direct_path"},
     "execution": {"inference"},
     "limits": {"tools_arm"},
     "ops": {"tools_loop"},
@@ -40,8 +41,8 @@ NEEDS = {
 PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
     "control": "module planning",
-    "direct_path": "allow_list arbiter delivery derived exposed fields joints limits speeds twists "
-    "type_hashes",
+    "direct_path": "allow_list arbiter delivery derived exposed fields joints limits peers speeds "
+    "twists type_hashes",
     "execution": "adaptive mode",
     "http": "addresses authentication bounded_server connections feature listener operator_lease "
     "options origins plugin tokens",

@@ -214,16 +214,21 @@ def test_an_agent_publishes_reads_and_records_a_learnt_type(
 OTHER = """
 import time
 import rclpy
+from rclpy.action import ActionServer
 from rclpy.node import Node
 from rn_interfaces.finder import install
 
 install()
+from weld_msgs.action import Weld
 from weld_msgs.msg import Path, Seam
+from weld_msgs.srv import Strike
 
 rclpy.init()
 node = Node("stranger", namespace="fr3")
 node.create_publisher(Path, "done", 10)
 node.create_subscription(Seam, "seam", lambda message: None, 10)
+node.create_service(Strike, "strike", lambda request, response: response)
+welding = ActionServer(node, Weld, "weld", lambda goal: Weld.Result())
 print("there", flush=True)
 rclpy.spin(node)
 """
@@ -245,15 +250,27 @@ def test_another_definition_of_the_type_is_refused(store: Store, tmp_path: Path)
 
     async def scenario() -> None:
         async with Client(server) as client:
-            for tool, arguments in (("read_done", {}), ("publish_seam", {"message": {}})):
+            calls: tuple[tuple[str, dict[str, Any]], ...] = (
+                ("read_done", {}),
+                ("publish_seam", {"message": {}}),
+                ("call_strike", {"request": {}}),
+                ("call_strike", {"request": {}, "dry_run": True}),
+                ("send_weld_goal", {"goal": {"seam": {}}}),
+            )
+            for tool, arguments in calls:
                 text = ""
                 with anyio.fail_after(WAIT_S):
-                    while "has another definition of weld_msgs/msg/" not in text:  # discovered
+                    while "has another definition of weld_msgs/" not in text:  # discovered
                         answer = await client.call_tool(tool, arguments)
                         text = answer.content[0].text  # type: ignore[union-attr]
                         await anyio.sleep(0.1)
                 assert answer.is_error
                 assert "ros learn graph" in text
+            listed = await client.call_tool("list_topics", {})
+            topics = (listed.structured_content or {})["topics"]
+            problems = {one["name"]: one["problems"] for one in topics}
+            for name in ("done", "seam", "strike", "weld"):
+                assert "has another definition of weld_msgs/" in problems[name][0]
 
     with subprocess.Popen(
         [sys.executable, "-c", OTHER], env=other, stdout=subprocess.PIPE, text=True

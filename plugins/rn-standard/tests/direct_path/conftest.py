@@ -157,6 +157,8 @@ class Writer:
         self.waits_s: list[float] = []
         self.subscribers = 2
         self.listeners = 2
+        self.misfit = ""
+        self.has_new_misfit = False
         self.takes_s = 0.0
         self.on_connect: Callable[[], object] = lambda: None
         self._clock = clock
@@ -211,6 +213,8 @@ class Traffic:
     def is_served(self, exposed: ExposedEndpoint) -> bool:
         assert isinstance(exposed, ExposedEndpoint)
         return self.served.pop(0) if len(self.served) > 1 else self.served[0]
+
+    def check_server(self, exposed: ExposedEndpoint) -> None: ...
 
     def cancel_goal(self, exposed: ExposedEndpoint, goal_id: object) -> None: ...
 

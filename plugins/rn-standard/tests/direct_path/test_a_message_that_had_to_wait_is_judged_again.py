@@ -31,6 +31,13 @@ def test_a_message_that_nobody_would_receive_is_not_sent(
     assert (bench.sent, bench.writer.waits_s, bench.permitted) == ([], [0.5], [])
 
 
+def test_a_policy_that_does_not_fit_is_named(bench: Any, drive: ExposedEndpoint, ask: Ask) -> None:
+    bench.writer.subscribers, bench.writer.misfit = 0, "liveliness"
+    said = r"/arm/cmd_vel .* has no subscriber that fits, because of liveliness: nothing was sent"
+    with pytest.raises(NotReadyError, match=said):
+        bench.send_one(drive, ask(drive.endpoint, FORWARD), "later")
+
+
 @pytest.mark.parametrize(("listeners", "wait_s"), [(0, 0.0), (1, 0.5)])
 def test_a_message_that_needs_no_subscriber_waits_only_for_one_that_is_there(
     bench: Any,

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 
 from rn_standard.doctor import checks
-from rn_standard.doctor.finding import Finding, Severity
+from rn_standard.doctor.finding import Finding, Severity, ok
 from rn_standard.doctor.images import ImageTransport
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
@@ -34,12 +34,13 @@ def find(name: str, config: Config) -> Finding:
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """All checks run in every test; the slow two are replaced."""
+    """All checks run in every test; the slow ones are replaced."""
     quick = ImageTransport(sent=20, received=20, median_ms=1.0, worst_ms=2.0, neighbours=())
     monkeypatch.setattr(checks, "measure_image_transport", lambda: quick)
     monkeypatch.setattr(
         checks.shutil, "disk_usage", lambda _: SimpleNamespace(free=1 << 40, total=1 << 40)
     )
+    monkeypatch.setattr(checks.peers, "look_around", lambda: ok("Nobody else."))
     kept = tuple(check for check in checks.CHECKS if check.id != "gpu")
     monkeypatch.setattr(checks, "CHECKS", kept)
 

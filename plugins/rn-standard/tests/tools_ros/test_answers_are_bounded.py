@@ -30,6 +30,11 @@ class Graph:
     def get_node_names_and_namespaces(self) -> list[tuple[str, str]]:
         return [(f"node_{number}", "/arm") for number in range(COUNT)]
 
+    def get_publishers_info_by_topic(self, topic: str, no_mangle: bool) -> list[Any]:
+        return []
+
+    get_subscriptions_info_by_topic = get_publishers_info_by_topic
+
     def count_publishers(self, topic: str) -> int:
         return 0
 

@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+import anyio
 import pytest
 from mcp import types
 
@@ -93,6 +94,30 @@ def test_nobody_listening_is_an_error_unless_that_is_configured(ask: Ask, rover:
         code, text = await agent.fail("publish_speech", message={"data": "x"}, timeout_s=0.3)
         assert code == "not_ready"
         assert "/rover/say (std_msgs/msg/String) has no subscriber: nothing was sent." in text
+
+    ask(scenario)
+
+
+def test_a_subscription_that_asks_for_more_is_served_from_then_on(ask: Ask, rover: Any) -> None:
+    """A publisher that fits the first one alone would be kept, and the second would get nothing."""
+    from rclpy.duration import Duration
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from std_msgs.msg import String
+
+    strict = QoSProfile(
+        depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(seconds=5)
+    )
+    got: list[str] = []
+
+    async def scenario(agent: Any) -> None:
+        await agent.do("publish_speech", message={"data": "first"})
+        rover.node.create_subscription(String, "say", lambda one: got.append(one.data), strict)
+        with anyio.fail_after(20):
+            while not got:
+                await agent.do("publish_speech", message={"data": "second"})
+                await anyio.sleep(0.05)
+        assert (await agent.do("publish_speech", message={"data": "third"}))["subscribers"] == 2
+        assert "second" in [message.data for message in rover.on("say")]
 
     ask(scenario)
 

@@ -41,6 +41,14 @@ class RosGraph:
         """Who subscribes to a topic."""
         return list(self._node.get_subscriptions_info_by_topic(topic))
 
+    def dds_publishers(self, topic: str) -> list[TopicEndpointInfo]:
+        """Who publishes a topic, by its name in DDS: `rt/chatter`, `rr/addReply`."""
+        return list(self._node.get_publishers_info_by_topic(topic, True))
+
+    def dds_subscriptions(self, topic: str) -> list[TopicEndpointInfo]:
+        """Who subscribes to a topic, by its name in DDS: `rt/chatter`, `rq/addRequest`."""
+        return list(self._node.get_subscriptions_info_by_topic(topic, True))
+
     def counts(self, topic: str) -> tuple[int, int]:
         """Publishers and subscribers of a topic."""
         return self._node.count_publishers(topic), self._node.count_subscribers(topic)

@@ -281,6 +281,9 @@ class MotionGate(Protocol):
     def is_served(self, exposed: ExposedEndpoint) -> bool:
         """Whether somebody serves the service or action; blocks for a moment when that is new of an
         action.
+
+        Raises:
+            ConfigurationError: the server has another definition of the type, or uses another DDS.
         """
 
     def send_request(

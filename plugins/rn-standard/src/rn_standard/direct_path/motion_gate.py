@@ -72,6 +72,8 @@ class DirectGate:
 
     def ask(self, exposed: ExposedEndpoint, request: GateRequest) -> Verdict:
         """As `MotionGate.ask`."""
+        if exposed.endpoint.kind in ("service", "action"):
+            self._traffic.check_server(exposed)
         try:
             self.check_free(exposed)
         except RefusedError as error:
@@ -139,7 +141,7 @@ class DirectGate:
         if writer is None or request.dry_run or exposed.endpoint.joint_limited or self._is_still():
             return None
         matched = writer.matched()
-        if not matched:
+        if not matched or writer.has_new_misfit:
             return None
         started_s = time.monotonic()
         self.check_free(exposed)
@@ -251,8 +253,10 @@ class DirectGate:
         needed = exposed.require_subscriber
         matched = writer.connect(timeout_s if needed or writer.listening() else 0.0)
         if needed and not matched:
+            which = f" that fits, because of {writer.misfit}" if writer.misfit else ""
             raise NotReadyError(
-                f"{exposed.topic} ({exposed.endpoint.type}) has no subscriber: nothing was sent.",
+                f"{exposed.topic} ({exposed.endpoint.type}) has no subscriber{which}: nothing was "
+                "sent.",
                 hint="Start the robot, or look at list_topics.",
             )
         if time.monotonic() - started_s > _LATE_S:

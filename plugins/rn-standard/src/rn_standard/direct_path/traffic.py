@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rn_standard.direct_path.fields import load_type
+from rn_standard.direct_path.peers import NodeGraph, check_server
 from roboneuron import InvalidInputError, JointSample
 from roboneuron.feature import ExposedEndpoint, topics
 
@@ -63,7 +64,11 @@ class Traffic:
     def is_served(self, exposed: ExposedEndpoint) -> bool:
         """Whether somebody serves the service or action; blocks for a moment when that is new of an
         action.
+
+        Raises:
+            ConfigurationError: as `check_server`.
         """
+        self.check_server(exposed)
         link = self.link()
         if exposed.endpoint.kind != "action":
             return link.is_service_ready(load_type(exposed.endpoint.type), exposed.topic)
@@ -78,6 +83,14 @@ class Traffic:
             time.sleep(_SETTLE_S)
             self._settled.add(exposed.topic)
         return True
+
+    def check_server(self, exposed: ExposedEndpoint) -> None:
+        """Refuse what serves a service or action and cannot be understood; see
+        `peers.check_server`.
+        """
+        endpoint = exposed.endpoint
+        graph = NodeGraph(self.link().node)
+        check_server(endpoint.kind, exposed.topic, endpoint.type, graph)
 
     def action_client(self, exposed: ExposedEndpoint) -> Any:
         """The rclpy client of an action, for as long as the link is open."""

@@ -15,26 +15,32 @@ from roboneuron import ConfigurationError
 if TYPE_CHECKING:
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-_KNOWN = "RIHS01_"
-_NAMELESS = "_NODE_NAME_UNKNOWN_"
+KNOWN = "RIHS01_"
+"""Begin of a hash; ROS 2 before Iron and programs without ROS send none."""
+NAMELESS = "_NODE_NAME_UNKNOWN_"
 """rcl's name for the node of an endpoint that was discovered before its node."""
+BARE = "_CREATED_BY_BARE_DDS_APP_"
+"""rcl's name for the node of an endpoint of a program without ROS."""
 
 
 @cache
-def _own_hash(type_name: str) -> str:
-    """Of the type as this process has it, empty where nothing says it; kept, as the class is."""
+def _own_hash(type_name: str, part: str) -> str:
+    """Of a part of the type as this process has it, empty where nothing says it; kept, as the class
+    is.
+    """
     for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]:
         path = Path(prefix, "share", f"{type_name}.json")
         if prefix and path.is_file():
             hashes = json.loads(path.read_text(encoding="utf-8"))["type_hashes"]
-            return next(
-                (str(one["hash_string"]) for one in hashes if one["type_name"] == type_name), ""
-            )
+            name = f"{type_name}{part}"
+            return next((str(one["hash_string"]) for one in hashes if one["type_name"] == name), "")
     return ""
 
 
-def check_type_hash(topic: str, type_name: str, infos: Sequence[TopicEndpointInfo]) -> None:
-    """Refuse a topic whose other end has another definition of the type.
+def check_type_hash(
+    topic: str, type_name: str, infos: Sequence[TopicEndpointInfo], part: str = ""
+) -> None:
+    """Refuse a topic, service or action whose other end has another definition of the type.
 
     ROS 2 before Iron and other vendors send no hash; nothing can be said about them.
 
@@ -42,15 +48,16 @@ def check_type_hash(topic: str, type_name: str, infos: Sequence[TopicEndpointInf
         topic: for the message.
         type_name: as in the exposure, package/msg/Name.
         infos: the publishers or subscriptions.
+        part: of a service or action, as it is called in the hash: `_Request`.
 
     Raises:
         ConfigurationError: names the node and what to do.
     """
-    own = _own_hash(type_name)
+    own = _own_hash(type_name, part)
     for info in infos:
         spoken = str(info.topic_type_hash)
-        if own and spoken.startswith(_KNOWN) and spoken != own:
-            who = "A node" if info.node_name == _NAMELESS else str(info.node_name)
+        if own and spoken.startswith(KNOWN) and spoken != own:
+            who = "A node" if info.node_name in (NAMELESS, BARE) else str(info.node_name)
             raise ConfigurationError(
                 f"{who} has another definition of {type_name} on {topic} than this "
                 f"server: {spoken[:15]}, not {own[:15]}.",

@@ -10,10 +10,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
     LivelinessPolicy,
+    QoSPolicyKind,
     QoSProfile,
     ReliabilityPolicy,
 )
@@ -25,7 +27,10 @@ if TYPE_CHECKING:
     from roboneuron.feature import RosLink
 
 _DEPTH = 10
+_UNSHOWN = "a setting of its DDS that ROS does not show, such as ownership"
 _POLL_S = 0.005
+_REPLACE_S = 0.5
+"""Longest wait of a publisher that replaces another, for the subscriptions of that one."""
 _SETTLE_S = 0.03
 """After the first match: until the other side has matched too, a volatile message would be lost
 there.
@@ -73,7 +78,12 @@ def qos_key(profile: QoSProfile) -> tuple[object, ...]:
 
 
 class TopicWriter:
-    """One topic; made without touching ROS, usable from any thread."""
+    """One topic; made without touching ROS, usable from any thread.
+
+    Attributes:
+        misfit: what the last subscription that does not fit asks for; empty when all fit.
+        has_new_misfit: it came after `connect`, which may find a profile that fits all.
+    """
 
     def __init__(self, link: RosLink, message_type: type, type_name: str, topic: str) -> None:
         """Args:
@@ -88,6 +98,8 @@ class TopicWriter:
         self._lock = threading.Lock()
         self._publisher: Any = None
         self._key: tuple[object, ...] = ()
+        self.has_new_misfit = False
+        self.misfit = ""
 
     def matched(self) -> int:
         """Number of subscriptions that the next message goes to; about 5 us."""
@@ -107,8 +119,9 @@ class TopicWriter:
         with self._lock:
             while True:
                 count = self.matched()
-                if count:
+                if count and not self.has_new_misfit:
                     return count
+                self.has_new_misfit = False
                 self._offer(offered_qos(self._subscriptions()))
                 if self.matched():
                     time.sleep(_SETTLE_S)
@@ -138,20 +151,34 @@ class TopicWriter:
         return found
 
     def _offer(self, profile: Any) -> None:
-        """Have a publisher with this profile; one with another is replaced, because nobody has
-        matched it.
+        """Have a publisher with this profile. One with another is replaced as soon as the new one
+        has matched as many subscriptions: others may be sending.
         """
         key = qos_key(profile)
         if self._publisher is not None and key == self._key:
             return
         old, node = self._publisher, self._link.node
+        self.misfit = ""
 
-        def make() -> Any:
-            if old is not None:
-                node.destroy_publisher(old)
-            return node.create_publisher(self._message_type, self.topic, profile)
+        def note(event: Any) -> None:
+            kind = QoSPolicyKind(event.last_policy_kind)
+            self.misfit = _UNSHOWN if kind is QoSPolicyKind.INVALID else kind.name.lower()
+            self.has_new_misfit = True
 
-        self._publisher, self._key = self._link.on_executor(make), key
+        made = self._link.on_executor(
+            lambda: node.create_publisher(
+                self._message_type,
+                self.topic,
+                profile,
+                event_callbacks=PublisherEventCallbacks(incompatible_qos=note),
+            )
+        )
+        deadline_s = time.monotonic() + _REPLACE_S
+        while self.matched() > made.get_subscription_count() and time.monotonic() < deadline_s:
+            time.sleep(_POLL_S)
+        self._publisher, self._key = made, key
+        if old is not None:
+            self._link.on_executor(lambda: node.destroy_publisher(old))
 
 
 class NewestMessage:

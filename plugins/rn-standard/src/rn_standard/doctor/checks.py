@@ -12,7 +12,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from rn_standard.doctor import installations
+from rn_standard.doctor import installations, peers
 from rn_standard.doctor.finding import Check, Finding, Severity, failed, ok, warning
 from rn_standard.doctor.images import measure_image_transport
 from roboneuron import RoboNeuronError, RobotSpec
@@ -165,6 +165,11 @@ def _images(_: Config) -> Finding:
     return ok(text)
 
 
+def _peers(_: Config) -> Finding:
+    environment.prepare_environment()
+    return peers.look_around()
+
+
 def _plugins(config: Config) -> Finding:
     records = discover(config.disabled_plugins).plugins
     ready = sum(record.status is Status.READY for record in records)
@@ -244,6 +249,12 @@ CHECKS = (
     Check(id="ros", question="Is ROS 2 there?", answer=_ros),
     Check(
         id="images", question="Do images get from process to process?", answer=_images, needs="ros"
+    ),
+    Check(
+        id="peers",
+        question="Do all on the graph understand each other?",
+        answer=_peers,
+        needs="ros",
     ),
     Check(id="plugins", question="Are the plugins ready?", answer=_plugins),
     Check(

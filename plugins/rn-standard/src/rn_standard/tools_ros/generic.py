@@ -69,6 +69,9 @@ class TopicStatus(Result):
     publishers: int | None = Field(description="None for services and actions")
     subscribers: int | None
     served: bool | None = Field(description="whether it has a server; None for topics")
+    problems: list[str] = Field(
+        description="what does not fit: definition, quality of service, ROS or DDS"
+    )
 
 
 class ListNames(Arguments):
@@ -233,6 +236,7 @@ def _topics(endpoints: Iterable[ExposedEndpoint], graph: GraphNames) -> list[Top
                 publishers=publishers,
                 subscribers=subscribers,
                 served=None if is_topic else bool(types),
+                problems=graph.problems(exposed),
             )
         )
     return listed

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+from rn_standard.direct_path.peers import problems_of
 from roboneuron import Host
+from roboneuron.feature import ExposedEndpoint
 
 _FEEDBACK = "/_action/feedback"
 """Every action has this topic. Source: rcl_action/src/rcl_action/graph.c."""
@@ -57,6 +59,11 @@ class GraphNames:
             "service": _with_one_type(self.services()),
             "action": _with_one_type(self.actions()),
         }
+
+    def problems(self, exposed: ExposedEndpoint) -> list[str]:
+        """Why an exposed endpoint does not work, or not with everybody; a sentence each."""
+        endpoint, graph = exposed.endpoint, self._host.graph
+        return problems_of(endpoint.kind, exposed.topic, endpoint.type, graph)
 
     def counts(self, topic: str) -> tuple[int, int]:
         """Publishers and subscribers of a topic."""

@@ -1,0 +1,87 @@
+"""Who else is on the ROS graph: other distributions, other DDS, publishers that do not fit
+subscriptions.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import Counter
+from collections.abc import Iterable
+
+from rn_standard.direct_path.peers import (
+    HUMBLE,
+    HUMBLE_HINT,
+    Graph,
+    NodeGraph,
+    both_ends,
+    is_foreign,
+    old_participants,
+    participant_of,
+    qos_mismatches,
+    vendor_of,
+)
+from rn_standard.doctor.finding import Finding, ok, warning
+
+_DISCOVERY_S = 3.5
+"""Fast DDS announces a participant every 3 s, and the first answers to a new one may be lost."""
+_MOST = 5
+
+
+def look_around() -> Finding:
+    """Join the graph, wait until it is discovered, and look; takes about 4 s."""
+    from roboneuron.command import RosLink
+
+    link = RosLink(f"roboneuron_doctor_peers_{os.getpid()}")
+    link.open()
+    try:
+        time.sleep(_DISCOVERY_S)
+        names = [name for name, _ in link.node.get_topic_names_and_types(no_demangle=True)]
+        return judge(names, NodeGraph(link.node))
+    finally:
+        link.close()
+
+
+def judge(names: Iterable[str], graph: Graph) -> Finding:
+    """What of a graph does not fit.
+
+    Args:
+        names: of its topics, in DDS.
+        graph: that is looked at.
+    """
+    old = old_participants(graph)
+    vendors: dict[bytes, str] = {}
+    topics_of_old: list[str] = []
+    uncallable: list[str] = []
+    mismatches: list[str] = []
+    for name in sorted(names):
+        ends = both_ends(graph, name)
+        vendors |= {participant_of(info): vendor_of(info) for info in ends}
+        kind, _, rest = name.partition("/")
+        if kind == "rt":
+            mismatches += qos_mismatches(graph, f"/{rest}", old)
+            if any(participant_of(info) in old for info in ends):
+                topics_of_old.append(f"/{rest}")
+        elif kind == "rq" and any(map(is_foreign, graph.dds_subscriptions(name))):
+            uncallable.append(f"/{rest.removesuffix('Request')}")
+    counted = Counter(vendors.values())
+    said = [f"On the graph: {', '.join(f'{count} x {dds}' for dds, count in counted.items())}."]
+    hints = []
+    if old:
+        where = f" Its topics: {_listed(topics_of_old)}." if topics_of_old else ""
+        said.append(f"{HUMBLE}{where}")
+        hints.append(HUMBLE_HINT)
+    if uncallable:
+        said.append(f"Services of another DDS cannot be called: {_listed(uncallable)}.")
+        hints.append("Start what serves them with the RMW_IMPLEMENTATION that is used here.")
+    if mismatches:
+        left = len(mismatches) - _MOST
+        said += [*mismatches[:_MOST], *([f"{left} more do not fit."] if left > 0 else [])]
+        hints.append("Give one of the two the quality of service of the other.")
+    if hints:
+        return warning(" ".join(said), " ".join(hints))
+    return ok(f"{said[0]} Publishers fit subscriptions, and services can be called.")
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join([*names[:_MOST], *(["..."] if len(names) > _MOST else [])])

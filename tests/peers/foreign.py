@@ -1,0 +1,135 @@
+"""A server with its agent, and foreign processes beside it."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+
+from rn_testing.waiting import wait_until
+
+ROOT = Path(__file__).parents[2]
+HERE = Path(__file__).parent
+KILTED = ROOT / ".venv-kilted"
+SETUP = KILTED / "workspace" / "install" / "setup.bash"
+CYCLONE = ROOT / ".venv-cyclone"
+IS_READY = SETUP.is_file() and (CYCLONE / ".ready").is_file()
+MARKS = [
+    pytest.mark.ros,
+    pytest.mark.peers,
+    pytest.mark.timeout(300),
+    pytest.mark.skipif(
+        not IS_READY, reason="`make test-peers` sets up .venv-kilted and .venv-cyclone"
+    ),
+]
+WAIT_S = 60.0
+"""For what another process does, on a machine that does much else."""
+LOOPBACK = """
+<CycloneDDS><Domain>
+<General><Interfaces><NetworkInterface name="lo"/></Interfaces>
+<AllowMulticast>false</AllowMulticast></General>
+<Discovery><ParticipantIndex>auto</ParticipantIndex>
+<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>
+<Peers><Peer Address="localhost"/></Peers></Discovery>
+</Domain></CycloneDDS>
+"""
+
+
+@dataclass
+class Server:
+    """`roboneuron serve` and an agent."""
+
+    domain: int
+    config: Path
+    environment: dict[str, str]
+    call: Callable[[str, dict[str, Any]], Any]
+    process: psutil.Process
+
+    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
+        """The result of a call that works."""
+        answer = self.call(tool, arguments)
+        assert not answer.is_error, answer.content
+        return dict(answer.structured_content or {})
+
+    def refusal(self, tool: str, **arguments: Any) -> str:
+        """What a call that does not work says."""
+        answer = self.call(tool, arguments)
+        assert answer.is_error, answer.structured_content
+        return str(answer.content[0].text)
+
+    def problems(self, name: str) -> list[str]:
+        """What list_topics says of an endpoint."""
+        topics = self.do("list_topics")["topics"]
+        return list(next(one["problems"] for one in topics if one["name"] == name))
+
+    def doctor(self) -> str:
+        """What `roboneuron doctor` says."""
+        command = [sys.executable, "-m", "roboneuron.cli.main", "doctor", "--config"]
+        ended = subprocess.run(
+            [*command, str(self.config)],
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=180,
+            check=False,
+        )
+        return ended.stdout + ended.stderr
+
+
+@contextmanager
+def running(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
+    """A foreign process, until its standard input is closed."""
+    with subprocess.Popen(
+        command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            assert process.stdout.readline() == "there\n"
+            yield process
+        finally:
+            process.stdin.close()
+            try:
+                process.wait(WAIT_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+def cyclone(server: Server, program: str) -> tuple[list[str], dict[str, str]]:
+    """Command line and environment of a program of Cyclone DDS."""
+    command = [str(CYCLONE / "bin" / "python"), str(HERE / program), str(server.domain)]
+    return command, {"CYCLONEDDS_URI": LOOPBACK, "PATH": os.environ["PATH"]}
+
+
+def kilted(server: Server) -> tuple[list[str], dict[str, str]]:
+    """Command line and environment of the nodes of Kilted."""
+    of_ros = re.compile("ROS|AMENT|FAST|ROBONEURON|_ROS|LD_LIBRARY|PYTHONPATH")
+    shell = {name: value for name, value in os.environ.items() if not of_ros.match(name)}
+    words = [str(KILTED / "bin" / "python"), str(HERE / "kilted_node.py")]
+    return ["bash", "-c", '. "$0" && exec "$@"', str(SETUP), *words], {
+        **shell,
+        "ROS_DOMAIN_ID": str(server.domain),
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",
+    }
+
+
+def until(look: Callable[[], Any]) -> Any:
+    """The first true value, of a graph that is discovered a little later."""
+    found: list[Any] = []
+
+    def seen() -> bool:
+        found[:] = [look()]
+        return bool(found[0])
+
+    wait_until(seen, WAIT_S, poll_s=0.1)
+    return found[0]
