@@ -5,7 +5,8 @@
 Two network namespaces, joined by a program that hands on Ethernet frames: each later by the delay
 [ms, one way], and each lost with the probability [%], both ways. A process in one sends 224x224
 images at 30 Hz, best effort; one in the other says how many came, and how long each took (both read
-the same monotonic clock). Needs root.
+the same monotonic clock). The floors are the same bytes in a bare TCP and a bare TLS stream. Needs
+root.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import json
 import os
 import random
 import select
+import socket
 import statistics
 import struct
 import subprocess
@@ -35,6 +37,8 @@ sys.path.append(str(ROOT / "plugins" / "rn-link" / "tests"))
 from link_machines import Machine, impossible  # noqa: E402
 from link_pairs import pair  # noqa: E402
 
+FLOORS = ("TCP", "TLS")
+PORT = 7500
 RATE_HZ = 30.0
 SIDE = 224
 _NEW_NET = 0x40000000
@@ -111,8 +115,8 @@ class Cable:
 
 def node(role: str, report: Path, seconds: float) -> None:
     """One of the two processes."""
-    from rn_link.connections import watch_connections
     from rn_link.environment import join_link
+    from rn_link.keeper import keep_link
     from roboneuron.command import environment
 
     join_link()
@@ -124,7 +128,7 @@ def node(role: str, report: Path, seconds: float) -> None:
     from sensor_msgs.msg import Image
 
     rclpy.init()
-    watch_connections()
+    keep_link()
     made = rclpy.create_node(f"link_{role}")
     if role == "receiver":
         delays_s: list[tuple[float, float]] = []
@@ -156,7 +160,52 @@ def node(role: str, report: Path, seconds: float) -> None:
     os._exit(0)
 
 
-def measure(is_encrypted: bool, delay_ms: float, loss_percent: float, seconds: float) -> str:
+def stream(role: str, report: Path, seconds: float, over: str) -> None:
+    """One side of a floor: as many bytes in one stream, the time of sending before them."""
+    from rn_link.machine import link_folder, read_machine
+    from rn_link.tls import tls_context
+
+    machine = read_machine(link_folder())
+    assert machine is not None
+    ((name, peer),) = machine.peers.items()
+    context = tls_context(machine, link_folder(), name) if over == "TLS" else None
+    size = 8 + SIDE * SIDE * 3
+    if role == "receiver":
+        plain, _ = socket.create_server(("0.0.0.0", PORT)).accept()
+        connection = context.wrap_socket(plain, server_side=True) if context else plain
+        delays_s = []
+        with connection.makefile("rb") as lines:
+            while len(image := lines.read(size)) == size:
+                (sent_s,) = struct.unpack_from("d", image)
+                delays_s.append((sent_s, time.monotonic() - sent_s))
+        report.write_text(json.dumps(delays_s))
+        return
+    plain = _connect(peer.address)
+    plain.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection = context.wrap_socket(plain) if context else plain
+    noise = os.urandom(size - 8)
+    begun_s = time.monotonic()
+    sent = []
+    for number in range(int(seconds * RATE_HZ)):
+        sent.append(time.monotonic())
+        connection.sendall(struct.pack("d", sent[-1]) + noise)
+        time.sleep(max(0.0, begun_s + (number + 1) / RATE_HZ - time.monotonic()))
+    report.write_text(json.dumps(sent))
+    connection.close()
+
+
+def _connect(address: str) -> socket.socket:
+    deadline_s = time.monotonic() + 20.0
+    while True:
+        try:
+            return socket.create_connection((address, PORT), 20.0)
+        except OSError:  # it does not listen yet
+            if time.monotonic() > deadline_s:
+                raise
+            time.sleep(0.05)
+
+
+def measure(over: str, delay_ms: float, loss_percent: float, seconds: float) -> str:
     """One row of the table."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -175,12 +224,12 @@ def measure(is_encrypted: bool, delay_ms: float, loss_percent: float, seconds: f
         cable = Cable((ends[0], ends[1]), delay_ms / 1e3, loss_percent / 100)
         cable.start()
         stack.callback(cable.close)
-        if is_encrypted:
+        if over != "UDP":
             pair(*sides)
-        return _row(is_encrypted, delay_ms, loss_percent, _run(sides, seconds))
+        return _row(over, delay_ms, loss_percent, _run(over, sides, seconds))
 
 
-def _run(sides: Sequence[Machine], seconds: float) -> list[float | None]:
+def _run(over: str, sides: Sequence[Machine], seconds: float) -> list[float | None]:
     """Latency of each image [s]; None: it did not come."""
     robot, gpu = sides
     processes = []
@@ -191,7 +240,7 @@ def _run(sides: Sequence[Machine], seconds: float) -> list[float | None]:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET",
         }
         report = side.state / role
-        command = [sys.executable, __file__, "--node", role, str(report), str(seconds)]
+        command = [sys.executable, __file__, "--node", role, str(report), str(seconds), over]
         processes.append(subprocess.Popen(side.inside(*command), env=environment))
     receiver, sender = processes
     try:
@@ -207,15 +256,14 @@ def _run(sides: Sequence[Machine], seconds: float) -> list[float | None]:
     return [delays.get(sent_s) for sent_s in sent]
 
 
-def _row(is_encrypted: bool, delay_ms: float, loss: float, found: Sequence[float | None]) -> str:
+def _row(over: str, delay_ms: float, loss: float, found: Sequence[float | None]) -> str:
     came = sorted(one * 1e3 for one in found if one is not None)
     share = len(came) / len(found)
     times = ""
     if came:
         late = came[min(len(came) - 1, int(len(came) * 0.99))]
         times = f"{statistics.median(came):7.1f} {late:7.1f} {came[-1]:7.1f}"
-    name = "link" if is_encrypted else "UDP"
-    return f"{delay_ms:5g} {loss:5g}  {name:<5} {share:7.1%} {times}"
+    return f"{delay_ms:5g} {loss:5g}  {over:<5} {share:7.1%} {times}"
 
 
 def main() -> None:
@@ -224,18 +272,21 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=10.0)
     parser.add_argument("--delays", type=float, nargs="+", default=[0.0, 10.0, 25.0])
     parser.add_argument("--losses", type=float, nargs="+", default=[0.0, 1.0])
-    parser.add_argument("--node", nargs=3, help=argparse.SUPPRESS)
+    parser.add_argument("--node", nargs=4, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.node:
-        role, report, seconds = arguments.node
+        role, report, seconds, over = arguments.node
+        if over in FLOORS:
+            stream(role, Path(report), float(seconds), over)
+            return
         node(role, Path(report), float(seconds))
     if reason := impossible():
         sys.exit(f"This benchmark {reason}.")
     print("delay  loss  over   arrived     p50     p99     max  [ms, %]")
     for delay_ms in arguments.delays:
         for loss in arguments.losses:
-            for is_encrypted in (False, True):
-                print(measure(is_encrypted, delay_ms, loss, arguments.seconds), flush=True)
+            for over in ("UDP", *FLOORS, "link"):
+                print(measure(over, delay_ms, loss, arguments.seconds), flush=True)
 
 
 if __name__ == "__main__":

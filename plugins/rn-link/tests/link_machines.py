@@ -63,7 +63,7 @@ class Talker:
         return wait_until(
             lambda: self.heard(name) >= goal,
             timeout_s,
-            f"{self.name} hears {name}: {self.log.read_text(encoding='utf-8')[-2000:]}",
+            f"{self.name} hears {name}: {self.log.read_text()[-2000:]}, {self._report}",
         )
 
     def end(self) -> None:
@@ -113,11 +113,19 @@ class Machine:
         """Run a command there."""
         subprocess.run(self.inside(*command), check=True, capture_output=True)
 
-    def talk(self, name: str, *arguments: str, link: bool = True, **variables: str) -> Talker:
+    def talk(
+        self,
+        name: str,
+        *arguments: str,
+        link: bool = True,
+        script: Path = TALKER,
+        **variables: str,
+    ) -> Talker:
         """Start a talker there.
 
         Args:
             link: whether it uses the machine's link; else `variables` alone.
+            script: what it runs.
         """
         environment = {
             **{k: v for k, v in os.environ.items() if not k.startswith(("ROS_AUTO", "FAST"))},
@@ -126,7 +134,7 @@ class Machine:
         }
         with (self.state / f"{name}.log").open("wb") as log:
             process = subprocess.Popen(
-                self.inside(sys.executable, str(TALKER), name, str(self.state), *arguments),
+                self.inside(sys.executable, str(script), name, str(self.state), *arguments),
                 env=environment,
                 stdout=log,
                 stderr=log,
@@ -142,6 +150,24 @@ class Machine:
     def plug(self) -> None:
         """Put the cable back."""
         self.run("ip", "link", "set", "cable", "up")
+
+    def lose(self, other: Machine) -> None:
+        """Lose all that it sends to another machine; nobody is told."""
+        self._address_frames(other, "02:00:00:00:00:99")
+
+    def find(self, other: Machine) -> None:
+        """Send to the other machine again."""
+        found = subprocess.run(
+            other.inside("ip", "-json", "link", "show", "cable"),
+            check=True,
+            capture_output=True,
+            text=True,
+        )
+        self._address_frames(other, str(json.loads(found.stdout)[0]["address"]))
+
+    def _address_frames(self, other: Machine, hardware: str) -> None:
+        entry = [other.address, "lladdr", hardware, "dev", "cable", "nud", "permanent"]
+        self.run("ip", "neigh", "replace", *entry)
 
     def close(self) -> None:
         """End what runs there, and the namespaces with it."""

@@ -1,17 +1,21 @@
 """`link_talker.py NAME FOLDER [--images]`: says its name on `/talk` 20 times a second, counts the
 names that it hears, and writes FOLDER/NAME.json; with --images it also sends 30 images a second.
+
+The variable MANNERS gives it the relay of a stranger (`link_stranger`).
 """
 
 from __future__ import annotations
 
 import array
 import json
+import os
+import subprocess
 import sys
 import time
 from pathlib import Path
 
-from rn_link.connections import watch_connections
 from rn_link.environment import join_link
+from rn_link.keeper import keep_link
 from roboneuron.command import environment
 
 SIDE = 224
@@ -26,7 +30,11 @@ def main(name: str, folder: Path, *options: str) -> None:
     from std_msgs.msg import String
 
     rclpy.init()
-    watch_connections()
+    if manners := os.environ.get("MANNERS"):
+        stranger = [sys.executable, str(Path(__file__).with_name("link_stranger.py")), manners]
+        subprocess.Popen(stranger, stdin=subprocess.PIPE)
+    else:
+        keep_link()
     node = rclpy.create_node(f"talker_{name.replace('-', '_')}")
     heard: dict[str, int] = {}
     gaps_s: dict[str, float] = {}

@@ -1,11 +1,10 @@
-"""What is kept for a machine: its own key, exactly its peers' issuers, and a profile of both."""
+"""What is kept for a machine: its own key, exactly its peers' issuers, and a profile."""
 
 from __future__ import annotations
 
 import json
 import ssl
 import stat
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,7 +12,6 @@ from xml.etree import ElementTree
 import pytest
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from rn_link.certificates import (
@@ -25,8 +23,17 @@ from rn_link.certificates import (
     read_certificate,
     read_key,
 )
-from rn_link.machine import Machine, Peer, check_address, check_name, check_port, read_machine
-from rn_link.profile import NAMESPACE, OPENSSL, fast_dds_profile
+from rn_link.machine import (
+    Machine,
+    Peer,
+    alias,
+    check_address,
+    check_name,
+    check_port,
+    read_machine,
+)
+from rn_link.profile import NAMESPACE
+from rn_link.tls import tls_context, valid_until
 from rn_link_pairing.keeping import (
     add_member,
     become_hub,
@@ -61,9 +68,8 @@ def member(hub: Path, folder: Path, days: int = 365, ago_days: int = 0) -> Machi
     return machine
 
 
-def trusted(folder: Path) -> list[x509.Certificate]:
-    content = (folder / "trusted.pem").read_bytes()
-    return x509.load_pem_x509_certificates(content) if content else []
+def trusted(folder: Path, name: str) -> x509.Certificate:
+    return read_certificate(folder / "peers" / f"{name}.issuer.pem")
 
 
 def test_files_are_for_this_user_alone(hub: Path, tmp_path: Path) -> None:
@@ -73,31 +79,39 @@ def test_files_are_for_this_user_alone(hub: Path, tmp_path: Path) -> None:
             assert not stat.S_IMODE(path.stat().st_mode) & 0o077, path
 
 
-def test_the_hub_trusts_exactly_the_issuers_of_its_members(hub: Path) -> None:
+def test_the_hub_trusts_each_member_by_an_issuer_of_its_own(hub: Path) -> None:
     gpu, lab = add(hub, "gpu"), add(hub, "lab")
-    assert {one.subject for one in trusted(hub)} == {gpu.issuer, lab.issuer}
-    for certificate, issuer in zip((gpu, lab), trusted(hub), strict=True):
-        certificate.verify_directly_issued_by(issuer)
+    gpu.verify_directly_issued_by(trusted(hub, "gpu"))
+    lab.verify_directly_issued_by(trusted(hub, "lab"))
+    with pytest.raises(ValueError, match="Issuer"):
+        gpu.verify_directly_issued_by(trusted(hub, "lab"))
 
 
 def test_a_removed_member_is_trusted_no_more(hub: Path) -> None:
     add(hub, "gpu")
-    lab = add(hub, "lab")
-    remove_peer(hub, "gpu")
-    assert [one.subject for one in trusted(hub)] == [lab.issuer]
-    assert "10.1.2.3" in (hub / "fastdds.xml").read_text()
+    add(hub, "lab")
+    assert list(remove_peer(hub, "gpu").peers) == ["lab"]
+    assert [path.name for path in (hub / "peers").glob("gpu*")] == []
     remove_peer(hub, "lab")
-    assert not trusted(hub)
-    assert "10.1.2.3" not in (hub / "fastdds.xml").read_text()
-    assert sorted(path.name for path in (hub / "peers").iterdir()) == []
+    assert list((hub / "peers").iterdir()) == []
 
 
 def test_a_member_that_pairs_again_replaces_itself(hub: Path) -> None:
     first, second = add(hub, "gpu"), add(hub, "gpu")
-    (issuer,) = trusted(hub)
-    second.verify_directly_issued_by(issuer)
+    second.verify_directly_issued_by(trusted(hub, "gpu"))
     with pytest.raises(InvalidSignature):
-        first.verify_directly_issued_by(issuer)
+        first.verify_directly_issued_by(trusted(hub, "gpu"))
+
+
+def test_two_machines_never_share_an_address_of_the_relay(
+    hub: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert alias("gpu") == alias("gpu") != alias("lab")
+    add(hub, "gpu")
+    monkeypatch.setattr("rn_link_pairing.keeping.alias", lambda name: "127.90.1.1")
+    add(hub, "gpu")
+    with pytest.raises(ConfigurationError, match="'lab' and 'gpu' lead"):
+        add(hub, "lab")
 
 
 def test_renewing_the_hub_keeps_its_authority_and_members(hub: Path) -> None:
@@ -226,62 +240,45 @@ def _texts(profile: str, name: str) -> list[str | None]:
     return [one.text for one in root.iter(f"{{{NAMESPACE}}}{name}")]
 
 
-def test_a_hub_connects_and_a_member_listens(hub: Path, tmp_path: Path) -> None:
-    machine = member(hub, tmp_path / "gpu")
-    at_hub = (hub / "fastdds.xml").read_text()
-    at_member = fast_dds_profile(machine, tmp_path / "gpu")
-    assert _texts(at_hub, "physical_port") == ["7500"]
-    assert _texts(at_hub, "handshake_role") == ["CLIENT"]
-    assert _texts(at_hub, "listening_ports") == []
-    assert _texts(at_member, "physical_port") == []
-    assert _texts(at_member, "handshake_role") == ["SERVER"]
-    assert _texts(at_member, "verify") == [], "it would weaken what OPENSSL_CONF asks for"
-
-
 def test_plain_udp_stays_on_loopback(hub: Path) -> None:
     add(hub, "gpu")
-    root = ElementTree.fromstring((hub / "fastdds.xml").read_text())
+    profile = (hub / "fastdds.xml").read_text()
+    root = ElementTree.fromstring(profile)
     for transport in root.iter(f"{{{NAMESPACE}}}transport_descriptor"):
         kind = transport.findtext(f"{{{NAMESPACE}}}type")
         addresses = [one.text for one in transport.iter(f"{{{NAMESPACE}}}address")]
-        assert kind in ("SHM", "UDPv4", "TCPv4")
+        assert kind in ("SHM", "UDPv4")
         assert addresses == (["127.0.0.1"] if kind == "UDPv4" else [])
-        assert (transport.find(f"{{{NAMESPACE}}}tls") is not None) == (kind == "TCPv4")
+    (peers,) = root.iter(f"{{{NAMESPACE}}}initialPeersList")
+    addresses = [one.text for one in peers.iter(f"{{{NAMESPACE}}}address")]
+    assert addresses == ["127.90.0.1", "127.0.0.1"]
 
 
-def test_a_peer_with_markup_in_its_folder_stays_one_element(hub: Path) -> None:
-    machine = replace(read_hub(hub), peers={"gpu": PEER})
-    profile = fast_dds_profile(machine, Path("/a&b<c"))
-    assert _texts(profile, "private_key_file") == ["/a&b<c/own.key"]
-
-
-def test_openssl_reads_the_configuration(hub: Path) -> None:
-    assert "VerifyMode = Peer,Request,Require" in OPENSSL
-    assert (hub / "openssl.cnf").read_text() == OPENSSL
-
-
-@pytest.mark.parametrize("revoked", [False, True])
-def test_a_tls_server_of_python_judges_alike(hub: Path, tmp_path: Path, revoked: bool) -> None:
-    member(hub, tmp_path / "gpu")
+@pytest.mark.parametrize("kind", ["paired", "removed", "again", "another"])
+def test_tls_lets_exactly_a_paired_machine_in(hub: Path, tmp_path: Path, kind: str) -> None:
+    gpu = tmp_path / "gpu"
+    machine = member(hub, gpu)
     add(hub, "lab")
-    if revoked:
+    expected = "lab" if kind == "another" else "gpu"
+    if kind == "removed":
         remove_peer(hub, "gpu")
-    server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    server.load_cert_chain(tmp_path / "gpu" / "own.pem", tmp_path / "gpu" / "own.key")
-    server.load_verify_locations(tmp_path / "gpu" / "trusted.pem")
-    server.verify_mode = ssl.CERT_REQUIRED
-    client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-    client.check_hostname = False
-    client.load_cert_chain(hub / "own.pem", hub / "own.key")
-    client.load_verify_locations(hub / "trusted.pem")
-    if revoked:
-        with pytest.raises(ssl.SSLCertVerificationError):
-            _handshake(client, server)
-    else:
+        with pytest.raises(FileNotFoundError):
+            tls_context(read_hub(hub), hub, "gpu")
+        return
+    if kind == "again":
+        add(hub, "gpu")
+    client = tls_context(read_hub(hub), hub, expected)
+    server = tls_context(machine, gpu, "robot")
+    if kind == "paired":
+        left, right = _handshake(client, server)
+        for side in (left, right):
+            assert NOW < valid_until(side) < NOW + timedelta(days=366)
+        return
+    with pytest.raises(ssl.SSLCertVerificationError):
         _handshake(client, server)
 
 
-def _handshake(client: ssl.SSLContext, server: ssl.SSLContext) -> None:
+def _handshake(client: ssl.SSLContext, server: ssl.SSLContext) -> list[ssl.SSLObject]:
     """Raises ssl.SSLError: one side refuses the other."""
     up, down = ssl.MemoryBIO(), ssl.MemoryBIO()
     left = client.wrap_bio(down, up)
@@ -292,9 +289,6 @@ def _handshake(client: ssl.SSLContext, server: ssl.SSLContext) -> None:
                 side.do_handshake()
             except ssl.SSLWantReadError:
                 continue
-    assert isinstance(left.getpeercert(binary_form=True), bytes)
-    assert isinstance(right.getpeercert(binary_form=True), bytes)
-
-
-def test_keys_are_of_the_curve_that_old_openssl_knows() -> None:
-    assert isinstance(new_key().curve, ec.SECP256R1)
+    # with TLS 1.3 a server refuses what the client has sent last
+    assert right.version() == left.version() == "TLSv1.3"
+    return [left, right]

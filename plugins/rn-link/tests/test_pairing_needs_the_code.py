@@ -99,7 +99,7 @@ def test_a_machine_with_the_code_is_admitted(
     found = read_machine(hub)
     assert found is not None
     assert found.peers == {"gpu": Peer("127.0.0.1", PORT)}
-    assert (member / "trusted.pem").read_bytes() == (hub / "ca.pem").read_bytes()
+    assert (member / "peers" / "robot.issuer.pem").read_bytes() == (hub / "ca.pem").read_bytes()
     assert not (member / "ca.key").exists(), "no authority leaves the hub"
 
 

@@ -1,4 +1,4 @@
-"""Each process gets the link's profile and, on a member, a port of its own; or says why not."""
+"""Each process gets the link's profile, or says why not; one of them keeps the relay."""
 
 from __future__ import annotations
 
@@ -9,20 +9,23 @@ from datetime import UTC, datetime, timedelta
 from importlib.resources import files
 from pathlib import Path
 
+import psutil
 import pytest
 
 from rn_link.certificates import new_key, read_certificate
-from rn_link.environment import OTHERS, check_unopposed, join_link, set_link, take_port
+from rn_link.environment import OTHERS, check_unopposed, join_link, uses_link
 from rn_link.feature import LinkFeature
+from rn_link.keeper import RelayKeeper
 from rn_link.machine import Machine, Peer, link_folder
 from rn_link.options import LinkOptions
 from rn_link_pairing.keeping import add_member, become_hub, become_member
+from rn_testing.waiting import wait_until
 from roboneuron import ConfigurationError
 from roboneuron.feature import Config
 
 PEER = Peer("10.1.2.3", 7500)
 CONFIG = Config.model_construct()
-CHANGED = ("FASTRTPS_DEFAULT_PROFILES_FILE", "OPENSSL_CONF", "ROS_AUTOMATIC_DISCOVERY_RANGE")
+CHANGED = ("FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
 
 
 @pytest.fixture(autouse=True)
@@ -31,9 +34,8 @@ def _clean(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in (*CHANGED, *OTHERS, "RMW_IMPLEMENTATION"):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
-    for name in ("ROBONEURON_LINK", "ROBONEURON_LINK_HOLDER"):
-        monkeypatch.setenv(name, "")
-        monkeypatch.delenv(name)
+    monkeypatch.setenv("ROBONEURON_LINK", "")
+    monkeypatch.delenv("ROBONEURON_LINK")
 
 
 @pytest.fixture
@@ -71,58 +73,80 @@ def test_nothing_changes_without_a_peer(folder: Path) -> None:
     assert dict(os.environ) == before
 
 
-def test_a_process_of_the_hub_gets_profile_and_openssl(folder: Path) -> None:
+def test_a_process_of_the_hub_gets_the_profile(folder: Path) -> None:
     hub(folder)
     join_link()
     join_link()
     assert [os.environ[name] for name in CHANGED] == [
         str(folder / "fastdds.xml"),
-        str(folder / "openssl.cnf"),
         "SYSTEM_DEFAULT",
     ]
-    assert not (folder / "port.lock").exists(), "it connects"
+    assert uses_link()
 
 
-def test_one_process_of_a_member_has_the_port(folder: Path, tmp_path: Path) -> None:
-    machine = member(folder, tmp_path)
-    own: dict[str, str] = {}
-    set_link(own, machine, folder)
-    set_link(own, machine, folder)
-    assert own["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(folder / "fastdds.xml")
+def test_every_process_of_a_member_gets_the_profile(folder: Path, tmp_path: Path) -> None:
+    member(folder, tmp_path)
+    join_link()
     program = "import os, rn_link.environment as e; e.join_link(); "
     program += f"print([os.environ.get(name) for name in {CHANGED}])"
-    # a child inherits the variables of its parent
     made = subprocess.run(
-        [sys.executable, "-c", program],
-        env={**os.environ, **own},
-        capture_output=True,
-        text=True,
-        check=True,
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
     ).stdout
-    shipped = str(files("roboneuron") / "data" / "fastdds.xml")
-    assert made.strip() == str([shipped, None, "LOCALHOST"])
+    assert made.strip() == str([str(folder / "fastdds.xml"), "SYSTEM_DEFAULT"])
 
 
-def test_the_port_is_free_again_when_its_process_has_ended(folder: Path, tmp_path: Path) -> None:
-    member(folder, tmp_path)
-    program = "import rn_link.environment as e; assert e.take_port(e.link_folder())"
-    for _ in range(2):
-        subprocess.run([sys.executable, "-c", program], check=True)
-    assert take_port(folder)
-    assert not take_port(folder)
-
-
-def test_a_process_can_leave_the_link_to_another(
+def test_a_process_can_stay_on_its_machine(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     member(folder, tmp_path)
     monkeypatch.setenv("ROBONEURON_LINK", "off")
     join_link()
     assert not any(name in os.environ for name in CHANGED)
-    assert take_port(folder)
+    assert not uses_link()
 
 
-@pytest.mark.parametrize("name", [*OTHERS, *CHANGED[:2], "RMW_IMPLEMENTATION"])
+def relays() -> list[psutil.Process]:
+    """Those that this process has started, and that live."""
+    found = psutil.Process().children()
+    living = [one for one in found if one.status() != psutil.STATUS_ZOMBIE]
+    return [one for one in living if "rn_link.relay" in one.cmdline()]
+
+
+def test_one_of_several_processes_keeps_the_relay_and_another_follows(folder: Path) -> None:
+    hub(folder)
+    keepers = [RelayKeeper(folder) for _ in range(3)]
+    try:
+        keepers[0].start()
+        wait_until(lambda: len(relays()) == 1, 10.0, "the first relay")
+        (first,) = relays()
+        for keeper in keepers[1:]:
+            keeper.start()
+        keepers[0].close()
+        assert not first.is_running()
+        wait_until(lambda: len(relays()) == 1, 10.0, "the second relay")
+        (second,) = relays()
+        second.kill()
+        wait_until(lambda: relays() not in ([], [second]), 10.0, "the third relay")
+        assert len(relays()) == 1
+    finally:
+        for keeper in keepers:
+            keeper.close()
+    assert relays() == []
+
+
+def test_a_relay_ends_with_its_process(folder: Path) -> None:
+    hub(folder)
+    program = "import time; from pathlib import Path; from rn_link.keeper import RelayKeeper; "
+    program += f"RelayKeeper(Path({str(folder)!r})).start(); time.sleep(60)"
+    with subprocess.Popen([sys.executable, "-c", program]) as process:
+        parent = psutil.Process(process.pid)
+        wait_until(lambda: parent.children(), 20.0, "the relay")
+        (relay,) = parent.children()
+        process.kill()
+    wait_until(lambda: not relay.is_running(), 10.0, "the end of the relay")
+
+
+@pytest.mark.parametrize("name", [*OTHERS, CHANGED[0], "RMW_IMPLEMENTATION"])
 def test_what_contradicts_the_link_is_refused(
     folder: Path, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

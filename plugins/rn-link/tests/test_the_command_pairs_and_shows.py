@@ -72,6 +72,7 @@ def test_two_machines_are_paired_shown_and_parted(tmp_path: Path) -> None:
     ("arguments", "text", "told"),
     [
         (["add", "gpu"], "", "no certificate authority"),
+        (["run"], "", "No other machine is paired"),
         (["remove", "gpu"], "", "No machine 'gpu' is paired"),
         (["init", "--join", "robot.local"], "1", "not an IPv4 address"),
         (["init", "--join", "10.0.0.1:http"], "123456\n", "'http' is no port"),

@@ -6,8 +6,8 @@ import logging
 import os
 from datetime import UTC, datetime, timedelta
 
-from rn_link.connections import watch_connections
-from rn_link.environment import check_unopposed
+from rn_link.environment import check_unopposed, uses_link
+from rn_link.keeper import RelayKeeper
 from rn_link.machine import Machine, link_folder, read_machine
 from rn_link.options import LinkOptions
 from roboneuron import ConfigurationError, Feature, Host
@@ -18,6 +18,10 @@ log = logging.getLogger(__name__)
 
 class LinkFeature(Feature[LinkOptions]):
     """Checks keys and certificates; the link itself is the environment of the processes."""
+
+    def __init__(self, options: LinkOptions) -> None:
+        super().__init__(options)
+        self._keeper: RelayKeeper | None = None
 
     def check(self, config: Config) -> None:
         """Check that the link of this machine can be used, and warn of what expires soon.
@@ -38,8 +42,15 @@ class LinkFeature(Feature[LinkOptions]):
         self._check_dates(machine)
 
     def start(self, host: Host) -> None:
-        """Watch the connections of the server's own process."""
-        watch_connections()
+        """Keep the relay of this machine running."""
+        if uses_link():
+            self._keeper = RelayKeeper(link_folder())
+            self._keeper.start()
+
+    def close(self) -> None:
+        """Leave the relay to the modules that still run."""
+        if self._keeper is not None:
+            self._keeper.close()
 
     def _check_dates(self, machine: Machine) -> None:
         from rn_link.certificates import check_in_time, expiries  # heavy

@@ -5,6 +5,7 @@ Standard library alone: every process imports this.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -20,6 +21,11 @@ Role = Literal["hub", "member"]
 """The hub holds the certificate authority and connects to its members, which listen."""
 PORT = 7411
 """TCP port that a member listens on."""
+LOOPBACK = "127.0.0.1"
+RELAY = "127.90.0.1"
+"""Address at which the relay takes announcements of this machine's participants; see `alias`."""
+DISCOVERY_PORT = 7399
+"""UDP port there; below those of ROS, which begin at 7400."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,30}")
 _FILE = "link.json"
 
@@ -73,6 +79,12 @@ def check_name(name: str) -> str:
             hint="Use up to 31 lower-case letters, digits and hyphens, such as gpu-1.",
         )
     return name
+
+
+def alias(name: str) -> str:
+    """The loopback address that stands for another machine on this one (127.90.1.0 and above)."""
+    first, second, *_ = hashlib.sha256(name.encode()).digest()
+    return f"127.90.{max(1, first)}.{second}"
 
 
 def check_address(address: str) -> str:

@@ -8,7 +8,7 @@ FEATURE = FeatureSpec(
     target="rn_link.feature:LinkFeature",
     config="rn_link.options:LinkOptions",
     on_discovery="rn_link.environment:join_link",
-    on_join="rn_link.connections:watch_connections",
+    on_join="rn_link.keeper:keep_link",
 )
 """Descriptor of the feature."""
 

@@ -6,6 +6,7 @@ import json
 import re
 import socket
 import sys
+import threading
 from argparse import ArgumentParser, Namespace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,7 +22,8 @@ from roboneuron import ConfigurationError
 
 _DAYS = 365
 _PAIRING_PORT = 7410
-_RESTART = "Restart the server and its modules here: what runs keeps the link that it began with."
+_RESTART = "Start the server and its modules again here, if they ran before the first pairing."
+_FOLLOWS = "What runs here follows within two seconds."
 
 
 class LinkCommand:
@@ -54,6 +56,7 @@ class LinkCommand:
             )
         show = actions.add_parser("show", help="machines, addresses and dates")
         show.add_argument("--json", action="store_true", help="for programs")
+        actions.add_parser("run", help="keep this machine linked, where no server does")
         remove = actions.add_parser(
             "remove", help="revoke a member; or leave the link, on a member or with --all"
         )
@@ -70,6 +73,8 @@ class LinkCommand:
             _add(folder, arguments)
         elif arguments.action == "show":
             _show(folder, arguments.json)
+        elif arguments.action == "run":
+            _run(folder)
         else:
             _remove(folder, arguments)
         return 0
@@ -86,7 +91,7 @@ def _init(folder: Path, arguments: Namespace) -> None:
     members = ", ".join(machine.peers)
     _say(f"This machine is the hub {machine.name}; its certificate is valid {arguments.days} days.")
     _say(
-        f"Its members ({members}) accept it. {_RESTART}"
+        f"Its members ({members}) accept it. {_FOLLOWS}"
         if members
         else "Next: `roboneuron link add NAME` for each other machine."
     )
@@ -159,6 +164,25 @@ def _show(folder: Path, as_json: bool) -> None:
         _say(f"{name:<{width}}  {text}{_validity(dates.get(name), now)}")
 
 
+def _run(folder: Path) -> None:
+    machine = read_machine(folder)
+    if machine is None or not machine.peers:
+        raise ConfigurationError(
+            "No other machine is paired with this one.",
+            hint="Pair one with `roboneuron link init` and `roboneuron link add NAME`.",
+        )
+    from rn_link.keeper import RelayKeeper  # heavy
+
+    keeper = RelayKeeper(folder)
+    keeper.start()
+    try:
+        threading.Event().wait()
+    except KeyboardInterrupt:
+        _say("")
+    finally:
+        keeper.close()
+
+
 def _validity(date: datetime | None, now: datetime) -> str:
     if date is None:
         return ""
@@ -170,10 +194,10 @@ def _remove(folder: Path, arguments: Namespace) -> None:
 
     if arguments.all:
         remove_all(folder)
-        _say(f"Keys, certificates and profile of this machine are removed. {_RESTART}")
+        _say(f"Keys, certificates and profile of this machine are removed. {_FOLLOWS}")
     else:
         remove_peer(folder, arguments.name)
-        _say(f"{arguments.name} is removed. {_RESTART}")
+        _say(f"{arguments.name} is removed. {_FOLLOWS}")
 
 
 def host_name() -> str:

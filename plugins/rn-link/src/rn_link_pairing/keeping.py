@@ -21,8 +21,8 @@ from rn_link.certificates import (
     to_pem,
     write_private,
 )
-from rn_link.machine import Machine, Peer, check_name, read_machine
-from rn_link.profile import OPENSSL, fast_dds_profile
+from rn_link.machine import Machine, Peer, alias, check_name, read_machine
+from rn_link.profile import fast_dds_profile
 from roboneuron import ConfigurationError
 
 
@@ -74,14 +74,27 @@ def add_member(
     """Admit a machine, in place of an earlier one of that name, and return its certificate.
 
     The key of its issuer is forgotten: nobody can issue another one for it.
+
+    Raises:
+        ConfigurationError: this machine is not the hub, or cannot take that name.
     """
     hub = read_hub(folder)
+    _check_alias(name, hub)
     issuer = new_issuer(check_name(name), now)
     certificate = issue(issuer, name, "member", key, now, days)
     write_private(folder / "peers" / f"{name}.pem", to_pem(certificate))
     write_private(folder / "peers" / f"{name}.issuer.pem", to_pem(issuer.certificate))
     _publish(folder, replace(hub, peers={**hub.peers, name: peer}))
     return certificate
+
+
+def _check_alias(name: str, hub: Machine) -> None:
+    for other in hub.peers:
+        if other != name and alias(other) == alias(name):
+            raise ConfigurationError(
+                f"The names {name!r} and {other!r} lead to the same address of the relay.",
+                hint="Give the machine another name.",
+            )
 
 
 def become_member(
@@ -144,9 +157,5 @@ def _make_folder(folder: Path) -> None:
 
 def _publish(folder: Path, machine: Machine) -> None:
     """Write what processes read; the entry that makes them use it is the last."""
-    issuers = [folder / "peers" / f"{name}.issuer.pem" for name in machine.peers]
-    trusted = [to_pem(read_certificate(path)) for path in issuers]
-    write_private(folder / "trusted.pem", b"".join(trusted))
-    write_private(folder / "openssl.cnf", OPENSSL.encode())
-    write_private(folder / "fastdds.xml", fast_dds_profile(machine, folder).encode())
+    write_private(folder / "fastdds.xml", fast_dds_profile().encode())
     write_private(folder / "link.json", machine.to_json().encode())

@@ -46,6 +46,12 @@ def _framed(part: bytes) -> bytes:
     return bytes([len(part)]) + part
 
 
+def session_key(session: bytes, secret: bytes, *shares: bytes) -> bytes:
+    """Return the draft's ISK; `shares` are the member's, its data, the hub's and its data."""
+    parts = (_DOMAIN + b"_ISK", session, secret, *shares)
+    return hashlib.sha512(b"".join(map(_framed, parts))).digest()
+
+
 class Exchange:
     """One side of one attempt.
 
@@ -74,9 +80,7 @@ class Exchange:
         """
         secret = self._times(other)
         member, hub = (other, self.share) if is_hub else (self.share, other)
-        parts = (_DOMAIN + b"_ISK", self._session, secret)
-        shares = (member, b"", hub, b"")
-        material = hashlib.sha512(b"".join(map(_framed, parts + shares))).digest()
+        material = session_key(self._session, secret, member, b"", hub, b"")
         return Sealer(material, b"member to hub"), Sealer(material, b"hub to member")
 
 

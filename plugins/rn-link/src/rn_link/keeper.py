@@ -1,0 +1,76 @@
+"""The relay of this machine, kept alive by every process that uses the link."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rn_link.environment import uses_link
+from rn_link.machine import link_folder, read_machine
+from roboneuron import ConfigurationError
+from roboneuron.feature import Periodic
+
+if TYPE_CHECKING:
+    from roboneuron.node import ModuleHost  # imports rclpy
+
+_LOOK_S = 0.5
+"""A relay whose process has ended is replaced by another one's after this long."""
+
+
+def keep_link(_: ModuleHost | None = None) -> None:
+    """Keep the relay of this machine running until this process ends; called once a process."""
+    if uses_link():
+        RelayKeeper(link_folder()).start()
+
+
+class RelayKeeper(Periodic):
+    """Starts the relay where none runs, on a thread of its own from `start` to `close`.
+
+    The relay ends with the process that has started it; that of another process follows.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__("link-relay", _LOOK_S, self._look)
+        self._folder = folder
+        self._relay: subprocess.Popen[bytes] | None = None
+
+    def close(self) -> None:
+        """End the thread, and the relay if it is of this process."""
+        super().close()
+        self._end_relay()
+
+    def _end_relay(self) -> None:
+        if self._relay is not None:
+            self._relay.kill()
+            # waits for it, and closes the pipe
+            self._relay.communicate()
+            self._relay = None
+
+    def _look(self) -> None:
+        if self._relay is not None and self._relay.poll() is None:
+            return
+        self._end_relay()
+        try:
+            if read_machine(self._folder) is None:
+                return
+        except ConfigurationError:  # told by `join_link`
+            return
+        lock = os.open(self._folder / "relay.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # the relay inherits the lock, and holds it until it ends
+            self._relay = subprocess.Popen(
+                [sys.executable, "-m", "rn_link.relay"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(lock,),
+                start_new_session=True,
+            )
+        except BlockingIOError:
+            return
+        finally:
+            os.close(lock)

@@ -1,0 +1,236 @@
+"""The loopback ports of the relay: messages of this machine's ROS in, those of others out."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import socket
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from rn_link.machine import DISCOVERY_PORT, LOOPBACK, RELAY, alias
+from rn_link.rtps import Announcement, domain_of, read_announcement, with_places
+
+log = logging.getLogger(__name__)
+PARTICIPANT_BYTES = 12
+_BUFFER_BYTES = 4_194_304
+_MOST_BYTES = 65_536
+_MOST_PORTS = 512
+"""Of one machine: a participant of ROS has three."""
+_FORGOTTEN_S = 60.0
+"""Three times the lease of a participant; one that lives says its ports twice a second."""
+_AT_ONCE = 64
+"""Datagrams taken from a socket before others have their turn."""
+
+
+class Place(NamedTuple):
+    """Where a participant takes messages.
+
+    A participant takes the port of one that was killed, to whom others send for another 20 s; Fast
+    DDS 2.14 hangs in a large message whose beginning came before the two had met.
+    """
+
+    participant: bytes
+    port: int
+
+
+Forward = Callable[[str | None, Place, bytes], None]
+"""Called with the machine (None: all), the place there or DISCOVERY, and the message."""
+DISCOVERY = Place(bytes(PARTICIPANT_BYTES), 0)
+"""All participants of the domain."""
+
+
+class Ports:
+    """Takes messages of this machine's participants, and delivers those of other machines.
+
+    Everything is called on the event loop.
+
+    Args:
+        forward: takes what goes to other machines.
+        record: file with the ports; participants do not announce those of their readers again, so
+            the next relay needs them.
+    """
+
+    def __init__(self, forward: Forward, record: Path) -> None:
+        self._forward = forward
+        self._record = record
+        self._loop = asyncio.get_running_loop()
+        self._discovery = _open(RELAY, DISCOVERY_PORT)
+        self._sender = _open(LOOPBACK, 0)
+        # who has announced each port last
+        self._here: dict[int, bytes] = {}
+        self._metatraffic: set[int] = set()
+        self._there: dict[tuple[str, Place], socket.socket] = {}
+        # when a participant, of this machine or of another one, has said any port
+        self._seen_s: dict[bytes, float] = {}
+        self._saved = ""
+        self._loop.add_reader(self._discovery, self._take_announcements)
+        self._restore()
+
+    def deliver(self, machine: str, place: Place, message: bytes) -> None:
+        """Hand a message of another machine to this machine's participants.
+
+        A place that none of them has announced gets nothing: a peer reaches ROS alone.
+        """
+        announced = read_announcement(message)
+        if announced.ports:
+            message = with_places(message, self._places(machine, announced))
+        if place != DISCOVERY:
+            if self._here.get(place.port) == place.participant:
+                self._send(place.port, message)
+            return
+        domains = announced.domains
+        for one in self._metatraffic:
+            if not domains or domain_of(one) in domains:
+                self._send(one, message)
+
+    def forget(self) -> None:
+        """Close the ports of participants that have not announced themselves for a while."""
+        before_s = time.monotonic() - _FORGOTTEN_S
+        for participant in [one for one, seen_s in self._seen_s.items() if seen_s < before_s]:
+            del self._seen_s[participant]
+        for port, participant in list(self._here.items()):
+            if participant not in self._seen_s:
+                del self._here[port]
+                self._metatraffic.discard(port)
+        for key, made in list(self._there.items()):
+            if key[1].participant not in self._seen_s:
+                del self._there[key]
+                self._close(made)
+        self._save()
+
+    def close(self) -> None:
+        """Close all ports."""
+        for made in self._there.values():
+            self._close(made)
+        self._there.clear()
+        self._close(self._discovery)
+        self._sender.close()
+
+    def _take_announcements(self) -> None:
+        for message in _received(self._discovery):
+            self._metatraffic |= self._note(message).metatraffic
+            self._forward(None, DISCOVERY, message)
+
+    def _note(self, message: bytes) -> Announcement:
+        """Note the ports of one of this machine's participants; a reader may have its own."""
+        announced = read_announcement(message)
+        if announced.ports:
+            self._seen_s[announced.participant] = time.monotonic()
+            found = dict.fromkeys(announced.ports, announced.participant)
+            if not found.items() <= self._here.items():
+                self._here |= found
+                self._save()
+        return announced
+
+    def _places(self, machine: str, announced: Announcement) -> dict[int, tuple[bytes, int]]:
+        """Where this machine's participants reach one of another machine, by its port there."""
+        found = {}
+        self._seen_s[announced.participant] = time.monotonic()
+        for port in announced.ports:
+            made = self._port_for(machine, Place(announced.participant, port))
+            if made is not None:
+                address, here = made.getsockname()
+                found[port] = (socket.inet_aton(address), here)
+        return found
+
+    def _port_for(self, machine: str, place: Place) -> socket.socket | None:
+        key = (machine, place)
+        if key in self._there:
+            return self._there[key]
+        if sum(name == machine for name, _ in self._there) >= _MOST_PORTS:
+            log.warning("%s announces more than %d ports.", machine, _MOST_PORTS)
+            return None
+        made = self._make_port(machine, place, 0)
+        self._save()
+        return made
+
+    def _make_port(self, machine: str, place: Place, port: int) -> socket.socket | None:
+        try:
+            made = _open(alias(machine), port)
+        except OSError as error:
+            log.warning("There is no port for one of %s: %s", machine, error)
+            return None
+        self._loop.add_reader(made, self._take, machine, place, made)
+        self._there[machine, place] = made
+        return made
+
+    def _save(self) -> None:
+        facts = {
+            "here": {port: participant.hex() for port, participant in self._here.items()},
+            "metatraffic": sorted(self._metatraffic),
+            "there": [
+                [machine, place.participant.hex(), place.port, made.getsockname()[1]]
+                for (machine, place), made in self._there.items()
+            ],
+        }
+        text = json.dumps(facts)
+        if text != self._saved:
+            fresh = self._record.with_suffix(".new")
+            try:
+                fresh.write_text(text, encoding="utf-8")
+                fresh.replace(self._record)
+            except OSError as error:  # also when the link is being removed
+                log.warning("The ports cannot be kept for the next relay: %s", error)
+            self._saved = text
+
+    def _restore(self) -> None:
+        """Take the ports over that an earlier relay has had; those in use announce themselves."""
+        try:
+            facts = json.loads(self._record.read_text(encoding="utf-8"))
+            here = {int(port): bytes.fromhex(one) for port, one in facts["here"].items()}
+            there = [
+                (str(machine), Place(bytes.fromhex(one), int(port)), int(own))
+                for machine, one, port, own in facts["there"]
+            ]
+            metatraffic = {int(port) for port in facts["metatraffic"]}
+        except FileNotFoundError:
+            return
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            log.warning("%s is damaged, and ROS meets anew: %s", self._record, error)
+            return
+        self._here |= here
+        self._metatraffic |= metatraffic
+        for machine, place, own in there:
+            self._make_port(machine, place, own)
+        participants = [*here.values(), *(place.participant for _, place, _ in there)]
+        self._seen_s |= dict.fromkeys(participants, time.monotonic())
+
+    def _take(self, machine: str, place: Place, made: socket.socket) -> None:
+        for message in _received(made):
+            self._note(message)
+            self._forward(machine, place, message)
+
+    def _send(self, port: int, message: bytes) -> None:
+        # a participant that has ended, or takes no more: UDP loses messages
+        with suppress(BlockingIOError, ConnectionRefusedError):
+            self._sender.sendto(message, (LOOPBACK, port))
+
+    def _close(self, made: socket.socket) -> None:
+        self._loop.remove_reader(made)
+        made.close()
+
+
+def _open(address: str, port: int) -> socket.socket:
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        made.setblocking(False)
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+        made.bind((address, port))
+    except OSError:
+        made.close()
+        raise
+    return made
+
+
+def _received(made: socket.socket) -> list[bytes]:
+    messages: list[bytes] = []
+    with suppress(BlockingIOError):
+        while len(messages) < _AT_ONCE:
+            messages.append(made.recv(_MOST_BYTES))
+    return messages

@@ -1,0 +1,181 @@
+"""The process that carries ROS between this machine and those that it is paired with.
+
+To Fast DDS the link is UDP on the loopback interface. One relay serves all processes of a machine;
+it follows what `roboneuron link` changes, so that a machine which is removed is cut off at once.
+Standard library alone: it starts in a tenth of a second.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import ssl
+import sys
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+
+from rn_link.machine import Machine, Peer, link_folder, read_machine
+from rn_link.ports import Place, Ports
+from rn_link.stream import Stream
+from rn_link.tls import tls_context
+from roboneuron import ConfigurationError
+
+log = logging.getLogger("rn_link")
+LOOK_S = 0.5
+"""How often the relay looks for changes of the link."""
+_ATTEMPT_S = 3.0
+_PAUSE_S = 0.5
+
+
+class Relay:
+    """Everything of one machine's link that runs, from `run` until what it serves ends."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._ports = Ports(self._forward, folder / "ports.json")
+        self._streams: dict[str, Stream] = {}
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._known: dict[str, tuple[object, ...]] = {}
+        self._accepted: set[asyncio.Task[None]] = set()
+
+    async def run(self, ended: asyncio.Event) -> None:
+        """Carry messages until `ended` is set, or this machine has no link any more."""
+        try:
+            while not ended.is_set():
+                machine = read_machine(self._folder)
+                if machine is None:
+                    return
+                await self._follow(machine)
+                self._ports.forget()
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(ended.wait(), LOOK_S)
+        finally:
+            for name in list(self._known):
+                await self._leave(name)
+            await asyncio.gather(*self._accepted)
+            self._ports.close()
+
+    async def _follow(self, machine: Machine) -> None:
+        """Leave what was removed, and begin again where a certificate or an issuer is another."""
+        found = {name: _stamps(self._folder, machine, name) for name in machine.peers}
+        for name, stamps in list(self._known.items()):
+            if found.get(name) != stamps:
+                await self._leave(name)
+        for name in found.keys() - self._known.keys():
+            context = tls_context(machine, self._folder, name)
+            self._known[name] = found[name]
+            self._tasks[name] = asyncio.create_task(
+                self._connect(name, machine.peers[name], context)
+                if machine.role == "hub"
+                else self._listen(name, machine.port, context)
+            )
+
+    async def _leave(self, name: str) -> None:
+        """End the connection of a machine."""
+        del self._known[name]
+        task = self._tasks.pop(name)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        if name in self._streams:
+            self._streams.pop(name).close()
+
+    def _forward(self, machine: str | None, place: Place, message: bytes) -> None:
+        for name, stream in self._streams.items():
+            if machine in (None, name):
+                stream.send(place, message)
+
+    async def _connect(self, name: str, peer: Peer, context: ssl.SSLContext) -> None:
+        """Connect to a member, again and again."""
+        logged = ""
+        while True:
+            try:
+                async with asyncio.timeout(_ATTEMPT_S):
+                    connection = await asyncio.open_connection(*peer, ssl=context)
+            except OSError as error:  # of TLS and of time, too
+                if repr(error) != logged:
+                    logged = repr(error)
+                    log.warning("No link to %s: %s", name, str(error) or "no answer")
+            else:
+                logged = ""
+                await self._carry(name, *connection)
+            await asyncio.sleep(_PAUSE_S)
+
+    async def _listen(self, name: str, port: int, context: ssl.SSLContext) -> None:
+        """Listen for the hub."""
+        task = asyncio.current_task()
+
+        async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            if self._tasks.get(name) is not task:  # removed while hands were shaken
+                writer.transport.abort()
+                return
+            # the hub connects again when it has lost a connection that looks alive here
+            if name in self._streams:
+                self._streams[name].close()
+            carried = asyncio.ensure_future(self._carry(name, reader, writer))
+            self._accepted.add(carried)
+            carried.add_done_callback(self._accepted.discard)
+
+        while True:
+            try:
+                server = await asyncio.start_server(
+                    accept, "0.0.0.0", port, ssl=context, ssl_handshake_timeout=_ATTEMPT_S
+                )
+            except OSError as error:
+                log.warning("The link cannot listen: %s", error)
+                await asyncio.sleep(_PAUSE_S)
+                continue
+            try:
+                await asyncio.get_running_loop().create_future()
+            finally:
+                server.close()
+
+    async def _carry(
+        self, name: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+    ) -> None:
+        stream = Stream(reader, writer, partial(self._ports.deliver, name))
+        self._streams[name] = stream
+        log.warning("Linked to %s.", name)
+        try:
+            await stream.run()
+        except (OSError, EOFError) as error:
+            log.warning("The link to %s is lost: %s", name, error)
+        finally:
+            if self._streams.get(name) is stream:
+                del self._streams[name]
+
+
+def _stamps(folder: Path, machine: Machine, name: str) -> tuple[object, ...]:
+    """What is different after a change that concerns a peer."""
+    files = ("own.pem", "own.key", f"peers/{name}.issuer.pem")
+    stamps = tuple(_stamp(folder / file) for file in files)
+    return (machine.role, machine.port, machine.peers[name], stamps)
+
+
+def _stamp(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except FileNotFoundError:  # it is being changed
+        return 0
+
+
+async def serve(folder: Path) -> None:
+    """Relay until standard input ends, or this machine has no link any more."""
+    ended = asyncio.Event()
+    # its other end is in the process that started this one, and closes with it
+    asyncio.get_running_loop().add_reader(sys.stdin.fileno(), ended.set)
+    while not ended.is_set():
+        try:
+            await Relay(folder).run(ended)
+            return
+        except (OSError, ConfigurationError) as error:
+            log.warning("The link does not work: %s", error)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(ended.wait(), 1.0)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(format="%(levelname)s %(name)s: %(message)s")
+    # it warns of what is written after the other side has closed
+    logging.getLogger("asyncio").setLevel(logging.ERROR)
+    asyncio.run(serve(link_folder()))

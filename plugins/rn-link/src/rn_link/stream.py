@@ -1,0 +1,121 @@
+"""The encrypted connection to one other machine, which carries datagrams."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import ssl
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+from rn_link.ports import DISCOVERY, PARTICIPANT_BYTES, Place
+from rn_link.tls import valid_until
+
+HEARTBEAT_S = 0.5
+SILENT_BEATS = 6
+"""A connection that brought nothing for this many heartbeats is given up: 3 s."""
+OLD_S = 0.5
+"""What waited this long to be sent is dropped; reliable writers send it again."""
+MOST_WAITING_BYTES = 8_388_608
+_HEADER = struct.Struct(f">{PARTICIPANT_BYTES}sHH")
+_UNSENT_BYTES = 131_072
+"""More waits here, where it can grow old, and not in the kernel."""
+_BEAT = _HEADER.pack(*DISCOVERY, 0)
+Deliver = Callable[[Place, bytes], None]
+
+
+class Stream:
+    """One connection, from `run` to `close`."""
+
+    def __init__(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, deliver: Deliver
+    ) -> None:
+        """Args: what has shaken hands already; `deliver` gets what comes.
+
+        Raises:
+            ssl.SSLError: the other side has shown no certificate.
+        """
+        self._reader = reader
+        self._writer = writer
+        self._deliver = deliver
+        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._waiting_bytes = 0
+        self._more = asyncio.Event()
+        self._silent_beats = 0
+        connection = writer.get_extra_info("ssl_object")
+        if not isinstance(connection, ssl.SSLObject):
+            raise ssl.SSLError("the connection is not encrypted")
+        self._valid_until = valid_until(connection)
+        writer.transport.set_write_buffer_limits(high=_UNSENT_BYTES)
+        raw: socket.socket = writer.get_extra_info("socket")
+        raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
+
+    async def run(self) -> None:
+        """Carry messages until the connection ends.
+
+        Raises:
+            OSError, EOFError: how it has ended.
+        """
+        tasks = [
+            asyncio.ensure_future(one) for one in (self._receive(), self._write(), self._beat())
+        ]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                await task
+        finally:
+            for task in tasks:
+                task.cancel()
+            self.close()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    def send(self, place: Place, message: bytes) -> None:
+        """Send a message when there is room; what waits too long is dropped."""
+        self._waiting.append((time.monotonic(), _HEADER.pack(*place, len(message)) + message))
+        self._waiting_bytes += len(message)
+        while self._waiting_bytes > MOST_WAITING_BYTES:
+            self._next()
+        self._more.set()
+
+    def close(self) -> None:
+        """End the connection at once; idempotent."""
+        self._writer.transport.abort()
+
+    def _next(self) -> tuple[float, bytes]:
+        since_s, frame = self._waiting.popleft()
+        self._waiting_bytes -= len(frame) - _HEADER.size
+        return since_s, frame
+
+    async def _write(self) -> None:
+        while True:
+            await self._more.wait()
+            self._more.clear()
+            while self._waiting:
+                since_s, frame = self._next()
+                if self._writer.is_closing():
+                    return
+                if time.monotonic() - since_s <= OLD_S:
+                    self._writer.write(frame)
+                    await self._writer.drain()
+
+    async def _receive(self) -> None:
+        while True:
+            *place, length = _HEADER.unpack(await self._reader.readexactly(_HEADER.size))
+            message = await self._reader.readexactly(length)
+            self._silent_beats = 0
+            if message:
+                self._deliver(Place(*place), message)
+
+    async def _beat(self) -> None:
+        """Beats are counted, not seconds: a machine that was busy itself has not heard either."""
+        while self._silent_beats < SILENT_BEATS and datetime.now(UTC) < self._valid_until:
+            self._waiting.append((time.monotonic(), _BEAT))
+            self._more.set()
+            await asyncio.sleep(HEARTBEAT_S)
+            self._silent_beats += 1
+        if self._silent_beats >= SILENT_BEATS:
+            raise TimeoutError(f"nothing came for {SILENT_BEATS * HEARTBEAT_S:g} s")
+        raise ssl.SSLError("the certificate of the other side has expired")

@@ -1,0 +1,65 @@
+"""`link_stranger.py MANNERS`: the relay, with the manners of a stranger.
+
+"plain": no TLS. "none": no certificate of its own. "foreign" and the others: certificates as they
+are kept, and whatever the other side shows is taken. "careless": asks nobody for a certificate.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ssl
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from rn_link import relay, stream, tls
+from rn_link.machine import Machine, link_folder
+
+
+def main(manners: str) -> None:
+    """Run the relay."""
+
+    def context(machine: Machine, folder: Path, peer: str) -> ssl.SSLContext | None:
+        if manners == "plain":
+            return None
+        made = tls.tls_context(machine, folder, peer)
+        made.verify_mode = ssl.CERT_NONE
+        if manners == "none" and machine.role == "hub":
+            bare = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+            bare.check_hostname = False
+            bare.verify_mode = ssl.CERT_NONE
+            return bare
+        if manners == "none":
+            # a listening side needs one: of nobody's issue
+            made.load_cert_chain(*_self_signed(folder))
+        return made
+
+    def valid_until(_: ssl.SSLObject) -> datetime:
+        return datetime.now(UTC) + timedelta(days=1)
+
+    relay.tls_context = context  # type: ignore[assignment]
+    stream.valid_until = valid_until
+    if manners == "plain":
+        stream.ssl.SSLObject = object  # type: ignore[misc,assignment]
+        start_server = asyncio.start_server
+
+        def start(*arguments: object, **options: object) -> object:
+            if options.get("ssl") is None:
+                options.pop("ssl_handshake_timeout", None)
+            return start_server(*arguments, **options)  # type: ignore[arg-type]
+
+        asyncio.start_server = start  # type: ignore[assignment]
+    asyncio.run(relay.serve(link_folder()))
+
+
+def _self_signed(folder: Path) -> tuple[Path, Path]:
+    from rn_link.certificates import key_to_pem, new_issuer, to_pem, write_private
+
+    issuer = new_issuer("nobody", datetime.now(UTC))
+    write_private(folder / "nobody.pem", to_pem(issuer.certificate))
+    write_private(folder / "nobody.key", key_to_pem(issuer.key))
+    return folder / "nobody.pem", folder / "nobody.key"
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

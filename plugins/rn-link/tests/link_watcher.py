@@ -1,0 +1,101 @@
+"""`link_watcher.py NAME FOLDER [NAMESPACE]`: what another machine can do with a served robot.
+
+It counts the joint states and images of the robot that it finds, or of that namespace, and writes
+FOLDER/NAME.json. While FOLDER/NAME.act exists it publishes actions that raise the hand; when
+FOLDER/NAME.ask appears it asks the control module to deactivate itself.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from rn_link.environment import join_link
+from rn_link.keeper import keep_link
+from roboneuron.command import environment
+
+LIFT_M = 0.004
+"""Of each action, 10 a second."""
+
+
+def main(name: str, folder: Path, namespace: str = "") -> None:
+    """Watch until it is killed."""
+    join_link()
+    environment.prepare_environment(folder)
+    import rclpy
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+    from sensor_msgs.msg import Image, JointState
+    from std_msgs.msg import Float64MultiArray
+
+    from roboneuron.ros.messages import to_action_message
+
+    rclpy.init()
+    keep_link()
+    node = rclpy.create_node(f"watcher_{name}")
+    seen = {"joint_states": 0, "images": 0}
+    facts: dict[str, object] = {"positions": [], "answer": None, "nodes": [], "namespace": ""}
+    subscriptions: dict[str, object] = {}
+
+    def hear_joints(message: JointState) -> None:
+        seen["joint_states"] += 1
+        facts["positions"] = list(message.position)
+
+    def hear_image(_: Image) -> None:
+        seen["images"] += 1
+
+    def look() -> None:
+        for topic, types in node.get_topic_names_and_types():
+            if topic.endswith("/joint_states") and "sensor_msgs/msg/JointState" in types:
+                facts["namespace"] = topic.removesuffix("/joint_states")
+                if topic not in subscriptions:
+                    made = node.create_subscription(JointState, topic, hear_joints, 1)
+                    subscriptions[topic] = made
+            if topic.endswith("/image") and topic not in subscriptions:
+                subscriptions[topic] = node.create_subscription(Image, topic, hear_image, 1)
+        facts["nodes"] = [
+            f"{place.rstrip('/')}/{one}" for one, place in node.get_node_names_and_namespaces()
+        ]
+
+    publishers: dict[str, object] = {}
+
+    def act() -> None:
+        place = namespace or str(facts["namespace"])
+        if place and (folder / f"{name}.act").exists():
+            if not publishers:
+                publishers[""] = node.create_publisher(Float64MultiArray, f"{place}/action", 1)
+            row = np.array([0.0, 0.0, LIFT_M, 0.0, 0.0, 0.0, 1.0])
+            publishers[""].publish(to_action_message(row))  # type: ignore[attr-defined]
+
+    asked: list[object] = []
+
+    def ask() -> None:
+        if (folder / f"{name}.ask").exists() and not asked:
+            found = [one for one in facts["nodes"] if one.endswith("control")]  # type: ignore[attr-defined]
+            client = node.create_client(ChangeState, f"{found[0]}/change_state")
+            asked.append(client)
+            if not client.wait_for_service(10.0):
+                facts["answer"] = "no service"
+                return
+            request = ChangeState.Request()
+            request.transition.id = Transition.TRANSITION_DEACTIVATE
+            future = client.call_async(request)
+            asked.append(future)
+            future.add_done_callback(lambda done: facts.update(answer=done.result().success))
+
+    def report() -> None:
+        fresh = folder / f".{name}.new"
+        fresh.write_text(json.dumps(seen | facts), encoding="utf-8")
+        fresh.replace(folder / f"{name}.json")
+
+    for period_s, step in ((0.5, look), (0.1, act), (0.1, ask), (0.1, report)):
+        node.create_timer(period_s, step)
+    while True:
+        rclpy.spin_once(node, timeout_sec=0.5)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]), *sys.argv[3:])
