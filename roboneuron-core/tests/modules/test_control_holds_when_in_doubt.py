@@ -44,7 +44,7 @@ class Cell:
             if self.control.settings.config.control.command == "joint_state"
             else "joint_trajectory"
         )
-        assert holds_within(self.control.outputs[topic].get_subscription_count)
+        assert holds_within(self.control.outputs[topic])
 
     def send_state(self) -> None:
         now_ns = self.world.node.get_clock().now().nanoseconds

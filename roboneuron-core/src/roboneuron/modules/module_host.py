@@ -16,15 +16,18 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
 from roboneuron.config import ModuleSettings
+from roboneuron.errors import UnsafeError
 from roboneuron.modules.handover import Handover
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.qos import NEWEST
+from roboneuron.ros.topics import JOINT_COMMAND, JOINT_TRAJECTORY
 
 log = logging.getLogger(__name__)
 Value = TypeVar("Value", str, int)
 """Of a ROS parameter."""
+_TO_JOINTS = {JOINT_TRAJECTORY, JOINT_COMMAND}
 
 
 class ModuleHost(LifecycleNode):  # type: ignore[misc]
@@ -39,7 +42,8 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         status: where to report.
         module: from `configure` to cleanup, else None.
         resources: what is released at cleanup, from `configure` on.
-        outputs: what `advertise` has made, by topic.
+        outputs: by topic that `advertise` has made, what counts its subscriptions; the publisher
+            itself belongs to who has made it.
         stopped: whether the emergency stop is latched.
         stops: stops seen so far.
         needs_start: which of them forbids motion until somebody asks for it anew; empty when none
@@ -60,7 +64,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.status = StatusWriter(settings.status_name)
         self.module: Module | None = None
         self.resources = ExitStack()
-        self.outputs: dict[str, LifecyclePublisher] = {}
+        self.outputs: dict[str, Callable[[], int]] = {}
         self.stopped = False
         self.stops, self.needs_start = 0, ""
         self.handover = Handover(self.status)
@@ -99,10 +103,17 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         Args:
             message_type: an ordinary rosidl class.
             topic: under the robot's namespace.
+
+        Raises:
+            UnsafeError: it leads to the joints, which `HoldingModule` alone commands.
         """
-        publisher = self.outputs[topic] = self.create_lifecycle_publisher(
-            message_type, topic, NEWEST
-        )
+        if topic in _TO_JOINTS and not _TO_JOINTS.isdisjoint(self.outputs):
+            raise UnsafeError(
+                f"{topic!r} would be a second path to the joints, beside the limits.",
+                hint="Ask for motion by `HoldingModule.act`.",
+            )
+        publisher = self.create_lifecycle_publisher(message_type, topic, NEWEST)
+        self.outputs[topic] = publisher.get_subscription_count
         self.resources.callback(self.destroy_lifecycle_publisher, publisher)
         self.resources.callback(self.outputs.pop, topic)
         return publisher
