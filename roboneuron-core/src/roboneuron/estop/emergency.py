@@ -8,7 +8,6 @@ also reaches nodes that are not ours.
 from __future__ import annotations
 
 import logging
-import shlex
 import signal
 import threading
 import time
@@ -79,12 +78,6 @@ class EmergencyStop:
         self.file = EmergencyStopLatch.in_directory(supervisor.state_directory)
         self.file.on_pressed(lambda: self._publish(True))
         self.audit = AuditLog.in_directory(supervisor.state_directory)
-
-    @property
-    def release_command(self) -> str:
-        """What a person types to release the stop."""
-        directory = shlex.quote(str(self.file.path.parent))
-        return f"roboneuron estop --reset --state {directory}"
 
     @property
     def needs_pin(self) -> bool:
@@ -221,7 +214,10 @@ class EmergencyStop:
             StateError: the latch file cannot be removed.
             NotReadyError: a running module did not confirm it in time.
         """
-        self._hear_echoes()
+        # our own messages have to be heard here too: after the reset they would press it again
+        if self._publishers:
+            for _ in range(_ROUNDS):
+                self._supervisor.link.on_executor(lambda: None)
         self.file.reset(who=who, role=role, audit=self.audit, pin=pin)
         confirmed, silent, took_s = self._tell(namespace, False)
         if silent:
@@ -231,14 +227,6 @@ class EmergencyStop:
                 hint="Look at get_status; call reset_emergency_stop again.",
             )
         return confirmed, took_s
-
-    def _hear_echoes(self) -> None:
-        """Wait until our own messages were heard here too: after the reset they would press the
-        stop again.
-        """
-        if self._publishers:
-            for _ in range(_ROUNDS):
-                self._supervisor.link.on_executor(lambda: None)
 
     def _tell(self, namespace: str, latched: bool) -> tuple[list[str], list[str], float]:
         """Publish it and wait for the modules: those that confirmed it, those that did not, and

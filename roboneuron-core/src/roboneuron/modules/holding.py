@@ -137,17 +137,17 @@ class HoldingModule(Module):
 
     def deactivate(self) -> None:
         """Hold, then stop commanding."""
-        self._hold_if_active("deactivated", "Control was deactivated.")
+        self.hold("deactivated", "Control was deactivated.")
         self.is_active = False
 
     def emergency_stop(self, latched: bool) -> None:
         """Hold as long as the latch is set."""
         if latched:
-            self._hold_if_active("emergency_stop", "The emergency stop is latched.")
+            self.hold("emergency_stop", "The emergency stop is latched.")
 
     def forget(self) -> None:
         """Hold; see `Module.forget`. Actions are dropped until somebody asks for motion."""
-        self._hold_if_active(
+        self.hold(
             NEEDS_NEW_START, f"Motion needs a new start after a stop: {self.node.needs_start}."
         )
 
@@ -308,9 +308,9 @@ class HoldingModule(Module):
 
         Without a fresh one nothing is sent: the arm would go back to where it was. Its last command
         comes to an end, and the next joint state is held at once. In shadow the arm is left to the
-        other control.
+        other control, and while it is not active to itself.
         """
-        if not self._is_ours_now():
+        if not self.is_active or not self.handover.is_ours(time.time_ns()):
             return
         self.status.set(note=f"holding: {reason}")
         self.status.set_value("hold_code", code)
@@ -340,7 +340,7 @@ class HoldingModule(Module):
         It looks five times per timeout, and holds after three quarters of it: so the arm has
         begun to hold before the timeout is over.
         """
-        if not self.is_active or self.is_holding or not self._is_ours_now():
+        if not self.is_active or self.is_holding or not self.handover.is_ours(time.time_ns()):
             return
         if self._is_server_silent():
             if not self.node.needs_start:
@@ -355,10 +355,6 @@ class HoldingModule(Module):
             self.hold(
                 "stale_joint_state", f"No joint state for {self.section.state_timeout_s:g} s."
             )
-
-    def _hold_if_active(self, code: str, reason: str) -> None:
-        if self.is_active:
-            self.hold(code, reason)
 
     def _command_hold(self, joints: JointSample) -> None:
         """Command the arm to stay where it is measured; the limiter starts anew from there.
@@ -378,6 +374,3 @@ class HoldingModule(Module):
 
     def _are_joints_stale(self) -> bool:
         return self.watched.age_s(time.monotonic()) > self.section.state_timeout_s
-
-    def _is_ours_now(self) -> bool:
-        return self.handover.is_ours(time.time_ns())

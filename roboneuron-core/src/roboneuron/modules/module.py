@@ -23,8 +23,7 @@ from std_msgs.msg import Bool
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
-from roboneuron.modules.handover import Handover
-from roboneuron.modules.module_host import Module, ModuleHost, join
+from roboneuron.modules.module_host import Handover, Module, ModuleHost, join
 from roboneuron.modules.parent_watch import Signals, watch_stdin
 from roboneuron.modules.plugin import module_class
 from roboneuron.modules.requests import RequestGuard

@@ -40,7 +40,6 @@ from roboneuron.node import (
     build,
     find_robot,
     messages,
-    split_label,
     topics,
 )
 
@@ -158,7 +157,7 @@ class ControlModule(HoldingModule):
         """The space of an action by its label. Raises InvalidInputError for one that this control
         does not execute.
         """
-        name, rate_hz = split_label(label)
+        name, rate_hz = _split(label)
         space = self._spaces.get(name)
         if space is not None and rate_hz:
             space = replace(space, rate_hz=rate_hz)
@@ -194,6 +193,17 @@ class ControlModule(HoldingModule):
             more_s = _SHARE_OF_REST * self.remaining_s(now_s)
             answer = replace(answer, duration_s=answer.duration_s + more_s)
         return answer
+
+
+def _split(label: str) -> tuple[str, float]:
+    """The label without its rate, and the rate [Hz]; 0 where it names none, or what is no rate."""
+    kind, colon, keys = label.partition(":")
+    kind, _, rate = kind.partition("@")
+    try:
+        rate_hz = float(rate or 0.0)
+    except ValueError:
+        rate_hz = 0.0
+    return f"{kind}{colon}{keys}", rate_hz
 
 
 def _executed_spaces(
