@@ -88,7 +88,7 @@ class KindEntry:
     """One kind of module. Its section of roboneuron.toml is called as the kind is.
 
     Attributes:
-        kind: which one; its node class is in `roboneuron.modules.plugin.module_class`.
+        kind: which one; what its process runs is chosen in `roboneuron.modules.module`.
         noun: what such a module runs.
         offer: kind of the plugins that offer it.
         section: model of its section.

@@ -76,7 +76,7 @@ class EmergencyStop:
         # what was published last
         self._is_told = False
         self.file = EmergencyStopLatch.in_directory(supervisor.state_directory)
-        self.file.on_pressed(lambda: self._publish(True))
+        self.file.on_pressed.append(lambda: self._publish(True))
         self.audit = AuditLog.in_directory(supervisor.state_directory)
 
     @property
@@ -132,10 +132,6 @@ class EmergencyStop:
 
         topic = f"/{namespace}/{EMERGENCY_STOP_TOPIC}"
 
-        def publish(is_latched: bool) -> None:
-            # nothing once the server leaves the graph: who has heard it confirms it
-            send(Bool(data=is_latched))
-
         with self._lock:
             if namespace not in self._publishers:
                 send = link.advertise(Bool, topic, LATCHED)
@@ -143,7 +139,8 @@ class EmergencyStop:
                     link.subscribe(
                         Bool, topic, lambda message: self._on_topic(topic, message.data), qos
                     )
-                self._publishers[namespace] = publish
+                # nothing once the server leaves the graph: who has heard it confirms it
+                self._publishers[namespace] = lambda is_latched: send(Bool(data=is_latched))
 
     def follow_file(self) -> bool:
         """Whether the file stops; called now and then.

@@ -200,8 +200,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
             return
         self.needs_start = reason
         self.stops += 1
-        self.status.set(needs_start=reason, stops=self.stops)
-        self.status.changed.set()
+        self.status.announce(needs_start=reason, stops=self.stops)
         if self.module is not None:
             self.module.forget()
 
