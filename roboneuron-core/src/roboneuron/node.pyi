@@ -9,9 +9,6 @@ from collections.abc import Mapping
 from .config import (
     models as models,
 )
-from .contract.space import (
-    split_label as split_label,
-)
 from .gate.motion import (
     task_space as task_space,
 )
@@ -31,13 +28,11 @@ from .ros import (
 from .gate.motion import (
     LimitedCommand as LimitedCommand,
 )
-from .modules.handover import (
-    Handover as Handover,
-)
 from .modules.holding import (
     HoldingModule as HoldingModule,
 )
 from .modules.module_host import (
+    Handover as Handover,
     Module as Module,
     ModuleHost as ModuleHost,
 )

@@ -88,7 +88,7 @@ class KindEntry:
     """One kind of module. Its section of roboneuron.toml is called as the kind is.
 
     Attributes:
-        kind: which one; its node class is in `roboneuron.modules.plugin.module_class`.
+        kind: which one; what its process runs is chosen in `roboneuron.modules.module`.
         noun: what such a module runs.
         offer: kind of the plugins that offer it.
         section: model of its section.
@@ -126,7 +126,13 @@ class KindEntry:
         """
         self.configured(config, registry)
         if self.kind == "robot":
-            return _plan_robot(config, registry)
+            section = config.robot
+            is_elsewhere = section.python is not None
+            robot, driver = find_robot(
+                registry, section.name, section.driver, is_elsewhere=is_elsewhere
+            )
+            names = {"robot": robot.name, "driver": driver.name}
+            return Plan(config=config, robot=robot, driver=driver, spec=driver, names=names)
         spec = registry.get(FeatureSpec, self.kind)  # it is called as the kind
         named = load_attribute(spec.module_plan or "", f"`module_plan` of {spec.name!r}")
         return cast("Callable[[Config, Registry], Plan]", named)(config, registry)
@@ -206,14 +212,6 @@ def find_robot(
             f"Driver {driver!r} of robot {name!r} cannot be used: {explain(absent)}"
         )
     return robot, found
-
-
-def _plan_robot(config: Config, registry: Registry) -> Plan:
-    section = config.robot
-    is_elsewhere = section.python is not None
-    robot, driver = find_robot(registry, section.name, section.driver, is_elsewhere=is_elsewhere)
-    names = {"robot": robot.name, "driver": driver.name}
-    return Plan(config=config, robot=robot, driver=driver, spec=driver, names=names)
 
 
 def _check_options(

@@ -21,7 +21,6 @@ from roboneuron.contract import (
     channel_keys,
     robot_space,
 )
-from roboneuron.contract.space import split_label
 from roboneuron.errors import InvalidInputError, UnsafeError
 
 ARM = ("swing", "lift")
@@ -57,28 +56,14 @@ def test_there_is_a_label_for_every_kind() -> None:
 
 @pytest.mark.parametrize("kind", [kind for kind in SPACE_KINDS if kind != "ee_delta"])
 @pytest.mark.parametrize("rate_hz", [0.0, 0.5, 12.5, 15.0, 1000.0])
-def test_a_label_is_split_into_what_it_was_made_of(kind: str, rate_hz: float) -> None:
+def test_a_label_with_a_rate_names_its_channels(kind: str, rate_hz: float) -> None:
     space = robot_space(kind, HOIST, rate_hz)
     assert ("@" in space.label) == (rate_hz > 0.0)
-    assert split_label(space.label) == (LABELS[kind], rate_hz)
     assert channel_keys(space.label) == space.keys
 
 
 def test_the_default_label_names_the_fields_of_an_action() -> None:
-    assert split_label(ACTION_LABEL) == (ACTION_LABEL, 0.0)
     assert channel_keys(ACTION_LABEL) == ACTION_FIELDS == EE_DELTA.keys
-
-
-@pytest.mark.parametrize("text", ["joint_position@fast:a", "joint_position@:a", "joint_position:a"])
-def test_what_is_no_rate_counts_as_none(text: str) -> None:
-    assert split_label(text) == ("joint_position:a", 0.0)
-
-
-@pytest.mark.parametrize("text", ["", ":", "@", "joint_position", "@:,", "ee_delta_base@5"])
-def test_any_text_can_be_split(text: str) -> None:
-    name, rate_hz = split_label(text)
-    assert "@" not in name
-    assert rate_hz in (0.0, 5.0)
 
 
 def test_units_are_those_of_the_joints() -> None:

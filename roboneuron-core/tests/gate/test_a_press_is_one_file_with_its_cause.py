@@ -266,8 +266,10 @@ def test_all_robots_are_stopped_before_a_file_is_written_and_all_files_before_an
     left, nowhere, right = a_latch(tmp_path / "left"), a_latch(NOWHERE), a_latch(tmp_path / "right")
     seen: list[tuple[str, str, list[str]]] = []
     for name, latch in (("left", left), ("nowhere", nowhere), ("right", right)):
-        latch.on_press(lambda name=name: seen.append(("press", name, sorted(os.listdir(tmp_path)))))
-        latch.on_pressed(
+        latch.on_press.append(
+            lambda name=name: seen.append(("press", name, sorted(os.listdir(tmp_path))))
+        )
+        latch.on_pressed.append(
             lambda name=name: seen.append(("pressed", name, sorted(os.listdir(tmp_path))))
         )
     failures = EmergencyStopLatch.press_together([left, nowhere, right], who="ann", reason="smoke")
@@ -281,8 +283,8 @@ def test_all_robots_are_stopped_before_a_file_is_written_and_all_files_before_an
 
 def test_a_second_press_tells_nobody_and_the_first_cause_stays(latch) -> None:
     told: list[str] = []
-    latch.on_press(lambda: told.append("press"))
-    latch.on_pressed(lambda: told.append("pressed"))
+    latch.on_press.append(lambda: told.append("press"))
+    latch.on_pressed.append(lambda: told.append("pressed"))
     latch.press(who="ann", reason="smoke")
     assert latch.press(who="bob", reason="fire").cause == "ann: smoke"
     assert told == ["press", "pressed"]
@@ -422,7 +424,7 @@ def test_a_press_after_a_reset_that_the_disk_refused_stops_the_robot(
     latch, audit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     told: list[str] = []
-    latch.on_press(lambda: told.append("press"))
+    latch.on_press.append(lambda: told.append("press"))
 
     def fail(path: Path) -> os.stat_result:
         raise OSError(errno.EIO, "Input/output error", str(path))

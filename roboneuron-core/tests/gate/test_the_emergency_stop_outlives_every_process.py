@@ -146,7 +146,7 @@ def test_pressing_from_many_threads_leaves_one_whole_file(latch) -> None:
 
 def test_who_listens_is_told_before_anything_is_written(latch) -> None:
     seen = []
-    latch.on_press(
+    latch.on_press.append(
         lambda: seen.append((latch.is_latched(), latch.path.exists(), latch.read_state().who))
     )
     latch.latch(who="a", reason="b")

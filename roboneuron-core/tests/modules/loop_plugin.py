@@ -33,7 +33,7 @@ from roboneuron.contract import (
 )
 from roboneuron.contract.arrays import F64
 from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
-from roboneuron.modules.handover import Handover
+from roboneuron.modules.module_host import Handover
 from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import (
     ActionSpace,

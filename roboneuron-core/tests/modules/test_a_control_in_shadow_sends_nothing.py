@@ -57,7 +57,7 @@ def test_a_successor_goes_on_from_the_predecessors_command(cell: Cell) -> None:
     sent_s = cell.clock.now_s - 0.05
     taken = cell.control.follow(to_joint_trajectory(command), sent_s)
     assert taken.position.tolist() == [0.52, -0.5]
-    sent = cell.control.limiter._sent
+    sent = cell.control._limiter._sent
     assert sent is not None
     assert sent.sent_s == sent_s
     assert sent.displacement == pytest.approx([0.02, 0.0])
@@ -72,10 +72,10 @@ def test_a_predecessors_command_is_read_and_changes_nothing_after_the_first_of_o
     cell: Cell,
 ) -> None:
     cell.act()
-    sent, acted_s = cell.control.limiter._sent, cell.control.action_s
+    sent, acted_s = cell.control._limiter._sent, cell.control.action_s
     command = JointCommand(names=ARM, position=np.array([0.6, -0.5]), duration_s=0.1)
     assert cell.control.follow(to_joint_trajectory(command), 1.0).position[0] == 0.6
-    assert cell.control.limiter._sent is sent
+    assert cell.control._limiter._sent is sent
     assert cell.control.action_s == acted_s
 
 
@@ -85,7 +85,7 @@ def test_a_predecessors_command_before_the_arm_was_measured_is_only_read(
     cell = Cell(make_host, activate=False)
     command = JointCommand(names=ARM, position=np.array([0.6, -0.5]), duration_s=0.1)
     assert cell.control.follow(to_joint_trajectory(command), 1.0).position[0] == 0.6
-    assert cell.control.limiter._sent is None
+    assert cell.control._limiter._sent is None
     assert cell.control.is_holding
 
 

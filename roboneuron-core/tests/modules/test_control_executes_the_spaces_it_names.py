@@ -10,7 +10,8 @@ from control_cell import START, Cell, MakeHost
 from loop_plugin import profile
 from std_msgs.msg import Float64MultiArray
 
-from roboneuron.contract import robot_space
+from rn_standard.control.module import _split
+from roboneuron.contract import ACTION_LABEL, Channel, ControlSpace, robot_space
 from roboneuron.ros.messages import to_action_message
 
 
@@ -91,3 +92,23 @@ def test_the_first_velocity_needs_a_rate_too(make_host: MakeHost) -> None:
     assert cell.drops() == {"malformed": 1}
     cell.receive(velocity(0.1, 0.0))
     assert len(executed(cell)) == 1
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, 0.5, 12.5, 15.0, 1000.0])
+def test_a_label_is_split_into_what_it_was_made_of(rate_hz: float) -> None:
+    channels = (Channel(name="a", unit="rad"), Channel(name="b", unit="rad"))
+    space = ControlSpace(kind="joint_velocity", channels=channels, rate_hz=rate_hz)
+    assert _split(space.label) == ("joint_velocity:a,b", rate_hz)
+    assert _split(ACTION_LABEL) == (ACTION_LABEL, 0.0)
+
+
+@pytest.mark.parametrize("text", ["joint_position@fast:a", "joint_position@:a", "joint_position:a"])
+def test_what_is_no_rate_counts_as_none(text: str) -> None:
+    assert _split(text) == ("joint_position:a", 0.0)
+
+
+@pytest.mark.parametrize("text", ["", ":", "@", "joint_position", "@:,", "ee_delta_base@5"])
+def test_any_text_can_be_split(text: str) -> None:
+    name, rate_hz = _split(text)
+    assert "@" not in name
+    assert rate_hz in (0.0, 5.0)

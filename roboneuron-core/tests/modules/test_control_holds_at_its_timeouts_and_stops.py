@@ -77,7 +77,7 @@ def test_a_command_that_came_too_late_is_no_setpoint(cell: Cell) -> None:
     cell.takes_s = 0.26
     cell.act(0.01)
     cell.takes_s = 0.0
-    assert cell.control.limiter._sent is None, "its joints are not known any more"
+    assert cell.control._limiter._sent is None, "its joints are not known any more"
 
 
 def test_a_controller_that_takes_its_time_is_in_time(cell: Cell) -> None:
@@ -158,7 +158,7 @@ def test_after_a_hold_the_next_command_begins_at_rest_where_the_arm_is(cell: Cel
     cell.position = np.array([0.507, -0.5])
     cell.go(0.3)
     cell.watch()
-    sent = cell.control.limiter._sent
+    sent = cell.control._limiter._sent
     assert sent is not None
     assert sent.start.tolist() == [0.507, -0.5]
     assert sent.displacement.tolist() == [0.0, 0.0]

@@ -44,7 +44,7 @@ class Cell:
             if self.control.settings.config.control.command == "joint_state"
             else "joint_trajectory"
         )
-        assert holds_within(self.control.outputs[topic].get_subscription_count)
+        assert holds_within(self.control.outputs[topic])
 
     def send_state(self) -> None:
         now_ns = self.world.node.get_clock().now().nanoseconds
@@ -278,6 +278,8 @@ def test_a_command_that_was_ready_too_late_is_not_sent(
     assert cell.value("note").startswith("holding: A command was ready only 0.4")
     assert not cell.commands
     monkeypatch.undo()
+    # joint states have waited too, and are stale until the next one is heard
+    assert holds_within(lambda: cell.control.module.why_not(0.0, time.time_ns()) is None)
     cell.actions.publish(to_action_message(FORWARD))
     assert holds_within(lambda: len(cell.commands) == 1)
     assert cell.last() == pytest.approx([0.51, -0.5])

@@ -79,7 +79,7 @@ def test_commands_may_be_joint_states(make_host: MakeHost) -> None:
     cell = Cell(
         make_host, replace={'controller = "adder"': 'controller = "adder"\ncommand = "joint_state"'}
     )
-    assert cell.control.limiter._immediate
+    assert cell.control._limiter._immediate
     cell.act(0.001)
     publisher = cell.host.publishers["joint_command"]
     assert publisher.message_type is JointState
@@ -268,7 +268,7 @@ def test_limits_that_are_damaged_wider_or_unfit_are_refused(
 
 def test_a_command_that_the_limits_reject_is_counted_for_the_last_of_them(cell: Cell) -> None:
     rejected = LimitedCommand(command=None, acted=("speed", "zone"), reason="a vase", share=0.0)
-    cell.control.limiter.limit = lambda *_: rejected  # type: ignore[method-assign]
+    cell.control._limiter.limit = lambda *_: rejected  # type: ignore[method-assign]
     cell.act()
     assert cell.drops() == {"limit_zone": 1}
     assert cell.commands == []

@@ -9,7 +9,7 @@ import pytest
 from control_cell import ARM, SERVER_TIMEOUT_S, START, STATE_TIMEOUT_S, TIMEOUT_S, MakeHost
 from loop_plugin import Adder
 
-from roboneuron.contract import JointSample
+from roboneuron.contract import JointCommand, JointSample
 from roboneuron.modules.holding import HoldingModule
 
 
@@ -22,8 +22,9 @@ class Cell:
         self.module.limit_with(Adder(None, self.module.profile))
         self.module.activate()
         self.measure()
-        self.module.action_s = self.host.clock.now_s
-        self.module.note_command()
+        step = JointCommand(names=ARM, position=START + 0.01, duration_s=0.1)
+        self.module.act(self.host.clock.wall_ns, lambda: lambda *_: step)
+        self.host.publishers["joint_trajectory"].messages.clear()
 
     def measure(self) -> None:
         stamp_ns = self.host.clock.wall_ns

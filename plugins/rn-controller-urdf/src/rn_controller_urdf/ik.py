@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from operator import le
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +32,7 @@ nothing.
 """
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Solution:
+class Solution(NamedTuple):
     """Where the solver ended, converged or not.
 
     Attributes:
@@ -62,12 +60,12 @@ class InverseKinematics:
         self._pin: ModuleType = pinocchio
         self._model = model
         self._data = model.kinematics.createData()
-        # by rows, because an iteration spends more on making arrays than on their numbers
-        self._normal = {rows: np.empty((rows, rows)) for rows in (3, 6)}
-        self._diagonal = {
-            rows: made.reshape(-1)[:: rows + 1] for rows, made in self._normal.items()
-        }
-        self._cholesky = {rows: eigenpy.LLT(rows) for rows in (3, 6)}
+        # the matrix of the normal equations, its diagonal and factorization, by rows: kept, because
+        # an iteration spends more on making arrays than on their numbers
+        self._scratch = {}
+        for rows in (3, 6):
+            normal = np.empty((rows, rows))
+            self._scratch[rows] = normal, normal.reshape(-1)[:: rows + 1], eigenpy.LLT(rows)
         self._bounds = model.lower.tolist(), model.upper.tolist()
         self._local = pinocchio.ReferenceFrame.LOCAL
 
@@ -129,17 +127,19 @@ class InverseKinematics:
         frozen and the step is taken again with the others.
         """
         # As long as no score is a number, the caller sees infinite residuals and refuses.
-        model, data, pin = self._model, self._data, self._pin
-        kinematics, frame = model.kinematics, model.tcp_frame
+        data, kinematics, frame = self._data, self._model.kinematics, self._model.tcp_frame
+        # looked up once: an iteration takes a few microseconds
+        measure, update = self._pin.computeJointJacobians, self._pin.updateFramePlacement
+        log6, hypot = self._pin.log6, math.hypot
         q, lowest = start, math.inf
         best, best_m, best_rad, steps = start, math.inf, math.inf, 0
         for iteration in range(max_iterations + 1):
-            pin.computeJointJacobians(kinematics, data, self._chain_positions(q))
+            measure(kinematics, data, self._chain_positions(q))
             # in axes of the TCP frame
-            difference = pin.updateFramePlacement(kinematics, data, frame).actInv(target)
-            error: F64 = pin.log6(difference).vector
-            residual_m = math.hypot(*difference.translation.tolist())
-            residual_rad = math.hypot(*error.tolist()[3:])
+            difference = update(kinematics, data, frame).actInv(target)
+            error: F64 = log6(difference).vector
+            residual_m = hypot(*difference.translation.tolist())
+            residual_rad = hypot(*error.tolist()[3:])
             score = residual_m + residual_rad if track_rotation else residual_m
             if score < lowest:
                 lowest = score
@@ -172,10 +172,9 @@ class InverseKinematics:
         return jacobian if track_rotation else jacobian[:3]
 
     def _step(self, q: F64, error: F64, jacobian: F64) -> F64:
-        lower, upper = self._model.lower, self._model.upper
         rows = len(error)
         squared = _DAMPING + _DAMPING_BY_ERROR * float(error.dot(error))
-        normal, diagonal, cholesky = self._normal[rows], self._diagonal[rows], self._cholesky[rows]
+        normal, diagonal, cholesky = self._scratch[rows]
         while True:
             jacobian.dot(jacobian.T, out=normal)
             diagonal += squared
@@ -187,7 +186,7 @@ class InverseKinematics:
             wanted: F64 = q + change
             if self._is_within(wanted.tolist()):
                 return wanted
-            reached: F64 = np.minimum(np.maximum(wanted, lower), upper)
+            reached: F64 = np.minimum(np.maximum(wanted, self._model.lower), self._model.upper)
             stuck = (reached == q) & (wanted != q)
             if not stuck.any():
                 return reached

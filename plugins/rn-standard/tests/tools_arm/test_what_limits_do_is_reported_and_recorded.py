@@ -44,7 +44,9 @@ class Bench:
         self.status = StatusWriter("/pair/control")
         settings = SimpleNamespace(state_directory=str(state))
         control = SimpleNamespace(
-            robot="pair", status=self.status, node=SimpleNamespace(settings=settings)
+            profile=SimpleNamespace(name="pair"),
+            status=self.status,
+            node=SimpleNamespace(settings=settings),
         )
         self.reports = LimitReports(control)  # type: ignore[arg-type]
 

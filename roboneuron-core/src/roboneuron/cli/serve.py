@@ -14,7 +14,6 @@ from pathlib import Path
 from roboneuron.log_files import begin_logging
 from roboneuron.plugins.availability import known_names
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
 from roboneuron.ros.installation import choose, find_sourced
 
@@ -57,8 +56,10 @@ def add_installed_flags(parser: ArgumentParser) -> None:
     A feature that is known and not installed has a hidden flag, which says what to install.
     """
     with redirect_stdout(sys.stderr):  # stdout may be the wire of an agent, and plugins may print
-        features = switched_features()
+        features = discover().specs(FeatureSpec).values()
     for spec in features:
+        if spec.switch is None or not spec.keys:
+            continue
         told = (
             f"{spec.switch} = true in [{spec.keys[0]}]: "
             f"{spec.summary[:1].lower()}{spec.summary[1:]}"
@@ -78,12 +79,6 @@ class _Absent(Action):
     def __call__(self, *_: object) -> None:
         """Raise ConfigurationError: says why, and what to install."""
         discover().get(FeatureSpec, self.dest)
-
-
-def switched_features(registry: Registry | None = None) -> list[FeatureSpec]:
-    """Features of installed plugins that the command line can switch on."""
-    specs = (registry or discover()).specs(FeatureSpec).values()
-    return [spec for spec in specs if spec.switch is not None and spec.keys]
 
 
 def run(arguments: Namespace) -> int:

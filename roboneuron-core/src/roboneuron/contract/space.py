@@ -171,17 +171,6 @@ EE_DELTA = ControlSpace(
 """The contract's 7-vector."""
 
 
-def split_label(label: str) -> tuple[str, float]:
-    """The label without its rate, and the rate [Hz]; 0 where it names none, or what is no rate."""
-    kind, colon, keys = label.partition(":")
-    kind, _, rate = kind.partition("@")
-    try:
-        rate_hz = float(rate or 0.0)
-    except ValueError:
-        rate_hz = 0.0
-    return f"{kind}{colon}{keys}", rate_hz
-
-
 def channel_keys(label: str) -> tuple[str, ...]:
     """Names of the channels that a label names."""
     return ACTION_FIELDS if label == ACTION_LABEL else tuple(label.partition(":")[2].split(","))

@@ -8,7 +8,6 @@ also reaches nodes that are not ours.
 from __future__ import annotations
 
 import logging
-import shlex
 import signal
 import threading
 import time
@@ -77,14 +76,8 @@ class EmergencyStop:
         # what was published last
         self._is_told = False
         self.file = EmergencyStopLatch.in_directory(supervisor.state_directory)
-        self.file.on_pressed(lambda: self._publish(True))
+        self.file.on_pressed.append(lambda: self._publish(True))
         self.audit = AuditLog.in_directory(supervisor.state_directory)
-
-    @property
-    def release_command(self) -> str:
-        """What a person types to release the stop."""
-        directory = shlex.quote(str(self.file.path.parent))
-        return f"roboneuron estop --reset --state {directory}"
 
     @property
     def needs_pin(self) -> bool:
@@ -139,10 +132,6 @@ class EmergencyStop:
 
         topic = f"/{namespace}/{EMERGENCY_STOP_TOPIC}"
 
-        def publish(is_latched: bool) -> None:
-            # nothing once the server leaves the graph: who has heard it confirms it
-            send(Bool(data=is_latched))
-
         with self._lock:
             if namespace not in self._publishers:
                 send = link.advertise(Bool, topic, LATCHED)
@@ -150,7 +139,8 @@ class EmergencyStop:
                     link.subscribe(
                         Bool, topic, lambda message: self._on_topic(topic, message.data), qos
                     )
-                self._publishers[namespace] = publish
+                # nothing once the server leaves the graph: who has heard it confirms it
+                self._publishers[namespace] = lambda is_latched: send(Bool(data=is_latched))
 
     def follow_file(self) -> bool:
         """Whether the file stops; called now and then.
@@ -221,7 +211,10 @@ class EmergencyStop:
             StateError: the latch file cannot be removed.
             NotReadyError: a running module did not confirm it in time.
         """
-        self._hear_echoes()
+        # our own messages have to be heard here too: after the reset they would press it again
+        if self._publishers:
+            for _ in range(_ROUNDS):
+                self._supervisor.link.on_executor(lambda: None)
         self.file.reset(who=who, role=role, audit=self.audit, pin=pin)
         confirmed, silent, took_s = self._tell(namespace, False)
         if silent:
@@ -231,14 +224,6 @@ class EmergencyStop:
                 hint="Look at get_status; call reset_emergency_stop again.",
             )
         return confirmed, took_s
-
-    def _hear_echoes(self) -> None:
-        """Wait until our own messages were heard here too: after the reset they would press the
-        stop again.
-        """
-        if self._publishers:
-            for _ in range(_ROUNDS):
-                self._supervisor.link.on_executor(lambda: None)
 
     def _tell(self, namespace: str, latched: bool) -> tuple[list[str], list[str], float]:
         """Publish it and wait for the modules: those that confirmed it, those that did not, and

@@ -65,6 +65,14 @@ class EmergencyStopLatch:
     touches nothing.
 
     Who is to hold whatever happens to the file has to call `is_latched` now and then.
+
+    Attributes:
+        path: the latch file.
+        on_press: called when this process presses the stop, before anything is written or woken, on
+            the pressing thread; must return at once and must not raise: it sends what stops a
+            robot.
+        on_pressed: likewise, once the file is written, or could not be: it tells others and wakes
+            threads.
     """
 
     @classmethod
@@ -94,8 +102,8 @@ class EmergencyStopLatch:
         # Guards what is held and seen, over a few system calls at most. Listeners and disks that
         # may be slow are not waited for while it is held.
         self._lock = threading.RLock()
-        self._stop_listeners: list[Callable[[], object]] = []
-        self._written_listeners: list[Callable[[], object]] = []
+        self.on_press: list[Callable[[], object]] = []
+        self.on_pressed: list[Callable[[], object]] = []
 
     def reserve(self) -> None:
         """Keep a file handle for the latch's file: a process that has no other left still stops the
@@ -111,21 +119,6 @@ class EmergencyStopLatch:
         except IndexError:
             return False
         return True
-
-    def on_press(self, listener: Callable[[], object]) -> None:
-        """Have `listener` called when this process presses the stop, before anything is written or
-        woken.
-
-        It runs on the pressing thread, must return at once and must not raise: it sends what stops
-        a robot.
-        """
-        self._stop_listeners.append(listener)
-
-    def on_pressed(self, listener: Callable[[], object]) -> None:
-        """As `on_press`, once the file is written, or could not be: it tells others and wakes
-        threads.
-        """
-        self._written_listeners.append(listener)
 
     def is_latched(self) -> bool:
         """Whether motion is forbidden; about a microsecond."""
@@ -280,7 +273,7 @@ class EmergencyStopLatch:
             if latch._hold(state):
                 pressed.append((latch, state))
         for latch, _ in pressed:
-            for listener in latch._stop_listeners:
+            for listener in latch.on_press:
                 listener()
         for latch, state in pressed:
             try:
@@ -294,7 +287,7 @@ class EmergencyStopLatch:
                 failure.__cause__ = error
                 failures.append(failure)
         for latch, _ in pressed:
-            for listener in latch._written_listeners:
+            for listener in latch.on_pressed:
                 listener()
         return failures
 

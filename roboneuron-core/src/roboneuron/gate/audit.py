@@ -218,7 +218,7 @@ class AuditLog:
         for name in record.__dataclass_fields__:
             value = getattr(record, name)
             if value:
-                text = _bounded(value) if name == "arguments" else _PLAIN.encode(value)
+                text = _bounded(value) if name == "arguments" else _STRICT.encode(value)
                 parts.append(f'"{name}":{text}')
         return f"{{{','.join(parts)}}}\n".encode("ascii")
 
@@ -228,7 +228,6 @@ def _placeholder(value: object) -> str:
 
 
 # made once: to make one costs as much as to write a record
-_PLAIN = json.JSONEncoder(separators=(",", ":"), allow_nan=False)
 _STRICT = json.JSONEncoder(separators=(",", ":"), allow_nan=False, default=_placeholder)
 _LENIENT = json.JSONEncoder(separators=(",", ":"), default=_placeholder)
 
@@ -238,9 +237,9 @@ def _bounded(arguments: Mapping[str, Any]) -> str:
     try:
         text = _to_json(arguments)
     except (ValueError, TypeError, RecursionError) as error:
-        return _PLAIN.encode({"unwritable": type(error).__name__})
+        return _STRICT.encode({"unwritable": type(error).__name__})
     if len(text) > _MAX_ARGUMENTS:
-        return _PLAIN.encode({"length": len(text), "begins": text[:_MAX_ARGUMENTS]})
+        return _STRICT.encode({"length": len(text), "begins": text[:_MAX_ARGUMENTS]})
     return text
 
 

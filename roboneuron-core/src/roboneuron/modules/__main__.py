@@ -14,16 +14,6 @@ from roboneuron.modules.parent_watch import end_group, follow_parent
 from roboneuron.ros.environment import prepare_environment
 
 
-def _read_line() -> str:
-    """The first line of stdin, without a buffer: signs of life and announcements follow, and a
-    buffer would keep them from whoever reads them next.
-    """
-    line = io.FileIO(0, closefd=False).readline()
-    if not line.endswith(b"\n"):
-        sys.exit("stdin ended before the settings came.")
-    return line.decode()
-
-
 def main() -> None:
     """Entry point of a module process.
 
@@ -36,7 +26,12 @@ def main() -> None:
     prepare_environment()
     from roboneuron.modules.module import run  # heavy
 
-    run(_read_line())
+    # without a buffer, because signs of life and announcements follow the line: a buffer would keep
+    # them from whoever reads them next
+    line = io.FileIO(0, closefd=False).readline()
+    if not line.endswith(b"\n"):
+        sys.exit("stdin ended before the settings came.")
+    run(line.decode())
     end_group()
 
 

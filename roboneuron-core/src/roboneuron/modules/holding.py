@@ -1,20 +1,23 @@
-"""The watchdogs and limits of what commands an arm: which inputs it may act on, and when it holds
-instead.
+"""The watchdogs and limits of what commands an arm, and its only path to the joints: which inputs
+it may act on, what is sent for them, and when it holds instead.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from typing import final
 
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.config import LimitsConfig
 from roboneuron.config.models import FIRST_STEP_S
-from roboneuron.contract import Controller, JointCommand, JointSample
-from roboneuron.errors import ConfigurationError
+from roboneuron.contract import Controller, Hold, JointCommand, JointSample
+from roboneuron.errors import ConfigurationError, RoboNeuronError, UnsafeError
 from roboneuron.gate.motion import (
+    LimitedCommand,
     MotionLimiter,
     MotionRules,
     check_tighter,
@@ -33,23 +36,29 @@ from roboneuron.modules.settings import (
     NEEDS_NEW_START,
     SERVER_SILENT,
 )
-from roboneuron.ros.messages import to_joint_state, to_joint_trajectory
+from roboneuron.ros.messages import commands_from_message, to_joint_state, to_joint_trajectory
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
+
+Answer = Callable[[JointSample, float, float], JointCommand | Hold]
+"""What is wanted for one action: called with the newest measured joints, the time that the arm has
+for it [s], and the monotonic time at which it is executed [s].
+"""
 
 
 class HoldingModule(Module):
     """Commands an arm, and holds it when actions or joint states stop, the server is silent, or a
     stop has come. Everything happens in the executor's thread.
 
-    A subclass turns actions into commands: it asks `why_not` before each, passes it to `limiter`,
-    and tells `note_command` after it.
+    A subclass says by `act` what each of its inputs asks for. Nothing else leads to the joints: a
+    command is sent by this class alone, within the limits, and never while the arm must hold.
 
     Attributes:
         section: [control] of the configuration.
         profile: of the robot.
-        command: publishes its commands.
-        limiter: what every command passes; from `limit_with` on.
+        on_limited: called with what the limits made of each command, before that is sent.
         poses: of the TCP of each arm, from joints; from `limit_with` on.
+        reference, remaining_s: of the command in progress, see `MotionLimiter`; from `limit_with`
+            on.
         watched: the newest joint state that is believed.
         is_active: commands may be sent.
         is_holding: the newest command was a hold.
@@ -57,7 +66,7 @@ class HoldingModule(Module):
             sent [ROS time, ns].
     """
 
-    limiter: MotionLimiter
+    _limiter: MotionLimiter
 
     def __init__(self, node: ModuleHost) -> None:
         """Begin to watch.
@@ -78,18 +87,21 @@ class HoldingModule(Module):
         self.is_holding = True
         # there was no joint state to hold at: the next one is held
         self._hold_is_due = False
+        # a command of ours has gone out: from then on the predecessor's count no more
+        self._is_sent = False
+        self.on_limited: list[Callable[[LimitedCommand], None]] = []
         is_state = self.section.command == "joint_state"
         commands = (JointState, JOINT_COMMAND) if is_state else (JointTrajectory, JOINT_TRAJECTORY)
-        self.command = node.advertise(*commands)
+        self._commands = node.advertise(*commands)
         node.repeat(self.section.action_timeout_s / 5, self._watch)
 
     def limit_with(self, controller: Controller) -> None:
-        """Make `limiter`, which asks this controller for poses and distances.
+        """Apply the limits from now on, by the poses and distances that this controller tells.
 
         Raises:
             ConfigurationError: as `check_limits`.
         """
-        self.limiter = MotionLimiter.of(
+        self._limiter = MotionLimiter.of(
             self.check_limits(self.node.settings.tightened or self.config.limits),
             self.profile,
             controller,
@@ -98,6 +110,14 @@ class HoldingModule(Module):
             longest_s=self.config.robot.server_timeout_s,
         )
         self.poses = poses_of(controller)
+        self.reference = self._limiter.reference
+        self.remaining_s = self._limiter.remaining_s
+
+    def use_limits(self, limits: LimitsConfig) -> None:
+        """Apply other limits from the next command on. Raises ConfigurationError as
+        `check_limits`.
+        """
+        self._limiter.use(self.check_limits(limits))
 
     def check_limits(self, limits: LimitsConfig) -> MotionRules:
         """What limits mean for this robot.
@@ -117,17 +137,17 @@ class HoldingModule(Module):
 
     def deactivate(self) -> None:
         """Hold, then stop commanding."""
-        self._hold_if_active("deactivated", "Control was deactivated.")
+        self.hold("deactivated", "Control was deactivated.")
         self.is_active = False
 
     def emergency_stop(self, latched: bool) -> None:
         """Hold as long as the latch is set."""
         if latched:
-            self._hold_if_active("emergency_stop", "The emergency stop is latched.")
+            self.hold("emergency_stop", "The emergency stop is latched.")
 
     def forget(self) -> None:
         """Hold; see `Module.forget`. Actions are dropped until somebody asks for motion."""
-        self._hold_if_active(
+        self.hold(
             NEEDS_NEW_START, f"Motion needs a new start after a stop: {self.node.needs_start}."
         )
 
@@ -144,6 +164,103 @@ class HoldingModule(Module):
             self._command_hold(joints)
         return True
 
+    def follow(self, message: JointTrajectory | JointState, sent_s: float) -> JointCommand:
+        """Go on from where a command of the control before this one has sent the arm.
+
+        Args:
+            message: as that control has published it.
+            sent_s: when [monotonic s].
+
+        Returns:
+            The command.
+
+        Raises:
+            InvalidInputError: it is malformed.
+        """
+        command = commands_from_message(message)[0]
+        joints = self.watched.joints
+        if not self._is_sent and joints is not None:
+            self._limiter.follow(command, joints, sent_s)
+            self.action_s, self.is_holding = sent_s, False
+        return command
+
+    @final
+    def act(self, source_ns: int, read: Callable[[], Answer]) -> None:
+        """Execute an action within the limits, or count why not.
+
+        Args:
+            source_ns: when it was sent [ROS time, ns].
+            read: called when it may be acted on; returns what is then asked for the command. A
+                RoboNeuronError that it raises is reported, and the action dropped.
+        """
+        if not self.is_active or self.handover.is_over(source_ns):
+            return
+        age_s = (time.time_ns() - source_ns) / 1e9
+        reason = self.why_not(age_s, source_ns)
+        if reason is not None:
+            self.status.drop(reason)
+            return
+        try:
+            answer = read()
+        except RoboNeuronError as error:
+            self.status.drop("non_finite" if isinstance(error, UnsafeError) else "malformed")
+            self.status.set_error(error)
+            return
+        self._execute(answer, source_ns, age_s)
+
+    def _execute(self, answer: Answer, source_ns: int, age_s: float) -> None:
+        joints = self.watched.joints
+        if joints is None:  # excluded by `why_not`
+            return
+        now_s = time.monotonic()
+        wanted = answer(joints, self._step_s(source_ns, now_s), now_s)
+        if self.handover.is_shadow(source_ns):
+            self.handover.withhold(wanted)
+            return
+        outcome: JointCommand | Hold | None = wanted
+        if isinstance(outcome, JointCommand):
+            outcome = self._limit(outcome, joints, now_s)
+        self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
+        message = self._to_message(outcome) if isinstance(outcome, JointCommand) else None
+        took_s = time.monotonic() - now_s
+        if message is not None and (late := self.why_not(age_s + took_s, source_ns)):
+            # A slow controller, or a process that was frozen meanwhile: the command answers to what
+            # is past. Checked last, because a process that is frozen after this check sends it when
+            # it wakes up.
+            outcome = Hold(
+                code=late, reason=f"A command was ready only {took_s:.3g} s after its action."
+            )
+            self._limiter.rest(None, now_s)
+        # refused: what was sent before comes to its end, and is then held by the watchdog
+        if outcome is None:
+            return
+        self.action_s = now_s
+        if isinstance(outcome, Hold):
+            self.status.drop(outcome.code)
+            self.hold(outcome.code, outcome.reason)
+            return
+        self._commands.publish(message)
+        self.handover.note_sent("command")
+        self._note_command()
+        self.status.output.tick()
+        self.status.latency.append(age_s * 1e3)
+        self.status.set_value("residual_m", outcome.residual_m)
+        self.status.set_value("residual_rad", outcome.residual_rad)
+
+    def _limit(
+        self, command: JointCommand, joints: JointSample, now_s: float
+    ) -> JointCommand | Hold | None:
+        """What to send instead of `command`: itself, a shorter one, a reason to hold, or None for
+        nothing.
+        """
+        limited = self._limiter.limit(command, joints, now_s)
+        if limited.command is None:
+            self.status.drop(f"limit_{limited.acted[-1]}")
+        for tell in self.on_limited:
+            tell(limited)
+        return limited.command
+
+    @final
     def why_not(self, age_s: float, source_ns: int) -> str | None:
         """Word for what forbids acting now, or None.
 
@@ -168,7 +285,7 @@ class HoldingModule(Module):
             return "stale_joint_state"
         return None
 
-    def step_s(self, source_ns: int, now_s: float) -> float:
+    def _step_s(self, source_ns: int, now_s: float) -> float:
         """Time that the arm has for an action that was sent then: that since the one before [s].
 
         By sending and by arrival: actions that were held up arrive together, and were not meant to
@@ -178,8 +295,9 @@ class HoldingModule(Module):
         self.action_ns = source_ns
         return self.section.step_s(max(now_s - self.action_s, min(spacing_s, FIRST_STEP_S)))
 
-    def note_command(self) -> None:
+    def _note_command(self) -> None:
         """A command that is no hold has gone out."""
+        self._is_sent = True
         self.status.set(note=FOLLOWING_NOTE)
         if self.is_holding:
             self.status.changed.set()  # at once: from now on a hold will come
@@ -190,9 +308,9 @@ class HoldingModule(Module):
 
         Without a fresh one nothing is sent: the arm would go back to where it was. Its last command
         comes to an end, and the next joint state is held at once. In shadow the arm is left to the
-        other control.
+        other control, and while it is not active to itself.
         """
-        if not self._is_ours_now():
+        if not self.is_active or not self.handover.is_ours(time.time_ns()):
             return
         self.status.set(note=f"holding: {reason}")
         self.status.set_value("hold_code", code)
@@ -208,7 +326,7 @@ class HoldingModule(Module):
             self._command_hold(joints)
         self.status.changed.set()
 
-    def to_message(self, command: JointCommand) -> JointTrajectory | JointState:
+    def _to_message(self, command: JointCommand) -> JointTrajectory | JointState:
         """A command as the configured type of message; a JointState carries no duration."""
         if self.section.command == "joint_trajectory":
             return to_joint_trajectory(command)
@@ -222,7 +340,7 @@ class HoldingModule(Module):
         It looks five times per timeout, and holds after three quarters of it: so the arm has
         begun to hold before the timeout is over.
         """
-        if not self.is_active or self.is_holding or not self._is_ours_now():
+        if not self.is_active or self.is_holding or not self.handover.is_ours(time.time_ns()):
             return
         if self._is_server_silent():
             if not self.node.needs_start:
@@ -238,10 +356,6 @@ class HoldingModule(Module):
                 "stale_joint_state", f"No joint state for {self.section.state_timeout_s:g} s."
             )
 
-    def _hold_if_active(self, code: str, reason: str) -> None:
-        if self.is_active:
-            self.hold(code, reason)
-
     def _command_hold(self, joints: JointSample) -> None:
         """Command the arm to stay where it is measured; the limiter starts anew from there.
 
@@ -250,10 +364,9 @@ class HoldingModule(Module):
         self._hold_is_due = False
         arm = self.profile.arm_joints
         position = pick(joints.names, joints.position, arm)
-        self.command.publish(
-            self.to_message(JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S))
-        )
-        self.limiter.rest(joints, time.monotonic())
+        command = JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S)
+        self._commands.publish(self._to_message(command))
+        self._limiter.rest(joints, time.monotonic())
 
     def _is_server_silent(self) -> bool:
         """Nobody could stop the arm from outside: the server is frozen."""
@@ -261,6 +374,3 @@ class HoldingModule(Module):
 
     def _are_joints_stale(self) -> bool:
         return self.watched.age_s(time.monotonic()) > self.section.state_timeout_s
-
-    def _is_ours_now(self) -> bool:
-        return self.handover.is_ours(time.time_ns())

@@ -23,10 +23,8 @@ from std_msgs.msg import Bool
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
-from roboneuron.modules.handover import Handover
-from roboneuron.modules.module_host import Module, ModuleHost, join
+from roboneuron.modules.module_host import Handover, Module, ModuleHost, join
 from roboneuron.modules.parent_watch import Signals, watch_stdin
-from roboneuron.modules.plugin import module_class
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import (
     EMERGENCY_STOP,
@@ -37,6 +35,7 @@ from roboneuron.modules.settings import (
 from roboneuron.modules.status import StatusReporter
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
+from roboneuron.plugins.specs import FeatureSpec
 from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.qos import STOP_REQUESTS
 
@@ -44,6 +43,8 @@ _LOOP_PERIOD_S = 0.02
 """How often the executor shows that it turns, and looks at the latch file (1 us): within this time
 it sees a stop by the file.
 """
+_ROBOT = "roboneuron.modules.robot:RobotModule"
+"""The module that moves the arm; features that are called as the others bring these."""
 log = logging.getLogger(__name__)
 
 
@@ -97,8 +98,7 @@ class ModuleNode(ModuleHost):
                 stop in between is not overruled by who did not know of it.
         """
         self.needs_start = ""
-        self.status.set(needs_start="")
-        self.status.changed.set()
+        self.status.announce(needs_start="")
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Lifecycle callback."""
@@ -302,8 +302,7 @@ class ModuleNode(ModuleHost):
             self.require_start(EMERGENCY_STOP)
         if self.module is not None:
             self.module.emergency_stop(self.stopped)
-        self.status.set(emergency_stop=self.stopped)
-        self.status.changed.set()
+        self.status.announce(emergency_stop=self.stopped)
 
 
 def run(line: str) -> None:
@@ -337,7 +336,10 @@ def run(line: str) -> None:
 def _make(node: ModuleNode) -> Module:
     """The module that the settings describe, from the feature that brings its kind."""
     settings = node.settings
-    target = module_class(settings.kind, discover(settings.config.disabled_plugins))
+    target = _ROBOT
+    if settings.kind != "robot":
+        registry = discover(settings.config.disabled_plugins)
+        target = registry.get(FeatureSpec, settings.kind).module or ""
     return cast("type[Module]", load_attribute(target, "class of the module"))(node)
 
 

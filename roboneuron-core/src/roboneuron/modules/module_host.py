@@ -16,15 +16,61 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 
 from roboneuron.config import ModuleSettings
-from roboneuron.modules.handover import Handover
+from roboneuron.contract import Hold, JointCommand, Pose
+from roboneuron.errors import UnsafeError
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.qos import NEWEST
+from roboneuron.ros.topics import JOINT_COMMAND, JOINT_TRAJECTORY
 
 log = logging.getLogger(__name__)
 Value = TypeVar("Value", str, int)
 """Of a ROS parameter."""
+_TO_JOINTS = {JOINT_TRAJECTORY, JOINT_COMMAND}
+
+
+class Handover:
+    """What stands between a module and its topics while it replaces another module or is replaced:
+    what it asks about its inputs and tells of its outputs. The answers here are those of a module
+    that nobody replaces.
+
+    A feature puts its own into the module's process (`ModuleHost.handover`). Inputs are told apart
+    by their time stamps [ROS time, ns]: capture times of images, times at which actions were sent
+    and joints measured. Methods are called from any of the module's threads.
+    """
+
+    def __init__(self, status: StatusWriter) -> None:
+        """Args:
+        status: where to report.
+        """
+        self.status = status
+
+    def is_shadow(self, stamp_ns: int) -> bool:
+        """Whether that input is still the predecessor's: work on it, and send nothing."""
+        return False
+
+    def is_over(self, stamp_ns: int) -> bool:
+        """Whether that input is already the successor's."""
+        return False
+
+    def is_ours(self, stamp_ns: int) -> bool:
+        """Whether this module is to act on that input."""
+        return not self.is_shadow(stamp_ns) and not self.is_over(stamp_ns)
+
+    def may_send(self, now_ns: int) -> bool:
+        """Whether the predecessor has finished, so that this module may send its own."""
+        return True
+
+    def must_fall_silent(self, now_ns: int) -> bool:
+        """Whether the successor replaces what is left of a chunk."""
+        return False
+
+    def withhold(self, output: JointCommand | Hold | Pose) -> None:
+        """What the module would have sent for an input of the predecessor."""
+
+    def note_sent(self, what: str) -> None:
+        """An output of that name has gone out."""
 
 
 class ModuleHost(LifecycleNode):  # type: ignore[misc]
@@ -39,7 +85,8 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         status: where to report.
         module: from `configure` to cleanup, else None.
         resources: what is released at cleanup, from `configure` on.
-        outputs: what `advertise` has made, by topic.
+        outputs: by topic that `advertise` has made, what counts its subscriptions; the publisher
+            itself belongs to who has made it.
         stopped: whether the emergency stop is latched.
         stops: stops seen so far.
         needs_start: which of them forbids motion until somebody asks for it anew; empty when none
@@ -60,7 +107,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.status = StatusWriter(settings.status_name)
         self.module: Module | None = None
         self.resources = ExitStack()
-        self.outputs: dict[str, LifecyclePublisher] = {}
+        self.outputs: dict[str, Callable[[], int]] = {}
         self.stopped = False
         self.stops, self.needs_start = 0, ""
         self.handover = Handover(self.status)
@@ -99,10 +146,17 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         Args:
             message_type: an ordinary rosidl class.
             topic: under the robot's namespace.
+
+        Raises:
+            UnsafeError: it leads to the joints, which `HoldingModule` alone commands.
         """
-        publisher = self.outputs[topic] = self.create_lifecycle_publisher(
-            message_type, topic, NEWEST
-        )
+        if topic in _TO_JOINTS and not _TO_JOINTS.isdisjoint(self.outputs):
+            raise UnsafeError(
+                f"{topic!r} would be a second path to the joints, beside the limits.",
+                hint="Ask for motion by `HoldingModule.act`.",
+            )
+        publisher = self.create_lifecycle_publisher(message_type, topic, NEWEST)
+        self.outputs[topic] = publisher.get_subscription_count
         self.resources.callback(self.destroy_lifecycle_publisher, publisher)
         self.resources.callback(self.outputs.pop, topic)
         return publisher
@@ -146,8 +200,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
             return
         self.needs_start = reason
         self.stops += 1
-        self.status.set(needs_start=reason, stops=self.stops)
-        self.status.changed.set()
+        self.status.announce(needs_start=reason, stops=self.stops)
         if self.module is not None:
             self.module.forget()
 

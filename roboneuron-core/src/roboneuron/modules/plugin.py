@@ -7,22 +7,9 @@ from typing import cast
 
 from roboneuron.contract import RobotProfile
 from roboneuron.errors import PluginError
-from roboneuron.modules.settings import ModuleKind
 from roboneuron.plugins.loading import load_options, load_target
 from roboneuron.plugins.registry import Registry
-from roboneuron.plugins.specs import DriverSpec, FeatureSpec, RobotSpec, Spec
-
-_ROBOT = "roboneuron.modules.robot:RobotModule"
-"""The module that moves the arm; features that are called as the others bring these."""
-
-
-def module_class(kind: ModuleKind, registry: Registry) -> str:
-    """What a module process of that kind runs, "module:attribute"; imported in that process alone.
-
-    Raises:
-        ConfigurationError: no installed feature brings such modules.
-    """
-    return _ROBOT if kind == "robot" else registry.get(FeatureSpec, kind).module or ""
+from roboneuron.plugins.specs import DriverSpec, RobotSpec, Spec
 
 
 def build(

@@ -111,7 +111,7 @@ class RobotModule(Module):
             NotReadyError: the driver hangs in a call.
         """
         self._active = False
-        self._drop()
+        self.forget()
         # first: a command that is being sent now must not come after the hold
         player_ended = self._player.stop()
         self.driver.hold()
@@ -129,7 +129,10 @@ class RobotModule(Module):
         """Drop what was to be executed; see `Module.forget`. Commands are refused until somebody
         asks for motion.
         """
-        self._drop()
+        with self._arrived:
+            # another list: the playing thread sees by that that its plan is not in force any more
+            self._pending = []
+            self._arrived.notify()
 
     def _watch(self) -> None:
         """Hold while the server is silent: nobody could stop what is being executed, however long
@@ -153,14 +156,8 @@ class RobotModule(Module):
 
     def _drop_and_hold(self) -> None:
         """Brake now; in this order, because what is pending would follow the hold."""
-        self._drop()
+        self.forget()
         self.driver.hold()
-
-    def _drop(self) -> None:
-        with self._arrived:
-            # another list: the playing thread sees by that that its plan is not in force any more
-            self._pending = []
-            self._arrived.notify()
 
     def _on_command(self, message: JointTrajectory | JointState, info: dict[str, Any]) -> None:
         if not self._accepts(info):

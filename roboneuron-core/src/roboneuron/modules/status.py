@@ -121,7 +121,7 @@ class StatusWriter:
         """
         if state != "active":
             self.set(ready=False)
-        self._announce(state=state)
+        self.announce(state=state)
 
     def set_waiting(self, what: str) -> None:
         """Not ready: `what` is missing."""
@@ -129,7 +129,7 @@ class StatusWriter:
 
     def set_ready(self) -> None:
         """The module has proved that it works."""
-        self._announce(ready=True, waiting_for="")
+        self.announce(ready=True, waiting_for="")
 
     def set_error(self, error: RoboNeuronError) -> None:
         """Remember the newest failure, until `clear_error`.
@@ -140,7 +140,7 @@ class StatusWriter:
         """
         with self._lock:
             self._errors += 1
-        self._announce(error_code=error.code, error=error.message, error_hint=error.hint)
+        self.announce(error_code=error.code, error=error.message, error_hint=error.hint)
 
     def set_unexpected(self, error: Exception) -> None:
         """Remember what a plugin raised against its contract.
@@ -154,7 +154,7 @@ class StatusWriter:
 
     def clear_error(self) -> None:
         """The module works again."""
-        self._announce(error_code="", error="", error_hint="")
+        self.announce(error_code="", error="", error_hint="")
 
     def set(self, **fields: str | float | bool) -> None:
         """Report fields of `Report` by their names, with the next period.
@@ -165,8 +165,8 @@ class StatusWriter:
         with self._lock:
             self._fields.update(fields)
 
-    def _announce(self, **fields: str | bool) -> None:
-        """Report these fields, at once when they are new."""
+    def announce(self, **fields: str | float | bool) -> None:
+        """As `set`, at once when one of them is new."""
         with self._lock:
             is_new = not fields.items() <= self._fields.items()
             self._fields.update(fields)

@@ -6,8 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from datetime import date
-from datetime import time as clock_time
+from datetime import date, time
 from importlib import import_module
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, get_args
@@ -168,7 +167,7 @@ def _explain(error: ValidationError, place: str, is_partial: bool) -> str:
 
 def _plain(value: object) -> object:
     """What JSON has no word for but a configuration may hold: paths, dates, read-only mappings."""
-    if isinstance(value, (PurePath, date, clock_time)):  # a datetime is a date
+    if isinstance(value, (PurePath, date, time)):  # a datetime is a date
         return str(value)
     if isinstance(value, Mapping):
         return dict(value)

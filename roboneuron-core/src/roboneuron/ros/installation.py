@@ -136,10 +136,9 @@ def check_not_mixed(environment: Mapping[str, str], prefix: str) -> None:
     if sourced is None:
         return
     choice = chosen(environment)
-    if choice.installation == "sourced":
-        alone = arranged(environment, prefix, sourced, choice)
-        if alone == dict(environment):
-            return
+    alone = arranged(environment, prefix, sourced, choice)
+    if choice.installation == "sourced" and alone == dict(environment):
+        return
     raise ConfigurationError(
         f"{sourced} is sourced in this shell and would be mixed with the ROS wheels of {prefix}.",
         hint="Start it by the command `roboneuron`, which keeps them apart, or from a shell "

@@ -120,7 +120,7 @@ class ClosedLoop:
         self.modules: Modules = supervisor
         self.emergency_stop = EmergencyStop(supervisor)
         self.starts = MotionStarts(supervisor)
-        self.emergency_stop.file.on_pressed(lambda: self.starts.note_stop(EMERGENCY_STOP))
+        self.emergency_stop.file.on_pressed.append(lambda: self.starts.note_stop(EMERGENCY_STOP))
         self.choose: Choose = choose_configured
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
         self.streams: dict[str, deque[Sent]] = {}

@@ -6,12 +6,12 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from trajectory_msgs.msg import JointTrajectory
 
 from rn_standard.control.planning import find_controller
 from roboneuron import (
@@ -32,17 +32,14 @@ from roboneuron import (
     RobotProfile,
     SeveralArms,
     SpaceController,
-    UnsafeError,
     robot_space,
 )
 from roboneuron.node import (
     HoldingModule,
-    LimitedCommand,
     ModuleHost,
     build,
     find_robot,
     messages,
-    split_label,
     topics,
 )
 
@@ -56,12 +53,7 @@ log = logging.getLogger(__name__)
 
 
 class ControlModule(HoldingModule):
-    """Executes actions one by one; everything happens in the executor's thread.
-
-    Attributes:
-        robot: name of the robot that it moves.
-        on_limited: called with what the limits made of each command, before that is sent.
-    """
+    """Works out commands for actions one by one; everything happens in the executor's thread."""
 
     def __init__(self, node: ModuleHost) -> None:
         """Load the controller and subscribe.
@@ -72,8 +64,6 @@ class ControlModule(HoldingModule):
             PlanningError: the controller cannot move this robot.
         """
         super().__init__(node)
-        # a command of ours has gone out: from then on the predecessor's count no more
-        self._is_sent = False
         self._pose_s = 0.0
         robot, _ = find_robot(
             self.registry, self.profile.name, self.config.robot.driver, is_elsewhere=True
@@ -88,8 +78,6 @@ class ControlModule(HoldingModule):
         # of the newest action; None before the first, so that its label is always looked at
         self._space: ControlSpace | None = None
         self.limit_with(self._controller)
-        self.robot = self.profile.name
-        self.on_limited: list[Callable[[LimitedCommand], None]] = []
         self._report_collision_check()
         self._ee_pose = node.advertise(PoseStamped, topics.EE_POSE)
         self._arm_poses = [
@@ -99,33 +87,14 @@ class ControlModule(HoldingModule):
         node.subscribe(Float64MultiArray, topics.ACTION, self._on_action)
         self.status.set_value("controller", spec.name)
 
-    def follow(self, message: JointTrajectory | JointState, sent_s: float) -> JointCommand:
-        """Go on from where a command of the control before this one has sent the arm.
-
-        Args:
-            message: as that control has published it.
-            sent_s: when [monotonic s].
-
-        Returns:
-            The command.
-
-        Raises:
-            InvalidInputError: it is malformed.
-        """
-        command = messages.commands_from_message(message)[0]
-        joints = self.watched.joints
-        if not self._is_sent and joints is not None:
-            self.limiter.follow(command, joints, sent_s)
-            self.action_s, self.is_holding = sent_s, False
-        return command
-
     def _report_collision_check(self) -> None:
         """Say whether commands are checked for collisions, which not every controller can."""
         has_bodies = self.profile.collision is not None
         is_checked = has_bodies and isinstance(self._controller, PostureInspector)
         if has_bodies and not is_checked:
             log.warning(
-                "The controller tells no distances: collisions of %s are not checked.", self.robot
+                "The controller tells no distances: collisions of %s are not checked.",
+                self.profile.name,
             )
         self.status.set_value("collision_checked", is_checked)
 
@@ -167,31 +136,28 @@ class ControlModule(HoldingModule):
         """Execute an action, or count why not. Its age is that since it was sent, by the time stamp
         that DDS adds: the message has none.
         """
-        source_ns = int(info["source_timestamp"])
-        if not self.is_active or self.handover.is_over(source_ns):
-            return
-        age_s = (time.time_ns() - source_ns) / 1e9
-        reason = self.why_not(age_s, source_ns)
-        if reason is not None:
-            self.status.drop(reason)
-            return
-        try:
-            label, values = messages.row_from_action_message(message)
-            space = self._space
-            if space is None or label != space.label:
-                space = self._space = self._agreed_space(label)
-            row = space.check(values)
-        except RoboNeuronError as error:
-            self.status.drop("non_finite" if isinstance(error, UnsafeError) else "malformed")
-            self.status.set_error(error)
-            return
-        self._execute(space, row, source_ns, age_s)
+        self.act(int(info["source_timestamp"]), partial(self._read, message))
+
+    def _read(
+        self, message: Float64MultiArray
+    ) -> Callable[[JointSample, float, float], JointCommand | Hold]:
+        """What works out the command for an action.
+
+        Raises:
+            InvalidInputError: it is malformed, or of a space that this control does not execute.
+            UnsafeError: it is not finite.
+        """
+        label, values = messages.row_from_action_message(message)
+        space = self._space
+        if space is None or label != space.label:
+            space = self._space = self._agreed_space(label)
+        return partial(self._compute, space, space.check(values))
 
     def _agreed_space(self, label: str) -> ControlSpace:
         """The space of an action by its label. Raises InvalidInputError for one that this control
         does not execute.
         """
-        name, rate_hz = split_label(label)
+        name, rate_hz = _split(label)
         space = self._spaces.get(name)
         if space is not None and rate_hz:
             space = replace(space, rate_hz=rate_hz)
@@ -208,61 +174,6 @@ class ControlModule(HoldingModule):
             )
         return space
 
-    def _execute(self, space: ControlSpace, row: F64, source_ns: int, age_s: float) -> None:
-        joints = self.watched.joints
-        if joints is None:  # excluded by `why_not`
-            return
-        now_s = time.monotonic()
-        # the controller is told the time that the arm has
-        step_s = self.step_s(source_ns, now_s)
-        answer = self._compute(space, row, joints, step_s, now_s)
-        if self.handover.is_shadow(source_ns):
-            self.handover.withhold(answer)
-            return
-        outcome: JointCommand | Hold | None = answer
-        if isinstance(outcome, JointCommand):
-            outcome = self._limit(outcome, joints, now_s)
-        self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
-        message = self.to_message(outcome) if isinstance(outcome, JointCommand) else None
-        took_s = time.monotonic() - now_s
-        if message is not None and (late := self.why_not(age_s + took_s, source_ns)):
-            # A slow controller, or a process that was frozen meanwhile: the command answers to what
-            # is past. Checked last, because a process that is frozen after this check sends it when
-            # it wakes up.
-            outcome = Hold(
-                code=late, reason=f"A command was ready only {took_s:.3g} s after its action."
-            )
-            self.limiter.rest(None, now_s)
-        # refused: what was sent before comes to its end, and is then held by the watchdog
-        if outcome is None:
-            return
-        self.action_s = now_s
-        if isinstance(outcome, Hold):
-            self.status.drop(outcome.code)
-            self.hold(outcome.code, outcome.reason)
-            return
-        self.command.publish(message)
-        self.handover.note_sent("command")
-        self._is_sent = True
-        self.note_command()
-        self.status.output.tick()
-        self.status.latency.append(age_s * 1e3)
-        self.status.set_value("residual_m", outcome.residual_m)
-        self.status.set_value("residual_rad", outcome.residual_rad)
-
-    def _limit(
-        self, command: JointCommand, joints: JointSample, now_s: float
-    ) -> JointCommand | Hold | None:
-        """What to send instead of `command`: itself, a shorter one, a reason to hold, or None for
-        nothing.
-        """
-        limited = self.limiter.limit(command, joints, now_s)
-        if limited.command is None:
-            self.status.drop(f"limit_{limited.acted[-1]}")
-        for tell in self.on_limited:
-            tell(limited)
-        return limited.command
-
     def _compute(
         self, space: ControlSpace, row: F64, joints: JointSample, step_s: float, now_s: float
     ) -> JointCommand | Hold:
@@ -275,13 +186,24 @@ class ControlModule(HoldingModule):
         # are to be reached by when the next row is due.
         if space.rate_hz:
             step_s = 1.0 / space.rate_hz
-        answer = controller.execute(space, row, self.limiter.reference(joints, now_s), step_s)
+        answer = controller.execute(space, row, self.reference(joints, now_s), step_s)
         if space.rate_hz and isinstance(answer, JointCommand):
             # Its message came early, or the one before came late: what is left of that one is not
             # rushed, or the limits would cut off a part of a steady motion.
-            more_s = _SHARE_OF_REST * self.limiter.remaining_s(now_s)
+            more_s = _SHARE_OF_REST * self.remaining_s(now_s)
             answer = replace(answer, duration_s=answer.duration_s + more_s)
         return answer
+
+
+def _split(label: str) -> tuple[str, float]:
+    """The label without its rate, and the rate [Hz]; 0 where it names none, or what is no rate."""
+    kind, colon, keys = label.partition(":")
+    kind, _, rate = kind.partition("@")
+    try:
+        rate_hz = float(rate or 0.0)
+    except ValueError:
+        rate_hz = 0.0
+    return f"{kind}{colon}{keys}", rate_hz
 
 
 def _executed_spaces(

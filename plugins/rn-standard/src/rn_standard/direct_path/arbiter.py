@@ -164,8 +164,8 @@ class MotionArbiter:
         self._lock = threading.Lock()
         self._moving: dict[str, ActiveMotion] = {}
         self._idle = threading.Condition(self._lock)
-        gate.latch.on_press(self._stop_now)
-        gate.latch.on_pressed(self._wake)
+        gate.latch.on_press.append(self._stop_now)
+        gate.latch.on_pressed.append(self._wake)
 
     def _stop_now(self) -> None:
         """The stop was pressed in this process: send what ends each motion."""

@@ -51,8 +51,8 @@ def _count_listeners(module: Module) -> None:
     known: dict[str, int] = {}
 
     def look() -> None:
-        for topic, publisher in module.node.outputs.items():
-            count = publisher.get_subscription_count()
+        for topic, count_listeners in module.node.outputs.items():
+            count = count_listeners()
             if count != known.get(topic):
                 known[topic] = count
                 module.status.set_value(f"{LISTENERS}{topic}", count)

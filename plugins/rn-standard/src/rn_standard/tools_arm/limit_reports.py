@@ -8,10 +8,9 @@ from collections import Counter
 from dataclasses import fields
 from pathlib import Path
 
-from rn_standard.control.module import ControlModule
 from roboneuron import Hold, RefusedError
 from roboneuron.feature import AuditLog, AuditRecord
-from roboneuron.node import LimitedCommand
+from roboneuron.node import HoldingModule, LimitedCommand
 
 _RECORD_PERIOD_S = 1.0
 """A limit that keeps acting is recorded this often; every change is recorded at once, at most ten a
@@ -39,8 +38,8 @@ class LimitReports:
     last one.
     """
 
-    def __init__(self, control: ControlModule) -> None:
-        self._robot = control.robot
+    def __init__(self, control: HoldingModule) -> None:
+        self._robot = control.profile.name
         self._status = control.status
         directory = Path(control.node.settings.state_directory)
         self._audit = AuditLog.in_directory(directory, time.time_ns)

@@ -4,11 +4,10 @@ module process.
 
 from __future__ import annotations
 
-from rn_standard.control.module import ControlModule
 from rn_standard.tools_arm.limit_reports import LimitReports
 from roboneuron import ConfigurationError
 from roboneuron.feature import models
-from roboneuron.node import Module, ModuleHost, settings
+from roboneuron.node import HoldingModule, Module, ModuleHost, settings
 
 
 def join(host: ModuleHost) -> None:
@@ -18,7 +17,7 @@ def join(host: ModuleHost) -> None:
 
 
 def _extend(module: Module) -> None:
-    if not isinstance(module, ControlModule):
+    if not isinstance(module, HoldingModule):
         return
     reports = LimitReports(module)
     module.on_limited.append(reports.report)
@@ -34,13 +33,13 @@ class LimitsInForce:
     configured ones. Used on the executor's thread.
     """
 
-    def __init__(self, control: ControlModule) -> None:
+    def __init__(self, control: HoldingModule) -> None:
         self._control = control
         self._report(is_tightened=control.node.settings.tightened is not None)
 
     def use(self, text: str) -> None:
         """Move within these limits from the next command on. Raises ConfigurationError."""
-        self._control.limiter.use(self._control.check_limits(self._parse(text)))
+        self._control.use_limits(self._parse(text))
         self._report(is_tightened=bool(text))
 
     def refusal(self, text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from datetime import UTC, datetime
 
 from pydantic import Field
@@ -48,10 +49,11 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
         why = {None: "this client cannot ask one", False: "the person did not agree"}.get(
             agreed, "it was pressed again"
         )
+        directory = shlex.quote(str(stop.file.path.parent))
         raise RefusedError(
             f"Only a person releases the emergency stop, and {why}. It stays latched.",
             hint="Ask a person to look at the robot and to run, in a terminal on this machine: "
-            f"{stop.release_command}",
+            f"roboneuron estop --reset --state {directory}",
         )
 
     async def reset(_: NoArguments, context: CallContext) -> ReleaseResult:

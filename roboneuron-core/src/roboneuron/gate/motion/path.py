@@ -8,7 +8,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 
-from roboneuron.contract import F64, ArmProfile, RobotProfile, urdf_joints
+from roboneuron.contract import F64, RobotProfile, urdf_joints
 
 _FINEST_M, _COARSEST_M = 0.005, 0.02
 """Farthest that a point of the arm may move between two postures: each one costs a computation, and
@@ -54,29 +54,24 @@ def levers_m(profile: RobotProfile) -> dict[str, float]:
     Two arms come nearer to each other by the sum of what both move. Empty for a description that
     holds no such chain.
     """
-    # from the TCP down to the base, because each joint moves all that lies behind it
     joints = urdf_joints(profile.urdf)
     above = {_attribute(joint.find("child"), "link"): joint for joint in joints}
     levers: dict[str, float] = {}
     for arm in profile.each_arm:
-        levers |= _levers_m(dict(above), arm)
-    return levers
-
-
-def _levers_m(above: dict[str, ET.Element], arm: ArmProfile) -> dict[str, float]:
-    levers: dict[str, float] = {}
-    link, length = arm.tcp_link, _SHAPE_M
-    while link in above and link != arm.base_link:
-        joint = above.pop(link)
-        is_slide = _attribute(joint, "type") == "prismatic"
-        levers[_attribute(joint, "name")] = 1.0 if is_slide else length
-        length += math.hypot(*map(float, _attribute(joint.find("origin"), "xyz", "0 0 0").split()))
-        if is_slide:
-            limit = joint.find("limit")
-            length += abs(
-                float(_attribute(limit, "upper", "1")) - float(_attribute(limit, "lower", "-1"))
-            )
-        link = _attribute(joint.find("parent"), "link")
+        # from the TCP down to the base, because each joint moves all that lies behind it
+        link, length, left = arm.tcp_link, _SHAPE_M, dict(above)
+        while link in left and link != arm.base_link:
+            joint = left.pop(link)
+            is_slide = _attribute(joint, "type") == "prismatic"
+            levers[_attribute(joint, "name")] = 1.0 if is_slide else length
+            origin = _attribute(joint.find("origin"), "xyz", "0 0 0")
+            length += math.hypot(*map(float, origin.split()))
+            if is_slide:
+                limit = joint.find("limit")
+                length += abs(
+                    float(_attribute(limit, "upper", "1")) - float(_attribute(limit, "lower", "-1"))
+                )
+            link = _attribute(joint.find("parent"), "link")
     return levers
 
 
