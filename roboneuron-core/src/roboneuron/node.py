@@ -13,8 +13,9 @@ GROUPS: Mapping[str, frozenset[str]] = {
     name: frozenset(names.split())
     for name, names in {
         "loading": "load_attribute",
-        "messages": "commands_from_message intrinsics_from_camera_info joints_from_message "
-        "row_from_action_message to_action_message to_image to_ns to_pose_stamped",
+        "messages": "PlannedRows commands_from_message intrinsics_from_camera_info "
+        "joints_from_message planned_from_action_message row_from_action_message "
+        "to_action_message to_image to_ns to_pose_stamped",
         "models": "ControlConfig",
         "qos": "NEWEST",
         "settings": "FUTURE_S INSTRUCTION_PARAMETER LIMITS_PARAMETER",

@@ -5,6 +5,7 @@ instead.
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 from sensor_msgs.msg import JointState
@@ -208,10 +209,14 @@ class HoldingModule(Module):
             self._command_hold(joints)
         self.status.changed.set()
 
-    def to_message(self, command: JointCommand) -> JointTrajectory | JointState:
-        """A command as the configured type of message; a JointState carries no duration."""
+    def to_message(
+        self, command: JointCommand, planned: Sequence[JointCommand] = ()
+    ) -> JointTrajectory | JointState:
+        """A command, and what is planned after it, as the configured type of message; a JointState
+        carries no duration and no plan.
+        """
         if self.section.command == "joint_trajectory":
-            return to_joint_trajectory(command)
+            return to_joint_trajectory(command, *planned)
         return to_joint_state(
             JointSample(names=command.names, position=command.position, stamp_ns=self.node.now_ns())
         )

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, cast
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -52,6 +53,10 @@ _SHARE_OF_REST = 0.5
 """How much of the time that is left of a row the next one is given beside its own: with all of it
 the arm would stay behind for ever, with none it would catch up at once.
 """
+_ROUNDING_S = 1e-6
+"""Of a horizon that is a whole number of periods."""
+_MOST_PLANNED = 50
+"""Rows after the one that is due: each of them is computed with every row that comes."""
 log = logging.getLogger(__name__)
 
 
@@ -85,6 +90,8 @@ class ControlModule(HoldingModule):
         node.resources.callback(self._controller.close)
         self._controller.load()
         self._spaces = _executed_spaces(spec, self._controller, self.profile)
+        # the newest command goes on by itself after its row
+        self._has_plan = False
         # of the newest action; None before the first, so that its label is always looked at
         self._space: ControlSpace | None = None
         self.limit_with(self._controller)
@@ -181,11 +188,14 @@ class ControlModule(HoldingModule):
             if space is None or label != space.label:
                 space = self._space = self._agreed_space(label)
             row = space.check(values)
+            planned = messages.planned_from_action_message(message)
+            for later in () if planned is None else planned.rows[:_MOST_PLANNED]:
+                space.check(later)
         except RoboNeuronError as error:
             self.status.drop("non_finite" if isinstance(error, UnsafeError) else "malformed")
             self.status.set_error(error)
             return
-        self._execute(space, row, source_ns, age_s)
+        self._execute(space, row, source_ns, age_s, planned)
 
     def _agreed_space(self, label: str) -> ControlSpace:
         """The space of an action by its label. Raises InvalidInputError for one that this control
@@ -208,7 +218,14 @@ class ControlModule(HoldingModule):
             )
         return space
 
-    def _execute(self, space: ControlSpace, row: F64, source_ns: int, age_s: float) -> None:
+    def _execute(
+        self,
+        space: ControlSpace,
+        row: F64,
+        source_ns: int,
+        age_s: float,
+        planned: messages.PlannedRows | None,
+    ) -> None:
         joints = self.watched.joints
         if joints is None:  # excluded by `why_not`
             return
@@ -223,7 +240,13 @@ class ControlModule(HoldingModule):
         if isinstance(outcome, JointCommand):
             outcome = self._limit(outcome, joints, now_s)
         self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
-        message = self.to_message(outcome) if isinstance(outcome, JointCommand) else None
+        message = None
+        if isinstance(outcome, JointCommand):
+            message = self.to_message(outcome, self._plan(space, planned, outcome, joints))
+        elif outcome is None and self._has_plan:
+            # the arm must not go on to rows that were planned before this one was refused
+            reason = "A row was refused; what was planned after the one before it is withdrawn."
+            outcome = Hold(code="plan_withdrawn", reason=reason)
         took_s = time.monotonic() - now_s
         if message is not None and (late := self.why_not(age_s + took_s, source_ns)):
             # A slow controller, or a process that was frozen meanwhile: the command answers to what
@@ -241,6 +264,7 @@ class ControlModule(HoldingModule):
             self.status.drop(outcome.code)
             self.hold(outcome.code, outcome.reason)
             return
+        self._has_plan = isinstance(message, JointTrajectory) and len(message.points) > 1
         self.command.publish(message)
         self.handover.note_sent("command")
         self._is_sent = True
@@ -263,6 +287,41 @@ class ControlModule(HoldingModule):
             tell(limited)
         return limited.command
 
+    def _plan(
+        self,
+        space: ControlSpace,
+        planned: messages.PlannedRows | None,
+        command: JointCommand,
+        joints: JointSample,
+    ) -> list[JointCommand]:
+        """Commands for the rows that are planned after that of `command`, each limited from where
+        and when the one before ends.
+
+        They end before the first row that cannot be executed, and within `horizon_s`. Each is
+        computed and limited anew, and told, when its row is due. Only rows that say where to be are
+        planned: a displacement or velocity counts from where the arm is measured when it is due,
+        and would be executed twice.
+        """
+        if planned is None or not (self.section.horizon_s and space.is_absolute):
+            return []
+        # `_executed_spaces` has looked
+        controller = cast("SpaceController", self._controller)
+        commands, limiter = [command], self.limiter
+        most_s = limiter.ends_s + self.section.horizon_s + _ROUNDING_S
+        for row in planned.rows[:_MOST_PLANNED]:
+            joints = _after(commands[-1], joints)
+            answer = controller.execute(space, row, joints, planned.step_s)
+            if isinstance(answer, Hold):
+                break
+            limiter = limiter.fork()
+            limited = limiter.limit(answer, joints, limiter.ends_s).command
+            is_sent = isinstance(limited, JointCommand) and limited.names == command.names
+            if not is_sent or limiter.ends_s > most_s:
+                break
+            self.limiter.expect(limiter)
+            commands.append(cast("JointCommand", limited))
+        return commands[1:]
+
     def _compute(
         self, space: ControlSpace, row: F64, joints: JointSample, step_s: float, now_s: float
     ) -> JointCommand | Hold:
@@ -282,6 +341,16 @@ class ControlModule(HoldingModule):
             more_s = _SHARE_OF_REST * self.limiter.remaining_s(now_s)
             answer = replace(answer, duration_s=answer.duration_s + more_s)
         return answer
+
+
+def _after(command: JointCommand, joints: JointSample) -> JointSample:
+    """The joints when `command` has come to its end."""
+    ends = dict(zip(command.names, command.position.tolist(), strict=True))
+    position = [
+        ends.get(name, place)
+        for name, place in zip(joints.names, joints.position.tolist(), strict=True)
+    ]
+    return replace(joints, position=np.array(position), velocity=None)
 
 
 def _executed_spaces(

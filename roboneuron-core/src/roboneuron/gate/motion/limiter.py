@@ -4,6 +4,7 @@ before it is sent.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from contextlib import suppress
@@ -84,6 +85,7 @@ class MotionLimiter:
         self._immediate, self._longest_s = immediate, longest_s
         self._sent: Setpoint | None = None
         self._goals = Goals()
+        self._expected: list[MotionLimiter] = []
 
     @classmethod
     def of(
@@ -130,6 +132,7 @@ class MotionLimiter:
             return LimitedCommand(
                 command=Hold(code="long_command", reason=reason), reason=reason, share=0.0
             )
+        self._advance(now_s)
         step: Step | None = None
         try:
             step = self._step(command, joints, now_s)
@@ -162,6 +165,31 @@ class MotionLimiter:
             sent=sent,
             reference_lost=step.is_lost,
         )
+
+    @property
+    def ends_s(self) -> float:
+        """Monotonic time at which the last command has come to its end; 0 where there is none."""
+        return 0.0 if self._sent is None else self._sent.sent_s + self._sent.duration_s
+
+    def fork(self) -> Self:
+        """A limiter that goes on from the same setpoint on its own, for a command that begins at
+        `ends_s` without another one; from the same thread.
+        """
+        other = copy.copy(self)
+        other._goals = copy.copy(self._goals)
+        other._expected = []
+        return other
+
+    def expect(self, fork: MotionLimiter) -> None:
+        """The arm goes on to the command of `fork` unless another one, or a hold, comes before."""
+        self._expected.append(fork)
+
+    def _advance(self, now_s: float) -> None:
+        """Take the expected command that is in progress as the setpoint; none is expected now."""
+        for fork in self._expected:
+            if fork._sent is not None and fork._sent.sent_s <= now_s:
+                self._sent, self._goals = fork._sent, fork._goals
+        self._expected = []
 
     def follow(self, command: JointCommand, joints: JointSample, sent_s: float) -> None:
         """Take a command that another process sent, at the monotonic time `sent_s`, as the
@@ -202,7 +230,7 @@ class MotionLimiter:
 
     def rest(self, joints: JointSample | None, now_s: float) -> None:
         """Take the measured joints as the setpoint, at rest; None: they are not known."""
-        self._sent = None
+        self._sent, self._expected = None, []
         if joints is None:
             return
         with suppress(UnsafeError):
