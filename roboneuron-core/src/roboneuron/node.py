@@ -14,7 +14,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
     for name, names in {
         "loading": "load_attribute",
         "messages": "PlannedRows commands_from_message intrinsics_from_camera_info "
-        "joints_from_message planned_from_action_message row_from_action_message "
+        "joints_from_message row_from_action_message "
         "to_action_message to_image to_ns to_pose_stamped",
         "models": "ControlConfig",
         "qos": "NEWEST",

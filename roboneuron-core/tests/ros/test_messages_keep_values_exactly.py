@@ -178,7 +178,7 @@ def test_planned_rows_survive_the_wire_beside_the_row_that_is_due(rate_hz: float
     planned = messages.PlannedRows(rows=rows[1:], step_s=1.0 / rate_hz)
     message = over_the_wire(messages.to_action_message(rows[0], planned=planned))
     label, row = messages.row_from_action_message(message)
-    back = messages.planned_from_action_message(message)
+    back = messages.PlannedRows.from_action_message(message)
     assert label == ACTION_LABEL
     np.testing.assert_array_equal(row, rows[0])
     assert back is not None
@@ -191,7 +191,7 @@ def test_an_action_without_planned_rows_is_as_it_was() -> None:
     empty = messages.PlannedRows(rows=np.zeros((0, 7)), step_s=0.05)
     message = messages.to_action_message(row)
     assert messages.to_action_message(row, planned=empty) == message
-    assert messages.planned_from_action_message(message) is None
+    assert messages.PlannedRows.from_action_message(message) is None
 
 
 def test_joint_state_survives_the_wire() -> None:

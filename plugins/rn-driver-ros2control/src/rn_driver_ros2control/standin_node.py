@@ -54,7 +54,11 @@ class StandInNode(Node):  # type: ignore[misc]
             goal_time_s=options.goal_time,
         )
         self.controller = StandInController(
-            joints, start, tolerances=bounds, from_desired=options.from_desired
+            joints,
+            start,
+            tolerances=bounds,
+            from_desired=options.from_desired,
+            policy_frequency_hz=options.upsample,
         )
         self.controller.active = not options.inactive
         self._finger, self._finger_m, self._finger_goal_m = (
@@ -97,6 +101,7 @@ class StandInNode(Node):  # type: ignore[misc]
         return float(self.get_clock().now().nanoseconds) / 1e9
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
+        message = self.controller.upsampled(message)
         if reason := self.controller.refusal(message, self._now_s()):
             self.get_logger().error(reason)
         elif self.controller.active:
@@ -270,6 +275,13 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--goal-time", type=float, default=0.0, help="constraints.goal_time")
     parser.add_argument(
         "--from-desired", action="store_true", help="interpolate_from_desired_state"
+    )
+    parser.add_argument(
+        "--upsample",
+        type=float,
+        default=0.0,
+        metavar="HZ",
+        help="positions_upsampling with this policy_frequency; 0: off",
     )
     parser.add_argument("--inactive", action="store_true", help="begin inactive")
     parser.add_argument("--rate", type=float, default=100.0, help="cycles per second")

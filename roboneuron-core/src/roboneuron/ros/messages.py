@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import array
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -44,6 +45,31 @@ class PlannedRows:
 
     rows: F64
     step_s: float
+
+    @classmethod
+    def from_action_message(cls, message: Float64MultiArray) -> Self | None:
+        """The rows that are planned after the row of a message, unchecked; None without any.
+
+        Raises:
+            InvalidInputError: a second dimension that is none of planned rows, or has another size
+                than its values.
+        """
+        dims = message.layout.dim
+        if len(dims) < 2:
+            return None
+        width, count, label = dims[0].size, dims[1].size, dims[1].label
+        try:
+            rate_hz = float(label.removeprefix(_PLANNED)) if label.startswith(_PLANNED) else 0.0
+        except ValueError:
+            rate_hz = 0.0
+        is_whole = width > 0 and len(message.data) == width * (count + 1)
+        if len(dims) > 2 or not (0.0 < rate_hz <= GREATEST_RATE_HZ) or not is_whole:
+            raise InvalidInputError(
+                f"An action has {len(message.data)} values, and its second dimension is {label!r} of "
+                f"{count}; expected '{_PLANNED}<rows per second>' and rows of {width} values."
+            )
+        rows = np.array(message.data[width:], dtype=np.float64).reshape(count, width)
+        return cls(rows=rows, step_s=1.0 / rate_hz)
 
 
 def to_time(stamp_ns: int) -> Time:
@@ -121,31 +147,6 @@ def row_from_action_message(message: Float64MultiArray) -> tuple[str, F64]:
     label = dims[0].label if dims else ACTION_LABEL
     values = message.data[: dims[0].size] if len(dims) > 1 else message.data
     return label, np.array(values, dtype=np.float64)
-
-
-def planned_from_action_message(message: Float64MultiArray) -> PlannedRows | None:
-    """The rows that are planned after the row of a message, unchecked; None without any.
-
-    Raises:
-        InvalidInputError: a second dimension that is none of planned rows, or has another size
-            than its values.
-    """
-    dims = message.layout.dim
-    if len(dims) < 2:
-        return None
-    width, count, label = dims[0].size, dims[1].size, dims[1].label
-    try:
-        rate_hz = float(label.removeprefix(_PLANNED)) if label.startswith(_PLANNED) else 0.0
-    except ValueError:
-        rate_hz = 0.0
-    is_whole = width > 0 and len(message.data) == width * (count + 1)
-    if len(dims) > 2 or not (0.0 < rate_hz <= GREATEST_RATE_HZ) or not is_whole:
-        raise InvalidInputError(
-            f"An action has {len(message.data)} values, and its second dimension is {label!r} of "
-            f"{count}; expected '{_PLANNED}<rows per second>' and rows of {width} values."
-        )
-    rows = np.array(message.data[width:], dtype=np.float64).reshape(count, width)
-    return PlannedRows(rows=rows, step_s=1.0 / rate_hz)
 
 
 def to_joint_state(joints: JointSample) -> JointState:

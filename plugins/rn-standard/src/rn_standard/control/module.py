@@ -188,7 +188,7 @@ class ControlModule(HoldingModule):
             if space is None or label != space.label:
                 space = self._space = self._agreed_space(label)
             row = space.check(values)
-            planned = messages.planned_from_action_message(message)
+            planned = messages.PlannedRows.from_action_message(message)
             for later in () if planned is None else planned.rows[:_MOST_PLANNED]:
                 space.check(later)
         except RoboNeuronError as error:
