@@ -65,8 +65,8 @@ class PlannedRows:
         is_whole = width > 0 and len(message.data) == width * (count + 1)
         if len(dims) > 2 or not (0.0 < rate_hz <= GREATEST_RATE_HZ) or not is_whole:
             raise InvalidInputError(
-                f"An action has {len(message.data)} values, and its second dimension is {label!r} of "
-                f"{count}; expected '{_PLANNED}<rows per second>' and rows of {width} values."
+                f"An action has {len(message.data)} values, and its second dimension is {label!r} "
+                f"of {count}; expected '{_PLANNED}<rows per second>' and rows of {width} values."
             )
         rows = np.array(message.data[width:], dtype=np.float64).reshape(count, width)
         return cls(rows=rows, step_s=1.0 / rate_hz)
