@@ -18,7 +18,7 @@ from rn_standard.direct_path.path_limits import LimitError
 from rn_standard.direct_path.places import check_places, check_way
 from rn_standard.tools_ros.tightening import ConfiguredLimits, tighten
 from roboneuron.contract import Endpoint, Obstacle
-from roboneuron.errors import ConfigurationError
+from roboneuron.errors import ConfigurationError, RefusedError
 
 STAIRS = Obstacle(
     name="stairs", lower_m=np.array([1.0, -1.0, -1.0]), upper_m=np.array([2.0, 1.0, 1.0])
@@ -95,7 +95,7 @@ def test_an_endpoint_without_a_frame_takes_places_in_any() -> None:
 
 
 def test_feedback_from_a_zone_is_a_violation_and_that_of_other_frames_is_not() -> None:
-    with pytest.raises(LimitError, match="has come into the zone 'stairs'"):
+    with pytest.raises(RefusedError, match="has come into the zone 'stairs'"):
         check_way(endpoint(), made(POSE, pose(1.5)))
     check_way(endpoint(), made(POSE, pose(1.5, frame="odom")))
     check_way(endpoint(), made(POSE, pose(0.5)))

@@ -12,7 +12,7 @@ import numpy as np
 
 from rn_standard.direct_path.fields import is_message, type_name_of
 from rn_standard.direct_path.path_limits import LimitError
-from roboneuron import Endpoint
+from roboneuron import Endpoint, RefusedError
 
 PLACE_TYPES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped")
 """Messages that say where, and in which frame."""
@@ -52,14 +52,14 @@ def check_places(endpoint: Endpoint, message: Any) -> None:
 
 
 def check_way(endpoint: Endpoint, feedback: Any) -> None:
-    """Raise LimitError when a place in the feedback of a goal is in a zone of its endpoint. Places
-    in other frames are not judged.
+    """Raise RefusedError when a place in the feedback of a goal is in a zone of its endpoint.
+    Places in other frames are not judged.
     """
     for path, place in _places(feedback):
         if place.header.frame_id != endpoint.frame:
             continue
         for name in zones_at(endpoint, place):
-            raise LimitError("zone", f"The robot has come into the zone {name!r} ({path}feedback).")
+            raise RefusedError(f"The robot has come into the zone {name!r}, by {path}position.")
 
 
 def zones_at(endpoint: Endpoint, place: Any) -> Iterator[str]:
