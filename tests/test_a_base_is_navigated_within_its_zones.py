@@ -84,7 +84,7 @@ class Bench:
     def close(self) -> None:
         for process in self._processes:
             process.terminate()
-            process.wait(timeout=30)
+            process.communicate(timeout=30)
 
 
 class Agent:
