@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import threading
 import time
 from collections.abc import Sequence
@@ -78,6 +77,11 @@ def has_moved(before: Planar, now: Planar) -> bool:
     return way_m > 0.02 or abs(wrapped(now.yaw_rad - before.yaw_rad)) > 0.05
 
 
+def has_stopped(speed: tuple[float, float]) -> bool:
+    """The base neither drives [m/s] nor turns [rad/s]."""
+    return abs(speed[0]) < 0.01 and abs(speed[1]) < 0.02
+
+
 def steer(here: Planar, goal: Planar) -> tuple[float, float] | None:
     """Speed [m/s] and turning rate [rad/s] towards a goal; None when the base is there."""
     dx, dy = goal.x_m - here.x_m, goal.y_m - here.y_m
@@ -92,7 +96,7 @@ def steer(here: Planar, goal: Planar) -> tuple[float, float] | None:
     return speed, max(-TURN_RAD_S, min(TURN_RAD_S, 1.5 * error_rad))
 
 
-class Navigator(Node):  # type: ignore[misc]
+class Navigator(Node):
     """One action server, one base."""
 
     def __init__(self, options: argparse.Namespace) -> None:
@@ -100,6 +104,7 @@ class Navigator(Node):  # type: ignore[misc]
         super().__init__("bt_navigator", namespace=options.namespace)
         self._options = options
         self._odometry: tuple[float, Planar] | None = None
+        self._speed = 0.0, 0.0
         self._running: ServerGoalHandle | None = None
         self._lock = threading.Lock()
         group = ReentrantCallbackGroup()
@@ -116,6 +121,8 @@ class Navigator(Node):  # type: ignore[misc]
         )
 
     def _on_odometry(self, message: Odometry) -> None:
+        twist = message.twist.twist
+        self._speed = twist.linear.x, twist.angular.z
         self._odometry = (time.monotonic(), to_planar(message))
 
     def _judge(self, goal: NavigateToPose.Goal) -> GoalResponse:
@@ -168,8 +175,10 @@ class Navigator(Node):  # type: ignore[misc]
                     return codes.UNKNOWN, "The base makes no progress towards the goal."
                 recoveries, moved_s = recoveries + 1, now_s
             velocity = steer(here, goal)
-            if velocity is None:
+            if velocity is None and has_stopped(self._speed):
                 return codes.NONE, ""
+            if velocity is None:
+                velocity = 0.0, 0.0  # judged once more when it rests
             if self._is_blocked(goal):
                 velocity = 0.0, 0.0  # no path: the base waits for a recovery
             twist = Twist()
@@ -241,4 +250,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

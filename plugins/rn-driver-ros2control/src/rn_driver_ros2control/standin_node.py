@@ -210,6 +210,16 @@ class StandInNode(Node):  # type: ignore[misc]
         if self._finger_states is not None:
             self._finger_states.publish(own)
 
+    def _feedback(self) -> FollowJointTrajectory.Feedback:
+        """Where the joints are to be, and where they are; told in each cycle."""
+        controller = self.controller
+        feedback = FollowJointTrajectory.Feedback(joint_names=list(controller.joints))
+        feedback.header.stamp = self.get_clock().now().to_msg()
+        feedback.desired.positions = controller.reference.tolist()
+        feedback.actual.positions = controller.measured.tolist()
+        feedback.error.positions = (controller.reference - controller.measured).tolist()
+        return feedback
+
     def _cycle(self) -> None:
         controller = self.controller
         verdict = controller.update(self._now_s())
@@ -217,6 +227,8 @@ class StandInNode(Node):  # type: ignore[misc]
             self._finish(_CANCELLED)
         elif verdict is not None:
             self._finish(verdict)
+        if self._goal is not None:
+            self._goal.publish_feedback(self._feedback())
         self._move_finger()
         stamp = self.get_clock().now().to_msg()
         names, position, velocity = (
