@@ -44,8 +44,8 @@ SPEED_M_S, TURN_RAD_S = 0.4, 1.0
 THERE_M, THERE_RAD = 0.03, 0.05
 TURN_FIRST_RAD = 0.3
 """With a greater error of heading it turns on the spot."""
-SILENCE_S = 1.0
-"""Odometry older than this is no pose."""
+SILENCE_S, FIRST_S = 1.0, 15.0
+"""Odometry older than this is no pose; the base may not have been discovered yet."""
 MOST_RECOVERIES = 2
 
 
@@ -165,9 +165,13 @@ class Navigator(Node):
                 return codes.NONE, ""
             if self._running is not handle:
                 return codes.UNKNOWN, "A newer goal has preempted this one."
-            if self._odometry is None or now_s - self._odometry[0] > SILENCE_S:
+            heard_s, here = self._odometry or (begun_s, None)
+            bound_s = FIRST_S if here is None else SILENCE_S
+            if now_s - max(heard_s, begun_s) > bound_s:
                 return codes.TF_ERROR, "There is no odometry: the pose of the base is not known."
-            here = self._odometry[1]
+            if here is None or now_s - heard_s > SILENCE_S:
+                time.sleep(PERIOD_S)  # since the goal came it has not been silent for long
+                continue
             if last is None or has_moved(last, here):
                 last, moved_s = here, now_s
             if now_s - moved_s > self._options.patience:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import importlib
 import math
+import tomllib
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import anyio
 import pytest
 from rich.console import Console
 
@@ -55,8 +57,6 @@ def test_every_judge_has_to_say_yes(demo: ModuleType, missing: str) -> None:
 
 
 def test_a_zone_that_is_refused_for_another_reason_does_not_count(demo: ModuleType) -> None:
-    import anyio
-
     class Refuses:
         async def call(self, tool: str, arguments: object) -> dict[str, object]:
             raise NotReadyError("send_drive_to_goal: nobody serves it.")
@@ -67,8 +67,6 @@ def test_a_zone_that_is_refused_for_another_reason_does_not_count(demo: ModuleTy
 
 
 def test_the_zone_that_is_asked_for_is_one_of_the_configuration(demo: ModuleType) -> None:
-    import tomllib
-
     text = (EXAMPLES / "demo_nav.toml").read_text(encoding="utf-8")
     entry = tomllib.loads(text)["robots"]["base"]["expose"][0]
     (zone,) = entry["zones"]
