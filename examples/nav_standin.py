@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -29,9 +28,9 @@ from nav_msgs.msg import Odometry
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.task import Future
 
 from rn_interfaces.finder import install
 
@@ -39,7 +38,7 @@ install()
 from nav2_msgs.action import NavigateToPose  # noqa: E402  (known from here on)
 
 MAP, ODOM = "map", "odom"
-PERIOD_S = 0.05
+PERIOD_S, TELL_S = 0.05, 0.1
 SPEED_M_S, TURN_RAD_S = 0.4, 1.0
 THERE_M, THERE_RAD = 0.03, 0.05
 TURN_FIRST_RAD = 0.3
@@ -96,6 +95,25 @@ def steer(here: Planar, goal: Planar) -> tuple[float, float] | None:
     return speed, max(-TURN_RAD_S, min(TURN_RAD_S, 1.5 * error_rad))
 
 
+@dataclass(kw_only=True, slots=True)
+class Run:
+    """One goal on its way; times are monotonic [s].
+
+    Attributes:
+        last: where the base was when it was last seen to move.
+        done: gets the error code and a sentence.
+    """
+
+    handle: ServerGoalHandle
+    goal: Planar
+    begun_s: float
+    moved_s: float
+    done: Future
+    told_s: float = 0.0
+    recoveries: int = 0
+    last: Planar | None = None
+
+
 class Navigator(Node):
     """One action server, one base."""
 
@@ -105,11 +123,9 @@ class Navigator(Node):
         self._options = options
         self._odometry: tuple[float, Planar] | None = None
         self._speed = 0.0, 0.0
-        self._running: ServerGoalHandle | None = None
-        self._lock = threading.Lock()
-        group = ReentrantCallbackGroup()
+        self._run: Run | None = None
         self._velocity = self.create_publisher(Twist, "cmd_vel", 1)
-        self.create_subscription(Odometry, "odom", self._on_odometry, 1, callback_group=group)
+        self.create_subscription(Odometry, "odom", self._on_odometry, 1)
         self._server = ActionServer(
             self,
             NavigateToPose,
@@ -117,8 +133,8 @@ class Navigator(Node):
             self._execute,
             goal_callback=self._judge,
             cancel_callback=lambda handle: CancelResponse.ACCEPT,
-            callback_group=group,
         )
+        self.create_timer(PERIOD_S, self._cycle)
 
     def _on_odometry(self, message: Odometry) -> None:
         twist = message.twist.twist
@@ -128,14 +144,19 @@ class Navigator(Node):
     def _judge(self, goal: NavigateToPose.Goal) -> GoalResponse:
         return GoalResponse.REJECT if self._options.inactive else GoalResponse.ACCEPT
 
-    def _execute(self, handle: ServerGoalHandle) -> NavigateToPose.Result:
-        with self._lock:
-            self._running = handle  # the one before sees that it is no more
-        try:
-            code, text = self._navigate(handle)
-        finally:
-            if self._running is handle:
-                self._velocity.publish(Twist())
+    async def _execute(self, handle: ServerGoalHandle) -> NavigateToPose.Result:
+        now_s = time.monotonic()
+        run = Run(
+            handle=handle,
+            goal=to_planar(handle.request.pose),
+            begun_s=now_s,
+            moved_s=now_s,
+            done=Future(executor=self.executor),
+        )
+        self._finish(NavigateToPose.Result.UNKNOWN, "A newer goal has preempted this one.")
+        self._run = run
+        self._check(handle.request)
+        code, text = await run.done
         if handle.is_cancel_requested:
             handle.canceled()
         elif code == NavigateToPose.Result.NONE:
@@ -145,53 +166,61 @@ class Navigator(Node):
             handle.abort()
         return NavigateToPose.Result(error_code=code, error_msg=text)
 
-    def _navigate(self, handle: ServerGoalHandle) -> tuple[int, str]:
-        """Drive to the goal; the error code, and a sentence."""
-        codes, request = NavigateToPose.Result, handle.request
-        frame_id = request.pose.header.frame_id
+    def _finish(self, code: int, text: str = "") -> None:
+        """End the running goal, if there is one, with the base at rest."""
+        run, self._run = self._run, None
+        if run is not None:
+            self._velocity.publish(Twist())
+            run.done.set_result((code, text))
+
+    def _check(self, request: NavigateToPose.Goal) -> None:
+        """End a goal that cannot be driven to at all."""
+        codes, frame_id = NavigateToPose.Result, request.pose.header.frame_id
         if request.behavior_tree:
-            return (
+            self._finish(
                 codes.FAILED_TO_LOAD_BEHAVIOR_TREE,
                 f"Behavior tree {request.behavior_tree!r} cannot be loaded.",
             )
-        if frame_id not in (MAP, ODOM):
-            return codes.TF_ERROR, f"A goal in frame {frame_id!r} cannot be transformed to {MAP}."
-        goal = to_planar(request.pose)
-        begun_s = moved_s = told_s = time.monotonic()
-        recoveries, last = 0, None
-        while True:
-            now_s = time.monotonic()
-            if handle.is_cancel_requested:
-                return codes.NONE, ""
-            if self._running is not handle:
-                return codes.UNKNOWN, "A newer goal has preempted this one."
-            heard_s, here = self._odometry or (begun_s, None)
-            bound_s = FIRST_S if here is None else SILENCE_S
-            if now_s - max(heard_s, begun_s) > bound_s:
-                return codes.TF_ERROR, "There is no odometry: the pose of the base is not known."
-            if here is None or now_s - heard_s > SILENCE_S:
-                time.sleep(PERIOD_S)  # since the goal came it has not been silent for long
-                continue
-            if last is None or has_moved(last, here):
-                last, moved_s = here, now_s
-            if now_s - moved_s > self._options.patience:
-                if recoveries == MOST_RECOVERIES:
-                    return codes.UNKNOWN, "The base makes no progress towards the goal."
-                recoveries, moved_s = recoveries + 1, now_s
-            velocity = steer(here, goal)
-            if velocity is None and has_stopped(self._speed):
-                return codes.NONE, ""
-            if velocity is None:
-                velocity = 0.0, 0.0  # judged once more when it rests
-            if self._is_blocked(goal):
-                velocity = 0.0, 0.0  # no path: the base waits for a recovery
-            twist = Twist()
-            twist.linear.x, twist.angular.z = velocity
-            self._velocity.publish(twist)
-            if now_s - told_s > 0.1:
-                told_s = now_s
-                self._tell(handle, here, goal, now_s - begun_s, recoveries)
-            time.sleep(PERIOD_S)
+        elif frame_id not in (MAP, ODOM):
+            self._finish(
+                codes.TF_ERROR, f"A goal in frame {frame_id!r} cannot be transformed to {MAP}."
+            )
+
+    def _cycle(self) -> None:
+        """Drive on towards the running goal."""
+        run, now_s, codes = self._run, time.monotonic(), NavigateToPose.Result
+        if run is None:
+            return
+        if run.handle.is_cancel_requested:
+            self._finish(codes.NONE)
+            return
+        heard_s, here = self._odometry or (run.begun_s, None)
+        bound_s = FIRST_S if here is None else SILENCE_S
+        if now_s - max(heard_s, run.begun_s) > bound_s:
+            self._finish(codes.TF_ERROR, "There is no odometry: the pose of the base is not known.")
+            return
+        if here is None or now_s - heard_s > SILENCE_S:
+            return  # since the goal came it has not been silent for long
+        if run.last is None or has_moved(run.last, here):
+            run.last, run.moved_s = here, now_s
+        if now_s - run.moved_s > self._options.patience:
+            if run.recoveries == MOST_RECOVERIES:
+                self._finish(codes.UNKNOWN, "The base makes no progress towards the goal.")
+                return
+            run.recoveries, run.moved_s = run.recoveries + 1, now_s
+        velocity = steer(here, run.goal)
+        if velocity is None and has_stopped(self._speed):
+            self._finish(codes.NONE)
+            return
+        if velocity is None or self._is_blocked(run.goal):
+            # it comes to rest and is judged once more; or there is no path, only a recovery
+            velocity = 0.0, 0.0
+        twist = Twist()
+        twist.linear.x, twist.angular.z = velocity
+        self._velocity.publish(twist)
+        if now_s - run.told_s > TELL_S:
+            run.told_s = now_s
+            self._tell(run, here, now_s)
 
     def _is_blocked(self, goal: Planar) -> bool:
         """The goal is in the box that no path leads into."""
@@ -200,9 +229,7 @@ class Navigator(Node):
         x0, y0, x1, y1 = self._options.blocked
         return bool(x0 <= goal.x_m <= x1 and y0 <= goal.y_m <= y1)
 
-    def _tell(
-        self, handle: ServerGoalHandle, here: Planar, goal: Planar, passed_s: float, recoveries: int
-    ) -> None:
+    def _tell(self, run: Run, here: Planar, now_s: float) -> None:
         feedback = NavigateToPose.Feedback()
         feedback.current_pose.header.frame_id = MAP
         feedback.current_pose.header.stamp = self.get_clock().now().to_msg()
@@ -210,12 +237,12 @@ class Navigator(Node):
         pose.position.x, pose.position.y = here.x_m, here.y_m
         pose.orientation.z = math.sin(here.yaw_rad / 2)
         pose.orientation.w = math.cos(here.yaw_rad / 2)
-        distance_m = math.dist((here.x_m, here.y_m), (goal.x_m, goal.y_m))
+        distance_m = math.dist((here.x_m, here.y_m), (run.goal.x_m, run.goal.y_m))
         feedback.distance_remaining = distance_m
-        feedback.number_of_recoveries = recoveries
-        feedback.navigation_time = _to_duration(passed_s)
+        feedback.number_of_recoveries = run.recoveries
+        feedback.navigation_time = _to_duration(now_s - run.begun_s)
         feedback.estimated_time_remaining = _to_duration(distance_m / SPEED_M_S)
-        handle.publish_feedback(feedback)
+        run.handle.publish_feedback(feedback)
 
 
 def _to_duration(seconds: float) -> Duration:
@@ -241,7 +268,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     rclpy.init()
     node = Navigator(options)
-    executor = MultiThreadedExecutor(num_threads=4)
+    executor = SingleThreadedExecutor()
     executor.add_node(node)
     print("navigate_to_pose is offered", flush=True)
     try:
