@@ -318,6 +318,9 @@ demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases at th
 demo-fleet: $(VENV)/.demo-fleet ## one MCP client, two FR3s and a base: both arms pick up a cube while the base drives
 	@$(BIN)/python examples/demo_fleet.py $(ARGS)
 
+demo-nav: $(VENV)/.demo-nav ## an agent drives a base to the table by nav2's NavigateToPose, then an FR3 picks up a cube
+	@$(BIN)/python examples/demo_nav.py $(ARGS)
+
 demo-so101: $(VENV)/.demo-so101 ## a simulated SO-101 picks up a cube, the simulator judges
 	@$(BIN)/python examples/demo_so101.py $(ARGS)
 
@@ -443,6 +446,10 @@ $(VENV)/.demo-fleet: $(VENV)/.demo
 	$(call install,bases,--constraint constraints.txt $(addprefix --editable ,$(FLEET_PACKAGES)))
 	@touch $@
 
+$(VENV)/.demo-nav: $(VENV)/.demo-fleet
+	$(call install,types from definitions,--constraint constraints.txt --editable plugins/rn-interfaces)
+	@touch $@
+
 $(VENV)/.demo-so101: $(VENV)/.demo
 	$(call install,SO-101,--constraint constraints.txt $(addprefix --editable ,$(SO101_PACKAGES)))
 	@touch $@
@@ -461,7 +468,7 @@ $(VENV)/.develop: $(PROJECTS) | $(BIN)/python
 	$(call install,tools for tests and checks,--constraint constraints.txt \
 	  pytest pytest-timeout pytest-xdist pytest-rerunfailures hypothesis ruff mypy types-psutil jsonschema types-jsonschema psutil build hatchling editables auditwheel \
 	  ros-jazzy-test-msgs transformers mujoco franky-control 'pylibfranka; python_version < "3.13"' ruckig playwright rosbags)
-	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet $(VENV)/.demo-so101
+	@touch $@ $(VENV)/.demo $(VENV)/.demo-fr3 $(VENV)/.demo-learned $(VENV)/.demo-bases $(VENV)/.demo-fleet $(VENV)/.demo-nav $(VENV)/.demo-so101
 
 $(VENV)/.mutations: $(VENV)/.develop
 	$(call install,mutation tests,--constraint constraints.txt mutmut)

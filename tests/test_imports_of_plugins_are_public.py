@@ -41,7 +41,8 @@ NEEDS = {
 PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
     "control": "module planning",
-    "direct_path": "allow_list arbiter delivery derived exposed fields joints limits peers speeds "
+    "direct_path": "allow_list arbiter delivery derived exposed fields joints limits peers places "
+    "speeds "
     "twists type_hashes",
     "execution": "adaptive mode",
     "http": "addresses authentication bounded_server connections feature listener operator_lease "

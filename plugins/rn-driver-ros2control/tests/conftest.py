@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,6 +35,7 @@ with contextlib.suppress(ModuleNotFoundError):
         GOAL_VIOLATED: End.GOAL_TOLERANCE,
     }
 
+sys.path.append(str(Path(__file__).parent))  # for ros2control_rig
 _CYCLE_S = 0.005
 _FINGER_M_S = 0.1
 

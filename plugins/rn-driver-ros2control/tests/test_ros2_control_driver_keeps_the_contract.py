@@ -1,4 +1,4 @@
-"""Every rule of robot drivers, on the FR3 driven through a stand-in controller, in both modes."""
+"""Every rule of robot drivers, on the FR3 driven through a stand-in controller, in each mode."""
 
 from __future__ import annotations
 
@@ -18,6 +18,14 @@ class TestByTopic(RobotContract):
     @pytest.fixture
     def plugin(self) -> RobotCase:
         options = {"gripper": "gripper-command"}
+        return RobotCase(spec=roboneuron_robots()[0], driver="ros2-control", driver_options=options)
+
+
+@pytest.mark.usefixtures("rig")
+class TestByChunks(RobotContract):
+    @pytest.fixture
+    def plugin(self) -> RobotCase:
+        options = {"gripper": "gripper-command", "mode": "chunks"}
         return RobotCase(spec=roboneuron_robots()[0], driver="ros2-control", driver_options=options)
 
 

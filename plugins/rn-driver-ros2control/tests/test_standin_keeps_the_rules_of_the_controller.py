@@ -82,6 +82,65 @@ def test_positions_alone_are_linear_and_velocities_make_a_cubic():
         assert made.reference.tolist() == [1.0, -1.0]
 
 
+def followed(made: StandInController, begin_s: float, end_s: float) -> np.ndarray:
+    """Time, position and velocity of the first joint's reference, each millisecond (n, 3)."""
+    told = []
+    for now_s in np.arange(begin_s, end_s, 1e-3):
+        made.update(now_s)
+        told.append((now_s, made.reference[0], made.reference_velocity[0]))
+    return np.array(told)
+
+
+CHUNK = trajectory(*((0.05 * n, [0.01 * n, 0.0]) for n in range(1, 9)))
+
+
+def test_upsampled_positions_are_one_motion_without_a_jump_of_velocity():
+    made = controller(policy_frequency_hz=20.0)
+    message = made.upsampled(CHUNK)
+    assert made.refusal(message, 100.0) == ""
+    made.take(message, 100.0)
+    told = followed(made, 100.0, 100.45)
+    for n in range(1, 9):
+        at = int(np.argmin(np.abs(told[:, 0] - 100.0 - 0.05 * n)))
+        assert told[at, 1] == pytest.approx(0.01 * n, abs=2e-4)
+    assert np.abs(np.diff(told[:, 2])).max() < 0.02  # linear: 0.2 at the first row
+    # between rows it is faster than the mean of 0.2: limits of velocity need that much room
+    assert told[:, 2].max() == pytest.approx(0.2 * 1.37, abs=0.01)
+
+
+def test_an_upsampled_chunk_goes_on_from_the_velocity_of_the_one_before():
+    made = controller(policy_frequency_hz=20.0)
+    made.take(made.upsampled(CHUNK), 100.0)
+    before = followed(made, 100.0, 100.2)
+    later = trajectory(*((0.05 * n, [0.04 + 0.01 * n, 0.0]) for n in range(1, 9)))
+    made.take(made.upsampled(later), before[-1, 0])
+    after = followed(made, before[-1, 0], 100.3)
+    assert after[0, 2] == pytest.approx(before[-1, 2], abs=0.01)
+
+
+def test_positions_without_times_come_at_the_frequency_of_the_policy():
+    made = controller(policy_frequency_hz=10.0)
+    message = made.upsampled(trajectory((0.0, [0.1, 0.0]), (0.0, [0.2, 0.0])))
+    times_s = [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for p in message.points]
+    assert times_s == [0.1, 0.2]
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        trajectory((1.0, [1.0, 1.0]), rest=True),
+        trajectory((1.0, [1.0])),
+        trajectory((1.0, [1.0, 1.0]), (0.5, [2.0, 2.0])),
+        trajectory((1.0, [1.0, 1.0]), names=("a", "c")),
+    ],
+    ids=["velocities", "sizes", "times", "joints"],
+)
+def test_other_messages_are_not_upsampled(message):
+    made = controller(policy_frequency_hz=20.0)
+    assert made.upsampled(message) is message
+    assert controller().upsampled(CHUNK) is CHUNK
+
+
 def test_a_new_trajectory_replaces_the_one_before_from_where_the_joints_are():
     made = controller()
     made.take(trajectory((1.0, [1.0, 1.0])), 100.0)

@@ -34,6 +34,7 @@ from .contract import (
     JointCommand as JointCommand,
     JointLimits as JointLimits,
     JointSample as JointSample,
+    LookaheadDriver as LookaheadDriver,
     Observation as Observation,
     Obstacle as Obstacle,
     PerceptionSource as PerceptionSource,

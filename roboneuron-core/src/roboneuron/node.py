@@ -13,7 +13,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
     name: frozenset(names.split())
     for name, names in {
         "loading": "load_attribute",
-        "messages": "intrinsics_from_camera_info joints_from_message "
+        "messages": "PlannedRows intrinsics_from_camera_info joints_from_message "
         "row_from_action_message to_action_message to_image to_ns to_pose_stamped",
         "models": "ControlConfig",
         "qos": "NEWEST",

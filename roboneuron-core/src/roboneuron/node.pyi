@@ -25,6 +25,9 @@ from .ros import (
 )
 
 # Single names.
+from .gate.motion.command import (
+    Asked as Asked,
+)
 from .gate.motion import (
     LimitedCommand as LimitedCommand,
 )

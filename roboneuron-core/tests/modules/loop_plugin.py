@@ -79,6 +79,13 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             space="loop_plugin:declared",
         ),
         BackendSpec(
+            name="planner",
+            summary="x",
+            target="loop_plugin:Planner",
+            action_space=SPACE,
+            space="loop_plugin:positions",
+        ),
+        BackendSpec(
             name="served",
             summary="x",
             target="loop_plugin:Served",
@@ -294,6 +301,19 @@ class Fickle(Instant):
         if observation.instruction == "another":
             return super().predict(observation)
         return ActionChunk(actions=np.array([[0.1, -0.1]]), step_s=0.02, space=self.space)
+
+
+def positions(options: Mapping[str, Any], profile: RobotProfile) -> ControlSpace:
+    return robot_space("joint_position", profile, 20.0)
+
+
+class Planner(Instant):
+    """Answers with six positions of a steady motion."""
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        actions = np.zeros((6, 2))
+        actions[:, 0] = np.arange(1, 7) / 1000
+        return ActionChunk(actions=actions, step_s=0.05, space=positions({}, profile()))
 
 
 class Chunked(Instant):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -217,3 +217,51 @@ def test_a_command_that_the_driver_refuses_is_counted_and_told(cell: Cell) -> No
     assert "beyond the joint's travel" in cell.host.values()["error"]
     assert not cell.robot._moving
     assert cell.host.values().get("note", "") == ""
+
+
+class Ahead:
+    """A driver that takes points before their time."""
+
+    def __init__(self, cell: Cell) -> None:
+        self.cell = cell
+        self.given: list[list[float]] = []
+
+    def send_ahead(self, command: JointCommand, planned: Sequence[JointCommand]) -> JointCommand:
+        self.given.append([float(one.position[0]) for one in planned])
+        return self.cell.send(command)
+
+
+@pytest.fixture
+def ahead(cell: Cell) -> Ahead:
+    made = Ahead(cell)
+    cell.driver.send_ahead = made.send_ahead
+    return made
+
+
+def test_points_are_given_ahead_and_again_when_they_are_due(cell: Cell, ahead: Ahead) -> None:
+    cell.command(0.1, 0.2, 0.3, step_s=0.01)
+    for _ in range(3):
+        cell.play()
+        cell.clock.go(0.01)
+    assert cell.sent == [(0.1, 0.01), (0.2, 0.01), (0.3, 0.01)]
+    assert ahead.given == [[0.2, 0.3], [0.3]]
+
+
+def test_a_stop_leaves_no_point_to_be_given(cell: Cell, ahead: Ahead) -> None:
+    cell.command(0.1, 0.2, 0.3, step_s=0.01)
+    cell.play()
+    cell.host.stopped = True
+    cell.robot.emergency_stop(True)
+    cell.clock.go(0.01)
+    cell.play()
+    assert ahead.given == [[0.2, 0.3]]
+    assert cell.told[-1] == "hold"
+    assert len(cell.told) == 2
+
+
+def test_a_stop_while_points_are_given_is_followed_by_a_hold(cell: Cell, ahead: Ahead) -> None:
+    cell.command(0.1, 0.2, step_s=0.01)
+    cell.while_sending = lambda: setattr(cell.host, "stopped", True)
+    cell.play()
+    assert ahead.given == [[0.2]]
+    assert cell.told[-1] == "hold"

@@ -18,6 +18,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from roboneuron.contract import Hold, JointCommand, JointSample
 from roboneuron.errors import InvalidInputError, UnsafeError
+from roboneuron.gate.motion.command import Asked
 from roboneuron.modules.holding import HoldingModule
 from roboneuron.modules.module_host import ModuleHost
 
@@ -38,7 +39,7 @@ class Hostile(HoldingModule):
         values: dict[str, Any] = {"names": ARM, "position": position, "duration_s": STEP_S}
         command = JointCommand(**(values | changes))
         source_ns = self.node.now_ns() - round(age_s * 1e9)
-        self.act(source_ns, lambda: lambda joints, step_s, now_s: command)
+        self.act(source_ns, lambda: Asked(now=lambda joints, step_s, now_s: command))
 
 
 class Cell:
@@ -89,6 +90,34 @@ def test_a_jump_is_cut_to_what_the_limits_allow(cell: Cell, jump: list[float]) -
         assert refused, "it would end beyond a joint's travel"
 
 
+def test_what_is_planned_is_limited_too(make_host: MakeHost) -> None:
+    """Of what is asked ahead of its time, nothing is faster or farther than what is due."""
+    cell = Cell(
+        make_host, replace={"action_timeout_s = 0.3": "action_timeout_s = 0.8\nhorizon_s = 0.5"}
+    )
+
+    def ask(*positions: list[float]) -> list[list[float]]:
+        def answer(position: list[float]) -> Callable[..., JointCommand]:
+            return lambda *_: JointCommand(
+                names=ARM, position=np.array(position), duration_s=STEP_S
+            )
+
+        now, *later = map(answer, positions)
+        asked = Asked(now=now, later=tuple(later), step_s=STEP_S)
+        cell.module.act(cell.host.clock.wall_ns, lambda: asked)
+        message = cell.host.publishers["joint_trajectory"].messages[-1]
+        return [list(point.positions) for point in message.points]
+
+    jumps = np.array([START, *ask([0.505, -0.5], [0.9, -0.9], [-0.9, 0.9])])
+    assert len(jumps) == 4
+    assert np.abs(np.diff(jumps, axis=0)).max() <= FASTEST * STEP_S + 1e-9
+    cell.host.clock.go(STEP_S)
+    cell.measure()
+    for beyond in ([3.0, -0.5], [math.nan, -0.5], [math.inf, -0.5]):
+        points = ask([0.505, -0.5], [0.51, -0.5], beyond, [0.52, -0.5])
+        assert len(points) == 2, "the plan ends before it"
+
+
 @pytest.mark.parametrize(
     ("asked", "word"),
     [
@@ -128,7 +157,7 @@ def test_a_stop_during_the_work_is_in_time(cell: Cell, word: str) -> None:
         STOPS[word](cell)
         return JointCommand(names=ARM, position=START + 0.01, duration_s=STEP_S)
 
-    cell.module.act(cell.host.clock.wall_ns, lambda: answer)
+    cell.module.act(cell.host.clock.wall_ns, lambda: Asked(now=answer))
     assert cell.sent == []
     assert cell.host.drops()[word] == 1
 

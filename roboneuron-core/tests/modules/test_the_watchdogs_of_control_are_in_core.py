@@ -10,6 +10,7 @@ from control_cell import ARM, SERVER_TIMEOUT_S, START, STATE_TIMEOUT_S, TIMEOUT_
 from loop_plugin import Adder
 
 from roboneuron.contract import JointCommand, JointSample
+from roboneuron.gate.motion.command import Asked
 from roboneuron.modules.holding import HoldingModule
 
 
@@ -23,7 +24,7 @@ class Cell:
         self.module.activate()
         self.measure()
         step = JointCommand(names=ARM, position=START + 0.01, duration_s=0.1)
-        self.module.act(self.host.clock.wall_ns, lambda: lambda *_: step)
+        self.module.act(self.host.clock.wall_ns, lambda: Asked(now=lambda *_: step))
         self.host.publishers["joint_trajectory"].messages.clear()
 
     def measure(self) -> None:

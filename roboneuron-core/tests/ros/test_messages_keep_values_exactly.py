@@ -172,6 +172,28 @@ def test_a_row_of_another_space_carries_its_label() -> None:
     assert [dim.size for dim in message.layout.dim] == [2]
 
 
+@pytest.mark.parametrize("rate_hz", [3.0, 20.0, 1000.0 / 33.0])
+def test_planned_rows_survive_the_wire_beside_the_row_that_is_due(rate_hz: float) -> None:
+    rows = np.arange(21.0).reshape(3, 7)
+    planned = messages.PlannedRows(rows=rows[1:], step_s=1.0 / rate_hz)
+    message = over_the_wire(messages.to_action_message(rows[0], planned=planned))
+    label, row = messages.row_from_action_message(message)
+    back = messages.PlannedRows.from_action_message(message)
+    assert label == ACTION_LABEL
+    np.testing.assert_array_equal(row, rows[0])
+    assert back is not None
+    np.testing.assert_array_equal(back.rows, rows[1:])
+    assert back.step_s == pytest.approx(1.0 / rate_hz, rel=1e-5)
+
+
+def test_an_action_without_planned_rows_is_as_it_was() -> None:
+    row = np.arange(7.0)
+    empty = messages.PlannedRows(rows=np.zeros((0, 7)), step_s=0.05)
+    message = messages.to_action_message(row)
+    assert messages.to_action_message(row, planned=empty) == message
+    assert messages.PlannedRows.from_action_message(message) is None
+
+
 def test_joint_state_survives_the_wire() -> None:
     joints = JointSample(
         names=("a", "b"),

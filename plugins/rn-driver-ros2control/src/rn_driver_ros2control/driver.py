@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -34,13 +35,15 @@ from roboneuron import (
 )
 
 F64 = NDArray[np.float64]
+_ROUNDING_S = 1e-6
+"""Of a horizon that is a whole number of targets."""
 _SETTLE_S = 0.05
 """Time from sending until the controller's reports are about what was sent."""
 
 
 class Ros2ControlDriver:
-    """Follows the protocol `RobotDriver`, and may be asked to `recover`; every method may be called
-    from any thread.
+    """Follows the protocols `RobotDriver` and `LookaheadDriver`, and may be asked to `recover`;
+    every method may be called from any thread.
 
     The controller keeps the arm: it interpolates, holds its last point when commands cease or this
     process dies, and checks its own tolerances. What it reports as a fault is kept here until the
@@ -61,6 +64,9 @@ class Ros2ControlDriver:
         self._end: End | None = None
         self._own_cancel = False
         self._fault = ""
+        # where the newest command goes, and where the arm is to be and when [monotonic s] without
+        # another one: at the end of what was planned after it
+        self._place: F64 | None = None
         self._target: tuple[F64, float] | None = None
         self._sent_s = 0.0
         self._fingers = GripperGoals(profile.gripper)
@@ -93,7 +99,8 @@ class Ros2ControlDriver:
             self._link = None
             link.close()
             raise
-        self._fault, self._goal_note, self._target = "", "none", None
+        self._fault, self._goal_note = "", "none"
+        self._place = self._target = None
         self._fingers = GripperGoals(self._profile.gripper)
 
     def _connect(self) -> ControllerLink:
@@ -156,8 +163,19 @@ class Ros2ControlDriver:
             UnsafeError: a fault stands; see `recover`.
             StateError: not open.
         """
+        return self.send_ahead(command, ())
+
+    def send_ahead(self, command: JointCommand, planned: Sequence[JointCommand]) -> JointCommand:
+        """As `send`; in mode chunks the controller goes on with `planned`, within `horizon_s`.
+
+        The gripper moves when its command is due.
+
+        Raises:
+            As `send`.
+        """
         link = self._opened()
         wanted = checked(command, self._profile)
+        later = [checked(one, self._profile) for one in planned]
         if self._fault and self._options.resume_after_fault:
             self._forget_fault()
         measured = link.joints()
@@ -177,14 +195,17 @@ class Ros2ControlDriver:
                 names, limits = self._profile.arm_joints, self._limits()
                 rest = (
                     [measured[name].position for name in names]
-                    if self._target is None
-                    else self._target[0]
+                    if self._place is None
+                    else self._place
                 )
                 asked = [
                     wanted.get(name, float(place)) for name, place in zip(names, rest, strict=True)
                 ]
                 goal = np.clip(np.array(asked), limits.lower, limits.upper)
-                sent_s, number = self._move(link, goal, command.duration_s)
+                rows = [(goal, command.duration_s)]
+                if self._options.mode == "chunks":
+                    rows += self._rows_after(goal, planned, later)
+                sent_s, number = self._move(link, rows)
             if self._options.mode == "action":
                 self._await_acceptance(link, number)
             wanted.update(zip(self._profile.arm_joints, goal.tolist(), strict=True))
@@ -229,9 +250,9 @@ class Ros2ControlDriver:
                     "keeps its last point."
                 )
             position, duration_s = stop_point(*start, self._limits())
-            message = to_message(self._profile.arm_joints, position, duration_s, rest=True)
-            self._target = None
-            if self._options.mode == "topic":
+            message = to_message(self._profile.arm_joints, [(position, duration_s)], rest=True)
+            self._place = self._target = None
+            if self._options.mode != "action":
                 link.publish(message)
                 return
             self._goal += 1
@@ -265,7 +286,8 @@ class Ros2ControlDriver:
         return self._forget_fault()
 
     def _forget_fault(self) -> str:
-        fault, self._fault, self._target = self._fault, "", None
+        fault, self._fault = self._fault, ""
+        self._place = self._target = None
         return fault
 
     def close(self) -> None:
@@ -295,11 +317,11 @@ class Ros2ControlDriver:
                 self._fault = worded(end, text)
 
     def _judge(self, link: ControllerLink) -> None:
-        """In mode topic nobody reports violated tolerances: compare the controller's own error with
-        the options.
+        """Nobody but the action reports violated tolerances: in the other modes compare the
+        controller's own error with the options.
         """
         report = link.report()
-        if self._options.mode != "topic" or report is None or self._fault:
+        if self._options.mode == "action" or report is None or self._fault:
             return
         with self._lock:
             if self._target is None or report.received_s < self._sent_s + _SETTLE_S:
@@ -313,17 +335,42 @@ class Ros2ControlDriver:
         if is_violated:
             self.hold()
 
-    def _move(self, link: ControllerLink, goal: F64, duration_s: float) -> tuple[float, int]:
-        """Send `goal`; returns the duration that the limits allow, and the number of the goal."""
+    def _rows_after(
+        self, goal: F64, planned: Sequence[JointCommand], positions: Sequence[dict[str, float]]
+    ) -> list[tuple[F64, float]]:
+        """Where the arm goes on to after `goal`, and the time for each, within `horizon_s`."""
+        limits, left_s = self._limits(), self._options.horizon_s + _ROUNDING_S
+        rows: list[tuple[F64, float]] = []
+        for command, wanted in zip(planned, positions, strict=True):
+            asked = [
+                wanted.get(name, float(place))
+                for name, place in zip(self._profile.arm_joints, goal, strict=True)
+            ]
+            then = np.clip(np.array(asked), limits.lower, limits.upper)
+            duration_s = max(command.duration_s, shortest_s(goal, then, limits, cubic=False))
+            left_s -= duration_s
+            if left_s < 0.0:
+                break
+            rows.append((then, duration_s))
+            goal = then
+        return rows
+
+    def _move(self, link: ControllerLink, rows: list[tuple[F64, float]]) -> tuple[float, int]:
+        """Send a target and those after it, each with its time; returns the duration that the
+        limits allow for the first, and the number of the goal.
+        """
         cubic = self._options.interpolation == "cubic"
         joints = link.joints()
         start = np.array([joints[name].position for name in self._profile.arm_joints])
-        duration_s = max(duration_s, shortest_s(start, goal, self._limits(), cubic=cubic))
-        message = to_message(self._profile.arm_joints, goal, duration_s, rest=cubic)
+        goal, asked_s = rows[0]
+        duration_s = max(asked_s, shortest_s(start, goal, self._limits(), cubic=cubic))
+        rows = [(goal, duration_s), *rows[1:]]
+        message = to_message(self._profile.arm_joints, rows, rest=cubic)
         self._sent_s = time.monotonic()
-        self._target = (goal, self._sent_s + duration_s)
+        self._place = goal
+        self._target = (rows[-1][0], self._sent_s + sum(row_s for _, row_s in rows))
         self._goal += 1
-        if self._options.mode == "topic":
+        if self._options.mode != "action":
             link.publish(message)
         else:
             self._goal_note, self._end = "executing", None
@@ -337,7 +384,7 @@ class Ros2ControlDriver:
         if link.wait_accepted(number, 2 * self._options.goal_timeout_s):
             return
         with self._lock:
-            self._target = None
+            self._place = self._target = None
             note, end = self._goal_note, self._end
         if end is End.REJECTED:
             raise InvalidInputError(f"{self._options.controller} did not take a goal: {note}.")

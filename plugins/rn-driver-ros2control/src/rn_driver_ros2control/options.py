@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 TopicName = Annotated[str, Field(pattern=r"^/[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$")]
 
@@ -18,10 +18,18 @@ class Ros2ControlOptions(BaseModel):
         default="/joint_trajectory_controller",
         description="Absolute name of the joint_trajectory_controller.",
     )
-    mode: Literal["topic", "action"] = Field(
+    mode: Literal["topic", "action", "chunks"] = Field(
         default="topic",
         description="topic: publish every target, for policies; action: a FollowJointTrajectory "
-        "goal for each target.",
+        "goal for each target; chunks: publish every target with those that control has planned "
+        "after it ([control] horizon_s).",
+    )
+    horizon_s: float = Field(
+        default=0.25,
+        gt=0.0,
+        le=1.0,
+        description="chunks: how long the arm goes on by itself after a target [s]; later ones are "
+        "left out.",
     )
     joint_states: TopicName = Field(
         default="/joint_states", description="Where the measured joints come from."
@@ -77,3 +85,12 @@ class Ros2ControlOptions(BaseModel):
         le=10.0,
         description="Age of joint or controller states that counts as silence [s].",
     )
+
+    @model_validator(mode="after")
+    def _check_interpolation(self) -> Self:
+        """A chunk goes through its targets."""
+        if self.mode == "chunks" and self.interpolation == "cubic":
+            raise ValueError(
+                "mode = 'chunks' needs interpolation = 'linear'; cubic comes to rest at each target"
+            )
+        return self

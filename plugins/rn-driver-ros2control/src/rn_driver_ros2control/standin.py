@@ -4,8 +4,9 @@ a robot.
 Pure computation: time is an argument. Not the controller itself, and slower; what it keeps of it is
 listed in `docs/ros2-control.md`. Source of the rules: the documentation of
 joint_trajectory_controller (ros2_controllers, Jazzy: userdoc.rst, trajectory.rst, parameters) and
-of `control_msgs` JointTolerance; how it behaves where the documentation is silent (an empty
-trajectory is refused, who is told what) was read in its public source at ed360c9.
+of `control_msgs` JointTolerance; of `positions_upsampling` the descriptions of pull requests 2491
+and 2573; how it behaves where the documentation is silent (an empty trajectory is refused, who is
+told what) was read in its public source at ed360c9.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from rn_driver_ros2control.trajectory import to_duration
 
 F64 = NDArray[np.float64]
 ERASED = -1.0
@@ -75,9 +78,10 @@ class StandInController:
         allow_partial: bool = False,
         allow_nonzero_end: bool = False,
         from_desired: bool = False,
+        policy_frequency_hz: float = 0.0,
     ) -> None:
         """Stand at `start`; the options are the controller's parameters of like names and
-        defaults.
+        defaults. `policy_frequency_hz` above 0 enables `positions_upsampling`.
         """
         self.joints = tuple(joints)
         self.defaults = tolerances or Tolerances()
@@ -92,10 +96,42 @@ class StandInController:
             allow_nonzero_end,
             from_desired,
         )
+        self._policy_frequency_hz = policy_frequency_hz
         self._tolerances = self.defaults
         self._points: list[tuple[float, F64, F64 | None]] = []
         self._is_done = True
         self._now_s = 0.0
+
+    def upsampled(self, trajectory: JointTrajectory) -> JointTrajectory:
+        """What the controller makes of a message on its topic with `positions_upsampling`.
+
+        Positions alone get the velocities of a spline with continuous acceleration, from the
+        present velocity to rest; without times a point comes per period of the policy. Whatever
+        else stays as it is, also what will be refused.
+        """
+        names, points = list(trajectory.joint_names), list(trajectory.points)
+        is_positions = bool(points) and all(
+            len(point.positions) == len(names) and not len(point.velocities) for point in points
+        )
+        if not self._policy_frequency_hz or not is_positions or set(names) != set(self.joints):
+            return trajectory
+        times_s = np.array([_seconds(point) for point in points])
+        if not times_s.any():
+            times_s = np.arange(1, len(points) + 1) / self._policy_frequency_hz
+        steps_s = np.diff(times_s, prepend=0.0)
+        if (steps_s <= 0.0).any():
+            return trajectory
+        order = [self.joints.index(name) for name in names]
+        start = (self.reference if self._from_desired else self.measured)[order]
+        moving = self.reference_velocity if self._from_desired else self.measured_velocity
+        positions = np.vstack([start, [point.positions for point in points]])
+        velocities = _spline_velocities(positions, steps_s, moving[order])
+        filled = JointTrajectory(header=trajectory.header, joint_names=names)
+        for position, velocity, due_s in zip(positions[1:], velocities, times_s, strict=True):
+            point = JointTrajectoryPoint(positions=position.tolist(), velocities=velocity.tolist())
+            point.time_from_start = to_duration(float(due_s))
+            filled.points.append(point)
+        return filled
 
     def refusal(self, trajectory: JointTrajectory, now_s: float) -> str:
         """Why the controller would not take this; empty when it would. `now_s` is ROS time."""
@@ -215,3 +251,26 @@ class StandInController:
 
 def _seconds(point: JointTrajectoryPoint) -> float:
     return float(point.time_from_start.sec) + float(point.time_from_start.nanosec) * 1e-9
+
+
+def _spline_velocities(positions: F64, steps_s: F64, velocity: F64) -> F64:
+    """Velocities (n, joints) at the points after the first of the cubic spline through them.
+
+    It begins with `velocity` and ends at rest. Source: continuity of the second derivative at each
+    inner point of a piecewise cubic in Hermite form.
+
+    Args:
+        positions: (n + 1, joints), the present ones first.
+        steps_s: (n,), from each to the next, > 0.
+        velocity: (joints,), at the first.
+    """
+    count = len(steps_s)
+    slopes = np.diff(positions, axis=0) / steps_s[:, None]
+    velocities = np.zeros((count + 1, positions.shape[1]))
+    velocities[0] = velocity
+    matrix = np.eye(count + 1)
+    for i in range(1, count):
+        before, after = 1.0 / steps_s[i - 1], 1.0 / steps_s[i]
+        matrix[i, i - 1 : i + 2] = before, 2.0 * (before + after), after
+        velocities[i] = 3.0 * (slopes[i - 1] * before + slopes[i] * after)
+    return np.asarray(np.linalg.solve(matrix, velocities)[1:])

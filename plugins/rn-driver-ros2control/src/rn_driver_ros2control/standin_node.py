@@ -54,7 +54,11 @@ class StandInNode(Node):  # type: ignore[misc]
             goal_time_s=options.goal_time,
         )
         self.controller = StandInController(
-            joints, start, tolerances=bounds, from_desired=options.from_desired
+            joints,
+            start,
+            tolerances=bounds,
+            from_desired=options.from_desired,
+            policy_frequency_hz=options.upsample,
         )
         self.controller.active = not options.inactive
         self._finger, self._finger_m, self._finger_goal_m = (
@@ -97,6 +101,7 @@ class StandInNode(Node):  # type: ignore[misc]
         return float(self.get_clock().now().nanoseconds) / 1e9
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
+        message = self.controller.upsampled(message)
         if reason := self.controller.refusal(message, self._now_s()):
             self.get_logger().error(reason)
         elif self.controller.active:
@@ -205,6 +210,16 @@ class StandInNode(Node):  # type: ignore[misc]
         if self._finger_states is not None:
             self._finger_states.publish(own)
 
+    def _feedback(self) -> FollowJointTrajectory.Feedback:
+        """Where the joints are to be, and where they are; told in each cycle."""
+        controller = self.controller
+        feedback = FollowJointTrajectory.Feedback(joint_names=list(controller.joints))
+        feedback.header.stamp = self.get_clock().now().to_msg()
+        feedback.desired.positions = controller.reference.tolist()
+        feedback.actual.positions = controller.measured.tolist()
+        feedback.error.positions = (controller.reference - controller.measured).tolist()
+        return feedback
+
     def _cycle(self) -> None:
         controller = self.controller
         verdict = controller.update(self._now_s())
@@ -212,6 +227,8 @@ class StandInNode(Node):  # type: ignore[misc]
             self._finish(_CANCELLED)
         elif verdict is not None:
             self._finish(verdict)
+        if self._goal is not None:
+            self._goal.publish_feedback(self._feedback())
         self._move_finger()
         stamp = self.get_clock().now().to_msg()
         names, position, velocity = (
@@ -270,6 +287,13 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--goal-time", type=float, default=0.0, help="constraints.goal_time")
     parser.add_argument(
         "--from-desired", action="store_true", help="interpolate_from_desired_state"
+    )
+    parser.add_argument(
+        "--upsample",
+        type=float,
+        default=0.0,
+        metavar="HZ",
+        help="positions_upsampling with this policy_frequency; 0: off",
     )
     parser.add_argument("--inactive", action="store_true", help="begin inactive")
     parser.add_argument("--rate", type=float, default=100.0, help="cycles per second")

@@ -55,13 +55,18 @@ def stop_point(position: F64, velocity: F64, limits: JointLimits) -> tuple[F64, 
 
 
 def to_message(
-    names: Sequence[str], position: F64, duration_s: float, *, rest: bool
+    names: Sequence[str], rows: Sequence[tuple[F64, float]], *, rest: bool
 ) -> JointTrajectory:
-    """A trajectory of one point that begins when it arrives; with `rest`, at velocity zero
-    there.
+    """A trajectory that begins when it arrives: each position (n,) and the time for getting there
+    from the one before [s]; with `rest`, at velocity zero at each.
     """
-    point = JointTrajectoryPoint(positions=[float(value) for value in position])
-    if rest:
-        point.velocities = [0.0] * len(names)
-    point.time_from_start = to_duration(duration_s)
-    return JointTrajectory(joint_names=list(names), points=[point])
+    points: list[JointTrajectoryPoint] = []
+    elapsed_s = 0.0
+    for position, duration_s in rows:
+        elapsed_s += duration_s
+        point = JointTrajectoryPoint(positions=[float(value) for value in position])
+        if rest:
+            point.velocities = [0.0] * len(names)
+        point.time_from_start = to_duration(elapsed_s)
+        points.append(point)
+    return JointTrajectory(joint_names=list(names), points=points)

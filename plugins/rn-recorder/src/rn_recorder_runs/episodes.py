@@ -152,9 +152,11 @@ def read_streams(files: Sequence[Path]) -> Streams:
         elif name == "action":
             dims = message.layout.dim
             label = dims[0].label if dims else ACTION_LABEL
+            # rows that are planned after it may follow
+            data = message.data[: dims[0].size] if len(dims) > 1 else message.data
             # control refuses rows of another size as well
-            if len(message.data) == len(channel_keys(label)):
-                values = np.array(message.data, dtype=np.float64)
+            if len(data) == len(channel_keys(label)):
+                values = np.array(data, dtype=np.float64)
                 found.actions.append(RecordedAction(record.publish_ns, values, label))
         elif name == "predictions":
             found.predictions.append(

@@ -57,6 +57,17 @@ def breaking(
     elif rule == "steering":
         gate = make_gate(replace(endpoints["velocity"], min_turning_radius_m=1.0))
         request.messages[0].angular.z, request.messages[0].linear.x = 0.5, 0.0
+    elif rule == "frame":
+        place = replace(
+            endpoints["velocity"],
+            name="goal",
+            topic="goal",
+            type="geometry_msgs/msg/PoseStamped",
+            bounds={},
+            stop_message="",
+            frame="map",
+        )
+        gate, request = make_gate(place), ask(place, {"header": {"frame_id": "odom"}})
     elif rule == "joints":
         request = ask(endpoints["joints"], {"name": ["j1"], "position": [9.0]})
     elif rule == "kinematics":
@@ -76,7 +87,7 @@ def breaking(
 @pytest.mark.parametrize(
     "rule",
     [
-        *("allow_list", "role", "type", "finite", "bounds", "steering"),
+        *("allow_list", "role", "type", "finite", "bounds", "steering", "frame"),
         *("joints", "kinematics", "zone", "emergency_stop", "rate"),
     ],
 )

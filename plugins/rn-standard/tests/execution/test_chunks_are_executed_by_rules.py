@@ -281,3 +281,19 @@ def test_the_state_is_measured_unless_the_backend_takes_a_predicted_one() -> Non
     other = executor()
     other.answer(other.begin(observation(0), 0), chunk(4, 0.01), now_ns=0)
     assert other.begin(observation(1), 1).observation.ahead is None
+
+
+@pytest.mark.parametrize("mode", ["sequential", "overlap"])
+def test_what_is_planned_is_what_will_be_sent_within_the_horizon(mode: Mode) -> None:
+    made = AdaptiveExecutor(Abilities(), fixed=mode, bounds=Bounds(first_s=9.0))
+    assert made.answer(made.begin(observation(0), 0), chunk(8), now_ns=0) == "accepted"
+    row = made.play(0.0, 0)
+    assert row is not None
+    planned = made.planned(row.step_s, 3 * STEP_S)
+    assert [round(vector[0] * 1e3) for vector in planned] == [1, 2, 3]
+    later = [made.play(STEP_S * n, STEP_NS * n) for n in (1, 2, 3)]
+    assert [one.vector[0] for one in later if one is not None] == [v[0] for v in planned]
+    assert len(made.planned(row.step_s, 10.0)) == 4
+    assert made.planned(2 * row.step_s, 10.0) == []
+    made.begin_epoch()
+    assert made.planned(row.step_s, 10.0) == []

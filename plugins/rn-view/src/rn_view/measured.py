@@ -139,7 +139,9 @@ class MeasuredTopics:
     def _on_action(self, message: Float64MultiArray) -> None:
         dims = message.layout.dim
         label = dims[0].label if dims else ACTION_LABEL
-        self.actions.append(ShownAction(self._source.now_s(), label, tuple(message.data)))
+        # rows that are planned after it may follow
+        values = message.data[: dims[0].size] if len(dims) > 1 else message.data
+        self.actions.append(ShownAction(self._source.now_s(), label, tuple(values)))
 
     def _on_command(self, message: JointTrajectory) -> None:
         if message.points:

@@ -5,9 +5,9 @@ told of it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
 CameraName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
@@ -124,12 +124,31 @@ class ControlConfig(Section):
     command: Literal["joint_trajectory", "joint_state"] = Field(
         default="joint_trajectory", description="message type of the command topic"
     )
+    horizon_s: Annotated[float, Field(ge=0, le=1)] = Field(
+        default=0.0,
+        description="rows of a chunk within this time after the one that is due are limited and "
+        "sent with it, for drivers that take them; 0: none",
+    )
     switch_max_difference: Annotated[float, Field(gt=0)] = Field(
         default=0.05,
         description="a warm switch to commands or TCP poses that differ more [rad or m] is refused",
     )
     start_timeout_s: StartTimeout = None
     python: Interpreter = None
+
+    @model_validator(mode="after")
+    def _check_horizon(self) -> Self:
+        """What is sent ahead has ended when control holds because actions have ceased."""
+        if self.horizon_s > self.hold_after_s:
+            raise ValueError(
+                f"horizon_s is {self.horizon_s:g}, at most {self.hold_after_s:g} (3/4 of "
+                "action_timeout_s) are allowed"
+            )
+        if self.horizon_s and self.command == "joint_state":
+            raise ValueError(
+                "horizon_s needs command = 'joint_trajectory'; a joint_state carries no times"
+            )
+        return self
 
     @property
     def hold_after_s(self) -> float:

@@ -54,6 +54,7 @@ from .protocols import (
     AnyRuntime as AnyRuntime,
     Backend as Backend,
     Controller as Controller,
+    LookaheadDriver as LookaheadDriver,
     PerceptionSource as PerceptionSource,
     PostureInspector as PostureInspector,
     RobotDriver as RobotDriver,

@@ -207,6 +207,8 @@ class Endpoint:
         joint_limited: check positions and velocities against the profile's joint limits.
         min_turning_radius_m: of a base that steers like a car; its twists are no sharper. 0: it
             turns on the spot.
+        frame: places in what is sent (`PoseStamped` ...) have to be in this frame; empty: in any.
+        zones: boxes in that frame that no place may be in.
         repeat_hz: a value that is to last is sent again this often, because the robot stops when
             messages cease; repetitions do not count against `rate_hz`. 0: it is sent once.
     """
@@ -222,6 +224,8 @@ class Endpoint:
     joint_limited: bool = False
     min_turning_radius_m: float = 0.0
     repeat_hz: float = 0.0
+    frame: str = ""
+    zones: tuple[Obstacle, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ names (or None when it names none).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Never, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from roboneuron.contract.action import Action, ActionChunk
@@ -273,3 +273,25 @@ class RobotDriver(Protocol):
 
     def close(self) -> None:
         """Stop and disconnect; may be called twice and before `open`."""
+
+
+@runtime_checkable
+class LookaheadDriver(Protocol):
+    """What a driver offers beside `RobotDriver` when it can give its robot commands before their
+    time, as trajectory controllers take them.
+    """
+
+    def send_ahead(self, command: JointCommand, planned: Sequence[JointCommand]) -> JointCommand:
+        """Start moving as `send`; the robot goes on with `planned` by itself unless it is told
+        otherwise.
+
+        Any later `send`, `send_ahead` or `hold` replaces all that is left. The driver bounds how
+        long the robot moves by itself, and may leave out the rest.
+
+        Args:
+            command: to start with.
+            planned: within the limits; each begins where and when the one before ends.
+
+        Returns:
+            What was really sent of `command`. Raises as `send`.
+        """

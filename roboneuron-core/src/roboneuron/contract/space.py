@@ -120,6 +120,11 @@ class ControlSpace:
         return tuple(i for i, channel in enumerate(self.channels) if channel.name == GRIPPER)
 
     @property
+    def is_absolute(self) -> bool:
+        """A row says where to be, whatever has been executed before it."""
+        return self.kind in ("ee_pose", "joint_position")
+
+    @property
     def size(self) -> int:
         """Values in one row."""
         return len(self.channels)

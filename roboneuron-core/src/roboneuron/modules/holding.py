@@ -5,7 +5,7 @@ it may act on, what is sent for them, and when it holds instead.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import final
 
@@ -25,7 +25,7 @@ from roboneuron.gate.motion import (
     motion_rules,
     poses_of,
 )
-from roboneuron.gate.motion.command import pick
+from roboneuron.gate.motion.command import Asked, pick
 from roboneuron.modules.joint_watch import JointWatch
 from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.plugin import load_profile
@@ -38,11 +38,6 @@ from roboneuron.modules.settings import (
 )
 from roboneuron.ros.messages import commands_from_message, to_joint_state, to_joint_trajectory
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
-
-Answer = Callable[[JointSample, float, float], JointCommand | Hold]
-"""What is wanted for one action: called with the newest measured joints, the time that the arm has
-for it [s], and the monotonic time at which it is executed [s].
-"""
 
 
 class HoldingModule(Module):
@@ -89,6 +84,8 @@ class HoldingModule(Module):
         self._hold_is_due = False
         # a command of ours has gone out: from then on the predecessor's count no more
         self._is_sent = False
+        # the newest command goes on by itself after its row
+        self._has_plan = False
         self.on_limited: list[Callable[[LimitedCommand], None]] = []
         is_state = self.section.command == "joint_state"
         commands = (JointState, JOINT_COMMAND) if is_state else (JointTrajectory, JOINT_TRAJECTORY)
@@ -185,13 +182,13 @@ class HoldingModule(Module):
         return command
 
     @final
-    def act(self, source_ns: int, read: Callable[[], Answer]) -> None:
+    def act(self, source_ns: int, read: Callable[[], Asked]) -> None:
         """Execute an action within the limits, or count why not.
 
         Args:
             source_ns: when it was sent [ROS time, ns].
-            read: called when it may be acted on; returns what is then asked for the command. A
-                RoboNeuronError that it raises is reported, and the action dropped.
+            read: called when it may be acted on; a RoboNeuronError that it raises is reported, and
+                the action dropped.
         """
         if not self.is_active or self.handover.is_over(source_ns):
             return
@@ -201,19 +198,19 @@ class HoldingModule(Module):
             self.status.drop(reason)
             return
         try:
-            answer = read()
+            asked = read()
         except RoboNeuronError as error:
             self.status.drop("non_finite" if isinstance(error, UnsafeError) else "malformed")
             self.status.set_error(error)
             return
-        self._execute(answer, source_ns, age_s)
+        self._execute(asked, source_ns, age_s)
 
-    def _execute(self, answer: Answer, source_ns: int, age_s: float) -> None:
+    def _execute(self, asked: Asked, source_ns: int, age_s: float) -> None:
         joints = self.watched.joints
         if joints is None:  # excluded by `why_not`
             return
         now_s = time.monotonic()
-        wanted = answer(joints, self._step_s(source_ns, now_s), now_s)
+        wanted = asked.now(joints, self._step_s(source_ns, now_s), now_s)
         if self.handover.is_shadow(source_ns):
             self.handover.withhold(wanted)
             return
@@ -221,7 +218,13 @@ class HoldingModule(Module):
         if isinstance(outcome, JointCommand):
             outcome = self._limit(outcome, joints, now_s)
         self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
-        message = self._to_message(outcome) if isinstance(outcome, JointCommand) else None
+        message = None
+        if isinstance(outcome, JointCommand):
+            message = self._to_message(outcome, self._plan(asked, outcome, joints))
+        elif outcome is None and self._has_plan:
+            # the arm must not go on to rows that were planned before this one was refused
+            reason = "A row was refused; what was planned after the one before it is withdrawn."
+            outcome = Hold(code="plan_withdrawn", reason=reason)
         took_s = time.monotonic() - now_s
         if message is not None and (late := self.why_not(age_s + took_s, source_ns)):
             # A slow controller, or a process that was frozen meanwhile: the command answers to what
@@ -239,6 +242,7 @@ class HoldingModule(Module):
             self.status.drop(outcome.code)
             self.hold(outcome.code, outcome.reason)
             return
+        self._has_plan = isinstance(message, JointTrajectory) and len(message.points) > 1
         self._commands.publish(message)
         self.handover.note_sent("command")
         self._note_command()
@@ -259,6 +263,13 @@ class HoldingModule(Module):
         for tell in self.on_limited:
             tell(limited)
         return limited.command
+
+    def _plan(self, asked: Asked, command: JointCommand, joints: JointSample) -> list[JointCommand]:
+        """What goes out with `command`, each limited from where and when the one before ends."""
+        horizon_s = self.section.horizon_s
+        if not (horizon_s and asked.later):
+            return []
+        return self._limiter.plan(command, joints, asked.later, asked.step_s, horizon_s)
 
     @final
     def why_not(self, age_s: float, source_ns: int) -> str | None:
@@ -326,10 +337,14 @@ class HoldingModule(Module):
             self._command_hold(joints)
         self.status.changed.set()
 
-    def _to_message(self, command: JointCommand) -> JointTrajectory | JointState:
-        """A command as the configured type of message; a JointState carries no duration."""
+    def _to_message(
+        self, command: JointCommand, planned: Sequence[JointCommand] = ()
+    ) -> JointTrajectory | JointState:
+        """A command, and what is planned after it, as the configured type of message; a JointState
+        carries no duration and no plan.
+        """
         if self.section.command == "joint_trajectory":
-            return to_joint_trajectory(command)
+            return to_joint_trajectory(command, *planned)
         return to_joint_state(
             JointSample(names=command.names, position=command.position, stamp_ns=self.node.now_ns())
         )

@@ -13,7 +13,7 @@ from typing import Any, cast
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
 
-from roboneuron.contract import JointCommand, RobotDriver, RobotState
+from roboneuron.contract import JointCommand, LookaheadDriver, RobotDriver, RobotState
 from roboneuron.errors import InvalidInputError, NotReadyError, RoboNeuronError
 from roboneuron.modules.module_host import Module, ModuleHost
 from roboneuron.modules.plugin import build, load_profile
@@ -208,6 +208,7 @@ class RobotModule(Module):
                 return
             plan = self._pending
             command = plan.pop(0)
+            planned = tuple(plan)
             began_s = time.monotonic()
             is_late = began_s - self._due_s > self.config.robot.command_timeout_s
             # A command that is played late begins where the arm stands; in its own time the arm
@@ -225,7 +226,7 @@ class RobotModule(Module):
             return
         # what the driver says it has sent counts from here on: it may have shortened the command
         try:
-            sent = self.driver.send(command)
+            sent = self._send(command, planned)
         except RoboNeuronError as error:
             self.status.drop("refused_command")
             self.status.set_error(error)
@@ -248,6 +249,16 @@ class RobotModule(Module):
                 self._arrived.wait_for(
                     lambda: self._pending is not plan or stop.is_set(), timeout=sent.duration_s
                 )
+
+    def _send(self, command: JointCommand, planned: tuple[JointCommand, ...]) -> JointCommand:
+        """Give the driver a point, and those after it where it takes them before their time.
+
+        They are given again when they are due, so that what the driver does with them does not
+        matter here.
+        """
+        if planned and isinstance(self.driver, LookaheadDriver):
+            return self.driver.send_ahead(command, planned)
+        return self.driver.send(command)
 
     def _hold_when_silent(self) -> None:
         """Hold once when commands have ceased for `command_timeout_s`."""

@@ -5,6 +5,8 @@ garbage.
 from __future__ import annotations
 
 import array
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -24,10 +26,52 @@ from roboneuron.contract import (
     JointSample,
     Pose,
 )
+from roboneuron.contract.space import GREATEST_RATE_HZ
 from roboneuron.errors import InvalidInputError
 
 NS_PER_S = 1_000_000_000
+_PLANNED = "planned@"
+_MOST_PLANNED = 50
+"""Rows that are read: each of them is computed with every row that comes."""
 _HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class PlannedRows:
+    """Rows that a policy plans after the one that is due.
+
+    Attributes:
+        rows: float64 (k, n), in the space of that row.
+        step_s: time between two rows [s], > 0.
+    """
+
+    rows: F64
+    step_s: float
+
+    @classmethod
+    def from_action_message(cls, message: Float64MultiArray) -> Self | None:
+        """The first rows that are planned after the row of a message, unchecked; None without any.
+
+        Raises:
+            InvalidInputError: a second dimension that is none of planned rows, or has another size
+                than its values.
+        """
+        dims = message.layout.dim
+        if len(dims) < 2:
+            return None
+        width, count, label = dims[0].size, dims[1].size, dims[1].label
+        try:
+            rate_hz = float(label.removeprefix(_PLANNED)) if label.startswith(_PLANNED) else 0.0
+        except ValueError:
+            rate_hz = 0.0
+        is_whole = width > 0 and len(message.data) == width * (count + 1)
+        if len(dims) > 2 or not (0.0 < rate_hz <= GREATEST_RATE_HZ) or not is_whole:
+            raise InvalidInputError(
+                f"An action has {len(message.data)} values, and its second dimension is {label!r} "
+                f"of {count}; expected '{_PLANNED}<rows per second>' and rows of {width} values."
+            )
+        rows = np.array(message.data[width:], dtype=np.float64).reshape(count, width)
+        return cls(rows=rows[:_MOST_PLANNED], step_s=1.0 / rate_hz)
 
 
 def to_time(stamp_ns: int) -> Time:
@@ -73,27 +117,38 @@ def intrinsics_from_camera_info(message: CameraInfo) -> F64:
     return calibrated
 
 
-def to_action_message(row: F64, space: ControlSpace = EE_DELTA) -> Float64MultiArray:
+def to_action_message(
+    row: F64, space: ControlSpace = EE_DELTA, planned: PlannedRows | None = None
+) -> Float64MultiArray:
     """One row (n,) of a space -> std_msgs/Float64MultiArray with the label of the space.
 
-    The message has no stamp: control reads when it was sent from the time stamp of DDS.
+    Rows that are planned after it follow in a second dimension, "planned@<rows per second>". The
+    message has no stamp: control reads when it was sent from the time stamp of DDS.
     """
     message = Float64MultiArray()
     message.layout.dim = [
         MultiArrayDimension(label=space.label, size=space.size, stride=space.size)
     ]
     message.data = array.array("d", row.tolist())
+    if planned is not None and len(planned.rows):
+        label = f"{_PLANNED}{1.0 / planned.step_s:g}"
+        count = len(planned.rows)
+        message.layout.dim.append(
+            MultiArrayDimension(label=label, size=count, stride=count * space.size)
+        )
+        message.data.extend(planned.rows.ravel().tolist())
     return message
 
 
 def row_from_action_message(message: Float64MultiArray) -> tuple[str, F64]:
     """std_msgs/Float64MultiArray -> label of the space and float64 (n,), both unchecked.
 
-    A message without a layout counts as the contract's 7-vector.
+    A message without a layout counts as the contract's 7-vector. Planned rows are left out.
     """
     dims = message.layout.dim
     label = dims[0].label if dims else ACTION_LABEL
-    return label, np.array(message.data, dtype=np.float64)
+    values = message.data[: dims[0].size] if len(dims) > 1 else message.data
+    return label, np.array(values, dtype=np.float64)
 
 
 def to_joint_state(joints: JointSample) -> JointState:
@@ -144,20 +199,26 @@ def to_pose_stamped(pose: Pose, frame_id: str) -> PoseStamped:
     return message
 
 
-def to_joint_trajectory(command: JointCommand) -> JointTrajectory:
-    """JointCommand -> trajectory_msgs/JointTrajectory with one point, to start at once.
+def to_joint_trajectory(*commands: JointCommand) -> JointTrajectory:
+    """Commands for the same joints, one after the other -> trajectory_msgs/JointTrajectory with a
+    point each, to start at once.
 
     The stamp stays 0: by the definition of the message that means "now", whatever the clock of the
     robot's machine says.
     """
-    seconds = int(command.duration_s)
-    # rounding may make a whole second of it, which the field must not hold
-    nanoseconds = round((command.duration_s - seconds) * NS_PER_S)
-    point = JointTrajectoryPoint(
-        time_from_start=Duration(sec=seconds, nanosec=min(nanoseconds, NS_PER_S - 1))
-    )
-    point.positions = array.array("d", command.position.tolist())
-    return JointTrajectory(joint_names=list(command.names), points=[point])
+    points: list[JointTrajectoryPoint] = []
+    elapsed_s = 0.0
+    for command in commands:
+        elapsed_s += command.duration_s
+        seconds = int(elapsed_s)
+        # rounding may make a whole second of it, which the field must not hold
+        nanoseconds = round((elapsed_s - seconds) * NS_PER_S)
+        point = JointTrajectoryPoint(
+            time_from_start=Duration(sec=seconds, nanosec=min(nanoseconds, NS_PER_S - 1))
+        )
+        point.positions = array.array("d", command.position.tolist())
+        points.append(point)
+    return JointTrajectory(joint_names=list(commands[0].names), points=points)
 
 
 def commands_from_message(message: JointTrajectory | JointState) -> list[JointCommand]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
@@ -35,6 +34,7 @@ from roboneuron import (
     robot_space,
 )
 from roboneuron.node import (
+    Asked,
     HoldingModule,
     ModuleHost,
     build,
@@ -138,10 +138,8 @@ class ControlModule(HoldingModule):
         """
         self.act(int(info["source_timestamp"]), partial(self._read, message))
 
-    def _read(
-        self, message: Float64MultiArray
-    ) -> Callable[[JointSample, float, float], JointCommand | Hold]:
-        """What works out the command for an action.
+    def _read(self, message: Float64MultiArray) -> Asked:
+        """What an action asks for.
 
         Raises:
             InvalidInputError: it is malformed, or of a space that this control does not execute.
@@ -151,7 +149,19 @@ class ControlModule(HoldingModule):
         space = self._space
         if space is None or label != space.label:
             space = self._space = self._agreed_space(label)
-        return partial(self._compute, space, space.check(values))
+        now = partial(self._compute, space, space.check(values))
+        planned = messages.PlannedRows.from_action_message(message)
+        if planned is None:
+            return Asked(now=now)
+        rows = [space.check(row) for row in planned.rows]
+        # a displacement or a velocity counts from where the arm is measured when it is due: ahead
+        # of its time it would be executed twice
+        if not space.is_absolute:
+            return Asked(now=now)
+        # `_executed_spaces` has looked
+        controller = cast("SpaceController", self._controller)
+        later = tuple(partial(_execute, controller, space, row) for row in rows)
+        return Asked(now=now, later=later, step_s=planned.step_s)
 
     def _agreed_space(self, label: str) -> ControlSpace:
         """The space of an action by its label. Raises InvalidInputError for one that this control
@@ -193,6 +203,18 @@ class ControlModule(HoldingModule):
             more_s = _SHARE_OF_REST * self.remaining_s(now_s)
             answer = replace(answer, duration_s=answer.duration_s + more_s)
         return answer
+
+
+def _execute(
+    controller: SpaceController,
+    space: ControlSpace,
+    row: F64,
+    joints: JointSample,
+    step_s: float,
+    _now_s: float,
+) -> JointCommand | Hold:
+    """The controller's answer to a row that is planned."""
+    return controller.execute(space, row, joints, step_s)
 
 
 def _split(label: str) -> tuple[str, float]:

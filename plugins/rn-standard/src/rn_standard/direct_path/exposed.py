@@ -229,6 +229,10 @@ def tightened_by(endpoint: Endpoint, other: Endpoint) -> Endpoint:
         bounds[path] = (max(low, lowest), min(high, highest))
         if bounds[path][0] > bounds[path][1]:
             raise ConfigurationError(f"{where}; no value of {path} is within the bounds of both.")
+    if endpoint.frame and other.frame and endpoint.frame != other.frame:
+        raise ConfigurationError(
+            f"{where}, with limits of place in {other.frame!r} and in {endpoint.frame!r}."
+        )
     rates = [rate for rate in (endpoint.rate_hz, other.rate_hz) if rate]
     return replace(
         endpoint,
@@ -237,6 +241,8 @@ def tightened_by(endpoint: Endpoint, other: Endpoint) -> Endpoint:
         joint_limited=endpoint.joint_limited or other.joint_limited,
         min_turning_radius_m=max(endpoint.min_turning_radius_m, other.min_turning_radius_m),
         stop_message=endpoint.stop_message or other.stop_message,
+        frame=endpoint.frame or other.frame,
+        zones=(*endpoint.zones, *(zone for zone in other.zones if zone not in endpoint.zones)),
     )
 
 

@@ -1,8 +1,8 @@
 """The one gate: everything an agent sends passes it, and every decision is written down.
 
-Order: allow list, role, type, finiteness, bounds, steering, joint limits, path, emergency stop,
-rate, audit. The first rule that does not hold refuses and does not count against the rate. Refuse
-by default, clamp only where configured.
+Order: allow list, role, type, finiteness, bounds, steering, places, joint limits, path, emergency
+stop, rate, audit. The first rule that does not hold refuses and does not count against the rate.
+Refuse by default, clamp only where configured.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from rn_standard.direct_path.joints import check_joints, joint_commands
 from rn_standard.direct_path.limits import MessageChecks, check_endpoint, check_steering
 from rn_standard.direct_path.path_limits import Leg, LimitError
+from rn_standard.direct_path.places import check_places
 from rn_standard.direct_path.rate import RateLimit
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
 from roboneuron import RefusedError, RoboNeuronError
@@ -205,6 +206,9 @@ class Gate:
         yield "steering"
         for message in request.messages:
             check_steering(endpoint, message)
+        yield "place"
+        for message in request.messages:
+            check_places(endpoint, message)
         if endpoint.joint_limited:
             yield "joints"
             legs = _legs(entry, request)

@@ -19,6 +19,7 @@ from rn_standard.direct_path.fields import (
     type_name_of,
     walk_fields,
 )
+from rn_standard.direct_path.places import PLACE_TYPES
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
 from rn_standard.direct_path.twists import TWIST_FIELDS, check_twist
 from roboneuron import ConfigurationError, Endpoint, RefusedError
@@ -61,6 +62,7 @@ def check_endpoint(endpoint: Endpoint) -> None:
     if not (math.isfinite(endpoint.rate_hz) and endpoint.rate_hz >= 0.0):
         raise ConfigurationError(f"{where}: rate_hz = {endpoint.rate_hz} must be 0 or more.")
     ros_type = sent_type(endpoint)
+    _check_frame(endpoint, ros_type)
     numbers = {path: name for path, name in walk_fields(ros_type) if name in FLOATS | INTEGERS}
     for path, (low, high) in endpoint.bounds.items():
         if path not in numbers:
@@ -70,6 +72,26 @@ def check_endpoint(endpoint: Endpoint) -> None:
             )
         if not low <= high or (numbers[path] in INTEGERS and not _are_integers(low, high)):
             raise ConfigurationError(f"{where}: the bounds of {path} are [{low}, {high}].")
+
+
+def _check_frame(endpoint: Endpoint, ros_type: Any) -> None:
+    """Raise ConfigurationError unless limits of place mean something for what is sent."""
+    where = f"Endpoint {endpoint.name!r}"
+    if endpoint.zones and not endpoint.frame:
+        raise ConfigurationError(
+            f"{where} has zones and no frame.", hint='Say which frame they are in: frame = "map".'
+        )
+    types = {name for _, name in walk_fields(ros_type)}
+    nested = {name.replace("/msg", "") for name in PLACE_TYPES}
+    is_place = endpoint.type in PLACE_TYPES or not nested.isdisjoint(types)
+    if endpoint.frame and not is_place:
+        raise ConfigurationError(
+            f"{where}: {endpoint.type} sends no place, so it has no frame.",
+            hint=f"Types of places: {', '.join(PLACE_TYPES)}.",
+        )
+    for zone in endpoint.zones:
+        if not (zone.lower_m <= zone.upper_m).all():
+            raise ConfigurationError(f"{where}: the corners of the zone {zone.name!r} are swapped.")
 
 
 def sent_type(endpoint: Endpoint) -> Any:

@@ -33,6 +33,9 @@ _RESYNC = 0.5
 grid is kept.
 """
 
+_ROUNDING = 1e-6
+"""Of a horizon that is a whole number of periods."""
+
 
 @dataclass(frozen=True, slots=True)
 class Row:
@@ -198,6 +201,17 @@ class ChunkExecutor:
             return (
                 max(self._due_s, self._predecessor_s + self._rows[0].step_s) if self._rows else None
             )
+
+    def planned(self, step_s: float, horizon_s: float) -> list[F64]:
+        """Rows that are to be sent within `horizon_s` after the one that was taken last, at its
+        period `step_s`.
+
+        Rows that the predecessor of a handover plays are none of them.
+        """
+        with self.changed:
+            count = int(horizon_s / step_s + _ROUNDING)
+            rows = [row for row in self._rows if row.step_s == step_s]
+            return [row.vector for row in rows[:count]]
 
     def play(self, now_s: float, now_ns: int) -> Row | None:
         """Take the row that is due, to be sent at once while the caller holds `changed`.

@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import partial
 from typing import cast
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray
@@ -353,14 +354,27 @@ class InferenceModule(Module):
             listener(prediction.observation, prediction.mode, resets, answer)
 
     def _send(self, row: Row) -> None:
-        """Publish one row; called by the player, which holds the executor's lock."""
-        self._actions.publish(messages.to_action_message(row.vector, self.space))
+        """Publish one row, and what is planned after it; called by the player, which holds the
+        executor's lock.
+        """
+        message = messages.to_action_message(row.vector, self.space, self._planned_after(row))
+        self._actions.publish(message)
         self.status.output.tick()
         self._instruction.note_action()
         if row.is_border:
             self.note_first(row.oldest_ns)
         self.status.set_value("chunk_row", row.index + 1)
         self.status.set_value("chunk_rows", row.horizon)
+
+    def _planned_after(self, row: Row) -> messages.PlannedRows | None:
+        """Rows that come after `row` within the horizon of control."""
+        control = self.config.control
+        if control is None or not (control.horizon_s and self.space.is_absolute):
+            return None
+        vectors = self.executor.planned(row.step_s, control.horizon_s)
+        if not vectors:
+            return None
+        return messages.PlannedRows(rows=np.array(vectors), step_s=row.step_s)
 
     def note_first(self, oldest_ns: int) -> None:
         """The first action of a chunk is out, or would be: measure, and that is the proof of

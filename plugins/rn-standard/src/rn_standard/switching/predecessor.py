@@ -50,11 +50,12 @@ def _on_action(
     """Count what moves the arm until this module does; rows of another space only count."""
     dims, space = message.layout.dim, module.space
     is_ours = (dims[0].label if dims else ACTION_LABEL) == space.label
-    is_malformed = is_ours and len(message.data) != space.size
+    values = message.data[: dims[0].size] if len(dims) > 1 else message.data  # without what follows
+    is_malformed = is_ours and len(values) != space.size
     if handover.has_sent("action") or is_malformed:
         return
     handover.hear_action()
-    row = np.array(message.data) if is_ours else None
+    row = np.array(values) if is_ours else None
     module.executor.note_sent(row, time.monotonic(), module.node.now_ns())
 
 

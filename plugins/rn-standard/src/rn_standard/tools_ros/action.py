@@ -13,14 +13,15 @@ from pydantic import Field
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
+from rn_standard.direct_path.places import check_way
 from rn_standard.tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
 from rn_standard.tools_ros.exposed_types import action_of
 from rn_standard.tools_ros.goals import GoalEnd, send_goal
 from rn_standard.tools_ros.interfaces import ActionInterface
 from rn_standard.tools_ros.schemas import decoded_schema
 from rn_standard.tools_ros.targets import Targets
-from roboneuron import CallContext, StateError
-from roboneuron.feature import MotionGate, Stage
+from roboneuron import CallContext, RefusedError, StateError
+from roboneuron.feature import ExposedEndpoint, MotionGate, Stage
 
 _FEEDBACK_PERIOD_S = 0.1
 _LONGEST_S = 60.0
@@ -91,7 +92,7 @@ class GoalSending:
         halt = threading.Event()
 
         def work(stage: Stage) -> tuple[GoalEnd, _Progress]:
-            progress = _Progress(interface, stage)
+            progress = _Progress(interface, exposed, stage)
             end = send_goal(
                 self._gate,
                 exposed,
@@ -100,6 +101,7 @@ class GoalSending:
                 server_s=arguments.server_timeout_s,
                 halt=halt,
                 on_feedback=progress.take,
+                watch=progress.check,
             )
             return end, progress
 
@@ -125,17 +127,31 @@ class GoalSending:
 
 
 class _Progress:
-    """Turns feedback into progress, not more often than an agent can use."""
+    """Turns feedback into progress, not more often than an agent can use, and watches the places
+    in it.
+    """
 
-    def __init__(self, interface: ActionInterface, stage: Stage) -> None:
+    def __init__(self, interface: ActionInterface, exposed: ExposedEndpoint, stage: Stage) -> None:
         self._interface = interface
+        self._endpoint = exposed.endpoint
         self._stage = stage
         self._told_s = 0.0
+        self._violation: RefusedError | None = None
         self.count = 0
+
+    def check(self) -> None:
+        """Raise RefusedError once the feedback has told of a place in a zone."""
+        if self._violation is not None:
+            raise self._violation
 
     def take(self, feedback: object) -> None:
         """Called on the executor's thread."""
         self.count += 1
+        if self._endpoint.zones and self._violation is None:
+            try:
+                check_way(self._endpoint, feedback)
+            except RefusedError as error:
+                self._violation = error
         now_s = time.monotonic()
         if now_s - self._told_s >= _FEEDBACK_PERIOD_S:
             self._told_s = now_s

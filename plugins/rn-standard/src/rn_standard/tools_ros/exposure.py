@@ -8,6 +8,8 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from rn_standard.direct_path.exposed import (
     Use,
     by_topic,
@@ -30,7 +32,14 @@ from rn_standard.tools_ros.options import DiscoverConfig, ExposeConfig, RosTools
 from rn_standard.tools_ros.parameter_nodes import ParameterNode, parameter_node, same_for_each_node
 from rn_standard.tools_ros.pattern_limits import pattern_limits
 from rn_standard.tools_ros.tightening import ConfiguredLimits, tighten
-from roboneuron import ConfigurationError, Endpoint, InvalidInputError, RobotProfile, RobotSpec
+from roboneuron import (
+    ConfigurationError,
+    Endpoint,
+    InvalidInputError,
+    Obstacle,
+    RobotProfile,
+    RobotSpec,
+)
 from roboneuron.feature import Config, ExposedEndpoint, Registry, load_profile
 
 
@@ -178,6 +187,11 @@ def _merge(
     limits = ConfiguredLimits(
         bounds={path: (low, high) for path, (low, high) in entry.bounds.items()},
         rate_hz=entry.rate_hz,
+        frame=entry.frame,
+        zones=tuple(
+            Obstacle(name=z.name, lower_m=np.array(z.lower_m), upper_m=np.array(z.upper_m))
+            for z in entry.zones
+        ),
         clamp=frozenset(entry.clamp),
     )
     if base is None:

@@ -104,6 +104,7 @@ def send_goal(
     server_s: float,
     halt: threading.Event,
     on_feedback: Callable[[object], None],
+    watch: Callable[[], None],
 ) -> GoalEnd:
     """Own the robot's motion, send the goal and wait for its result; blocks.
 
@@ -115,10 +116,11 @@ def send_goal(
         server_s: longest wait for the action server.
         halt: set when the call is cancelled.
         on_feedback: called with each feedback message, on the executor's thread.
+        watch: called at least every 10 ms until the goal has ended; what it raises ends the goal.
 
     Raises:
-        RefusedError: the gate, or somebody else moves the robot; also when the emergency stop ended
-            it.
+        RefusedError: the gate, or somebody else moves the robot; also when the emergency stop, or
+            `watch`, ended it.
         NotReadyError: nobody serves the action, or it did not end in time.
         StateError: rejected, cancelled, or a policy took over.
     """
@@ -127,7 +129,7 @@ def send_goal(
     if request.dry_run:
         return GoalEnd(verdict=gate.ask(exposed, request))
     with gate.claim(exposed, request.tool, halt) as motion:
-        return _follow(gate, exposed, request, motion, timeout_s, server_s, on_feedback)
+        return _follow(gate, exposed, request, motion, timeout_s, server_s, on_feedback, watch)
 
 
 def _follow(
@@ -138,6 +140,7 @@ def _follow(
     timeout_s: float,
     server_s: float,
     on_feedback: Callable[[Any], None],
+    watch: Callable[[], None],
 ) -> GoalEnd:
     from unique_identifier_msgs.msg import UUID  # heavy
 
@@ -155,7 +158,12 @@ def _follow(
             raise StateError(
                 f"{exposed.topic} rejected the goal.", hint="Look at the values of the goal."
             )
-        if not goal.wait(lambda: goal.outcome is not None, timeout_s, motion.check):
+
+        def check() -> None:
+            motion.check()
+            watch()
+
+        if not goal.wait(lambda: goal.outcome is not None, timeout_s, check):
             raise NotReadyError(f"The goal of {exposed.topic} did not end within {timeout_s:g} s.")
     except RoboNeuronError as error:
         if goal.accepted is False:

@@ -13,6 +13,19 @@ EndpointName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,47}$")]
 Range = Annotated[list[float], Field(min_length=2, max_length=2)]
 
 
+Corner = Annotated[
+    list[Annotated[float, Field(ge=-1e6, le=1e6)]], Field(min_length=3, max_length=3)
+]
+
+
+class PlaceZone(Section):
+    """One entry of `zones`."""
+
+    name: str = Field(min_length=1, max_length=64, description="named in refusals")
+    lower_m: Corner = Field(description="corner [x, y, z]")
+    upper_m: Corner = Field(description="opposite corner")
+
+
 class ExposeConfig(Section):
     """`[[expose]]`: a ROS interface that agents may use directly, or limits on one that the robot's
     profile exposes.
@@ -49,6 +62,12 @@ class ExposeConfig(Section):
     )
     bounds: dict[str, Range] = Field(
         default_factory=dict, description="[lowest, highest] by field path"
+    )
+    frame: str = Field(
+        default="", max_length=200, description="places that are sent have to be in this frame"
+    )
+    zones: tuple[PlaceZone, ...] = Field(
+        default=(), strict=False, description="boxes in that frame that no place may be in"
     )
     rate_hz: Annotated[float, Field(gt=0, le=1000)] | None = Field(
         default=None, description="most messages per second"

@@ -73,6 +73,10 @@ def _describe(exposed: ExposedEndpoint, named: bool) -> str:
             parts.append(f"Must be 0: {', '.join(zeros)}.")
     if endpoint.min_turning_radius_m:
         parts.append(f"Turning radius at least {endpoint.min_turning_radius_m:g} m.")
+    if endpoint.frame:
+        zones = ", ".join(zone.name for zone in endpoint.zones)
+        parts.append(f"Places have to be in the frame {endpoint.frame!r}.")
+        parts.append(f"They must not be in these zones: {zones}." if zones else "")
     if endpoint.joint_limited:
         parts.append("The robot's joint and velocity limits are enforced.")
     if endpoint.rate_hz:

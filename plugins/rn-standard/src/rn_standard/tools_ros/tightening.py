@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from roboneuron import ConfigurationError, Endpoint
+from roboneuron import ConfigurationError, Endpoint, Obstacle
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -16,11 +16,15 @@ class ConfiguredLimits:
     Attributes:
         bounds: field path -> (lowest, highest), within the profile's.
         rate_hz: most messages per second, not above the profile's; None keeps it.
+        frame: of places; that of the profile, where it has one.
+        zones: boxes in it that no place may be in, beside the profile's.
         clamp: field paths to clamp instead of refuse; each needs a bound.
     """
 
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     rate_hz: float | None = None
+    frame: str = ""
+    zones: tuple[Obstacle, ...] = ()
     clamp: frozenset[str] = frozenset()
 
 
@@ -50,4 +54,15 @@ def tighten(endpoint: Endpoint, limits: ConfiguredLimits) -> Endpoint:
             f"Endpoint {endpoint.name!r}: rate_hz = {rate_hz:g} is above the robot's "
             f"{endpoint.rate_hz:g}."
         )
-    return replace(endpoint, bounds=bounds, rate_hz=rate_hz)
+    if endpoint.frame and limits.frame not in ("", endpoint.frame):
+        raise ConfigurationError(
+            f"Endpoint {endpoint.name!r}: frame = {limits.frame!r}, the robot's limits of place "
+            f"are in {endpoint.frame!r}."
+        )
+    return replace(
+        endpoint,
+        bounds=bounds,
+        rate_hz=rate_hz,
+        frame=endpoint.frame or limits.frame,
+        zones=(*endpoint.zones, *limits.zones),
+    )

@@ -4,7 +4,7 @@ limited, the verdict.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -68,6 +68,29 @@ def pick_others(
         name: value for name, value in known.items() if name not in arm and abs(value) <= _FARTHEST
     }
     return tuple(kept), np.array(list(kept.values()))
+
+
+Answer = Callable[[JointSample, float, float], JointCommand | Hold]
+"""What is wanted for one row: called with the newest measured joints, the time that the arm has
+for it [s], and the monotonic time at which it is executed [s].
+"""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Asked:
+    """What one action asks for.
+
+    Attributes:
+        now: the row that is due.
+        later: rows that are planned after it and say where to be, for joints that are where the
+            row before leads; sent with it as far as `[control] horizon_s` reaches. None is told as
+            limited: each is asked for anew when it is due.
+        step_s: time between two of them [s].
+    """
+
+    now: Answer
+    later: tuple[Answer, ...] = ()
+    step_s: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -4,11 +4,12 @@ before it is sent.
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Self
+from typing import Self, cast
 
 import numpy as np
 
@@ -23,7 +24,15 @@ from roboneuron.contract import (
     prismatic_joints,
 )
 from roboneuron.errors import UnsafeError
-from roboneuron.gate.motion.command import Goals, LimitedCommand, Setpoint, Step, pick, pick_others
+from roboneuron.gate.motion.command import (
+    Answer,
+    Goals,
+    LimitedCommand,
+    Setpoint,
+    Step,
+    pick,
+    pick_others,
+)
 from roboneuron.gate.motion.rules import MotionRules, inspector_of, poses_of
 from roboneuron.gate.motion.shortening import Rejection, Shortener
 
@@ -35,6 +44,8 @@ _MEMORY_S = 1.0
 """Age at which the setpoint expires: the next command starts from the measured joints, at rest."""
 _SHORTEST_S = 1e-3
 """Two messages that arrive together are no reason to divide by nothing."""
+_ROUNDING_S = 1e-6
+"""Of a horizon that is a whole number of periods."""
 
 
 class MotionLimiter:
@@ -84,6 +95,7 @@ class MotionLimiter:
         self._immediate, self._longest_s = immediate, longest_s
         self._sent: Setpoint | None = None
         self._goals = Goals()
+        self._expected: list[MotionLimiter] = []
 
     @classmethod
     def of(
@@ -130,6 +142,7 @@ class MotionLimiter:
             return LimitedCommand(
                 command=Hold(code="long_command", reason=reason), reason=reason, share=0.0
             )
+        self._advance(now_s)
         step: Step | None = None
         try:
             step = self._step(command, joints, now_s)
@@ -162,6 +175,63 @@ class MotionLimiter:
             sent=sent,
             reference_lost=step.is_lost,
         )
+
+    def plan(
+        self,
+        command: JointCommand,
+        joints: JointSample,
+        later: Sequence[Answer],
+        step_s: float,
+        horizon_s: float,
+    ) -> list[JointCommand]:
+        """Commands for what is planned after one that was just limited, each limited from where and
+        when the one before ends. They end before the first that cannot be executed.
+
+        Args:
+            command: that one, as `limit` has returned it.
+            joints: measured.
+            later: each is called with the joints where the command before ends, the time that it
+                has [s], and when that begins [monotonic s].
+            step_s: time that each has [s].
+            horizon_s: how long they may last together [s].
+        """
+        commands, last = [command], self
+        most_s = self._ends_s + horizon_s + _ROUNDING_S
+        for answer in later:
+            joints = _after(commands[-1], joints)
+            begins_s = last._ends_s
+            wanted = answer(joints, step_s, begins_s)
+            if isinstance(wanted, Hold):
+                break
+            last = last._fork()
+            limited = last.limit(wanted, joints, begins_s).command
+            is_sent = isinstance(limited, JointCommand) and limited.names == command.names
+            if not is_sent or last._ends_s > most_s:
+                break
+            self._expected.append(last)
+            commands.append(cast("JointCommand", limited))
+        return commands[1:]
+
+    @property
+    def _ends_s(self) -> float:
+        """Monotonic time at which the last command has come to its end; 0 where there is none."""
+        return 0.0 if self._sent is None else self._sent.sent_s + self._sent.duration_s
+
+    def _fork(self) -> Self:
+        """A limiter that goes on from the same setpoint on its own, for a command that begins when
+        the last one ends.
+        """
+        other = copy.copy(self)
+        other._goals = copy.copy(self._goals)
+        other._expected = []
+        return other
+
+    def _advance(self, now_s: float) -> None:
+        """Take the planned command that is in progress as the setpoint; none is planned now."""
+        for fork in self._expected:
+            if fork._sent is not None and fork._sent.sent_s <= now_s:
+                self._sent, self._goals = fork._sent, fork._goals
+        self._expected = []
 
     def follow(self, command: JointCommand, joints: JointSample, sent_s: float) -> None:
         """Take a command that another process sent, at the monotonic time `sent_s`, as the
@@ -202,7 +272,7 @@ class MotionLimiter:
 
     def rest(self, joints: JointSample | None, now_s: float) -> None:
         """Take the measured joints as the setpoint, at rest; None: they are not known."""
-        self._sent = None
+        self._sent, self._expected = None, []
         if joints is None:
             return
         with suppress(UnsafeError):
@@ -274,3 +344,13 @@ class MotionLimiter:
         position = command.position.copy()
         position[[command.names.index(name) for name in self._names]] = step.target
         return replace(command, position=position, duration_s=step.duration_s)
+
+
+def _after(command: JointCommand, joints: JointSample) -> JointSample:
+    """The joints when `command` has come to its end."""
+    ends = dict(zip(command.names, command.position.tolist(), strict=True))
+    position = [
+        ends.get(name, place)
+        for name, place in zip(joints.names, joints.position.tolist(), strict=True)
+    ]
+    return replace(joints, position=np.array(position), velocity=None)

@@ -1,0 +1,100 @@
+"""Places that a message sends something to: the frame that they have to be in, and zones that they
+have to stay out of. For bases, whose goals are poses on a map.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from rn_standard.direct_path.fields import is_message, type_name_of
+from rn_standard.direct_path.path_limits import LimitError
+from roboneuron import Endpoint, RefusedError
+
+PLACE_TYPES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped")
+"""Messages that say where, and in which frame."""
+_LEAST_NORM, _GREATEST_NORM = 0.99, 1.01
+"""Length of a quaternion that rounding can explain; nav2 takes any, and turns by what it is not."""
+
+
+def check_places(endpoint: Endpoint, message: Any) -> None:
+    """Raise unless every place in a message, at any depth, is in the frame of the endpoint and in
+    none of its zones.
+
+    Only places are judged: what leads there is the navigation's, which has to know the zones too.
+
+    Raises:
+        LimitError: of the limit "frame" or "zone"; says which place, what was asked, and what is
+            allowed.
+    """
+    if not endpoint.frame:
+        return
+    for path, place in _places(message):
+        frame_id = place.header.frame_id
+        if frame_id != endpoint.frame:
+            raise LimitError(
+                "frame",
+                f"{path}header.frame_id is {frame_id[:60]!r}, expected {endpoint.frame!r}, in "
+                "which the limits of place are.",
+            )
+        if hasattr(place, "pose"):
+            _check_rotation(f"{path}pose.orientation", place.pose.orientation)
+        for name in zones_at(endpoint, place):
+            x, y, z = _position(place)
+            raise LimitError(
+                "zone",
+                f"{path.rstrip('.') or 'The place'} ({x:.2f}, {y:.2f}, {z:.2f}) is in the zone "
+                f"{name!r}; nothing may be sent there.",
+            )
+
+
+def check_way(endpoint: Endpoint, feedback: Any) -> None:
+    """Raise RefusedError when a place in the feedback of a goal is in a zone of its endpoint.
+    Places in other frames are not judged.
+    """
+    for path, place in _places(feedback):
+        if place.header.frame_id != endpoint.frame:
+            continue
+        for name in zones_at(endpoint, place):
+            raise RefusedError(f"The robot has come into the zone {name!r}, by {path}position.")
+
+
+def zones_at(endpoint: Endpoint, place: Any) -> Iterator[str]:
+    """Names of the zones that a place is in."""
+    position = np.array(_position(place))
+    for zone in endpoint.zones:
+        if (zone.lower_m <= position).all() and (position <= zone.upper_m).all():
+            yield zone.name
+
+
+def _position(place: Any) -> tuple[float, float, float]:
+    point = place.pose.position if hasattr(place, "pose") else place.point
+    return float(point.x), float(point.y), float(point.z)
+
+
+def _check_rotation(path: str, rotation: Any) -> None:
+    norm = math.hypot(rotation.x, rotation.y, rotation.z, rotation.w)
+    if not _LEAST_NORM <= norm <= _GREATEST_NORM:
+        raise LimitError(
+            "frame",
+            f"{path} has the length {norm:.3g}, expected 1.",
+            hint="For a heading of a radians give z = sin(a / 2), w = cos(a / 2).",
+        )
+
+
+def _places(message: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Each place in a message, with the path that leads to its fields: "pose.", "poses[2]."."""
+    if type_name_of(message) in PLACE_TYPES:
+        yield path, message
+        return
+    for name in message.get_fields_and_field_types():
+        value = getattr(message, name)
+        if is_message(value):
+            yield from _places(value, f"{path}{name}.")
+        elif isinstance(value, list | tuple):
+            for index, item in enumerate(value):
+                if is_message(item):
+                    yield from _places(item, f"{path}{name}[{index}].")

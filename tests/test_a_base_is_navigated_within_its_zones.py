@@ -1,0 +1,209 @@
+"""An agent drives a simulated base by nav2's action `NavigateToPose`, through the tool that is made
+of its definition: to a goal, not into a zone, and to rest when it is cancelled or fails.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from mcp import Client, StdioServerParameters
+
+from rn_interfaces.finder import PREFIXES
+from rn_interfaces.learning import learn
+from rn_interfaces.sources import definitions
+from rn_interfaces.store import Store
+from rn_standard.demo.agent import module_status
+from rn_testing.domain import free_ros_domain
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
+EXAMPLES = Path(__file__).parents[1] / "examples"
+CONFIG = """
+[robot]
+name = "diffdrive"
+[supervisor]
+state_directory = "{state}"
+[[expose]]
+name = "drive_to"
+kind = "action"
+topic = "navigate_to_pose"
+type = "nav2_msgs/action/NavigateToPose"
+bounds = {{ "pose.pose.position.x" = [-2, 3], "pose.pose.position.y" = [-2, 2] }}
+frame = "map"
+[[expose.zones]]
+name = "stairs"
+lower_m = [0.6, -0.4, -1]
+upper_m = [1.0, 0.4, 1]
+"""
+
+
+def goal(x_m: float, y_m: float, frame: str = "map", **more: Any) -> dict[str, Any]:
+    """A goal with the heading along x."""
+    pose = {"position": {"x": x_m, "y": y_m}, "orientation": {"w": 1.0}}
+    return {"pose": {"header": {"frame_id": frame}, "pose": pose}, **more}
+
+
+class Bench:
+    """The environment of a server and of the navigator beside it."""
+
+    def __init__(self, folder: Path, environment: dict[str, str]) -> None:
+        self._folder, self._environment = folder, environment
+        self._processes: list[subprocess.Popen[str]] = []
+
+    def navigator(self, *options: str) -> None:
+        """Start the stand-in; it offers its action in the end."""
+        command = [sys.executable, str(EXAMPLES / "nav_standin.py"), "--namespace", "diffdrive"]
+        process = subprocess.Popen(
+            [*command, *options], env=self._environment, stdout=subprocess.PIPE, text=True
+        )
+        self._processes.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "navigate_to_pose is offered\n"
+
+    @asynccontextmanager
+    async def agent(self) -> AsyncIterator[Agent]:
+        """A client of a server whose base is started."""
+        config = self._folder / "roboneuron.toml"
+        config.write_text(CONFIG.format(state=self._folder / "state"))
+        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
+        server = StdioServerParameters(command=sys.executable, args=command, env=self._environment)
+        async with Client(server) as client:
+            made = Agent(client)
+            assert (await made.call("start_robot"))[0]
+            yield made
+
+    def close(self) -> None:
+        for process in self._processes:
+            process.terminate()
+            process.communicate(timeout=30)
+
+
+class Agent:
+    """Calls tools."""
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+        self.told: list[str] = []
+
+    async def call(self, tool: str, **arguments: Any) -> tuple[bool, dict[str, Any], str]:
+        """Whether it succeeded, its answer, and its text."""
+
+        async def note(progress: float, total: float | None, message: str | None) -> None:
+            self.told.append(message or "")
+
+        answer = await self.client.call_tool(tool, arguments, progress_callback=note)
+        text = answer.content[0].text  # type: ignore[union-attr]
+        return not answer.is_error, dict(answer.structured_content or {}), text
+
+    async def drive(self, to: dict[str, Any], **more: Any) -> tuple[bool, dict[str, Any], str]:
+        """Send a goal; the first one waits for the discovery of the server."""
+        return await self.call("send_drive_to_goal", goal=to, server_timeout_s=30.0, **more)
+
+    async def place(self) -> tuple[float, float]:
+        """Where the simulator has the base, and at rest."""
+        before = (math.inf, math.inf)
+        while True:
+            _, status, _ = await self.call("get_status")
+            pose = json.loads(module_status(status, "robot")["detail"]["true_pose"])
+            now = pose["x_m"], pose["y_m"]
+            if math.dist(before, now) < 1e-3:
+                return now
+            before = now
+            await anyio.sleep(0.5)
+
+
+@pytest.fixture
+def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    monkeypatch.setenv(PREFIXES, sys.prefix)
+    learnt = learn(
+        Store(tmp_path / "data" / "roboneuron" / "interfaces"), definitions(EXAMPLES / "ros")
+    )
+    assert not learnt.refused
+    environment = {
+        **os.environ,
+        "XDG_DATA_HOME": str(tmp_path / "data"),
+        "XDG_CACHE_HOME": str(tmp_path / "cache"),
+        "ROS_DOMAIN_ID": str(free_ros_domain()),
+    }
+    environment.pop(PREFIXES)
+    made = Bench(tmp_path, environment)
+    yield made
+    made.close()
+
+
+def test_a_base_drives_to_a_goal_and_into_no_zone(bench: Bench) -> None:
+    bench.navigator()
+
+    async def scenario() -> None:
+        async with bench.agent() as agent:
+            for to, told in (
+                (goal(0.8, 0.0), "is in the zone 'stairs'"),
+                (goal(0.5, 0.5, frame="odom"), "expected 'map'"),
+                (goal(0.5, 9.0), "pose.pose.position.y is 9"),
+            ):
+                succeeded, _, text = await agent.drive(to)
+                assert not succeeded
+                assert told in text
+            assert math.dist(await agent.place(), (0.0, 0.0)) < 0.01, "a refused goal moved it"
+            succeeded, answer, text = await agent.drive(goal(0.4, 0.6))
+            assert succeeded, text
+            assert answer["status"] == "succeeded"
+            assert answer["result"]["error_code"] in (0, "NONE")
+            assert any("distance_remaining" in told for told in agent.told)
+            assert math.dist(await agent.place(), (0.4, 0.6)) < 0.08
+            # straight to the other side of the zone: the navigator has no map of it
+            succeeded, _, text = await agent.drive(goal(1.3, -0.5))
+            assert not succeeded
+            assert "has come into the zone 'stairs'" in text
+            x_m, _ = await agent.place()
+            assert x_m < 1.0, "it went on through the zone"
+
+    anyio.run(scenario)
+
+
+def test_goals_that_end_otherwise_leave_a_base_at_rest(bench: Bench) -> None:
+    bench.navigator("--blocked", "2", "1", "3", "2", "--patience", "0.5")
+
+    async def scenario() -> None:
+        async with bench.agent() as agent:
+            succeeded, _, text = await agent.drive(goal(-2.0, 0.0), timeout_s=2.0)
+            assert not succeeded
+            assert "did not end within 2 s" in text
+            x_m, _ = await agent.place()
+            assert -1.5 < x_m < 0.01, "cancelled, it stands on its way"
+            succeeded, _, text = await agent.drive(goal(2.5, 1.5))
+            assert not succeeded
+            assert "aborted" in text
+            assert "no progress" in text
+            tree = {"behavior_tree": "/nowhere.xml"}
+            succeeded, _, text = await agent.drive({**goal(0.0, 0.0), **tree})
+            assert not succeeded
+            assert "FAILED_TO_LOAD_BEHAVIOR_TREE" in text or "9001" in text
+            held = await agent.place()
+            await agent.call("emergency_stop")
+            succeeded, _, text = await agent.drive(goal(0.0, 1.0))
+            assert not succeeded
+            assert math.dist(await agent.place(), held) < 0.01
+
+    anyio.run(scenario)
+
+
+def test_an_inactive_navigator_rejects(bench: Bench) -> None:
+    bench.navigator("--inactive")
+
+    async def scenario() -> None:
+        async with bench.agent() as agent:
+            succeeded, _, text = await agent.drive(goal(0.4, 0.6))
+            assert not succeeded
+            assert "rejected the goal" in text
+
+    anyio.run(scenario)
