@@ -79,7 +79,7 @@ def test_other_modes_send_the_target_alone(rig, mode):
 def test_a_driver_that_falls_silent_leaves_an_arm_at_rest_after_the_horizon(rig):
     driver = rig.driver(mode="chunks", horizon_s=0.2)
     send(driver, rows(20))
-    wait_until(lambda: last_joint(driver) > 0.0, 10.0)
+    wait_until(lambda: last_joint(driver) > 0.1, 10.0)  # it stands before it moves, too
     wait_until(lambda: speed(driver) < 1e-6, 10.0)
     assert last_joint(driver) == pytest.approx(5 * ROW_S * SPEED_RAD_S, abs=1e-3)
 
