@@ -22,17 +22,18 @@ def blocks(root: Path, language: str) -> list[str]:
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("index", [0, 1])
+@pytest.mark.parametrize("is_own", [False, True], ids=["as printed", "own configuration"])
 def test_client_configuration_block_launches_the_server(
-    root: Path, environment: dict[str, str], tmp_path: Path, index: int
+    root: Path, environment: dict[str, str], tmp_path: Path, is_own: bool
 ) -> None:
-    entry = json.loads(blocks(root, "json")[index])["mcpServers"]["roboneuron"]
+    entry = json.loads(blocks(root, "json")[0])["mcpServers"]["roboneuron"]
+    arguments = entry["args"]
+    if is_own:
+        (found,) = re.findall(r'`"args": (.*?)`', (root / "README.md").read_text(encoding="utf-8"))
+        arguments = json.loads(found)
     (tmp_path / "roboneuron.toml").write_text(default_text(), encoding="utf-8")
     parameters = StdioServerParameters(
-        command=entry["command"],
-        args=entry["args"],
-        env=environment | entry.get("env", {}),
-        cwd=tmp_path,
+        command=entry["command"], args=arguments, env=environment, cwd=tmp_path
     )
 
     async def tools() -> set[str]:
