@@ -20,6 +20,7 @@ from rn_standard.console.client import spawned_server
 from rn_standard.demo.agent import Agent
 from rn_testing.waiting import wait_until
 from roboneuron.command import RosLink
+from roboneuron.ros.environment import module_environment
 
 ROOT = Path(__file__).parents[3]
 BIN = ROOT / ".venv-lerobot" / "bin"
@@ -90,8 +91,9 @@ class Lerobot:
         self._folder = folder
         self._running: list[subprocess.Popen[str]] = []
         self._logs: dict[int, Path] = {}
+        # as in a shell: the test's own process uses the ROS wheels of another environment
         self.environment = {
-            **os.environ,
+            **module_environment(str(BIN / "python"), 0),
             "HF_HUB_OFFLINE": "1",
             "HF_HOME": str(folder / "hf"),
             "PYTHONWARNINGS": "ignore",

@@ -152,6 +152,39 @@ def test_a_mixture_is_refused(tmp_path: Path, ros: Path) -> None:
         set_defaults(environment, prefix=VENV, log_directory=tmp_path)
 
 
+def test_wheels_of_another_environment_are_no_sourced_installation(
+    tmp_path: Path, ros: Path
+) -> None:
+    """What a process of that environment hands on to those that it starts."""
+    (ros / "pyvenv.cfg").touch()
+    environment = source(ros)
+    assert find_sourced(environment, VENV) is None
+    with pytest.raises(ConfigurationError, match="has started this one") as refused:
+        set_defaults(environment, prefix=VENV, log_directory=tmp_path)
+    assert "without AMENT_PREFIX_PATH" in str(refused.value.hint)
+
+
+def test_a_command_starts_again_without_the_wheels_of_another_environment(tmp_path: Path) -> None:
+    other = lay_out(tmp_path / "other", ".".join(map(str, sys.version_info[:2])))
+    (other / "pyvenv.cfg").touch()
+    environment = {**os.environ, **source(other), BOOTSTRAP_GUARD: "1"}
+    program = (
+        "import os; from roboneuron.ros.installation import keep_apart; keep_apart([]); "
+        "names = ['AMENT_PREFIX_PATH', 'PYTHONPATH', 'LD_LIBRARY_PATH', 'ROBONEURON_ROS']; "
+        "print(*(os.environ.get(name) for name in names))"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    )
+    assert str(other) not in ended.stdout
+    assert "sourced" not in ended.stdout
+
+
 def test_folders_of_another_ros_are_named(ros: Path) -> None:
     modules = f"{ros}/lib/python3.12/site-packages"
     folders = {"LD_LIBRARY_PATH": f"{ros}/lib:/mine", "PYTHONPATH": f"/my/modules:{modules}"}

@@ -57,8 +57,11 @@ class Choice(NamedTuple):
 
 
 def find_sourced(environment: Mapping[str, str], prefix: str) -> Sourced | None:
-    """The installation that is sourced: the first prefix with an rclpy that is not `prefix`."""
-    foreign = [Path(p) for p in _split(environment, _PREFIXES) if Path(p) != Path(prefix)]
+    """The installation that is sourced: the first prefix with an rclpy that is no virtual
+    environment.
+    """
+    others = {Path(prefix), *_other_wheels(environment, prefix)}
+    foreign = [path for path in map(Path, _split(environment, _PREFIXES)) if path not in others]
     for found in foreign:
         for package in sorted(found.glob("lib/python3.*/*-packages/rclpy")):
             major, _, minor = package.parents[1].name.removeprefix("python").partition(".")
@@ -127,11 +130,19 @@ def arranged(
 
 
 def check_not_mixed(environment: Mapping[str, str], prefix: str) -> None:
-    """Refuse a sourced installation beside the libraries of the wheels.
+    """Refuse a sourced installation, or wheels of another environment, beside the libraries of the
+    wheels.
 
     Raises:
         ConfigurationError: says how to start.
     """
+    for other in _other_wheels(environment, prefix):
+        raise ConfigurationError(
+            f"A process that uses the ROS wheels of {other} has started this one, and they would "
+            f"be mixed with those of {prefix}.",
+            hint="Start it by the command `roboneuron`, which keeps them apart, or without "
+            f"{_PREFIXES}, {_LIBRARIES} and {BOOTSTRAP_GUARD}.",
+        )
     sourced = find_sourced(environment, prefix)
     if sourced is None:
         return
@@ -148,7 +159,7 @@ def check_not_mixed(environment: Mapping[str, str], prefix: str) -> None:
 
 def keep_apart(words: Sequence[str]) -> None:
     """Start this process again with the environment of one installation alone, where a sourced one
-    is in the shell; does nothing else.
+    is in the shell, or where a process of another environment has started it; does nothing else.
 
     Args:
         words: of the command line, among which may be `--config FILE`.
@@ -156,11 +167,16 @@ def keep_apart(words: Sequence[str]) -> None:
     Raises:
         ConfigurationError: as `choose`.
     """
-    sourced = find_sourced(os.environ, sys.prefix)
-    if sourced is None:
-        return
-    choice = choose(_wanted(words), sourced)
-    environment = arranged(os.environ, sys.prefix, sourced, choice)
+    environment = dict(os.environ)
+    others = _other_wheels(environment, sys.prefix)
+    if others:
+        environment.pop(BOOTSTRAP_GUARD, None)  # our own libraries come in place of theirs
+        for name in (_PREFIXES, _LIBRARIES, _MODULES):
+            _leave_out(environment, name, others)
+    sourced = find_sourced(environment, sys.prefix)
+    if sourced is not None:
+        choice = choose(_wanted(words), sourced)
+        environment = arranged(environment, sys.prefix, sourced, choice)
     if environment != dict(os.environ):
         os.execve(sys.executable, sys.orig_argv, environment)
 
@@ -205,6 +221,13 @@ def in_use(environment: Mapping[str, str], prefix: str, wanted: Installation) ->
         if Path(folder, mark).exists() and not any(Path(folder).is_relative_to(r) for r in roots)
     )
     return InUse(chosen(environment), roots, foreign)
+
+
+def _other_wheels(environment: Mapping[str, str], prefix: str) -> list[Path]:
+    """Virtual environments whose ROS wheels a process uses that has started this one."""
+    own = Path(prefix).resolve()
+    prefixes = map(Path, _split(environment, _PREFIXES))
+    return [p for p in prefixes if p.resolve() != own and (p / "pyvenv.cfg").exists()]
 
 
 def _wanted(words: Sequence[str]) -> Installation:
