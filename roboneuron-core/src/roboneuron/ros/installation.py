@@ -25,6 +25,7 @@ CHOICE = "ROBONEURON_ROS"
 _PREFIXES = "AMENT_PREFIX_PATH"
 _LIBRARIES = "LD_LIBRARY_PATH"
 _MODULES = "PYTHONPATH"
+_RCLPY = "lib/python3.*/*-packages/rclpy"
 _LEAST_PYTHON = (3, 12)
 """Of Jazzy and later; before, rclpy has another interface."""
 _OWN_PYTHON = sys.version_info[:2]
@@ -63,7 +64,7 @@ def find_sourced(environment: Mapping[str, str], prefix: str) -> Sourced | None:
     others = {Path(prefix), *_other_wheels(environment, prefix)}
     foreign = [path for path in map(Path, _split(environment, _PREFIXES)) if path not in others]
     for found in foreign:
-        for package in sorted(found.glob("lib/python3.*/*-packages/rclpy")):
+        for package in sorted(found.glob(_RCLPY)):
             major, _, minor = package.parents[1].name.removeprefix("python").partition(".")
             distribution = environment.get("ROS_DISTRO") or found.name
             return Sourced(found, distribution, (int(major), int(minor)), tuple(foreign))
@@ -226,8 +227,11 @@ def in_use(environment: Mapping[str, str], prefix: str, wanted: Installation) ->
 def _other_wheels(environment: Mapping[str, str], prefix: str) -> list[Path]:
     """Virtual environments whose ROS wheels a process uses that has started this one."""
     own = Path(prefix).resolve()
-    prefixes = map(Path, _split(environment, _PREFIXES))
-    return [p for p in prefixes if p.resolve() != own and (p / "pyvenv.cfg").exists()]
+    return [
+        found
+        for found in map(Path, _split(environment, _PREFIXES))
+        if found.resolve() != own and (found / "pyvenv.cfg").exists() and any(found.glob(_RCLPY))
+    ]
 
 
 def _wanted(words: Sequence[str]) -> Installation:
