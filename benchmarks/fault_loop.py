@@ -31,6 +31,7 @@ PARTS = ("backend", "camera", "gantry", "memory", "camera_clock")
 CONFIG = """
 [robot]
 name = "gantry"
+{robot}
 [perception]
 source = "numbering"
 cameras = ["front"]
@@ -83,13 +84,11 @@ def config_text(folder: Path, rate_hz: float, *, backend: str = "first", **more:
         rate_hz: images per second.
         backend: "first" and "second" go on blindly, "steady" and "steadier" swing about a place by
             what is measured.
-        more: more keys of `perception`, `inference`, `control`, `supervisor`, `camera`, and of each
-            backend: `policy`.
+        more: more keys of `robot`, `perception`, `inference`, `control`, `supervisor`, `camera`, and
+            of each backend: `policy`.
     """
-    keys = (
-        dict.fromkeys(("perception", "inference", "control", "supervisor", "camera", "policy"), "")
-        | more
-    )
+    tables = ("robot", "perception", "inference", "control", "supervisor", "camera", "policy")
+    keys = dict.fromkeys(tables, "") | more
     return CONFIG.format(folder=folder, rate_hz=rate_hz, backend=backend, **keys)
 
 

@@ -32,6 +32,10 @@ pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(150)]
 MEMORY_LIMIT_MB = 400
 HOLD_S = 0.5 + 0.5 + 0.5
 """max_image_age_s, then action_timeout_s, then what a busy machine adds."""
+SERVER_TIMEOUT = "server_timeout_s = 20.0"
+"""A process that a test freezes has not heard the server meanwhile: by the default of 2 s, which a
+busy machine reaches, it would rightly wait for a new start.
+"""
 STATE_HOLD_S = 0.25 + 0.1 + 0.5
 """state_timeout_s, seen within a fifth of action_timeout_s, then what a busy machine adds."""
 
@@ -68,7 +72,8 @@ class Cell:
 @pytest.fixture(scope="module")
 def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
     folder = tmp_path_factory.mktemp("faults")
-    with moving_cell(folder, 10.0) as (loop, witness):
+    more = {"robot": SERVER_TIMEOUT, "control": SERVER_TIMEOUT}
+    with moving_cell(folder, 10.0, **more) as (loop, witness):
         yield Cell(loop, witness, folder)
 
 
