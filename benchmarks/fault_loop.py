@@ -84,8 +84,8 @@ def config_text(folder: Path, rate_hz: float, *, backend: str = "first", **more:
         rate_hz: images per second.
         backend: "first" and "second" go on blindly, "steady" and "steadier" swing about a place by
             what is measured.
-        more: more keys of `robot`, `perception`, `inference`, `control`, `supervisor`, `camera`, and
-            of each backend: `policy`.
+        more: more keys of `robot`, `perception`, `inference`, `control`, `supervisor`, `camera`,
+            and of each backend: `policy`.
     """
     tables = ("robot", "perception", "inference", "control", "supervisor", "camera", "policy")
     keys = dict.fromkeys(tables, "") | more
