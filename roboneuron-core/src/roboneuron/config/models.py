@@ -84,6 +84,11 @@ class InferenceConfig(Section):
     acceleration: Name | None = Field(
         default=None, description="acceleration preset; none when not given"
     )
+    fallback: Name | None = Field(
+        default=None,
+        description="a backend that acts while the other one does not answer in time; without one "
+        "the arm holds",
+    )
     instruction: str = Field(default="", description="what to do; can be set later")
     cameras: dict[str, CameraName] = Field(
         default_factory=dict, description="camera name by role of the backend"

@@ -73,12 +73,14 @@ class AdaptiveExecutor(execution.ChunkExecutor):
         self._meter = DeliveryMeter()
         self._horizon = 0
         self._space = EE_DELTA
+        # the newest chunk is the second policy's, to which neither latency nor abilities apply
+        self._is_fallback = False
 
     def wants_prediction(self, now_s: float) -> bool:
         """As ChunkExecutor; not in `sequential`, while there are rows left."""
         with self.changed:
             rows, mode = len(self._rows), self._selector.current.mode
-            if self._step_s is None or mode == "sequential":
+            if self._step_s is None or mode == "sequential" or self._is_fallback:
                 return super().wants_prediction(now_s)
             delay_rows = self._delay_rows(self._step_s)
             if mode == "predicted-state":
@@ -107,9 +109,18 @@ class AdaptiveExecutor(execution.ChunkExecutor):
         """As ChunkExecutor: its latency may change the mode."""
         with self.changed:
             super().measure(prediction, chunk, now_ns)
+            self._is_fallback = prediction.mode == execution.FALLBACK
+            if self._is_fallback:
+                return
             self._horizon, self._space = len(chunk.actions), chunk.space
             self._latency.add(max(0.0, (now_ns - prediction.captured_ns) / 1e9))
             self._selector.update(len(chunk.actions), chunk.step_s, self._latency)
+
+    def lead_s(self, chunk: ActionChunk) -> float:
+        """As ChunkExecutor; half of the chunk where chunks overlap, see `mode.choose`."""
+        if self._selector.current.mode == "sequential":
+            return super().lead_s(chunk)
+        return len(chunk.actions) / 2 * chunk.step_s
 
     def play(self, now_s: float, now_ns: int) -> execution.Row | None:
         """As ChunkExecutor."""
@@ -157,7 +168,7 @@ class AdaptiveExecutor(execution.ChunkExecutor):
             )
 
     def _put(self, prediction: execution.Prediction, chunk: ActionChunk) -> str:
-        if prediction.mode in ("sequential", "predicted-state"):
+        if prediction.mode in ("sequential", "predicted-state", execution.FALLBACK):
             return self._queue.append(chunk, oldest_ns=prediction.observation.stamp_ns)
         return self._queue.replace(
             chunk,

@@ -160,6 +160,21 @@ def agree(
     )
 
 
+def check_same_space(first: SpaceAgreement, second: SpaceAgreement, name: str) -> None:
+    """Raise PlanningError when two policies cannot take turns: rows of both go through one control.
+
+    Args:
+        first, second: what each yields.
+        name: of the second's backend.
+    """
+    if first.executed.keys != second.executed.keys or first.executed.kind != second.executed.kind:
+        raise PlanningError(
+            f"The fallback {name!r} yields {_described(second.executed)}, the policy that it is to "
+            f"stand in for {_described(first.executed)}.",
+            hint="Choose a fallback that moves the robot in the same space, or none.",
+        )
+
+
 def _described(space: ControlSpace) -> str:
     relative = ", relative to the measured joints" if space.kind == "joint_delta" else ""
     rate = f" at {space.rate_hz:g} Hz" if space.rate_hz else ""

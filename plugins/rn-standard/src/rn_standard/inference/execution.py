@@ -35,6 +35,10 @@ grid is kept.
 
 _ROUNDING = 1e-6
 """Of a horizon that is a whole number of periods."""
+SEQUENTIAL, OVERLAP = "sequential", "overlap"
+"""Modes of predictions: the rows follow those that are there, or replace them."""
+FALLBACK = "fallback"
+"""As `sequential`, by the second policy, see `rn_standard.inference.fallback`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +83,7 @@ class Prediction:
     observation: Observation
     captured_ns: int
     epoch: int
-    mode: str = "sequential"
+    mode: str = SEQUENTIAL
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -201,6 +205,20 @@ class ChunkExecutor:
             return (
                 max(self._due_s, self._predecessor_s + self._rows[0].step_s) if self._rows else None
             )
+
+    def end_s(self) -> float | None:
+        """Monotonic time at which the last row is to be sent [s]; None without rows."""
+        with self.changed:
+            due_s = self.due_s()
+            if due_s is None:
+                return None
+            return due_s + sum(row.step_s for row in self._rows) - self._rows[0].step_s
+
+    def lead_s(self, chunk: ActionChunk) -> float:
+        """How long before the end of such a chunk the next prediction begins at the earliest
+        [s].
+        """
+        return (1.0 - _PACE) * chunk.step_s
 
     def planned(self, step_s: float, horizon_s: float) -> list[F64]:
         """Rows that are to be sent within `horizon_s` after the one that was taken last, at its

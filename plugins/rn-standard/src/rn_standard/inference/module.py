@@ -12,36 +12,32 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import cast
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import CameraInfo, Image, JointState
 from std_msgs.msg import Float64MultiArray
 
-from rn_standard.inference.agreement import agree_on_space
 from rn_standard.inference.execution import Bounds, Prediction, Row, executor_maker
+from rn_standard.inference.fallback import FallbackPolicies
 from rn_standard.inference.inputs import NewestInputs
 from rn_standard.inference.instruction import Instruction
-from rn_standard.inference.planning import Policy, find_policy
+from rn_standard.inference.loaded import load_policy, resolved_cameras
+from rn_standard.inference.planning import find_policies
 from rn_standard.inference.player import RowPlayer
 from rn_standard.inference.polled import PolledSubscriptions
 from roboneuron import (
     ActionChunk,
-    AnyRuntime,
-    Backend,
     CameraProfile,
     ConfigurationError,
     ControlSpace,
     NotReadyError,
     Observation,
-    RobotProfile,
 )
 from roboneuron.node import (
     Module,
     ModuleHost,
     Worker,
-    build,
     load_profile,
     messages,
     topics,
@@ -71,7 +67,7 @@ class InferenceModule(Module):
     """Runs one backend on the newest observation, and publishes its actions one per step.
 
     Two threads: one observes and predicts, one plays (`RowPlayer`). `ChunkExecutor` decides when
-    each does what.
+    each does what. With a fallback, the first policy has a third (`FallbackPolicies`).
 
     A feature may come between an image and its prediction (`accepts`), and between an answer and
     its execution (`deliver`).
@@ -100,41 +96,16 @@ class InferenceModule(Module):
         config, robot = self.config.inference, self.config.robot
         if config is None:
             raise ConfigurationError("The configuration has no [inference] section.")
-        policy = find_policy(
-            self.registry,
-            robot=robot.name,
-            driver=robot.driver,
-            backend=config.backend,
-            runtime=config.runtime,
-            acceleration=config.acceleration,
-            cameras=config.cameras,
-            is_driver_elsewhere=True,
-        )
-        spec = policy.backend
+        policy, second = find_policies(self.config, self.registry, in_module=True)
         profile = load_profile(self.registry, robot.name)
-        cameras = _cameras(policy, profile)
-        options = dict(self.config.options(spec.name))
+        both = [policy] if second is None else [policy, second]
+        cameras = resolved_cameras(both, profile)
+        options = dict(self.config.options(policy.backend.name))
         if config.checkpoint is not None:
             options["checkpoint"] = config.checkpoint
-        self._agreement = agree_on_space(
-            self.registry, spec, options, robot.name, self.config.control
-        )
-        self.status.set_value("space", self._agreement.executed.label)
-        parts = {
-            part: None if chosen is None else build(chosen, self.config.options(chosen.name))
-            for part, chosen in (("runtime", policy.runtime), ("acceleration", policy.acceleration))
-        }
-        self.runtime = cast("AnyRuntime | None", parts["runtime"])
-        self.backend = cast("Backend", build(spec, options, **parts))
-        node.resources.callback(self.backend.close)
-        started_s = time.monotonic()
-        self.backend.load()
-        self.status.set_value("load_s", time.monotonic() - started_s)
-        self.status.set_value("backend", spec.name)
-        self.status.set_value("runtime", policy.runtime.name if policy.runtime else "")
-        self.status.set_value(
-            "acceleration", policy.acceleration.name if policy.acceleration else ""
-        )
+        self._policy = load_policy(self.config, self.registry, policy, options, node.resources)
+        self.backend, self.runtime = self._policy.backend, self._policy.runtime
+        self._policy.report(self.status)
         self.before_prediction: list[Callable[[], None]] = []
         self.on_prediction: list[Predicted] = []
         self.accepts: list[Callable[[int], bool]] = []
@@ -142,10 +113,12 @@ class InferenceModule(Module):
         self._took_s: deque[float] = deque(maxlen=_RECENT)
         # read by the predicting thread: handing each over to it took longer than all of our work
         self._images = PolledSubscriptions(node)
+        needs_state = any(one.backend.needs_state for one in both)
+        needed = {role for one in both for role in one.backend.cameras}
         self._inputs = NewestInputs(
             cameras=cameras,
-            optional=frozenset(spec.optional_cameras),
-            needs_state=spec.needs_state,
+            optional=frozenset(cameras.keys() - needed),
+            needs_state=needs_state,
             gripper=profile.gripper,
             arms=profile.arms,
             max_age_s=config.max_image_age_s,
@@ -153,21 +126,35 @@ class InferenceModule(Module):
             now_ns=node.now_ns,
             take_images=self._images.take,
         )
-        self._subscribe(cameras, with_state=spec.needs_state)
+        self._subscribe(cameras, with_state=needs_state)
         self._actions = node.advertise(Float64MultiArray, topics.ACTION)
         bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
-        self.executor = executor_maker(node)(spec, config.execution, bounds)
+        self.executor = executor_maker(node)(policy.backend, config.execution, bounds)
         self._not_before_ns = 0
         self._is_blind = False
         self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)
         node.resources.callback(self._worker.stop, give_up=self._give_up)
+        self._fallback: FallbackPolicies | None = None
+        if second is not None:
+            standin = load_policy(
+                self.config,
+                self.registry,
+                second,
+                self.config.options(second.backend.name),
+                node.resources,
+            )
+            self._fallback = FallbackPolicies.beside(
+                self._policy, standin, self.executor, self.config, self.status
+            )
+            self._fallback.on_wait = self._worker.progress
+            node.resources.callback(self._fallback.close)
         self._instruction = Instruction(node, config.instruction, self.executor.begin_epoch)
         self._player = RowPlayer(node, self.executor, self._send)
 
     @property
     def space(self) -> ControlSpace:
         """What the rows are that are published."""
-        return self._agreement.executed
+        return self._policy.agreement.executed
 
     def activate(self) -> None:
         """Start acting on the instruction, when there is one.
@@ -265,7 +252,10 @@ class InferenceModule(Module):
         # changed meanwhile: the epoch may be that of the next one
         if self._instruction.count != count:
             return
-        chunk, took_s = self._predict(prediction)
+        answered = self._predict(prediction, observation, stop)
+        if answered is None:
+            return
+        prediction, chunk, took_s = answered
         try:
             self.deliver(prediction, chunk, stop)
         finally:
@@ -305,20 +295,28 @@ class InferenceModule(Module):
             self.status.clear_error()
         return observation
 
-    def _predict(self, prediction: Prediction) -> tuple[ActionChunk, float]:
-        """Ask the backend; its answer, and how long it took [s].
+    def _predict(
+        self, prediction: Prediction, measured: Observation, stop: threading.Event
+    ) -> tuple[Prediction, ActionChunk, float] | None:
+        """Ask the policy; what it answers, its answer, and how long it took [s]. None: not in time,
+        and the fallback is to be asked about the next image.
 
         What the backend raises goes to the status as it is, after the rows of earlier answers were
         dropped.
         """
         resets = self._instruction.is_new
-        if resets:
-            self._instruction.is_new = False
-            self.backend.reset()
+        self._instruction.is_new = False
         started_s = time.monotonic()
         try:
-            answer = self.backend.predict(prediction.observation)
-            chunk = self._agreement.convert(answer, prediction.observation.joints)
+            if self._fallback is not None:
+                answered = self._fallback.answer(prediction, measured, resets, stop)
+                if answered is None:
+                    return None
+                prediction, chunk = answered
+            else:
+                if resets:
+                    self.backend.reset()
+                chunk = self._policy.answer(prediction.observation)
         except Exception as error:
             self._notify(prediction, resets, error)
             # rows that were planned before must not go on when the newest image is refused
@@ -327,7 +325,7 @@ class InferenceModule(Module):
         took_s = time.monotonic() - started_s
         # before its actions: a recording tells them in this order
         self._notify(prediction, resets, chunk)
-        return chunk, took_s
+        return prediction, chunk, took_s
 
     def _note_prediction(self, chunk: ActionChunk, took_s: float) -> None:
         """Tell of an answer in the status.
@@ -385,18 +383,3 @@ class InferenceModule(Module):
         self.status.set_value("image_age_ms", age_ms)
         self.status.clear_error()
         self.status.set_ready()
-
-
-def _cameras(policy: Policy, profile: RobotProfile) -> dict[str, CameraProfile]:
-    """Camera by role. Raises ConfigurationError for one that the descriptor names and the profile
-    does not.
-    """
-    cameras: dict[str, CameraProfile] = {}
-    for role, name in policy.cameras.items():
-        camera = profile.camera(name)
-        if camera is None:
-            raise ConfigurationError(
-                f"Robot {profile.name!r} has no camera {name!r} for the role {role!r}."
-            )
-        cameras[role] = camera
-    return cameras

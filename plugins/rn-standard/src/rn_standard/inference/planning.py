@@ -4,20 +4,28 @@ descriptors alone, in one sentence, before anything heavy is imported.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
-from rn_standard.inference.agreement import agree_on_space
+from rn_standard.inference.agreement import agree_on_space, check_same_space
+from rn_standard.inference.fitting import (
+    check_acceleration,
+    check_action_width,
+    require,
+    resolve_cameras,
+    resolve_runtime,
+)
 from rn_standard.inference.instruction_text import check_instruction
 from roboneuron import (
     AccelerationSpec,
     BackendSpec,
     CheckpointError,
+    ConfigurationError,
     DriverSpec,
     InvalidInputError,
-    PlanningError,
     RobotSpec,
     RuntimeSpec,
     Spec,
@@ -93,13 +101,13 @@ def find_policy(
     """
     robot_spec, driver_spec = find_robot(registry, robot, driver, is_elsewhere=is_driver_elsewhere)
     spec = registry.get(BackendSpec, backend, elsewhere=is_elsewhere)
-    _check_action_width(spec, robot_spec)
-    chosen = _resolve_cameras(spec, robot_spec, cameras)
-    runtime_spec = _resolve_runtime(registry, spec, runtime, is_elsewhere)
+    check_action_width(spec, robot_spec)
+    chosen = resolve_cameras(spec, robot_spec, cameras)
+    runtime_spec = resolve_runtime(registry, spec, runtime, is_elsewhere)
     acceleration_spec = None
     if acceleration:
         acceleration_spec = registry.get(AccelerationSpec, acceleration, elsewhere=is_elsewhere)
-        _check_acceleration(registry, acceleration_spec, spec, runtime_spec)
+        check_acceleration(registry, acceleration_spec, spec, runtime_spec)
     return Policy(
         robot=robot_spec,
         driver=driver_spec,
@@ -110,11 +118,58 @@ def find_policy(
     )
 
 
+def find_policies(
+    config: Config, registry: Registry, *, in_module: bool = False
+) -> tuple[Policy, Policy | None]:
+    """The policy of `[inference]`, and its fallback, if there is one.
+
+    Args:
+        config: of the server or module.
+        registry: what is installed.
+        in_module: asked where the policies are to run, so that all of their parts must be here; the
+            driver runs elsewhere.
+
+    Raises:
+        ConfigurationError, PlanningError: as `find_policy`; the fallback is the policy itself.
+    """
+    section, robot = config.inference, config.robot
+    if section is None:
+        raise ConfigurationError("The configuration has no [inference] section.")
+    is_elsewhere = not in_module and section.python is not None
+    find = partial(
+        find_policy,
+        registry,
+        robot=robot.name,
+        driver=robot.driver,
+        is_driver_elsewhere=in_module or robot.python is not None,
+        is_elsewhere=is_elsewhere,
+    )
+    parts = section.model_dump(include={"backend", "runtime", "acceleration", "cameras"})
+    policy = find(**parts)
+    name = section.fallback
+    if name is None:
+        return policy, None
+    require(
+        name != section.backend,
+        f"The fallback is {name!r} itself; name a policy that answers when that one does not.",
+    )
+    spec = registry.get(BackendSpec, name, elsewhere=is_elsewhere)
+    roles = (*spec.cameras, *spec.optional_cameras)
+    cameras = {role: camera for role, camera in section.cameras.items() if role in roles}
+    return policy, find(backend=name, cameras=cameras)
+
+
 @dataclass(frozen=True, kw_only=True, slots=True)
 class InferencePlan(Plan):
-    """A module of this feature, see `roboneuron.node.Plan`."""
+    """A module of this feature, see `roboneuron.node.Plan`.
+
+    Attributes:
+        policy: what acts.
+        fallback: what acts while that does not answer in time; None: nothing does.
+    """
 
     policy: Policy
+    fallback: Policy | None = None
 
     @property
     def options(self) -> Mapping[str, object]:
@@ -145,11 +200,21 @@ class InferencePlan(Plan):
         plan = self._with_checkpoint()
         is_here = section.python is None and self.config.robot.python is None
         # the module does it again, where its own packages are
-        if is_here and self.policy.backend.space is not None:
-            agree_on_space(
-                registry, self.policy.backend, plan.options, self.robot.name, self.config.control
-            )
+        if is_here:
+            self._check_spaces(registry, plan.options)
         return plan
+
+    def _check_spaces(self, registry: Registry, options: Mapping[str, object]) -> None:
+        """That control executes what the backend yields, and its fallback the same."""
+        backend, second = self.policy.backend, self.fallback
+        if backend.space is None and second is None:
+            return
+        robot, control = self.robot.name, self.config.control
+        agreed = agree_on_space(registry, backend, options, robot, control)
+        if second is not None:
+            own = self.config.options(second.backend.name)
+            other = agree_on_space(registry, second.backend, own, robot, control)
+            check_same_space(agreed, other, second.backend.name)
 
     def _with_checkpoint(self) -> InferencePlan:
         """The plan with an absolute path, for the module may run in another working directory, and
@@ -200,37 +265,31 @@ class InferencePlan(Plan):
         section = running["perception"].perception if "perception" in running else None
         if section is None or not section.cameras:
             return
-        backend = self.policy.backend
-        needed = [self.policy.cameras[role] for role in backend.cameras]
-        absent = [name for name in needed if name not in section.cameras]
-        if absent:
-            raise InvalidInputError(
-                f"Backend {backend.name!r} needs the camera {', '.join(absent)}, "
-                f"but perception serves only {', '.join(section.cameras)}.",
-                hint="Let perception serve all cameras, or name others in `cameras`.",
-            )
+        for policy in filter(None, (self.policy, self.fallback)):
+            needed = [policy.cameras[role] for role in policy.backend.cameras]
+            absent = [name for name in needed if name not in section.cameras]
+            if absent:
+                raise InvalidInputError(
+                    f"Backend {policy.backend.name!r} needs the camera {', '.join(absent)}, "
+                    f"but perception serves only {', '.join(section.cameras)}.",
+                    hint="Let perception serve all cameras, or name others in `cameras`.",
+                )
 
 
 def plan_inference(config: Config, registry: Registry) -> InferencePlan:
     """The plan of `[inference]`; raises as `find_policy`."""
-    section, robot = config.inference, config.robot
+    section = config.inference
     assert section is not None
-    policy = find_policy(
-        registry,
-        robot=robot.name,
-        driver=robot.driver,
-        **section.model_dump(include={"backend", "runtime", "acceleration", "cameras"}),
-        is_driver_elsewhere=robot.python is not None,
-        is_elsewhere=section.python is not None,
-    )
+    policy, fallback = find_policies(config, registry)
     names = {
         "backend": section.backend,
         "checkpoint": section.checkpoint or "",
         "runtime": policy.runtime.name if policy.runtime else "",
         "acceleration": policy.acceleration.name if policy.acceleration else "",
         "cameras": ", ".join(f"{role}={camera}" for role, camera in policy.cameras.items()),
+        "fallback": section.fallback or "",
     }
-    needs_state = policy.backend.needs_state
+    needs_state = any(one.backend.needs_state for one in (policy, fallback) if one is not None)
     return InferencePlan(
         config=config,
         robot=policy.robot,
@@ -239,125 +298,5 @@ def plan_inference(config: Config, registry: Registry) -> InferencePlan:
         names={key: name for key, name in names.items() if name},
         inputs=("robot", "perception", "control") if needs_state else ("perception",),
         policy=policy,
-    )
-
-
-def _listed(names: Iterable[object]) -> str:
-    return ", ".join(map(str, names)) or "none"
-
-
-def _require(fits: bool, otherwise: str) -> None:
-    if not fits:
-        raise PlanningError(otherwise)
-
-
-def _check_action_width(backend: BackendSpec, robot: RobotSpec) -> None:
-    width = backend.action_space.width
-    _require(
-        bool(robot.action_widths),
-        f"Robot {robot.name!r} executes no model actions, so backend {backend.name!r} cannot "
-        "drive it.",
-    )
-    # a backend that declares its channels is compared by their names: `agree_on_space`
-    _require(
-        backend.space is not None or width in robot.action_widths,
-        f"Backend {backend.name!r} yields actions of width {width}, "
-        f"but robot {robot.name!r} executes widths {_listed(robot.action_widths)}.",
-    )
-
-
-def _resolve_cameras(
-    backend: BackendSpec, robot: RobotSpec, cameras: Mapping[str, str]
-) -> dict[str, str]:
-    known = [c.name for c in robot.cameras]
-    for role, name in cameras.items():
-        _require(
-            name in known,
-            f"Camera {name!r} for role {role!r} is unknown; robot {robot.name!r} has: "
-            f"{_listed(known)}.",
-        )
-    roles = (*backend.cameras, *backend.optional_cameras)
-    for role in cameras:
-        _require(
-            role in roles,
-            f"Backend {backend.name!r} uses no camera role {role!r}; it uses: {_listed(roles)}.",
-        )
-    # of several cameras with one role the first
-    found = {camera.role: camera.name for camera in reversed(robot.cameras)} | dict(cameras)
-    absent = [role for role in backend.cameras if role not in found]
-    has = _listed(f"{c.name} (role {c.role})" for c in robot.cameras)
-    _require(
-        not absent,
-        f"Backend {backend.name!r} needs a camera of role {_listed(absent)}, but robot "
-        f"{robot.name!r} has: {has}.",
-    )
-    return {role: found[role] for role in roles if role in found}
-
-
-def _resolve_runtime(
-    registry: Registry, backend: BackendSpec, name: str | None, is_elsewhere: bool
-) -> RuntimeSpec | None:
-    fitting = [
-        r.name
-        for r in registry.specs(RuntimeSpec).values()
-        if backend.family and backend.family in r.families
-    ]
-    wanted = name or backend.default_runtime
-    if not wanted:
-        _require(
-            not backend.runtimes_required,
-            f"Backend {backend.name!r} needs a runtime for the family {backend.family!r}; "
-            f"installed ones that fit: {_listed(fitting)}.",
-        )
-        return None
-    _require(
-        bool(backend.family),
-        f"Backend {backend.name!r} takes no runtime, but {wanted!r} was asked for.",
-    )
-    runtime = registry.get(RuntimeSpec, wanted, elsewhere=is_elsewhere)
-    _require(
-        backend.family in runtime.families,
-        f"Runtime {wanted!r} executes the families {_listed(runtime.families)}, but backend "
-        f"{backend.name!r} is of family {backend.family!r}; installed ones that fit: "
-        f"{_listed(fitting)}.",
-    )
-    return runtime
-
-
-def _check_acceleration(
-    registry: Registry,
-    acceleration: AccelerationSpec,
-    backend: BackendSpec,
-    runtime: RuntimeSpec | None,
-) -> None:
-    """The capability is offered by what executes the decoder: the runtime, or the backend when it
-    runs without one.
-    """
-    _require(
-        bool(backend.family)
-        and (not acceleration.families or backend.family in acceleration.families),
-        f"Acceleration {acceleration.name!r} knows the families "
-        f"{_listed(acceleration.families)}, "
-        f"but backend {backend.name!r} is of family {backend.family or 'none'!r}.",
-    )
-    word = acceleration.capability
-    able = [
-        r.name
-        for r in registry.specs(RuntimeSpec).values()
-        if backend.family in r.families and (not word or word in r.capabilities)
-    ]
-    if runtime is None:
-        _require(
-            bool(word) and word in backend.capabilities,
-            f"Acceleration {acceleration.name!r} needs a runtime that offers "
-            f"{word or 'a decoder'!r}, but backend {backend.name!r} was to run without one; "
-            f"installed ones that fit: {_listed(able)}.",
-        )
-        return
-    where = "runs the model in another process and " if runtime.served else ""
-    _require(
-        not word or word in runtime.capabilities,
-        f"Acceleration {acceleration.name!r} needs the capability {word!r}, but runtime "
-        f"{runtime.name!r} {where}offers {_listed(runtime.capabilities)}; installed ones that "
-        f"fit: {_listed(able)}.",
+        fallback=fallback,
     )

@@ -115,6 +115,8 @@ def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, 
     section: Section | None = config.inference
     if config.inference is None or config.inference.backend != model.backend:
         section = KIND_ENTRIES["inference"].section.model_validate({"backend": model.backend})
+    if model.fallback is not None:
+        parts["fallback"] = model.fallback
     profile = {} if model.profile is None else {"profile": model.profile}
     options = {**config.options(model.backend), **profile, **model.options}
     plugins = {**config.plugins, model.backend: options}

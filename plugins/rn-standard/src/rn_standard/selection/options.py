@@ -25,6 +25,9 @@ class NamedModelOptions(Section):
     preset: core_models.Name | None = Field(
         default=None, description="acceleration preset; none when not given"
     )
+    fallback: core_models.Name | None = Field(
+        default=None, description="a backend that acts while this one does not answer in time"
+    )
     options: dict[str, object] = Field(
         default_factory=dict, description="laid over the backend's own in [plugins]"
     )
