@@ -43,8 +43,10 @@ waiting.
 """
 HOLD_AFTER_S = 0.375
 """When control holds by default; for a module whose configuration names no control."""
-_RESERVE_S = 0.1
-"""Kept for the second policy beside its own time: for the next image, and for a busy machine."""
+_RESERVE_S = 0.05
+"""Kept for a busy machine, beside the time of the next image and that of the second policy."""
+_LEAST_SHARE = 0.25
+"""The first policy has at least this share of the time until control holds."""
 _LOOK_S = 0.05
 """How often a wait looks whether it is to end."""
 _RECENT = 20
@@ -182,6 +184,8 @@ class FallbackPolicies:
         self._first_resets = True
         self._has_acted = False
         self._took_s: deque[float] = deque([0.0], maxlen=_RECENT)
+        self._captured_ns = 0
+        self._intervals_s: deque[float] = deque(maxlen=_RECENT)  # from image to image
         self._tell()
 
     @classmethod
@@ -234,6 +238,7 @@ class FallbackPolicies:
         if resets:
             self._first_resets, self._has_acted = True, False
             self._second.backend.reset()
+        self._note_image(prediction.captured_ns)
         if self._turn.is_first:
             found = self._of_first(prediction, stop)
         else:
@@ -294,8 +299,8 @@ class FallbackPolicies:
             self._turn.note(False, time.monotonic())
             self._turn.reason = getattr(error, "message", repr(error))
             return None
-        slack_s = self._hold_after_s - self._reserve_s() + self._executor.lead_s(chunk)
-        in_time = at_s - request.asked_s <= min(self._max_age_s, slack_s)
+        allowed_s = min(self._max_age_s, self._slack_s() + self._executor.lead_s(chunk))
+        in_time = at_s - request.asked_s <= allowed_s
         if not in_time:
             self._turn.reason = f"answers take {at_s - request.asked_s:.2g} s."
         return chunk if self._turn.note(in_time, time.monotonic()) else None
@@ -320,7 +325,7 @@ class FallbackPolicies:
             except NotDone:
                 self.on_wait()
             else:
-                return True
+                break
         return not stop.is_set()
 
     def _deadline_s(self) -> float:
@@ -329,11 +334,21 @@ class FallbackPolicies:
         if not self._has_acted:
             return now_s + FIRST_S
         end_s = self._executor.end_s()
-        slack_s = self._hold_after_s - self._reserve_s()
-        return max(now_s, end_s or now_s) + max(slack_s, 0.0)
+        return max(now_s, now_s if end_s is None else end_s) + self._slack_s()
 
-    def _reserve_s(self) -> float:
-        return _RESERVE_S + 2.0 * statistics.median(self._took_s)
+    def _slack_s(self) -> float:
+        """How long after the last row an answer of the first policy is waited for [s]."""
+        reserve_s = _RESERVE_S + 2.0 * statistics.median(self._took_s)
+        if self._intervals_s:
+            reserve_s += statistics.median(self._intervals_s)
+        return max(self._hold_after_s - reserve_s, _LEAST_SHARE * self._hold_after_s)
+
+    def _note_image(self, captured_ns: int) -> None:
+        interval_s = (captured_ns - self._captured_ns) / 1e9
+        self._captured_ns = captured_ns
+        # a longer pause is no camera's period
+        if 0.0 < interval_s < self._max_age_s:
+            self._intervals_s.append(interval_s)
 
     def _take_over(self, reason: str) -> None:
         self._turn.take_over(reason)
