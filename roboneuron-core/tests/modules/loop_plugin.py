@@ -60,6 +60,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
         "slow": "Slow",
         "nan": "NaN",
         "chunked": "Chunked",
+        "moody": "Moody",
     }
     return [
         BackendSpec(
@@ -275,6 +276,16 @@ class Slow(Instant):
     def predict(self, observation: Observation) -> ActionChunk:
         time.sleep(0.3)
         return super().predict(observation)
+
+
+class Moody(Instant):
+    """Answers when it may, half as fast as `Instant` moves."""
+
+    may_answer = threading.Event()
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        self.may_answer.wait(30.0)
+        return ActionChunk(actions=np.array([[0.005, 0, 0, 0, 0, 0, 1.0]]), step_s=0.02)
 
 
 class NaN(Instant):

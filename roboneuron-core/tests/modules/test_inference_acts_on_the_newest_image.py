@@ -22,6 +22,7 @@ from roboneuron.contract import Frame, JointSample, Pose
 from roboneuron.ros.messages import to_image, to_joint_state, to_pose_stamped
 
 pytestmark = pytest.mark.ros
+WITH_FALLBACK = {'instruction = "go"': 'instruction = "go"\nfallback = "instant"'}
 
 
 class Cell:
@@ -394,3 +395,52 @@ def test_a_parameter_that_its_feature_refuses_changes_nothing(build: Callable[..
     assert result.reason == "no ROS time"
     cell.send_image()
     assert holds_within(lambda: len(cell.actions) == 1)
+
+
+def test_a_fallback_acts_while_the_policy_does_not_answer(
+    build: Callable[..., Cell], request: pytest.FixtureRequest
+) -> None:
+    cell = build(
+        "moody", replace={'instruction = "go"': 'instruction = "go"\nfallback = "instant"'}
+    )
+    may_answer = cell.inference.module.backend.may_answer
+    request.addfinalizer(may_answer.set)
+    may_answer.set()
+
+    def newest() -> float:
+        cell.send_image()
+        time.sleep(0.02)
+        return float(cell.actions[-1].data[0]) if cell.actions else 0.0
+
+    assert holds_within(lambda: newest() == 0.005)
+    assert cell.status()["fallback.acting"] == "moody"
+    may_answer.clear()
+    assert holds_within(lambda: newest() == 0.01), "the fallback acts"
+    assert cell.status()["fallback.acting"] == "instant"
+    assert cell.status()["fallback.reason"].startswith("no answer within 0.")
+    assert cell.status()["error_code"] == ""
+    assert holds_within(lambda: "instant acts in place of moody" in cell.status()["note"])
+    may_answer.set()
+    assert holds_within(lambda: newest() == 0.005, 15.0), "the policy acts again"
+    assert holds_within(lambda: cell.status()["fallback.acting"] == "moody")
+
+
+def test_a_stop_outlives_a_change_of_policies(
+    build: Callable[..., Cell], request: pytest.FixtureRequest
+) -> None:
+    """An answer to an image of before the stop moves nothing, whoever gives it."""
+    cell = build(
+        "moody", replace={'instruction = "go"': 'instruction = "go"\nfallback = "instant"'}
+    )
+    may_answer = cell.inference.module.backend.may_answer
+    request.addfinalizer(may_answer.set)
+    may_answer.clear()
+    cell.send_image()
+    cell.world.run(lambda: cell.inference.require_start("a test"))
+    may_answer.set()
+    for _ in range(20):
+        cell.send_image()
+        time.sleep(0.02)
+    assert not cell.actions
+    assert cell.instruct("go").successful
+    assert holds_within(lambda: cell.send_image() and len(cell.actions) > 0)

@@ -53,6 +53,7 @@ SPECS = (
     ),
     _named(BackendSpec, "plain"),
     _named(BackendSpec, "blind", cameras=()),
+    _named(BackendSpec, "stated", needs_state=True),
     _named(BackendSpec, "wristed", cameras=("primary", "wrist"), optional_cameras=("overhead",)),
     _named(BackendSpec, "three-eyed", cameras=("primary", "left", "right")),
     _named(BackendSpec, "two-armed", action_space=ActionSpace(width=14)),
@@ -124,6 +125,51 @@ def test_a_source_is_resolved_with_the_cameras_that_it_serves():
     assert _perception(cameras=["hand"]).names["cameras"] == "hand"
     assert _perception().inputs == ()
     assert _perception(source="sim-camera").inputs == ("robot",)
+
+
+def _inference(**section: object):
+    tables = {"robot": {"name": "arm"}, "inference": section}
+    return plan_inference(Config.model_validate(tables), REGISTRY)
+
+
+def test_a_fallback_is_planned_beside_its_policy():
+    plan = _inference(backend="wristed", fallback="stated", cameras={"primary": "hand"})
+    assert plan.fallback is not None
+    assert plan.fallback.backend.name == plan.names["fallback"] == "stated"
+    assert plan.fallback.cameras == {"primary": "hand"}, "as the policy that it stands in for"
+    assert plan.inputs == ("robot", "perception", "control"), "one of both needs the state"
+    assert _inference(backend="wristed").fallback is None
+    assert "fallback" not in _inference(backend="wristed").names
+
+
+def test_a_fallback_gets_only_camera_roles_that_it_knows():
+    plan = _inference(backend="wristed", fallback="plain", cameras={"wrist": "hand"})
+    assert plan.fallback is not None
+    assert plan.fallback.cameras == {"primary": "front"}
+
+
+@pytest.mark.parametrize(
+    ("fallback", "error", "said"),
+    [
+        ("wristed", PlanningError, "The fallback is 'wristed' itself"),
+        ("three-eyed", PlanningError, "Backend 'three-eyed' needs a camera of role left, right"),
+        ("two-armed", PlanningError, "Backend 'two-armed' yields actions of width 14"),
+        ("vla", PlanningError, "Backend 'vla' needs a runtime"),
+        ("nobody", ConfigurationError, "'nobody'"),
+    ],
+)
+def test_a_fallback_that_does_not_fit_is_refused(fallback: str, error: type[Exception], said: str):
+    with pytest.raises(error, match=said):
+        _inference(backend="wristed", fallback=fallback)
+
+
+def test_a_source_serves_the_cameras_of_the_fallback_too():
+    plan = _inference(backend="plain", fallback="wristed")
+    running = Config.model_validate(
+        {"robot": {"name": "arm"}, "perception": {"source": "camera", "cameras": ["front"]}}
+    )
+    with pytest.raises(InvalidInputError, match="Backend 'wristed' needs the camera hand"):
+        plan.check_beside({"perception": running})
 
 
 LACKING = Registry(
