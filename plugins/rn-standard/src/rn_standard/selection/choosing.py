@@ -8,10 +8,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from rn_standard.inference.planning import InferencePlan
-from rn_standard.selection.options import named_models, selection_options
+from rn_standard.selection.named import with_model
+from rn_standard.selection.options import selection_options
 from rn_standard.selection.permission import check_addresses, check_may_load, check_may_set
-from rn_standard.selection.requests import REQUESTS
-from roboneuron import Arguments, DriverSpec, InvalidInputError, RuntimeSpec, Section, Spec
+from rn_standard.selection.requests import REQUESTS, StartChosenInference
+from roboneuron import Arguments, DriverSpec, RuntimeSpec, Section, Spec
 from roboneuron.feature import (
     KIND_ENTRIES,
     Config,
@@ -47,9 +48,9 @@ def choose(
     """
     chosen_by_agent = request is not None
     request = request or REQUESTS[kind]()
-    model = getattr(request, "model", None)
-    if model is not None:
-        config, request = _with_model(config, request, model)
+    told: dict[str, str] = {}
+    if isinstance(request, StartChosenInference):
+        config, request, told = with_model(config, registry, request)
     configured = _configured_names(kind, config)
     section = _section(kind, config, registry, request)
     update: dict[str, Section] = {kind: section}
@@ -72,11 +73,7 @@ def choose(
         check_may_load(config, checkpoint)
     plan = KIND_ENTRIES[kind].check(config.model_copy(update=update), registry)
     selection = Selection.of(kind, plan)
-    return (
-        selection
-        if model is None
-        else replace(selection, names={**selection.names, "model": model})
-    )
+    return replace(selection, names={**selection.names, **told}) if told else selection
 
 
 def _configured_names(kind: ModuleKind, config: Config) -> set[str]:
@@ -90,43 +87,6 @@ def _configured_names(kind: ModuleKind, config: Config) -> set[str]:
     )
 
 
-def _with_model(config: Config, request: Arguments, name: str) -> tuple[Config, Arguments]:
-    """The configuration with `[models.<name>]` as what is configured for inference, and the rest of
-    the request.
-
-    Raises:
-        InvalidInputError: there is no such model, or the request names a part of it too.
-    """
-    models = named_models(config)
-    model = models.get(name)
-    if model is None:
-        listed = ", ".join(models) or "none; a person adds them as [models.<name>]"
-        raise InvalidInputError(
-            f"There is no model {name[:80]!r}.",
-            hint=f"The configuration has: {listed}.",
-            path="model",
-        )
-    for part in ("backend", "checkpoint", "runtime", "acceleration"):
-        if getattr(request, part) is not None:
-            raise InvalidInputError(
-                f"The model {name!r} names its {part} itself; leave it out.", path=part
-            )
-    parts = {"checkpoint": model.checkpoint, "runtime": model.runtime, "acceleration": model.preset}
-    section: Section | None = config.inference
-    if config.inference is None or config.inference.backend != model.backend:
-        section = KIND_ENTRIES["inference"].section.model_validate({"backend": model.backend})
-    if model.fallback is not None:
-        parts["fallback"] = model.fallback
-    profile = {} if model.profile is None else {"profile": model.profile}
-    options = {**config.options(model.backend), **profile, **model.options}
-    plugins = {**config.plugins, model.backend: options}
-    assert section is not None
-    config = config.model_copy(
-        update={"inference": section.model_copy(update=parts), "plugins": plugins}
-    )
-    return config, request.model_copy(update={"model": None})
-
-
 def _section(kind: ModuleKind, config: Config, registry: Registry, request: Arguments) -> Section:
     """The configured section with what the request names; one of its own for another plugin than
     the configured.
@@ -137,7 +97,7 @@ def _section(kind: ModuleKind, config: Config, registry: Registry, request: Argu
     named = {
         key: getattr(request, key)
         for key in REQUESTS[kind].model_fields
-        if key not in ("options", "model")
+        if key not in ("options", "model", "host")
     }
     wanted = named.pop(entry.noun)
     if wanted is None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from roboneuron import Section
 from roboneuron.feature import Config
@@ -25,6 +26,9 @@ class NamedModelOptions(Section):
     preset: core_models.Name | None = Field(
         default=None, description="acceleration preset; none when not given"
     )
+    host: core_models.Name | None = Field(
+        default=None, description="one of [hosts] that serves it by this name; else this machine"
+    )
     fallback: core_models.Name | None = Field(
         default=None, description="a backend that acts while this one does not answer in time"
     )
@@ -34,6 +38,25 @@ class NamedModelOptions(Section):
     summary: str = Field(
         default="", description="what it is good for; agents read it in list_models"
     )
+
+
+class HostOptions(Section):
+    """`[hosts.<name>]`: a machine that serves policies (`roboneuron serve-policy`)."""
+
+    address: str = Field(description="host:port; a name of `roboneuron link` too")
+    backend: core_models.Name = Field(
+        default="shared", description="the backend that asks that machine"
+    )
+    options: dict[str, object] = Field(
+        default_factory=dict, description="laid over that backend's own in [plugins]"
+    )
+
+    @field_validator("address")
+    @classmethod
+    def _check_address(cls, value: str) -> str:
+        if re.fullmatch(r"[^\s:/]{1,253}:\d{1,5}", value) is None:
+            raise ValueError("expected host:port, such as gpu:7420")
+        return value
 
 
 class SelectionOptions(Section):
@@ -63,6 +86,15 @@ class SelectionSections(Section):
     models: dict[core_models.Name, NamedModelOptions] = Field(
         default_factory=dict, description="policies by the name agents choose by"
     )
+
+    hosts: dict[core_models.Name, HostOptions] = Field(
+        default_factory=dict, description="machines that serve models, by name"
+    )
+
+
+def named_hosts(config: Config) -> dict[str, HostOptions]:
+    """The machines of a configuration by name."""
+    return SelectionSections(hosts=config.sections.get("hosts", {})).hosts
 
 
 def named_models(config: Config) -> dict[str, NamedModelOptions]:

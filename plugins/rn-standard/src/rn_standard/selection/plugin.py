@@ -8,7 +8,7 @@ FEATURE = FeatureSpec(
     "what they start.",
     target="rn_standard.selection.feature:SelectionFeature",
     config="rn_standard.selection.options:SelectionSections",
-    sections=("selection", "models"),
+    sections=("selection", "models", "hosts"),
     needs=("tools-loop",),
 )
 """Descriptor of the feature."""

@@ -80,6 +80,11 @@ class StartChosenInference(Arguments):
     model: str | None = Field(
         default=None, description="Name of a model in the configuration, instead of these four."
     )
+    host: str | None = Field(
+        default=None,
+        description="Machine of the configuration that runs the model; the model's own when "
+        "omitted.",
+    )
     instruction: InstructionText | None = Field(
         default=None,
         description='What to do at once, such as "pick up the red cube"; set_instruction gives '

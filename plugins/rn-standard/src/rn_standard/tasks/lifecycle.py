@@ -55,6 +55,7 @@ class ModelInfo(Result):
     checkpoint: str | None = Field(default=None, description="directory of its files")
     runtime: str | None = None
     preset: str | None = None
+    host: str | None = Field(default=None, description="machine that it runs on; this one if none")
     installed: bool = Field(description="everything that it names is installed and its files exist")
     problem: str = Field(default="", description="why it cannot be used")
     running: bool
@@ -142,6 +143,7 @@ def _info(name: str, model: NamedModelOptions, host: Host, running: bool) -> Mod
         checkpoint=model.checkpoint,
         runtime=model.runtime,
         preset=model.preset,
+        host=model.host,
         installed=not problem,
         problem=problem,
         running=running,
