@@ -39,6 +39,10 @@ SEQUENTIAL, OVERLAP = "sequential", "overlap"
 """Modes of predictions: the rows follow those that are there, or replace them."""
 FALLBACK = "fallback"
 """As `sequential`, by the second policy, see `rn_standard.inference.fallback`."""
+ACTING, REASON, COUNT = "fallback.acting", "fallback.reason", "fallback.count"
+"""In the status, where there is a second policy: which one acts, why not the first, and how often
+the second has taken over.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,8 +22,11 @@ from dataclasses import dataclass, replace
 
 from rn_standard.inference.agreement import check_same_space
 from rn_standard.inference.execution import (
+    ACTING,
+    COUNT,
     FALLBACK,
     OVERLAP,
+    REASON,
     SEQUENTIAL,
     ChunkExecutor,
     Prediction,
@@ -356,7 +359,7 @@ class FallbackPolicies:
         self._tell()
 
     def _tell(self) -> None:
-        self._status.set_value("fallback.acting", self._names[self._turn.is_first])
-        self._status.set_value("fallback.reason", self._turn.reason)
-        self._status.set_value("fallback.count", self._turn.count)
+        self._status.set_value(ACTING, self._names[self._turn.is_first])
+        self._status.set_value(REASON, self._turn.reason)
+        self._status.set_value(COUNT, self._turn.count)
         self._status.changed.set()
