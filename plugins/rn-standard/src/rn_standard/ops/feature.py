@@ -6,7 +6,6 @@ import logging
 from collections.abc import Sequence
 from typing import Any, get_args
 
-from rn_standard.ops.fallback import FallbackWatch
 from rn_standard.ops.incidents import FOLDER, Incidents
 from rn_standard.ops.memory import MemoryWatch
 from rn_standard.ops.options import OpsOptions
@@ -32,7 +31,6 @@ class Operations(Feature[OpsOptions]):
     _incidents: Incidents
     _restarts: Restarts | None = None
     _memory: MemoryWatch | None = None
-    _fallback: FallbackWatch | None = None
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """get_logs and list_incidents."""
@@ -40,7 +38,6 @@ class Operations(Feature[OpsOptions]):
         self._incidents = Incidents(host.state_directory / FOLDER)
         self._restarts = Restarts(host.loop, self.options, self._note_restart, self._before_restart)
         self._memory = MemoryWatch(host.modules, self.options.memory_limit_mb, self._note_memory)
-        self._fallback = FallbackWatch(host.modules, self._note_fallback)
         self._log = ServerLog(host.modules.log_directory)
         host.events.open.listen(self._log.open)
         self._presence = ServerPresence(host.state_directory)
@@ -70,19 +67,16 @@ class Operations(Feature[OpsOptions]):
             )
 
     def start(self, host: Host) -> None:
-        """Begin to watch the memory of modules, and which policy acts."""
+        """Begin to watch the memory of modules."""
         assert self._memory is not None
-        assert self._fallback is not None
         self._memory.start()
-        self._fallback.start()
 
     def close(self) -> None:
-        """End restarts and the watches; the log goes on until the server has ended."""
+        """End restarts and the memory watch; the log goes on until the server has ended."""
         if self._restarts is not None:
             self._restarts.close()
-        for watch in (self._memory, self._fallback):
-            if watch is not None:
-                watch.close()
+        if self._memory is not None:
+            self._memory.close()
 
     def _record(self, view: ModuleView, before: Health, health: Health) -> None:
         if health not in FAULTS:
@@ -120,6 +114,3 @@ class Operations(Feature[OpsOptions]):
     def _note_memory(self, kind: ModuleKind, what: str) -> None:
         facts = {"explanation": what, "actions": self._last_actions()}
         self._host.events.fault.tell(kind, "memory", facts)
-
-    def _note_fallback(self, what: str, explanation: str) -> None:
-        self._host.events.fault.tell("inference", what, {"explanation": explanation})

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+from rn_standard.tools_loop.fallback import FallbackWatch
 from rn_standard.tools_loop.reset import reset_tool
 from rn_standard.tools_loop.status import STATUS_URI, status_resource, status_tool
 from rn_standard.tools_loop.tools import choose_instruction, start_tools
@@ -14,6 +15,8 @@ from roboneuron import Feature, Host, Resource, Tool
 
 class LoopTools(Feature[None]):
     """start_* for each kind of module, set_instruction, get_status and reset_emergency_stop."""
+
+    _fallback: FallbackWatch | None = None
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """See Feature."""
@@ -33,3 +36,17 @@ class LoopTools(Feature[None]):
     def resources(self, host: Host) -> Sequence[Resource]:
         """See Feature."""
         return [status_resource(host.loop, host.started_s)]
+
+    def start(self, host: Host) -> None:
+        """Begin to watch which policy acts."""
+
+        def tell(what: str, explanation: str) -> None:
+            host.events.fault.tell("inference", what, {"explanation": explanation})
+
+        self._fallback = FallbackWatch(host.modules, tell)
+        self._fallback.start()
+
+    def close(self) -> None:
+        """Watch no more; idempotent."""
+        if self._fallback is not None:
+            self._fallback.close()

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from rn_standard.inference.execution import ACTING, COUNT, REASON
-from rn_standard.ops.fallback import FallbackWatch
+from rn_standard.tools_loop.fallback import FallbackWatch
 
 
 class Server:
