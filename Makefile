@@ -31,7 +31,7 @@ comma := ,
 # Packages whose results are numbers of a network.
 MODEL_TESTS := $(wildcard plugins/rn-vla/tests plugins/rn-runtime-*/tests plugins/rn-backend-*/tests \
   plugins/rn-accel-*/tests plugins/rn-policy-*/tests)
-WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
+WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native]',\
   $(patsubst %/rn-recorder,'%/rn-recorder[export]',\
   $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
   $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))))

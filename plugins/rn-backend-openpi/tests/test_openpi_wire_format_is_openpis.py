@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from rn_backend_pi0.wire import pack, unpack
-from roboneuron.errors import ConfigurationError
+from rn_backend_openpi.wire import pack, unpack
+from roboneuron.errors import InvalidInputError
 
 DTYPES = st.sampled_from(["|u1", "<f4", "<f8", "<i8", "|b1", ">f4", "<f2"])
 
@@ -46,7 +46,7 @@ def test_arrays_survive_there_and_back(array: np.ndarray) -> None:
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=64))
 def test_any_bytes_are_a_map_or_a_clear_refusal(data: bytes) -> None:
-    with suppress(ConfigurationError):
+    with suppress(InvalidInputError):
         assert isinstance(unpack(data), dict)
 
 
@@ -57,7 +57,7 @@ def test_objects_and_other_types_are_never_decoded(dtype: object) -> None:
     data = msgpack.packb(
         {"x": {b"__ndarray__": True, b"data": b"\0" * 16, b"dtype": dtype, b"shape": [1]}}
     )
-    with pytest.raises(ConfigurationError):
+    with pytest.raises(InvalidInputError):
         unpack(data)
 
 
@@ -66,7 +66,7 @@ def test_a_shape_that_does_not_fit_its_bytes_is_refused(shape: object) -> None:
     data = msgpack.packb(
         {"x": {b"__ndarray__": True, b"data": b"\0" * 8, b"dtype": "<f8", b"shape": shape}}
     )
-    with pytest.raises(ConfigurationError):
+    with pytest.raises(InvalidInputError):
         unpack(data)
 
 

@@ -1,0 +1,31 @@
+"""What this package offers RoboNeuron: the backend `openpi`, which asks a policy server."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from roboneuron import ActionSpace, BackendSpec, Requirement, hookimpl
+
+_INSTALL = "pip install msgpack websockets"
+_MODULES = tuple(Requirement(module=m, install=_INSTALL) for m in ("msgpack", "websockets"))
+MOST_ROWS = 100
+"""Of one answer."""
+BACKEND = BackendSpec(
+    name="openpi",
+    summary="any policy served elsewhere over openpi's websocket, in every action space",
+    target="rn_backend_openpi.backend:OpenpiBackend",
+    config="rn_backend_openpi.options:OpenpiOptions",
+    requires=_MODULES,
+    cameras=("primary",),
+    optional_cameras=("wrist", "right_wrist"),
+    needs_state=True,
+    action_space=ActionSpace(horizon=MOST_ROWS, step_s=0.0),
+    space="rn_backend_openpi.space:openpi_space",
+)
+"""Descriptor of the backend."""
+
+
+@hookimpl
+def roboneuron_backends() -> Sequence[BackendSpec]:
+    """The backend."""
+    return (BACKEND,)
