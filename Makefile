@@ -140,6 +140,20 @@ interop-vla-eval: $(VENV)/.develop .venv-vla-eval/.ready ## vla-eval 0.8's own c
 	.venv-vla-eval/bin/python -m pip install --quiet --disable-pip-version-check vla-eval==0.8.0
 	@touch $@
 
+test-openpi-peers: $(VENV)/.develop .venv-openpi-client/.ready ## the published openpi-client with our server, openpi's own server with our client: OPENPI=path of a checkout
+	ROBONEURON_OPENPI=$(OPENPI) $(BIN)/python -m pytest -rs \
+	  plugins/rn-backend-openpi/tests/test_openpi_public_code_is_on_the_other_end.py $(ARGS)
+
+.venv-openpi-client: .venv-openpi-client/.ready
+
+# It imports typing_extensions without asking for it.
+.venv-openpi-client/.ready:
+	@echo "Setting up .venv-openpi-client (once, ten seconds) ..."
+	$(PYTHON) -m venv .venv-openpi-client
+	.venv-openpi-client/bin/python -m pip install --quiet --disable-pip-version-check openpi-client==0.1.2 \
+	  typing_extensions
+	@touch $@
+
 record-demos: $(VENV)/.develop ## record N demonstrations in simulation, and export them as a LeRobotDataset (out/demos)
 	$(BIN)/python examples/record_demos.py -n $(N) $(ARGS)
 

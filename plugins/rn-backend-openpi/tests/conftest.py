@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ssl
+import sys
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import msgpack
@@ -15,6 +17,11 @@ import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import Server, ServerConnection, serve
+
+sys.path.insert(0, str(Path(__file__).parent))
+from openpi_format import decode, encode
+
+sys.path.pop(0)
 
 from roboneuron.contract import Frame, JointSample, Observation, Pose
 
@@ -50,29 +57,6 @@ def make_observation(
 def observe() -> Callable[..., Observation]:
     """Makes observations."""
     return make_observation
-
-
-def encode(value: Any) -> dict[bytes, Any]:
-    """numpy as openpi puts it on the wire; written from the format's description, not with the code
-    under test.
-    """
-    if isinstance(value, np.ndarray):
-        return {
-            b"__ndarray__": True,
-            b"data": value.tobytes(),
-            b"dtype": value.dtype.str,
-            b"shape": value.shape,
-        }
-    return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
-
-
-def decode(value: dict[Any, Any]) -> Any:
-    """The reverse of `encode`."""
-    if b"__ndarray__" in value:
-        return np.ndarray(
-            buffer=value[b"data"], dtype=np.dtype(value[b"dtype"]), shape=value[b"shape"]
-        )
-    return value
 
 
 class PolicyServer:

@@ -13,11 +13,20 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
+from rn_backend_openpi.case import openpi_case
 from rn_backend_openpi.interface import layout_of
 from rn_backend_openpi.options import OpenpiOptions
-from rn_backend_openpi.plugin import BACKEND
+from rn_backend_openpi.plugin import BACKEND, COMMAND
 from rn_backend_openpi.profiles import PRESETS
-from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
+from rn_backend_openpi.server_options import ServerOptions
+from rn_testing import (
+    BackendCase,
+    BackendContract,
+    CommandCase,
+    CommandContract,
+    PackageCase,
+    PackageContract,
+)
 from roboneuron.contract import Observation
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
@@ -36,6 +45,22 @@ class TestForeignServer(BackendContract):
         return BackendCase(spec=BACKEND, options=options, observe=observe)
 
 
+class TestOwnServer(BackendContract):
+    """The backend with RoboNeuron's own server."""
+
+    @pytest.fixture
+    def plugin(self) -> BackendCase:
+        return openpi_case()
+
+
+class TestCommand(CommandContract):
+    """The server's command."""
+
+    @pytest.fixture
+    def plugin(self) -> CommandCase:
+        return CommandCase(spec=COMMAND)
+
+
 class TestPackage(PackageContract):
     """The distribution as installed."""
 
@@ -45,12 +70,13 @@ class TestPackage(PackageContract):
 
 
 def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() -> None:
-    names = {*PRESETS, *OpenpiOptions.model_fields}
+    models = (OpenpiOptions, ServerOptions)
+    names = {*PRESETS, *(name for model in models for name in model.model_fields)}
     assert [name for name in sorted(names) if f"`{name}`" not in README] == []
     blocks = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
     tables = [tomllib.loads(block).get("plugins", {}).get("openpi") for block in blocks]
     read = [OpenpiOptions(**table) for table in tables if table is not None]
-    assert len(read) >= 3
+    assert len(read) >= 4
     for options in read:
         layout_of(options)
 
@@ -95,6 +121,8 @@ def test_the_client_does_without_torch() -> None:
         {"profile": "libero", "api_key_file": "k", "api_key_variable": "K"},
         {"profile": "libero", "image_size_px": [8, 8]},
         {"base_position_m": (float("nan"), 0.0, 0.0)},
+        {"server": {"clients": 0}},
+        {"server": {"precision": "float16"}},
         {"surplus": 1},
     ],
 )

@@ -42,8 +42,12 @@ _PLAIN_IMAGES = MappingProxyType(
 )
 
 
-def layout_of(options: OpenpiOptions) -> Layout:
+def layout_of(options: OpenpiOptions, space: ControlSpace | None = None) -> Layout:
     """The interface that these options describe.
+
+    Args:
+        options: of client or server.
+        space: of the profile 'roboneuron', where it is known; else the options say it.
 
     Raises:
         ConfigurationError: there is no profile, or `joints` is missing, does not fit, or has no
@@ -61,7 +65,7 @@ def layout_of(options: OpenpiOptions) -> Layout:
     size: Size | None = None if preset is None else preset.size_px
     if options.image_size_px is not None:
         size = None if options.image_size_px == "raw" else options.image_size_px
-    rows = _rows(options)
+    rows = _plain(space) if space and options.profile == PLAIN else _rows(options)
     is_open = preset is None and options.image_keys is None
     return Layout(
         name=options.profile,
@@ -96,8 +100,7 @@ def _rows(options: OpenpiOptions) -> Rows:
     base = np.array(options.base_position_m)
     preset = PRESETS.get(options.profile or "")
     if options.profile == PLAIN:
-        step_s = 1.0 / options.rate_hz if options.rate_hz else 0.0
-        return PlainRows(space=_plain_space(options), step_s=step_s)
+        return _plain(_plain_space(options))
     if preset is not None and preset.rows is not None:
         names = _joints(options)
         wanted = preset.joints * len(_arms(options))
@@ -129,6 +132,10 @@ def _rows(options: OpenpiOptions) -> Rows:
             hint="Leave it out.",
         )
     return DeltaRows(layout=layout, base_position_m=base)
+
+
+def _plain(space: ControlSpace) -> PlainRows:
+    return PlainRows(space=space, step_s=1.0 / space.rate_hz if space.rate_hz else 0.0)
 
 
 def _refuse_joints(options: OpenpiOptions) -> None:

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from rn_backend_openpi.layout import Axes
 from rn_backend_openpi.rows import GripperValue, JointKind, PoseRotation
+from rn_backend_openpi.server_options import ServerOptions
 from rn_vla.letterbox import Flip
 from rn_vla.tcp_profiles import ActionOptions, OptionSection, Vector
 from rn_vla.tcp_state import StateTerm
@@ -160,6 +161,9 @@ class OpenpiOptions(OptionSection):
     )
     prompt_key: Annotated[str, AgentMaySet()] = Field(
         default="prompt", min_length=1, description="key of the instruction"
+    )
+    server: Annotated[ServerOptions, ConfigurationOnly()] = Field(
+        default=ServerOptions(), description="of `roboneuron openpi-server`"
     )
 
     @model_validator(mode="after")
