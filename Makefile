@@ -140,8 +140,11 @@ interop-vla-eval: $(VENV)/.develop .venv-vla-eval/.ready ## vla-eval 0.8's own c
 	.venv-vla-eval/bin/python -m pip install --quiet --disable-pip-version-check vla-eval==0.8.0
 	@touch $@
 
-test-openpi-peers: $(VENV)/.develop .venv-openpi-client/.ready ## the published openpi-client with our server, openpi's own server with our client: OPENPI=path of a checkout
-	ROBONEURON_OPENPI=$(OPENPI) $(BIN)/python -m pytest -rs \
+# A checkout of https://github.com/robo-arena/roboarena.
+ROBOARENA ?= ../roboarena
+
+test-openpi-peers: $(VENV)/.develop .venv-openpi-client/.ready ## the published openpi-client, openpi's own server, RoboArena's client and server with ours: OPENPI=path ROBOARENA=path of checkouts
+	ROBONEURON_OPENPI=$(OPENPI) ROBONEURON_ROBOARENA=$(ROBOARENA) $(BIN)/python -m pytest -rs \
 	  plugins/rn-backend-openpi/tests/test_openpi_public_code_is_on_the_other_end.py $(ARGS)
 
 .venv-openpi-client: .venv-openpi-client/.ready

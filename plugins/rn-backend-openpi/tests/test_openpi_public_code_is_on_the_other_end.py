@@ -1,5 +1,5 @@
-"""openpi-client as published asks our server, and openpi's own server answers our client; both in
-the environment of `make test-openpi-peers`.
+"""openpi-client as published asks our server, and openpi's own server answers our client; likewise
+RoboArena's client and server. All in the environment of `make test-openpi-peers`.
 """
 
 from __future__ import annotations
@@ -42,6 +42,11 @@ needs_client = pytest.mark.skipif(
 )
 needs_server = pytest.mark.skipif(
     not SERVER.exists(), reason=f"{OPENPI} is no checkout of openpi; make test-openpi-peers OPENPI="
+)
+ROBOARENA = Path(os.environ.get("ROBONEURON_ROBOARENA", ROOT.parent / "roboarena"))
+needs_arena = pytest.mark.skipif(
+    not (ROBOARENA / "roboarena" / "policy_server.py").exists(),
+    reason=f"{ROBOARENA} is no checkout of roboarena; make test-openpi-peers ROBOARENA=",
 )
 ARM = tuple(f"joint{i}" for i in range(1, 8))
 KEY = "a-key-of-some-length"
@@ -116,16 +121,16 @@ def _fitted(value: Any) -> Any:
 
 
 @pytest.fixture
-def openpi_server() -> Iterator[Callable[[int], str]]:
-    """Starts openpi's own server with answers of that width; returns its URL."""
+def foreign_server() -> Iterator[Callable[..., str]]:
+    """Starts a program of `interop` with these arguments, "PORT" replaced; returns its URL."""
     processes: list[subprocess.Popen[bytes]] = []
 
-    def start(width: int) -> str:
+    def start(program: str, *arguments: object) -> str:
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
-            port = probe.getsockname()[1]
-        command = [PYTHON, INTEROP / "openpi_server_serves.py", OPENPI, str(port), str(width)]
-        processes.append(subprocess.Popen(command))
+            port = str(probe.getsockname()[1])
+        words = [port if word == "PORT" else str(word) for word in arguments]
+        processes.append(subprocess.Popen([PYTHON, INTEROP / program, *words]))
         return f"ws://127.0.0.1:{port}"
 
     yield start
@@ -138,10 +143,11 @@ def openpi_server() -> Iterator[Callable[[int], str]]:
 @needs_server
 @pytest.mark.parametrize("profile", CASES)
 def test_our_client_gets_the_rows_of_openpis_server(
-    profile: str, openpi_server: Callable[[int], str], observe: Observe
+    profile: str, foreign_server: Callable[..., str], observe: Observe
 ) -> None:
     space, given, step_s = CASES[profile]
-    url = openpi_server(len(space.channels))
+    width = len(space.channels)
+    url = foreign_server("openpi_server_serves.py", OPENPI, "PORT", width)
     options = OpenpiOptions(url=url, connect_timeout_s=30.0, request_timeout_s=20.0, **given)
     backend = OpenpiBackend(options)
     backend.load()
@@ -162,4 +168,45 @@ def test_our_client_gets_the_rows_of_openpis_server(
     with pytest.raises(NotReadyError, match="ValueError: the policy failed on purpose"):
         backend.predict(replace(seen, instruction="fail"))
     assert backend.predict(seen).metrics["connections"] == 2
+    backend.close()
+
+
+ARENA = {"profile": "roboarena", "joints": ARM}
+
+
+@needs_client
+@needs_arena
+def test_roboarenas_client_gets_an_answer() -> None:
+    channels = [Channel(name=name, unit="rad") for name in ARM]
+    channels.append(Channel(name="gripper_open", unit="opening"))
+    space = ControlSpace(kind="joint_position", channels=tuple(channels), rate_hz=15.0)
+    options = OpenpiOptions(dialect="roboarena", **ARENA)
+    with serving(options, Reflex(space, 1 / 15), space=space) as url:
+        done = subprocess.run(
+            [PYTHON, INTEROP / "roboarena_peer.py", ROBOARENA, "ask", url.rsplit(":", 1)[1]],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("joint_position (4, 8) ")
+    assert "reset successful" in done.stdout
+
+
+@needs_client
+@needs_arena
+def test_our_client_gets_the_rows_of_roboarenas_server(
+    foreign_server: Callable[..., str], observe: Observe
+) -> None:
+    url = foreign_server("roboarena_peer.py", ROBOARENA, "serve", "PORT")
+    options = OpenpiOptions(url=url, connect_timeout_s=30.0, request_timeout_s=20.0, **ARENA)
+    backend = OpenpiBackend(options)
+    backend.load()
+    seen = replace(observe(), joints=JointSample(names=ARM, position=np.zeros(7)))
+    assert [backend.predict(seen).actions[0, 6] for _ in range(2)] == [2.0, 3.0]
+    backend.reset()
+    chunk = backend.predict(seen)
+    np.testing.assert_array_equal(chunk.actions, [[0.25] * 6 + [1.0, 0.75]] * 5)
+    assert chunk.metrics["connections"] == 1
     backend.close()

@@ -18,14 +18,25 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import numpy as np
 import pytest
+from websockets.sync.client import connect
 
 from rn_backend_openpi.backend import OpenpiBackend
+from rn_backend_openpi.case import Reflex, serving
 from rn_backend_openpi.interface import layout_of
-from rn_backend_openpi.metadata import describe
+from rn_backend_openpi.metadata import describe, describe_arena
 from rn_backend_openpi.options import OpenpiOptions
-from roboneuron import ConfigurationError, JointSample, NotReadyError, Observation
+from roboneuron import (
+    Channel,
+    ConfigurationError,
+    ControlSpace,
+    JointSample,
+    NotReadyError,
+    Observation,
+    UngroundedError,
+)
 
 Observe = Callable[..., Observation]
 ARM = tuple(f"joint{i}" for i in range(1, 8))
@@ -138,6 +149,57 @@ def test_a_map_that_says_error_is_a_failure_of_the_server(
     with pytest.raises(NotReadyError, match="Internal inference error"):
         backend.predict(_seen(observe))
     backend.close()
+
+
+def test_the_server_decides_which_cameras_are_sent(policy_server: Any, observe: Observe) -> None:
+    policy_server.metadata, policy_server.answer = ARENA, _rows()
+    arena = {"profile": "roboarena", "image_keys": None}
+    images = "observation/exterior_image_0_left", "observation/exterior_image_1_left"
+    wrist = "observation/wrist_image_left"
+    backend = _backend(policy_server, **arena)
+    backend.predict(_seen(observe))
+    assert policy_server.requests[-1].keys() & {*images, wrist} == {images[0]}
+    backend.close()
+    policy_server.metadata = {**ARENA, "n_external_cameras": 2, "needs_wrist_camera": True}
+    backend = _backend(policy_server, **arena)
+    seen = _seen(observe)
+    frames = dict.fromkeys(("primary", "secondary", "wrist"), seen.frames["primary"])
+    backend.predict(replace(seen, frames=frames))
+    assert policy_server.requests[-1].keys() & {*images, wrist} == {*images, wrist}
+    del frames["secondary"]
+    with pytest.raises(UngroundedError, match="camera role 'secondary'"):
+        backend.predict(replace(seen, frames=frames))
+    backend.close()
+
+
+def test_our_server_speaks_roboarenas_dialect(observe: Observe) -> None:
+    channels = [Channel(name=name, unit="rad") for name in ARM]
+    channels.append(Channel(name="gripper_open", unit="opening"))
+    space = ControlSpace(kind="joint_position", channels=tuple(channels), rate_hz=15.0)
+    given = {"profile": "roboarena", "joints": ARM}
+    model = Reflex(space, 1 / 15)
+    with serving(OpenpiOptions(dialect="roboarena", **given), model, space=space) as url:
+        with connect(url, compression=None, proxy=None) as plain:
+            told = msgpack.unpackb(plain.recv(timeout=10.0))
+        assert told == {
+            "image_resolution": [224, 224],
+            "needs_wrist_camera": True,
+            "n_external_cameras": 2,
+            "needs_stereo_camera": False,
+            "needs_session_id": False,
+            "action_space": "joint_position",
+        }
+        backend = OpenpiBackend(OpenpiOptions(url=url, **given))
+        backend.load()
+        seen = _seen(observe)
+        frames = dict.fromkeys(("primary", "secondary", "wrist"), seen.frames["primary"])
+        backend.reset()
+        assert backend.predict(replace(seen, frames=frames)).actions.shape == (4, 8)
+        backend.close()
+    with pytest.raises(ConfigurationError, match="no name for the action space 'joint_delta'"):
+        describe_arena(
+            layout_of(OpenpiOptions(profile="roboneuron", space="joint_delta", joints=ARM))
+        )
 
 
 def test_a_server_without_a_policy_is_shown_in_its_own_words(policy_server: Any) -> None:

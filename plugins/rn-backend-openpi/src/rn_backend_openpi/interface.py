@@ -66,11 +66,11 @@ def layout_of(options: OpenpiOptions, space: ControlSpace | None = None) -> Layo
     if options.image_size_px is not None:
         size = None if options.image_size_px == "raw" else options.image_size_px
     rows = _plain(space) if space and options.profile == PLAIN else _rows(options)
-    is_open = preset is None and options.image_keys is None
+    optional = frozenset(images) - {"primary"} if preset is None else preset.optional
     return Layout(
         name=options.profile,
         image_keys=options.image_keys or images,
-        optional_roles=frozenset(images) - {"primary"} if is_open else frozenset(),
+        optional_roles=optional if options.image_keys is None else frozenset(),
         image_size_px=size,
         axes=options.image_axes or ("hwc" if preset is None else preset.axes),
         flip=options.image_flip,

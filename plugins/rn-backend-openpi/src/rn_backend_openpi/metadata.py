@@ -25,6 +25,8 @@ _ARENA_SPACES = {
     "cartesian_velocity": "",
 }
 """Spaces by RoboArena's names. Source: roboarena policy_server.py, PolicyServerConfig."""
+_EXTERNAL = "exterior_image"
+"""Word in RoboArena's keys of cameras that are not at the wrist."""
 _ARENA_MARKS = ("needs_session_id", "n_external_cameras", "needs_wrist_camera")
 
 
@@ -79,6 +81,31 @@ def describe(
     return told
 
 
+def describe_arena(layout: Layout) -> dict[str, Value]:
+    """The metadata of a server of RoboArena's kind, whose clients take no others.
+
+    Raises:
+        ConfigurationError: RoboArena has no word for the action space.
+    """
+    kinds = {kind: name for name, kind in _ARENA_SPACES.items()}
+    kind = layout.rows.space.kind
+    if kind not in kinds:
+        raise ConfigurationError(
+            f"RoboArena has no name for the action space {kind!r}.",
+            hint="Leave the option 'dialect' out.",
+        )
+    keys, size = layout.image_keys.values(), layout.image_size_px
+    external = [key for key in keys if _EXTERNAL in key]
+    return {
+        "image_resolution": None if size is None else list(size),
+        "needs_wrist_camera": len(external) < len(keys),
+        "n_external_cameras": len(external),
+        "needs_stereo_camera": False,
+        "needs_session_id": False,
+        "action_space": kinds[kind],
+    }
+
+
 def check(
     metadata: Mapping[object, object], layout: Layout, *, size_is_set: bool, dialect: str
 ) -> Told:
@@ -100,7 +127,7 @@ def check(
         _check_kind(str(metadata["action_space"]), layout)
     is_arena = not is_ours and any(mark in metadata for mark in _ARENA_MARKS)
     if is_arena:
-        _check_cameras(metadata, layout)
+        layout = _with_cameras(metadata, layout)
     layout = _with_size(metadata, layout, size_is_set=size_is_set)
     return Told(
         layout=layout,
@@ -191,19 +218,22 @@ def _check_kind(told: str, layout: Layout) -> None:
         )
 
 
-def _check_cameras(metadata: Mapping[object, object], layout: Layout) -> None:
-    """Compare with the number of images that a server of RoboArena's kind wants."""
-    keys = tuple(layout.image_keys.values())
-    count = metadata.get("n_external_cameras", 0)
-    external = [key for key in keys if "exterior_image" in key and key.endswith("_left")]
+def _with_cameras(metadata: Mapping[object, object], layout: Layout) -> Layout:
+    """The layout with the images that a server of RoboArena's kind wants, all of them compulsory.
+
+    Raises:
+        ConfigurationError: the configuration has no key for one.
+    """
+    external = [role for role, key in layout.image_keys.items() if _EXTERNAL in key]
+    wrist = [role for role, key in layout.image_keys.items() if _EXTERNAL not in key]
+    count = metadata.get("n_external_cameras", len(external))
+    needs_wrist = metadata.get("needs_wrist_camera", bool(wrist))
     lacks = ""
-    if isinstance(count, int) and count > len(external):
-        lacks = f"{count} external cameras (image_keys has {len(external)})"
-    elif metadata.get("needs_wrist_camera") is True and not any("wrist" in key for key in keys):
+    if not isinstance(count, int) or count > len(external):
+        lacks = f"{count!r} external cameras (image_keys has {len(external)})"
+    elif needs_wrist and not wrist:
         lacks = "a wrist camera"
-    elif metadata.get("needs_stereo_camera") is True and not any(
-        key.endswith("_right") for key in keys
-    ):
+    elif metadata.get("needs_stereo_camera"):
         lacks = "both images of stereo cameras"
     if lacks:
         raise ConfigurationError(
@@ -211,6 +241,10 @@ def _check_cameras(metadata: Mapping[object, object], layout: Layout) -> None:
             hint="Add the roles to image_keys, as observation/exterior_image_0_left, "
             "observation/exterior_image_1_left, observation/wrist_image_left.",
         )
+    assert isinstance(count, int)
+    chosen = (*external[:count], *(wrist if needs_wrist else ()))
+    keys = {role: layout.image_keys[role] for role in chosen}
+    return replace(layout, image_keys=keys, optional_roles=frozenset())
 
 
 def _with_size(metadata: Mapping[object, object], layout: Layout, *, size_is_set: bool) -> Layout:

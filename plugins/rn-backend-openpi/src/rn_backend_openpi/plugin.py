@@ -20,7 +20,7 @@ BACKEND = BackendSpec(
     case="rn_backend_openpi.case:openpi_case",
     requires=_MODULES,
     cameras=("primary",),
-    optional_cameras=("wrist", "right_wrist"),
+    optional_cameras=("wrist", "right_wrist", "secondary"),
     needs_state=True,
     action_space=ActionSpace(horizon=MOST_ROWS, step_s=0.0),
     space="rn_backend_openpi.space:openpi_space",

@@ -37,6 +37,7 @@ class Preset:
         rows: of joints; None: those of the TCP profile of the same name in `rn_vla.tcp_profiles`.
         size_px: height and width of the images.
         axes: of the images.
+        optional: roles that may be missing, unless the server's metadata ask for them.
         joints: how many each arm has; 0 for policies that move the TCP.
     """
 
@@ -45,6 +46,7 @@ class Preset:
     rows: JointMeaning | None = None
     size_px: Size = (224, 224)
     axes: Axes = "hwc"
+    optional: frozenset[str] = frozenset()
     joints: int = 0
 
 
@@ -74,6 +76,7 @@ _ALOHA_IMAGES = MappingProxyType(
 _ARENA_IMAGES = MappingProxyType(
     {
         "primary": "observation/exterior_image_0_left",
+        "secondary": "observation/exterior_image_1_left",
         "wrist": "observation/wrist_image_left",
     }
 )
@@ -112,6 +115,7 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
             images=_ARENA_IMAGES,
             state=_ARENA_STATE,
             rows=_droid("joint_position"),
+            optional=frozenset({"secondary"}),
             joints=7,
         ),
         "franka": Preset(

@@ -88,7 +88,7 @@ class ServedPolicy:
         options: OpenpiOptions,
     ) -> None:
         self._model, self._spec, self._layout, self._space = model, spec, layout, space
-        self._options = options.server
+        self._options, self._dialect = options.server, options.dialect
         self._batcher: Batcher | None = None
         self.clients: Callable[[], int] = lambda: 1
         """How many may ask, for the batches."""
@@ -125,6 +125,8 @@ class ServedPolicy:
 
     def metadata(self) -> dict[str, Value]:
         """What a client is told first."""
+        if self._dialect == "roboarena":
+            return metadata.describe_arena(self._layout)
         return metadata.describe(
             self._layout,
             backend=self._spec.name,
