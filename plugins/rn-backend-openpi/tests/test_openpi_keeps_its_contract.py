@@ -121,6 +121,8 @@ def test_the_client_does_without_torch() -> None:
         {"profile": "libero", "api_key_file": "k", "api_key_variable": "K"},
         {"profile": "libero", "image_size_px": [8, 8]},
         {"base_position_m": (float("nan"), 0.0, 0.0)},
+        {"profile": "libero", "rate_hz": 20.0},
+        {"profile": "droid", "space": "joint_velocity"},
         {"server": {"clients": 0}},
         {"server": {"precision": "float16"}},
         {"surplus": 1},

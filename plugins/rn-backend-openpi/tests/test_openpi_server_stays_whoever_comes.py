@@ -257,34 +257,49 @@ class Wide(Reflex):
 
     def answer(self, observations: Any) -> Any:
         chunks = super().answer(observations)
-        rows = np.tile(chunks[0].actions, (40_000, 1))
+        rows = np.tile(chunks[0].actions, (20_000, 1))
         return [ActionChunk(actions=rows, step_s=0.1) for _ in observations]
 
 
-def test_a_client_that_does_not_read_holds_nobody_up(caplog: pytest.LogCaptureFixture) -> None:
-    options = OpenpiOptions(profile="roboneuron", server={"send_timeout_s": 0.5})
-    request = {"observation/image": GREY, "prompt": "go", "observation/gripper_open": STATE[:1]}
-    data = msgpack.packb(request, default=encode)
-    with serving(options, Wide()) as url:
-        plain = socket.socket()
+PLAIN = msgpack.packb(
+    {"observation/image": GREY, "prompt": "go", "observation/gripper_open": STATE[:1]},
+    default=encode,
+)
+
+
+@contextmanager
+def _reading_nothing(url: str) -> Iterator[None]:
+    """A client that asks again and again and reads no answer."""
+    with socket.socket() as plain:
         plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         plain.connect(("127.0.0.1", int(url.rsplit(":", 1)[1])))
         quiet = {"compression": None, "max_size": None, "proxy": None, "close_timeout": 0.1}
         slow = connect(url, sock=plain, max_queue=1, **quiet)
         with suppress(ConnectionClosed, OSError):
             for _ in range(4):
-                slow.send(data)
-        with _open(url) as good:
-            start = time.monotonic()
-            for _ in range(3):
-                assert _ask(good, data)["actions"].shape == (160_000, 7)
-            assert time.monotonic() - start < 5.0
-            deadline_s = time.monotonic() + SLACK_S
-            while "does not read; it is dropped" not in caplog.text:
-                assert time.monotonic() < deadline_s
-                _ask(good, data)
+                slow.send(PLAIN)
+        yield
         plain.close()
         slow.close()
+
+
+def test_a_client_that_does_not_read_holds_nobody_up() -> None:
+    # were it waited for, that would be for a minute
+    options = OpenpiOptions(profile="roboneuron", server={"send_timeout_s": 60.0})
+    with serving(options, Wide()) as url, _reading_nothing(url), _open(url) as good:
+        start = time.monotonic()
+        for _ in range(3):
+            assert _ask(good, PLAIN)["actions"].shape == (80_000, 7)
+        assert time.monotonic() - start < 30.0
+
+
+def test_a_client_that_does_not_read_is_dropped(caplog: pytest.LogCaptureFixture) -> None:
+    options = OpenpiOptions(profile="roboneuron", server={"send_timeout_s": 0.3})
+    with serving(options, Wide()) as url, _reading_nothing(url):
+        deadline_s = time.monotonic() + 30.0
+        while "does not read; it is dropped" not in caplog.text:
+            assert time.monotonic() < deadline_s
+            assert _get(url, "/healthz") == (200, b"OK\n")
 
 
 def test_a_client_that_asks_nothing_for_long_is_let_go() -> None:
@@ -312,6 +327,18 @@ def test_a_model_that_hangs_is_told_in_time() -> None:
             assert "gave no answer before the deadline" in _ask(connection)
             assert time.monotonic() - start < 0.3 + SLACK_S
         Stuck.released.set()
+
+
+def test_a_server_that_ends_waits_for_no_model() -> None:
+    Stuck.released.clear()
+    with ExitStack() as kept:
+        with serving(_options(answer_timeout_s=1.0), Stuck(step_s=0.05)) as url:
+            connection = kept.enter_context(_open(url))
+            connection.send(msgpack.packb(REQUEST, default=encode))
+            threading.Timer(3.0, Stuck.released.set).start()
+            start = time.monotonic()
+        # the model answers after the loop has ended, and closing waits for it, not for the client
+        assert time.monotonic() - start < 3.0 + SLACK_S
 
 
 class Broken(Reflex):
@@ -469,6 +496,10 @@ def _text(backend: str, openpi: str = "", server: str = "") -> str:
         (
             _text("still-many", 'profile = "libero"\nimage_keys = {wrist = "w"}'),
             "needs the camera 'primary'; profile 'libero' has keys for wrist",
+        ),
+        (
+            _text("still-many", 'profile = "roboneuron"\nspace = "ee_pose"\nrate_hz = 5.0'),
+            "answers in 'ee_delta_base', profile 'roboneuron' is for 'ee_pose@5:x,y,z",
         ),
         (_text("still"), "set stateless = true in \\[plugins.openpi.server\\]"),
     ],

@@ -136,7 +136,7 @@ class PolicyClient:
         except (OSError, WebSocketException) as error:
             self._drop()
             raise NotReadyError(f"The reset at {self._url} failed: {_reason(error)}.") from error
-        if isinstance(told, str) and told.strip() != _RESET_DONE:
+        if told != _RESET_DONE:
             self._decoded(told)
 
     def close(self) -> None:

@@ -18,8 +18,12 @@ class OpenpiServerCommand:
             metavar="FILE",
             help="a roboneuron.toml with [robot], [inference] and [plugins.openpi]",
         )
-        parser.add_argument("--host", help="address to listen on (default: as configured, else 127.0.0.1)")
-        parser.add_argument("--port", type=int, help="port, 0 for any free one (default: as configured, else 8000)")
+        parser.add_argument(
+            "--host", help="address to listen on (default: as configured, else 127.0.0.1)"
+        )
+        parser.add_argument(
+            "--port", type=int, help="port, 0 for any free one (default: as configured, else 8000)"
+        )
 
     def run(self, arguments: Namespace) -> int:
         """Serve."""

@@ -101,7 +101,7 @@ class Layout:
             for role, key in self.image_keys.items()
             if role in needed or key in entries
         }
-        if not has_state and not self.state.keys:
+        if not has_state and not any(key in entries for key in self.state.keys):
             return Observation(frames=frames, instruction=prompt)
         measured = self.state.parse(entries)
         return Observation(

@@ -31,6 +31,7 @@ ProfileName = Literal[
     "own",
 ]
 SpaceKind = Literal["ee_delta", "ee_pose", "joint_position", "joint_velocity", "joint_delta"]
+_PLAIN_ONLY = {"space", "rate_hz", "slides", "grippers"}
 Role = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
 Key = Annotated[str, Field(min_length=1, max_length=200)]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
@@ -174,6 +175,9 @@ class OpenpiOptions(OptionSection):
             raise ValueError("profile 'own' needs state_keys")
         if self.arms and self.profile not in (OWN, PLAIN):
             raise ValueError("arms are told to the profiles 'own' and 'roboneuron' only")
+        unread = _PLAIN_ONLY & self.model_fields_set
+        if unread and self.profile not in (PLAIN, None):
+            raise ValueError(f"{', '.join(sorted(unread))}: read by the profile 'roboneuron' only")
         if self.api_key_file is not None and self.api_key_variable is not None:
             raise ValueError("give api_key_file or api_key_variable, not both")
         return self

@@ -12,6 +12,7 @@ import hmac
 import logging
 import ssl
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from http import HTTPStatus
 from typing import ClassVar
 
@@ -165,7 +166,11 @@ class OpenpiServer:
             if not told.done():
                 told.set_result(answer)
 
-        self._policy.submit(question, lambda answer: loop.call_soon_threadsafe(settle, answer))
+        def tell(answer: Answer) -> None:
+            with suppress(RuntimeError):  # the server has ended: nobody waits for it any more
+                loop.call_soon_threadsafe(settle, answer)
+
+        self._policy.submit(question, tell)
         try:
             answer = await asyncio.wait_for(told, question.left_s + _GRACE_S)
         except TimeoutError as error:

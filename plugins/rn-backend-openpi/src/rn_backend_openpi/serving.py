@@ -237,7 +237,8 @@ def make_policy(config: Config, registry: Registry, options: OpenpiOptions) -> S
     space = _declared(spec, own, load_profile(registry, config.robot.name))
     if options.profile is None:
         options = options.model_copy(update={"profile": PLAIN})
-    layout = _for_backend(layout_of(options, space), spec, space)
+    is_told = options.model_fields_set & {"space", "rate_hz", "joints", "arms"}
+    layout = _for_backend(layout_of(options, None if is_told else space), spec, space)
     server = options.server
     runtime = inference.runtime or spec.default_runtime
     shared = SharedOptions(
