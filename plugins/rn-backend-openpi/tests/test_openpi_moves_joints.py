@@ -112,9 +112,11 @@ def test_answers_of_another_width_or_not_finite_are_refused(
         _backend(policy_server)
     _serve(policy_server, [0.0] * 8)
     backend = _backend(policy_server)
-    _serve(policy_server, [0.0] * 7 + [float("nan")])
-    with pytest.raises(UnsafeError):
-        backend.predict(_seen(observe))
+    for value in (float("nan"), float("inf"), float("-inf")):
+        for row in ([value] + [0.0] * 7, [0.0] * 7 + [value]):  # clipping would hide infinities
+            _serve(policy_server, row)
+            with pytest.raises(UnsafeError):
+                backend.predict(_seen(observe))
     with pytest.raises(UngroundedError, match="joint7"):
         backend.predict(_seen(observe, names=ARM[:6]))
     backend.close()

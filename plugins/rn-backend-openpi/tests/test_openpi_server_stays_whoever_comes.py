@@ -238,18 +238,33 @@ def test_random_bytes_before_the_handshake_disturb_nobody() -> None:
         assert _ask(good)["actions"].shape == (4, 7)
 
 
+def _is_closed(plain: socket.socket) -> bool:
+    """Whether the other end has closed; told at once."""
+    plain.settimeout(0.5)
+    try:
+        return plain.recv(1) == b""
+    except ConnectionResetError:
+        return True
+    except TimeoutError:
+        return False
+
+
 def test_many_who_say_nothing_keep_nobody_out() -> None:
     with _served(clients=4) as url, ExitStack() as opened:
         good = opened.enter_context(_open(url))
         address = ("127.0.0.1", int(url.rsplit(":", 1)[1]))
-        for _ in range(300):
+        strangers = [
             opened.enter_context(socket.create_connection(address, timeout=SLACK_S))
+            for _ in range(300)
+        ]
         start = time.monotonic()
         late = opened.enter_context(_open(url))
         assert _ask(late)["actions"].shape == (4, 7)
         assert _ask(good)["actions"].shape == (4, 7)
         # far less than a handshake may last: nobody had to time out first
         assert time.monotonic() - start < 4.0
+        # no more are kept than the bound says, the newest ones
+        assert [_is_closed(stranger) for stranger in strangers[:200]] == [True] * 200
 
 
 class Wide(Reflex):
@@ -294,12 +309,17 @@ def test_a_client_that_does_not_read_holds_nobody_up() -> None:
 
 
 def test_a_client_that_does_not_read_is_dropped(caplog: pytest.LogCaptureFixture) -> None:
-    options = OpenpiOptions(profile="roboneuron", server={"send_timeout_s": 0.3})
+    options = OpenpiOptions(profile="roboneuron", server={"send_timeout_s": 0.3, "clients": 1})
     with serving(options, Wide()) as url, _reading_nothing(url):
         deadline_s = time.monotonic() + 30.0
-        while "does not read; it is dropped" not in caplog.text:
-            assert time.monotonic() < deadline_s
-            assert _get(url, "/healthz") == (200, b"OK\n")
+        while True:
+            try:
+                with _open(url) as good:  # the only place is free again
+                    assert _ask(good, PLAIN)["actions"].shape == (80_000, 7)
+                break
+            except InvalidStatus:
+                assert time.monotonic() < deadline_s
+    assert "does not read; it is dropped" in caplog.text
 
 
 def test_a_client_that_asks_nothing_for_long_is_let_go() -> None:
