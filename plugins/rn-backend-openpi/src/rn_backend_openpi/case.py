@@ -82,6 +82,7 @@ def serving(
     space: ControlSpace = EE_DELTA,
     key: str | None = None,
     tls: ssl.SSLContext | None = None,
+    port: int = 0,
 ) -> Iterator[str]:
     """A server in a thread as long as the block runs; yields its URL.
 
@@ -92,6 +93,7 @@ def serving(
         space: of its rows.
         key: that clients have to send.
         tls: what encrypts.
+        port: 0 for any free one.
     """
     policy = ServedPolicy(model, spec, layout_of(options, space), space, options)
     policy.load()
@@ -109,7 +111,7 @@ def serving(
         loop.set_default_executor(ThreadPoolExecutor(max_workers=1))
         await asyncio.to_thread(int)
         server = OpenpiServer(policy, options.server, key)
-        await run_server(server, (LOOPBACK, 0), tls, tell, until)
+        await run_server(server, (LOOPBACK, port), tls, tell, until)
 
     def run() -> None:
         with asyncio.Runner(loop_factory=lambda: loop) as runner:
