@@ -149,8 +149,7 @@ def test_the_arm_rests_while_there_is_no_server_and_moves_on_with_the_next(tmp_p
             inference = supervisor.view("inference").report
             assert inference is not None
             assert "did not answer" in inference.error or "broke" in inference.error
-            with ExitStack() as again:
-                again.enter_context(serve())
+            with serve():
                 wait_until(seen.is_moving, 30.0, "the arm moves on")
             control = supervisor.view("control").report
     finally:
