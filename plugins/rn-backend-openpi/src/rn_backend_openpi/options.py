@@ -9,8 +9,9 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from rn_backend_openpi.conventions import GripperValue, PoseRotation
 from rn_backend_openpi.layout import Axes
-from rn_backend_openpi.rows import GripperValue, JointKind, PoseRotation
+from rn_backend_openpi.rows import JointKind
 from rn_backend_openpi.server_options import ServerOptions
 from rn_vla.letterbox import Flip
 from rn_vla.tcp_profiles import ActionOptions, OptionSection, Vector

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
+from rn_backend_openpi.conventions import GripperValue
 from rn_backend_openpi.layout import Axes, Size
-from rn_backend_openpi.rows import ONE_ARM, GripperValue, JointKind
+from rn_backend_openpi.rows import ONE_ARM, JointKind
 from rn_vla.tcp_profiles import PROFILES
 from rn_vla.tcp_state import StateTerm
 

@@ -7,7 +7,16 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from rn_vla.rotation import F64, matrix_from_rpy, rpy_from_matrix
+from rn_backend_openpi.conventions import (
+    ROTATION_VALUES,
+    GripperValue,
+    PoseRotation,
+    from_opening,
+    matrix_of,
+    rotation_of,
+    to_opening,
+)
+from rn_vla.rotation import F64
 from rn_vla.tcp_actions import ActionLayout
 from roboneuron import (
     ACTION_SIZE,
@@ -17,25 +26,11 @@ from roboneuron import (
     ConfigurationError,
     ControlSpace,
     Observation,
-    UnsafeError,
-    matrix_from_quaternion,
-    matrix_from_rotvec,
     quaternion_from_matrix,
-    rotvec_from_matrix,
 )
 
 JointKind = Literal["joint_position", "joint_velocity", "joint_delta"]
-GripperValue = Literal["open_fraction", "closed_fraction", "signed_open", "signed_close", "none"]
-PoseRotation = Literal["quaternion", "quaternion_wxyz", "rotvec", "rpy", "rot6d", "rot6d_rows"]
 ONE_ARM = ("",)
-_ROTATION_VALUES = {
-    "quaternion": 4,
-    "quaternion_wxyz": 4,
-    "rotvec": 3,
-    "rpy": 3,
-    "rot6d": 6,
-    "rot6d_rows": 6,
-}
 
 
 class Rows(Protocol):
@@ -158,16 +153,16 @@ class PoseRows:
     @property
     def _part(self) -> int:
         """Values of one arm."""
-        return 3 + _ROTATION_VALUES[self.rotation] + (self.gripper != "none")
+        return 3 + ROTATION_VALUES[self.rotation] + (self.gripper != "none")
 
     def to_contract(self, served: F64, observation: Observation) -> F64:
         parts = np.split(served, len(self.arms), axis=1)
         return np.hstack([self._to_contract(part) for part in parts])
 
     def _to_contract(self, part: F64) -> F64:
-        end = 3 + _ROTATION_VALUES[self.rotation]
+        end = 3 + ROTATION_VALUES[self.rotation]
         quaternions = [
-            quaternion_from_matrix(_matrix_from(row, self.rotation)) for row in part[:, 3:end]
+            quaternion_from_matrix(matrix_of(row, self.rotation)) for row in part[:, 3:end]
         ]
         columns = [part[:, :3] - self.base_position_m, np.array(quaternions)]
         if self.gripper != "none":
@@ -179,7 +174,7 @@ class PoseRows:
         return np.hstack([self._from_contract(part) for part in parts])
 
     def _from_contract(self, part: F64) -> F64:
-        rotations = [_rotation_of(row, self.rotation) for row in part[:, 3:7]]
+        rotations = [rotation_of(row, self.rotation) for row in part[:, 3:7]]
         columns = [part[:, :3] + self.base_position_m, np.array(rotations)]
         if self.gripper != "none":
             columns.append(from_opening(part[:, 7:], self.gripper))
@@ -255,26 +250,6 @@ class JointRows:
         return np.array(arm * len(self.arms))
 
 
-def to_opening(values: F64, convention: GripperValue) -> F64:
-    """A policy's gripper values -> openings, not clipped."""
-    if convention == "closed_fraction":
-        return 1.0 - values
-    if convention in ("signed_open", "signed_close"):
-        sign = 1.0 if convention == "signed_open" else -1.0
-        return (1.0 + sign * values) / 2.0
-    return values
-
-
-def from_opening(openings: F64, convention: GripperValue) -> F64:
-    """The inverse of `to_opening`."""
-    if convention == "closed_fraction":
-        return 1.0 - openings
-    if convention in ("signed_open", "signed_close"):
-        sign = 1.0 if convention == "signed_open" else -1.0
-        return sign * (2.0 * openings - 1.0)
-    return openings
-
-
 def joints_by_arm(names: tuple[str, ...], arms: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
     """The joints of each arm, that of the first arm first.
 
@@ -325,46 +300,3 @@ def pose_channels(arms: tuple[str, ...], *, has_gripper: bool) -> tuple[Channel,
         if has_gripper:
             channels.append(Channel(name=GRIPPER, unit="opening", arm=arm))
     return tuple(channels)
-
-
-_SHORTEST = 1e-3
-"""Of a quaternion or an axis that still says a direction."""
-
-
-def _matrix_from(values: F64, rotation: PoseRotation) -> F64:
-    """Rotation matrix (3, 3) of what a policy writes. Raises UnsafeError when it is none."""
-    if rotation == "rotvec":
-        return matrix_from_rotvec(values)
-    if rotation == "rpy":
-        return matrix_from_rpy(values)
-    if rotation in ("quaternion", "quaternion_wxyz"):
-        xyzw = values if rotation == "quaternion" else np.roll(values, -1)
-        return matrix_from_quaternion(xyzw / _length(xyzw, values))
-    # Gram-Schmidt: networks write two vectors that are nearly of length 1 and nearly perpendicular
-    first = values[:3] / _length(values[:3], values)
-    across = values[3:] - first * (first @ values[3:])
-    second = across / _length(across, values)
-    axes = np.array([first, second, np.cross(first, second)])
-    return axes if rotation == "rot6d_rows" else axes.T
-
-
-def _length(vector: F64, told: F64) -> float:
-    length = float(np.linalg.norm(vector))
-    if length < _SHORTEST:
-        raise UnsafeError(f"The policy server's values {told.tolist()} are no rotation.")
-    return length
-
-
-def _rotation_of(quaternion_xyzw: F64, rotation: PoseRotation) -> F64:
-    """The inverse of `_matrix_from`, of a unit quaternion."""
-    if rotation == "quaternion":
-        return quaternion_xyzw
-    if rotation == "quaternion_wxyz":
-        return np.roll(quaternion_xyzw, 1)
-    matrix = matrix_from_quaternion(quaternion_xyzw)
-    if rotation == "rotvec":
-        return rotvec_from_matrix(matrix)
-    if rotation == "rpy":
-        return rpy_from_matrix(matrix)
-    axes = matrix if rotation == "rot6d_rows" else matrix.T
-    return np.concatenate([axes[0], axes[1]])
