@@ -31,7 +31,7 @@ comma := ,
 # Packages whose results are numbers of a network.
 MODEL_TESTS := $(wildcard plugins/rn-vla/tests plugins/rn-runtime-*/tests plugins/rn-backend-*/tests \
   plugins/rn-accel-*/tests plugins/rn-policy-*/tests)
-WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native$(comma)remote]',\
+WITH_EXTRAS := $(patsubst %/rn-backend-pi0,'%/rn-backend-pi0[native]',\
   $(patsubst %/rn-recorder,'%/rn-recorder[export]',\
   $(patsubst %/rn-perception-camera,'%/rn-perception-camera[video]',\
   $(patsubst %/rn-eval,'%/rn-eval[ray$(comma)serve]',$(patsubst %/rn-metrics,'%/rn-metrics[otlp]',$(filter-out $(COMPILED),$(ALL_PACKAGES)))))))
@@ -138,6 +138,23 @@ interop-vla-eval: $(VENV)/.develop .venv-vla-eval/.ready ## vla-eval 0.8's own c
 .venv-vla-eval/.ready:
 	$(PYTHON) -m venv .venv-vla-eval
 	.venv-vla-eval/bin/python -m pip install --quiet --disable-pip-version-check vla-eval==0.8.0
+	@touch $@
+
+# A checkout of https://github.com/robo-arena/roboarena.
+ROBOARENA ?= ../roboarena
+
+test-openpi-peers: $(VENV)/.develop .venv-openpi-client/.ready ## the published openpi-client, openpi's own server, RoboArena's client and server with ours: OPENPI=path ROBOARENA=path of checkouts
+	ROBONEURON_OPENPI=$(OPENPI) ROBONEURON_ROBOARENA=$(ROBOARENA) $(BIN)/python -m pytest -rs \
+	  plugins/rn-backend-openpi/tests/test_openpi_public_code_is_on_the_other_end.py $(ARGS)
+
+.venv-openpi-client: .venv-openpi-client/.ready
+
+# It imports typing_extensions without asking for it.
+.venv-openpi-client/.ready:
+	@echo "Setting up .venv-openpi-client (once, ten seconds) ..."
+	$(PYTHON) -m venv .venv-openpi-client
+	.venv-openpi-client/bin/python -m pip install --quiet --disable-pip-version-check openpi-client==0.1.2 \
+	  typing_extensions
 	@touch $@
 
 record-demos: $(VENV)/.develop ## record N demonstrations in simulation, and export them as a LeRobotDataset (out/demos)

@@ -76,7 +76,7 @@ def start(
     selection: str = "",
     more: str = "",
 ) -> types.CallToolResult:
-    """The answer of a stdio server to start_inference with the backend pi0-remote."""
+    """The answer of a stdio server to start_inference with the backend openpi."""
     path = folder / "roboneuron.toml"
     path.write_text(CONFIG.format(selection=selection, state=folder / "state", more=more))
     parameters = StdioServerParameters(
@@ -97,7 +97,7 @@ def start(
     async def call() -> types.CallToolResult:
         async with Client(parameters) as client:
             return await client.call_tool(
-                "start_inference", {"backend": "pi0-remote", "options": options}
+                "start_inference", {"backend": "openpi", "options": options}
             )
 
     return anyio.run(call)
@@ -126,7 +126,7 @@ def test_options_that_name_a_host_and_a_secret_are_refused(
     assert answer.meta is not None
     assert answer.meta["roboneuron/error"]["code"] == "refused"
     for option in ("url", "api_key_variable", "allow_insecure_key"):
-        assert f"plugins.pi0-remote.{option}" in text_of(answer)
+        assert f"plugins.openpi.{option}" in text_of(answer)
     assert "profile" not in text_of(answer)
 
 
@@ -134,7 +134,7 @@ def test_a_server_token_is_not_in_the_environment_of_modules(
     environment: dict[str, str], tmp_path: Path, listener: Listener
 ) -> None:
     more = (
-        f'[plugins.pi0-remote]\nurl = "ws://127.0.0.1:{listener.port}"\napi_key_variable = '
+        f'[plugins.openpi]\nurl = "ws://127.0.0.1:{listener.port}"\napi_key_variable = '
         f'"{VARIABLE}"\n'
     )
     answer = start(
@@ -155,7 +155,7 @@ def test_an_admin_may_set_what_the_configuration_lists(
         "url": f"ws://127.0.0.1:{listener.port}",
         "connect_timeout_s": 3.0,
     }
-    answer = start(environment, tmp_path, options, selection='agent_options = ["pi0-remote.url"]')
+    answer = start(environment, tmp_path, options, selection='agent_options = ["openpi.url"]')
     assert answer.is_error  # the listener is no policy server
     assert listener.received
     assert all(SECRET.encode() not in data for data in listener.received)

@@ -57,15 +57,15 @@ def test_every_offer_of_the_project_is_in_the_table() -> None:
 def test_the_table_names_nothing_else() -> None:
     table = tomllib.loads((ROOT / "roboneuron-core/src/roboneuron/data/packages.toml").read_text())
     offered = {(o.spec.kind, o.spec.name) for o in discover().all_offers}
-    kinds = {kind: names for kind, names in table.items() if kind not in ("needs", "switch")}
+    kinds = {
+        kind: names for kind, names in table.items() if kind not in ("needs", "switch", "renamed")
+    }
     assert {(kind, name) for kind, names in kinds.items() for name in names} <= offered
     extras = {
         p.parent.name: tomllib.loads(p.read_text())["project"].get("optional-dependencies", {})
         for p in PROJECTS
     }
-    for package in {
-        package for kind, names in table.items() if kind != "needs" for package in names.values()
-    }:
+    for package in {package for kind, names in kinds.items() for package in names.values()}:
         name, _, extra = package.rstrip("]").partition("[")
         assert not extra or extra in extras[name]
 
@@ -104,14 +104,26 @@ def test_the_table_knows_what_each_package_needs() -> None:
             r"){3}\(in",
         ),
         (
-            "pi0-remote",
-            r'rn-backend-pi0 brings it\. Run: pip install "\./plugins/rn-backend-pi0\[remote\]"',
+            "pi0",
+            r'rn-backend-pi0 brings it\. Run: pip install "\./plugins/rn-backend-pi0\[native\]"',
         ),
     ],
 )
 def test_what_is_not_installed_is_named_with_its_package(name: str, words: str) -> None:
     with pytest.raises(ConfigurationError, match=words):
         Registry(plugins=(), all_offers=()).get(BackendSpec, name)
+
+
+def test_a_name_that_was_another_before_is_answered_with_the_new_one() -> None:
+    registry = discover()
+    with pytest.raises(ConfigurationError, match="'pi0-remote' is called 'openpi' now") as caught:
+        registry.get(BackendSpec, "pi0-remote")
+    assert "[plugins.openpi]" in caught.value.hint
+    with pytest.raises(ConfigurationError, match=r"plugins\.pi0-remote.*called 'openpi' now"):
+        registry.check_name("plugins.pi0-remote", "pi0-remote")
+    table = tomllib.loads((ROOT / "roboneuron-core/src/roboneuron/data/packages.toml").read_text())
+    assert table["renamed"].keys().isdisjoint(known_names())
+    assert set(table["renamed"].values()) <= known_names().keys()
 
 
 def installs() -> list[tuple[str, str]]:

@@ -129,7 +129,7 @@ def test_the_table_has_every_profile_and_every_backend_of_policies() -> None:
     assert backends == {
         "pi0",
         "pi0-fast",
-        "pi0-remote",
+        "openpi",
         "openvla",
         "oft",
         "oft-primary",
@@ -153,7 +153,7 @@ def test_the_lines_of_a_row_are_all_that_its_policy_needs(
         "fr3": tuple(f"fr3_joint{i}" for i in range(1, 8)),
     }[robot]
     checkpoint = tmp_path / "checkpoint"
-    if row.backend != "pi0-remote":
+    if row.backend != "openpi":
         write_checkpoint(row, checkpoint)
         (checkpoint / "roboneuron.json").unlink(missing_ok=True)
     options = "\n".join(row.options).replace(f"[{row.joints}]", json.dumps(joints))
@@ -162,7 +162,7 @@ def test_the_lines_of_a_row_are_all_that_its_policy_needs(
         backend=row.backend,
         options=options,
         cameras="fr3-sim-camera" if robot == "fr3" else "grey",
-        checkpoint="" if row.backend == "pi0-remote" else f'checkpoint = "{checkpoint}"',
+        checkpoint="" if row.backend == "openpi" else f'checkpoint = "{checkpoint}"',
     )
     file = tmp_path / "roboneuron.toml"
     file.write_text(text, encoding="utf-8")
@@ -173,7 +173,7 @@ def test_the_lines_of_a_row_are_all_that_its_policy_needs(
     agreement = agree_on_space(registry, spec, given, robot, config.control)
     label = agreement.executed.label.partition(":")[0]
     assert label.removesuffix("_base") == row.space
-    if row.backend == "pi0-remote":
+    if row.backend == "openpi":
         return
     if row.option("constants") == "own":
         assert agreement.executed.size == 7  # its head is not that of a tiny checkpoint

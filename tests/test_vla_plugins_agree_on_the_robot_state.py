@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rn_backend_oft.state import read_state
-from rn_backend_pi0.profiles import PROFILES
+from rn_vla.tcp_profiles import PROFILES
 from roboneuron.contract import Observation, Pose
 from roboneuron.contract.rotation import matrix_from_quaternion
 

@@ -1,23 +1,12 @@
-"""Fixtures: the golden checkpoint, a tiny checkpoint of our own, observations, and a stand-in for
-openpi's server.
-"""
+"""Fixtures: the golden checkpoint, a tiny checkpoint of our own, observations."""
 
 from __future__ import annotations
 
-import ssl
-import threading
-import time
-from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import suppress
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import msgpack
 import numpy as np
 import pytest
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.server import Server, ServerConnection, serve
 
 from roboneuron.contract import Frame, JointSample, Observation, Pose
 
@@ -90,120 +79,3 @@ def make_observation(
 def observe() -> Callable[..., Observation]:
     """Makes observations."""
     return make_observation
-
-
-def encode(value: Any) -> dict[bytes, Any]:
-    """numpy as openpi puts it on the wire; written from the format's description, not with the code
-    under test.
-    """
-    if isinstance(value, np.ndarray):
-        return {
-            b"__ndarray__": True,
-            b"data": value.tobytes(),
-            b"dtype": value.dtype.str,
-            b"shape": value.shape,
-        }
-    return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
-
-
-def decode(value: dict[Any, Any]) -> Any:
-    """The reverse of `encode`."""
-    if b"__ndarray__" in value:
-        return np.ndarray(
-            buffer=value[b"data"], dtype=np.dtype(value[b"dtype"]), shape=value[b"shape"]
-        )
-    return value
-
-
-class PolicyServer:
-    """Stands in for openpi's policy server on a free loopback port: metadata first, then one reply
-    per request.
-
-    `answer` gets each request and returns the reply's map; it may raise (a text frame with a
-    traceback, then close 1011, as openpi does), return bytes or text to send as they are, or act on
-    `connection` itself and return None.
-    """
-
-    def __init__(self) -> None:
-        self.answer: Callable[[dict[Any, Any]], Any] = lambda request: {
-            "actions": np.zeros((10, 7))
-        }
-        self.metadata: Any = {"policy": "stand-in"}
-        self.requests: deque[dict[Any, Any]] = deque(maxlen=8)  # images are large
-        self.headers: list[Any] = []
-        self.connection: ServerConnection | None = None
-        self.released = threading.Event()
-        self.tls: ssl.SSLContext | None = None
-        self._server: Server | None = None
-        self.port = 0
-
-    @property
-    def url(self) -> str:
-        return f"{'wss' if self.tls else 'ws'}://127.0.0.1:{self.port}"
-
-    def start(self) -> None:
-        """Listen; the second time on the same port as before."""
-        deadline_s = time.monotonic() + 5.0
-        while True:
-            try:
-                self._server = serve(
-                    self._handle,
-                    "127.0.0.1",
-                    self.port,
-                    compression=None,
-                    max_size=None,
-                    ssl=self.tls,
-                )
-                break
-            except OSError:
-                if time.monotonic() > deadline_s:
-                    raise
-                self.released.wait(0.02)
-        self.port = self._server.socket.getsockname()[1]
-        threading.Thread(target=self._server.serve_forever, daemon=True).start()
-
-    def stop(self) -> None:
-        """Stop listening and cut the connection, as a killed process would."""
-        if self._server is not None:
-            self._server.shutdown()
-            self._server = None
-        self.cut()
-
-    def cut(self) -> None:
-        """Break the current connection without a goodbye."""
-        if self.connection is not None:
-            with suppress(OSError):
-                self.connection.socket.shutdown(2)
-
-    def _handle(self, connection: ServerConnection) -> None:
-        self.connection = connection
-        self.headers.append(connection.request.headers if connection.request else {})
-        with suppress(ConnectionClosed):
-            connection.send(self._packed(self.metadata))
-            while True:
-                request = msgpack.unpackb(connection.recv(), object_hook=decode)
-                self.requests.append(request)
-                try:
-                    reply = self.answer(request)
-                except ValueError as error:
-                    connection.send(
-                        f"Traceback (most recent call last):\n  ...\nValueError: {error}"
-                    )
-                    connection.close(code=1011, reason="Internal server error.")
-                    return
-                if reply is not None:
-                    connection.send(self._packed(reply))
-
-    @staticmethod
-    def _packed(reply: Any) -> Any:
-        return reply if isinstance(reply, bytes | str) else msgpack.packb(reply, default=encode)
-
-
-@pytest.fixture
-def policy_server() -> Iterator[PolicyServer]:
-    """A running stand-in."""
-    server = PolicyServer()
-    server.start()
-    yield server
-    server.released.set()
-    server.stop()

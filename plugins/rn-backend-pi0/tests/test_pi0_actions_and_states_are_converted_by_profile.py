@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from rn_backend_pi0.action_layout import ActionLayout, FrameName, Gripper, Meaning, Rotation
-from rn_backend_pi0.profiles import PROFILES
-from rn_backend_pi0.state import StateLayout
 from rn_vla.rotation import matrix_from_rpy, nearer_rotvec, rpy_from_matrix
+from rn_vla.tcp_actions import ActionLayout, FrameName, Gripper, Meaning, Rotation
+from rn_vla.tcp_profiles import PROFILES
+from rn_vla.tcp_state import StateLayout
 from roboneuron.contract import Action, Observation, Pose, apply_delta
 from roboneuron.contract.rotation import (
     matrix_from_quaternion,

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 import torch
 
-from rn_backend_pi0.image import resize_antialiased, resize_plain, to_pixels
+from rn_backend_pi0.image import resize_plain, to_pixels
 from rn_backend_pi0.layouts import read_checkpoint
 from rn_backend_pi0.model import Pi0Model
 from rn_backend_pi0.numerics import flow_times
+from rn_vla.letterbox import fit_antialiased
 
 Arrays = dict[str, np.ndarray]
 # Case: camera slots (base, left wrist, right wrist), prompt, state, noise.
@@ -98,7 +99,7 @@ def test_pixels_are_scaled_to_minus_one_to_one(golden: Arrays) -> None:
 
 @pytest.mark.parametrize("suffix", ["", "_big"])
 def test_antialiased_resizing_is_that_of_openpis_client(golden: Arrays, suffix: str) -> None:
-    resized = resize_antialiased(golden[f"resize/input{suffix}"], 224)
+    resized = fit_antialiased(golden[f"resize/input{suffix}"], (224, 224))
     np.testing.assert_array_equal(resized, golden[f"resize/openpi_client_pil{suffix}"])
 
 

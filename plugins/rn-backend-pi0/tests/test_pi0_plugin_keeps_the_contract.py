@@ -14,10 +14,11 @@ import pytest
 from pydantic import ValidationError
 
 from rn_backend_pi0.case import ROW_TOLERANCE, fast_case
-from rn_backend_pi0.options import Pi0FastOptions, Pi0Options, Pi0RemoteOptions
+from rn_backend_pi0.options import Pi0FastOptions, Pi0Options
 from rn_backend_pi0.plugin import roboneuron_backends
-from rn_backend_pi0.profiles import JOINT_PROFILES, PROFILES
+from rn_backend_pi0.profiles import JOINT_PROFILES
 from rn_testing import BackendCase, BackendContract, PackageCase, PackageContract
+from rn_vla.tcp_profiles import PROFILES
 from roboneuron.contract import Observation
 from roboneuron.plugins.specs import BackendSpec
 
@@ -43,19 +44,6 @@ class TestFast(BackendContract):
         return fast_case()
 
 
-class TestRemote(BackendContract):
-    """The remote backend with the stand-in server."""
-
-    @pytest.fixture
-    def plugin(self, policy_server: Any, observe: Callable[..., Observation]) -> BackendCase:
-        options = {
-            "url": policy_server.url,
-            "profile": "libero",
-            "image_keys": {"primary": "observation/image"},
-        }
-        return BackendCase(spec=SPECS["pi0-remote"], options=options, observe=observe)
-
-
 class TestPackage(PackageContract):
     """The distribution as installed."""
 
@@ -66,19 +54,16 @@ class TestPackage(PackageContract):
 
 def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() -> None:
     text = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
-    models = (Pi0Options, Pi0FastOptions, Pi0RemoteOptions)
+    models = (Pi0Options, Pi0FastOptions)
     names = {*PROFILES, *JOINT_PROFILES, *(name for model in models for name in model.model_fields)}
     assert [name for name in sorted(names) if f"`{name}`" not in text] == []
     examples = [
         tomllib.loads(block) for block in re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
     ]
     tables = [example["plugins"] for example in examples if "plugins" in example]
-    assert {name for table in tables for name in table} == {"pi0", "pi0-remote"}
+    assert {name for table in tables for name in table} == {"pi0"}
     for table in tables:
-        if "pi0" in table:
-            Pi0Options(checkpoint=Path("x"), **table["pi0"])
-        if "pi0-remote" in table:
-            Pi0RemoteOptions(**table["pi0-remote"])
+        Pi0Options(checkpoint=Path("x"), **table["pi0"])
 
 
 def test_every_profile_says_its_units_in_the_readme() -> None:
@@ -103,7 +88,7 @@ def test_every_profile_says_its_units_in_the_readme() -> None:
 def test_listing_the_plugin_imports_nothing_heavy() -> None:
     code = (
         "import sys, rn_backend_pi0.plugin as p; p.roboneuron_backends();"
-        "print([m for m in ('numpy', 'torch', 'pydantic', 'msgpack', 'websockets') if m in "
+        "print([m for m in ('numpy', 'torch', 'pydantic') if m in "
         "sys.modules])"
     )
     shown = subprocess.run(
@@ -112,21 +97,12 @@ def test_listing_the_plugin_imports_nothing_heavy() -> None:
     assert shown.stdout.strip() == "[]"
 
 
-def test_the_remote_backend_does_without_torch() -> None:
-    code = "import sys, rn_backend_pi0.remote, rn_backend_pi0.client; print('torch' in sys.modules)"
-    shown = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
-    )
-    assert shown.stdout.strip() == "False"
-
-
 def test_descriptors_say_what_the_backends_need() -> None:
     for spec in SPECS.values():
         assert spec.needs_state
         assert (spec.cameras, spec.optional_cameras) == (("primary",), ("wrist", "right_wrist"))
         assert spec.family == ""
     assert {r.module for r in SPECS["pi0"].requires} == {"torch", "safetensors", "tokenizers"}
-    assert {r.module for r in SPECS["pi0-remote"].requires} == {"msgpack", "websockets"}
     assert SPECS["pi0"].needs_checkpoint
 
 
@@ -149,11 +125,3 @@ def test_descriptors_say_what_the_backends_need() -> None:
 def test_wrong_options_are_refused(options: dict[str, Any]) -> None:
     with pytest.raises(ValidationError):
         Pi0Options(checkpoint=Path("x"), **options)
-
-
-@pytest.mark.parametrize(
-    "options", [{"url": "http://x"}, {"url": "x"}, {"image_keys": {}}, {"request_timeout_s": 0}]
-)
-def test_wrong_remote_options_are_refused(options: dict[str, Any]) -> None:
-    with pytest.raises(ValidationError):
-        Pi0RemoteOptions(**options)

@@ -1,3 +1,1 @@
-"""Backends for pi0: native PyTorch inference from public checkpoints, and a client of the openpi
-policy server.
-"""
+"""Backends for pi0: native PyTorch inference from public checkpoints."""

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_pi0.joint_layout import JointLayout
-from rn_backend_pi0.profiles import Profile
 from rn_backend_pi0.statistics import Real
 from rn_vla.rotation import F64
+from rn_vla.tcp_profiles import Profile
 from roboneuron import (
     ACTION_FIELDS,
     EE_DELTA,
@@ -116,8 +116,6 @@ class JointConversion:
     Attributes:
         layout: of the policy.
         joints: the robot's names.
-        served: states and actions are those of the robot's own software: a policy server does what
-            lies between that and the network.
 
     Raises:
         ConfigurationError: the names do not fit.
@@ -125,7 +123,6 @@ class JointConversion:
 
     layout: JointLayout
     joints: tuple[str, ...]
-    served: bool = False
 
     def __post_init__(self) -> None:
         self.layout.space(self.joints)
@@ -159,11 +156,9 @@ class JointConversion:
         return np.dtype(np.float64)
 
     def read_state(self, observation: Observation) -> F64:
-        state = self.layout.read_state(observation, self.joints)
-        return state if self.served else self.layout.to_network(state)
+        return self.layout.to_network(self.layout.read_state(observation, self.joints))
 
     def to_contract(self, raw: F64, state: F64, observation: Observation) -> F64:
         if not np.isfinite(raw).all():
             raise UnsafeError("The model produced a non-finite value; nothing is executed.")
-        told = raw if self.served else self.layout.to_robot(raw, state)
-        return self.layout.to_contract(told)
+        return self.layout.to_contract(self.layout.to_robot(raw, state))

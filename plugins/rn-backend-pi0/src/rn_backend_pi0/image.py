@@ -8,48 +8,11 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
 
-U8 = NDArray[np.uint8]
+from rn_vla.letterbox import U8, Flip, fit_antialiased, fitted, flip_image
+
 F32 = NDArray[np.float32]
 Resize = Literal["antialiased", "plain"]
-Flip = Literal["none", "rotate-180", "mirror"]
-
-
-def flip_image(image: U8, flip: Flip) -> U8:
-    """Turn an upright image (H, W, 3) into what the checkpoint was trained on ("mirror" swaps left
-    and right).
-    """
-    if flip == "rotate-180":
-        return image[::-1, ::-1]
-    return image[:, ::-1] if flip == "mirror" else image
-
-
-def _fitted(height: int, width: int, side: int) -> tuple[int, int, int, int]:
-    """Height and width inside the square, and the top and left margin. Source: openpi and LeRobot
-    alike.
-    """
-    ratio = max(height / side, width / side)
-    inner_height, inner_width = int(height / ratio), int(width / ratio)
-    return inner_height, inner_width, (side - inner_height) // 2, (side - inner_width) // 2
-
-
-def resize_antialiased(image: U8, side: int) -> U8:
-    """uint8 (H, W, 3) -> uint8 (side, side, 3), bilinear with antialiasing when shrinking, centred
-    on black.
-
-    Source: openpi's client, image_tools.resize_with_pad (PIL).
-    """
-    height, width = image.shape[:2]
-    if (height, width) == (side, side):
-        return image
-    inner_height, inner_width, top, left = _fitted(height, width, side)
-    resized = Image.fromarray(np.ascontiguousarray(image)).resize(
-        (max(1, inner_width), max(1, inner_height)), resample=Image.Resampling.BILINEAR
-    )
-    canvas = np.zeros((side, side, 3), dtype=np.uint8)
-    canvas[top : top + resized.height, left : left + resized.width] = np.asarray(resized)
-    return canvas
 
 
 def _sample_axis(size: int, target: int) -> tuple[NDArray[np.intp], NDArray[np.intp], F32]:
@@ -83,7 +46,7 @@ def resize_plain(image: U8, side: int) -> F32:
     height, width = image.shape[:2]
     if (height, width) == (side, side):
         return image.astype(np.float32)
-    inner_height, inner_width, top, left = _fitted(height, width, side)
+    inner_height, inner_width, top, left = fitted(height, width, (side, side))
     inner_height, inner_width = max(1, inner_height), max(1, inner_width)
     top_rows, bottom_rows, row_weight = _sample_axis(height, inner_height)
     left_columns, right_columns, column_weight = _sample_axis(width, inner_width)
@@ -100,7 +63,9 @@ def resize_plain(image: U8, side: int) -> F32:
 def to_pixels(image: U8, *, side: int, resize: Resize, flip: Flip) -> F32:
     """uint8 RGB (H, W, 3) -> float32 (3, side, side) in -1..1."""
     turned = flip_image(image, flip)
-    square = resize_plain(turned, side) if resize == "plain" else resize_antialiased(turned, side)
+    square = (
+        resize_plain(turned, side) if resize == "plain" else fit_antialiased(turned, (side, side))
+    )
     pixels = np.empty((3, side, side), dtype=np.float32)
     np.divide(square.transpose(2, 0, 1), np.float32(255.0), out=pixels)
     pixels *= 2.0

@@ -15,10 +15,11 @@ from torch import Tensor
 from rn_backend_pi0.checkpoint import Family, Pi0Checkpoint
 from rn_backend_pi0.chunking import Prefix
 from rn_backend_pi0.flow import FlowNetwork
-from rn_backend_pi0.image import Flip, Resize, to_pixels
+from rn_backend_pi0.image import Resize, to_pixels
 from rn_backend_pi0.numerics import flow_times, with_eps
 from rn_backend_pi0.statistics import Values
 from rn_backend_pi0.weights import load_network
+from rn_vla.letterbox import Flip
 from roboneuron import ConfigurationError, UngroundedError
 
 F32 = NDArray[np.float32]

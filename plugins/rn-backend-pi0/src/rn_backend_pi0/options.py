@@ -1,4 +1,4 @@
-"""What a user may set under `[plugins.pi0]`, `[plugins.pi0-fast]` and `[plugins.pi0-remote]`."""
+"""What a user may set under `[plugins.pi0]` and `[plugins.pi0-fast]`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rn_backend_pi0.chunking import Jacobian, Schedule
 from rn_backend_pi0.fast_tokens import FastLength
 from rn_backend_pi0.image import Resize
 from rn_backend_pi0.profile_options import ProfileOptions
-from roboneuron import AgentMaySet, ConfigurationOnly
+from roboneuron import ConfigurationOnly
 
 Role = Annotated[str, Field(pattern=r"^([a-z][a-z0-9_]*|-)$")]
 
@@ -128,59 +128,3 @@ class Pi0FastOptions(NativeOptions):
         description="'padded' takes coefficients that are missing at the end as 0 and "
         "drops surplus ones, as LeRobot does",
     )
-
-
-class Pi0RemoteOptions(ProfileOptions):
-    """Options of the remote backend."""
-
-    url: Annotated[str, ConfigurationOnly()] = Field(
-        default="ws://127.0.0.1:8000",
-        pattern=r"^wss?://\S+$",
-        description="of openpi's policy server",
-    )
-    api_key_variable: Annotated[str | None, ConfigurationOnly()] = Field(
-        default=None, description="name of the environment variable with the API key"
-    )
-    allow_insecure_key: Annotated[bool, ConfigurationOnly()] = Field(
-        default=False, description="send the key over an unencrypted remote connection"
-    )
-    connect_timeout_s: float = Field(
-        default=10.0, gt=0, le=600, description="until the server answers, during load"
-    )
-    warm_up_timeout_s: float = Field(
-        default=120.0, gt=0, le=600, description="for the first inference (compilation)"
-    )
-    request_timeout_s: float = Field(
-        default=1.5, gt=0, le=60, description="for one inference, reconnecting included"
-    )
-    image_keys: Annotated[dict[Role, str], AgentMaySet()] = Field(
-        default={"primary": "observation/image", "wrist": "observation/wrist_image"},
-        min_length=1,
-        description="key of the request by camera role",
-    )
-    state_key: Annotated[str, AgentMaySet()] = Field(
-        default="observation/state", min_length=1, description="key of the state"
-    )
-    joint_key: Annotated[str | None, AgentMaySet()] = Field(
-        default=None,
-        min_length=1,
-        description="key of the joints, for servers that take them beside the gripper "
-        "(openpi's DROID: 'observation/joint_position'); otherwise all goes under state_key",
-    )
-    gripper_key: Annotated[str | None, AgentMaySet()] = Field(
-        default=None,
-        min_length=1,
-        description="key of the gripper then (openpi's DROID: 'observation/gripper_position')",
-    )
-    prompt_key: Annotated[str, AgentMaySet()] = Field(
-        default="prompt", min_length=1, description="key of the instruction"
-    )
-    image_side_px: int = Field(
-        default=224, ge=16, le=1024, description="images are sent as squares of this side"
-    )
-
-    @model_validator(mode="after")
-    def _joints_and_gripper_have_a_key_each(self) -> Self:
-        if (self.joint_key is None) != (self.gripper_key is None):
-            raise ValueError("joint_key and gripper_key must be given together")
-        return self

@@ -1,6 +1,4 @@
-"""What this package offers RoboNeuron: the backends "pi0" and "pi0-fast" (native) and "pi0-remote"
-(openpi policy server).
-"""
+"""What this package offers RoboNeuron: the backends "pi0" and "pi0-fast"."""
 
 from __future__ import annotations
 
@@ -12,13 +10,12 @@ _NATIVE = "pip install torch safetensors tokenizers"
 _NATIVE_MODULES = tuple(
     Requirement(module=module, install=_NATIVE) for module in ("torch", "safetensors", "tokenizers")
 )
-_REMOTE = "pip install msgpack websockets"
 _SPACE = ActionSpace(horizon=50, step_s=0.0)
 
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """Offer the backends "pi0", "pi0-fast" and "pi0-remote"."""
+    """Offer the backends "pi0" and "pi0-fast"."""
     return [
         BackendSpec(
             name="pi0",
@@ -46,21 +43,6 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
             optional_cameras=("wrist", "right_wrist"),
             needs_state=True,
             needs_checkpoint=True,
-            action_space=_SPACE,
-            space="rn_backend_pi0.space:pi0_space",
-        ),
-        BackendSpec(
-            name="pi0-remote",
-            summary="pi0 served elsewhere by openpi's websocket policy server",
-            target="rn_backend_pi0.remote:Pi0RemoteBackend",
-            config="rn_backend_pi0.options:Pi0RemoteOptions",
-            requires=(
-                Requirement(module="msgpack", install=_REMOTE),
-                Requirement(module="websockets", install=_REMOTE),
-            ),
-            cameras=("primary",),
-            optional_cameras=("wrist", "right_wrist"),
-            needs_state=True,
             action_space=_SPACE,
             space="rn_backend_pi0.space:pi0_space",
         ),

@@ -6,13 +6,20 @@ from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
-from rn_backend_pi0.action_layout import ActionLayout, FrameName, Gripper, Meaning, Rotation
 from rn_backend_pi0.conversion import Conversion, JointConversion, TcpConversion
-from rn_backend_pi0.image import Flip
-from rn_backend_pi0.profiles import JOINT_PROFILES, PROFILES, Profile
-from rn_backend_pi0.state import StateLayout, StateTerm
+from rn_backend_pi0.profiles import JOINT_PROFILES
+from rn_vla.letterbox import Flip
+from rn_vla.tcp_profiles import (
+    PROFILES,
+    ActionOptions,
+    OptionSection,
+    Profile,
+    StateOptions,
+    Vector,
+    own_profile,
+)
 from roboneuron import ConfigurationError
 
 ProfileName = Literal[
@@ -29,55 +36,9 @@ ProfileName = Literal[
     "aloha-plain",
     "aloha-plain-absolute",
 ]
-Vector = tuple[float, float, float]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class StateOptions(_Section):
-    """The state vector of an own profile."""
-
-    terms: tuple[StateTerm, ...] = Field(
-        min_length=1, description="parts of the state vector, in order"
-    )
-    joint_names: tuple[str, ...] = Field(
-        default=(), description="joints of the term 'joints', in order"
-    )
-    rotvec_near_rad: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="which of two rotation vectors is written [rad]"
-    )
-    finger_travel_m: float = Field(
-        default=0.04, gt=0, description="position of one finger joint when open [m]"
-    )
-
-    @model_validator(mode="after")
-    def _joints_are_named(self) -> Self:
-        if ("joints" in self.terms) != bool(self.joint_names):
-            raise ValueError("joint_names must be given exactly when terms has 'joints'")
-        return self
-
-
-class ActionOptions(_Section):
-    """The action values of an own profile."""
-
-    meaning: Meaning = Field(description="'delta' moves by, 'absolute' moves to")
-    frame: FrameName = Field(description="axes of a delta: 'base' or 'tcp'")
-    rotation: Rotation = Field(description="'rotvec', or 'rpy' about fixed axes")
-    gripper: Gripper = Field(description="meaning of the last value")
-    step_s: float = Field(gt=0, le=10, description="time between two actions [s]")
-    translation_scale_m: float = Field(default=1.0, gt=0, description="metres of one unit")
-    rotation_scale_rad: float = Field(default=1.0, gt=0, description="radians of one unit")
-    limit: float = Field(
-        default=0.0, ge=0, description="clip the first six values to +-limit; 0 for no clipping"
-    )
-    adds_state: bool = Field(
-        default=False, description="the first six values are relative to the state"
-    )
-
-
-class ProfileOptions(_Section):
+class ProfileOptions(OptionSection):
     """Options of every backend: what the model's numbers mean."""
 
     profile: ProfileName | None = Field(
@@ -112,12 +73,11 @@ class ProfileOptions(_Section):
             raise ValueError("the tables 'state' and 'action' are only read with profile 'own'")
         return self
 
-    def resolve_conversion(self, declared: str = "", *, served: bool = False) -> Conversion:
+    def resolve_conversion(self, declared: str = "") -> Conversion:
         """The conversion to use, of a profile that moves the TCP or joints.
 
         Args:
             declared: what the checkpoint says of itself; used when the user gives none.
-            served: see `JointConversion`.
 
         Raises:
             ConfigurationError: as `resolve_profile`, or the option `joints` is missing, does not
@@ -136,7 +96,7 @@ class ProfileOptions(_Section):
                 f"Profile {name!r} needs the option 'joints': the robot's joints in the policy's "
                 "order."
             )
-        return JointConversion(JOINT_PROFILES[name], self.joints, served)
+        return JointConversion(JOINT_PROFILES[name], self.joints)
 
     def resolve_profile(self, declared: str = "") -> Profile:
         """The profile to use, of those that move the TCP.
@@ -149,13 +109,7 @@ class ProfileOptions(_Section):
         """
         name = self.profile or declared
         if name == "own" and self.state is not None and self.action is not None:
-            state = StateLayout(
-                terms=self.state.terms,
-                joint_names=self.state.joint_names,
-                rotvec_near_rad=np.array(self.state.rotvec_near_rad),
-                finger_travel_m=self.state.finger_travel_m,
-            )
-            profile = Profile(state=state, action=ActionLayout(**self.action.model_dump()))
+            profile = own_profile(self.state, self.action)
         elif name in PROFILES:
             profile = PROFILES[name]
         else:

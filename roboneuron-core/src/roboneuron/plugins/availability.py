@@ -70,11 +70,16 @@ def package_of(kind: str, name: str) -> str | None:
     return package if isinstance(package, str) else None
 
 
+def new_name(name: str) -> str | None:
+    """What an offer is called now that was called `name` before; None for any other name."""
+    return _table()["renamed"].get(name)
+
+
 def known_names(kind: str = "") -> dict[str, str]:
     """Package by name of an offer, of any kind or of one; "switch": features that `serve` has a
     flag for.
     """
-    kinds = {kind} if kind else _table().keys() - {"needs", "switch"}
+    kinds = {kind} if kind else _table().keys() - {"needs", "switch", "renamed"}
     return {name: package for of in sorted(kinds) for name, package in _table()[of].items()}
 
 

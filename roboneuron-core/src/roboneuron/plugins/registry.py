@@ -9,10 +9,14 @@ from types import MappingProxyType
 from typing import TypeVar, cast
 
 from roboneuron.errors import ConfigurationError, nearest
-from roboneuron.plugins.availability import install_command, known_names, package_of
+from roboneuron.plugins.availability import install_command, known_names, new_name, package_of
 from roboneuron.plugins.specs import PLUGIN_KINDS, DriverSpec, RobotSpec, Spec
 
 S = TypeVar("S", bound=Spec)
+_NEW_NAME = (
+    "Write {now!r} in its place, also in [plugins.{now}]; `roboneuron plugins show {now}` has its "
+    "options."
+)
 
 
 class Status(StrEnum):
@@ -126,6 +130,11 @@ class Registry:
             raise ConfigurationError(
                 f"{place}: {name!r} is not installed. Run: {install_command(package)}."
             )
+        now = new_name(name)
+        if now:
+            raise ConfigurationError(
+                f"{place}: {name!r} is called {now!r} now.", hint=_NEW_NAME.format(now=now)
+            )
         meant = nearest(name, {*installed, *known})
         if meant or not self.not_loaded():  # else one that did not load may have that name
             listed = ", ".join(sorted(installed)) or "none"
@@ -163,6 +172,11 @@ class Registry:
                 f"The {kind} {name!r} cannot be used ({', '.join(o.plugin for o in claims)} "
                 f"{reasons}).",
                 hint=_choices(kind, ready),
+            )
+        now = new_name(name)
+        if now:
+            raise ConfigurationError(
+                f"The {kind} {name!r} is called {now!r} now.", hint=_NEW_NAME.format(now=now)
             )
         package = package_of(kind, name)
         silent = package is not None and self.not_loaded(package)

@@ -72,7 +72,7 @@ class SelectionOptions(Section):
         default=(),
         strict=False,
         description="options for the configuration only that an admin may set all the same, such "
-        'as "pi0-remote.url"',
+        'as "openpi.url"',
     )
 
 

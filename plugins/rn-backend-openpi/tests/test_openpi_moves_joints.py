@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
-from rn_backend_pi0.options import Pi0RemoteOptions
-from rn_backend_pi0.plugin import roboneuron_backends
-from rn_backend_pi0.remote import Pi0RemoteBackend
+from rn_backend_openpi.backend import OpenpiBackend
+from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.plugin import BACKEND
 from roboneuron import (
     ArmState,
     ConfigurationError,
@@ -29,14 +28,12 @@ POSTURE = np.linspace(-0.6, 0.6, 7)
 DROID = {
     "profile": "droid",
     "joints": ARM,
-    "joint_key": "observation/joint_position",
-    "gripper_key": "observation/gripper_position",
     "image_keys": {"primary": "observation/exterior_image_1_left"},
 }
 
 
-def _backend(server: Any, **options: Any) -> Pi0RemoteBackend:
-    backend = Pi0RemoteBackend(Pi0RemoteOptions(url=server.url, **{**DROID, **options}))
+def _backend(server: Any, **options: Any) -> OpenpiBackend:
+    backend = OpenpiBackend(OpenpiOptions(url=server.url, **{**DROID, **options}))
     backend.load()
     return backend
 
@@ -68,7 +65,7 @@ def test_droid_is_asked_and_answers_in_its_own_terms(policy_server: Any, observe
 
 def test_a_server_has_added_the_state_to_positions(policy_server: Any, observe: Observe) -> None:
     _serve(policy_server, [*POSTURE, 1.0])
-    backend = _backend(policy_server, profile="franka", joint_key=None, gripper_key=None)
+    backend = _backend(policy_server, profile="franka")
     chunk = backend.predict(_seen(observe, gripper_open=1.0))
     np.testing.assert_allclose(chunk.actions[0], [*POSTURE, 0.0], atol=1e-12)
     sent = policy_server.requests[-1]["observation/state"]
@@ -82,7 +79,7 @@ def test_a_served_policy_of_two_arms_gets_the_state_of_both(
     names = tuple(f"{arm}{i}" for arm in ("left", "right") for i in range(6))
     _serve(policy_server, [*np.full(6, 0.1), 0.25, *np.full(6, -0.1), 1.5])
     backend = _backend(
-        policy_server, profile="aloha", joints=names, joint_key=None, gripper_key=None
+        policy_server, profile="aloha", joints=names, image_keys={"primary": "images.cam_high"}
     )
     pose = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]))
     seen = replace(
@@ -94,7 +91,9 @@ def test_a_served_policy_of_two_arms_gets_the_state_of_both(
         },
     )
     chunk = backend.predict(seen)
-    sent = policy_server.requests[-1]["observation/state"]
+    image = policy_server.requests[-1]["images"]["cam_high"]
+    assert (image.dtype, image.shape) == (np.uint8, (3, 224, 224))
+    sent = policy_server.requests[-1]["state"]
     np.testing.assert_allclose(sent, [*range(6), 0.2, *range(6, 12), 0.9])
     np.testing.assert_allclose(chunk.actions[0, [0, 6, 7, 13]], [0.1, 0.25, -0.1, 1.0])
     assert chunk.space.keys[13] == "right/gripper_open"
@@ -102,8 +101,7 @@ def test_a_served_policy_of_two_arms_gets_the_state_of_both(
 
 
 def test_the_descriptor_declares_the_space() -> None:
-    spec = next(spec for spec in roboneuron_backends() if spec.name == "pi0-remote")
-    assert spec.space == "rn_backend_pi0.space:pi0_space"
+    assert BACKEND.space == "rn_backend_openpi.space:openpi_space"
 
 
 def test_answers_of_another_width_or_not_finite_are_refused(
@@ -114,18 +112,22 @@ def test_answers_of_another_width_or_not_finite_are_refused(
         _backend(policy_server)
     _serve(policy_server, [0.0] * 8)
     backend = _backend(policy_server)
-    _serve(policy_server, [0.0] * 7 + [float("nan")])
-    with pytest.raises(UnsafeError):
-        backend.predict(_seen(observe))
+    for value in (float("nan"), float("inf"), float("-inf")):
+        for row in ([value] + [0.0] * 7, [0.0] * 7 + [value]):  # clipping would hide infinities
+            _serve(policy_server, row)
+            with pytest.raises(UnsafeError):
+                backend.predict(_seen(observe))
     with pytest.raises(UngroundedError, match="joint7"):
         backend.predict(_seen(observe, names=ARM[:6]))
     backend.close()
 
 
-def test_keys_that_do_not_fit_are_refused(policy_server: Any) -> None:
-    with pytest.raises(ConfigurationError, match="joint_key has no use"):
-        _backend(policy_server, profile="libero", joints=None)
-    with pytest.raises(ValidationError, match="given together"):
-        Pi0RemoteOptions(**{**DROID, "gripper_key": None})
+def test_joints_that_do_not_fit_are_refused(policy_server: Any) -> None:
+    with pytest.raises(ConfigurationError, match="'joints' has no use"):
+        _backend(policy_server, profile="libero")
     with pytest.raises(ConfigurationError, match="needs the option 'joints'"):
         _backend(policy_server, joints=None)
+    with pytest.raises(ConfigurationError, match="names 6 joints, profile 'droid' has 7"):
+        _backend(policy_server, joints=ARM[:6])
+    with pytest.raises(ConfigurationError, match="each joint stands once"):
+        _backend(policy_server, joints=(*ARM[:6], ARM[0]))

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rn_backend_pi0.client import check_url, is_loopback
-from rn_backend_pi0.options import Pi0RemoteOptions
-from rn_backend_pi0.remote import Pi0RemoteBackend
+from rn_backend_openpi.backend import OpenpiBackend
+from rn_backend_openpi.key import check_url, is_loopback
+from rn_backend_openpi.options import OpenpiOptions
 from roboneuron.contract import Observation
 from roboneuron.errors import (
     ConfigurationError,
@@ -37,10 +37,10 @@ SLACK_S = 6.0
 
 
 @pytest.fixture
-def options(policy_server: Any) -> Callable[..., Pi0RemoteOptions]:
+def options(policy_server: Any) -> Callable[..., OpenpiOptions]:
     """Makes options that point at the stand-in."""
 
-    def make(**changes: Any) -> Pi0RemoteOptions:
+    def make(**changes: Any) -> OpenpiOptions:
         values = {
             "url": policy_server.url,
             "profile": "libero",
@@ -49,21 +49,21 @@ def options(policy_server: Any) -> Callable[..., Pi0RemoteOptions]:
             "warm_up_timeout_s": 5.0,
             "request_timeout_s": TIMEOUT_S,
         }
-        return Pi0RemoteOptions(**(values | changes))
+        return OpenpiOptions(**(values | changes))
 
     return make
 
 
 @pytest.fixture
-def backend(options: Callable[..., Pi0RemoteOptions]) -> Iterator[Pi0RemoteBackend]:
+def backend(options: Callable[..., OpenpiOptions]) -> Iterator[OpenpiBackend]:
     """A loaded backend."""
-    made = Pi0RemoteBackend(options())
+    made = OpenpiBackend(options())
     made.load()
     yield made
     made.close()
 
 
-def _recovers(backend: Pi0RemoteBackend, observation: Observation) -> None:
+def _recovers(backend: OpenpiBackend, observation: Observation) -> None:
     """Predict again, asking anew while it says that it is not ready."""
     deadline_s = time.monotonic() + 10.0
     while True:
@@ -75,7 +75,7 @@ def _recovers(backend: Pi0RemoteBackend, observation: Observation) -> None:
 
 
 def test_a_request_holds_what_openpis_libero_client_sends(
-    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe
+    policy_server: Any, backend: OpenpiBackend, observe: Observe
 ) -> None:
     backend.predict(observe(primary=200, size=(112, 224), instruction="close the drawer"))
     request = policy_server.requests[-1]
@@ -90,7 +90,7 @@ def test_a_request_holds_what_openpis_libero_client_sends(
 
 
 def test_the_answer_becomes_contract_actions_with_the_servers_own_time(
-    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe
+    policy_server: Any, backend: OpenpiBackend, observe: Observe
 ) -> None:
     actions = np.array([[1.0, 0, 0, 0, 0, 0.5, -1.0]] * 3, dtype=np.float32)
     policy_server.answer = lambda request: {
@@ -105,10 +105,10 @@ def test_the_answer_becomes_contract_actions_with_the_servers_own_time(
 
 
 def test_two_cameras_are_sent_and_a_missing_one_is_refused(
-    policy_server: Any, options: Callable[..., Pi0RemoteOptions], observe: Observe
+    policy_server: Any, options: Callable[..., OpenpiOptions], observe: Observe
 ) -> None:
     keys = {"primary": "observation/image", "wrist": "observation/wrist_image"}
-    backend = Pi0RemoteBackend(options(image_keys=keys, action_steps=2, image_flip="rotate-180"))
+    backend = OpenpiBackend(options(image_keys=keys, action_steps=2, image_flip="rotate-180"))
     backend.load()
     assert backend.predict(observe(wrist=7)).actions.shape == (2, 7)
     assert policy_server.requests[-1]["observation/wrist_image"].max() == 7
@@ -118,7 +118,7 @@ def test_two_cameras_are_sent_and_a_missing_one_is_refused(
 
 
 def test_a_server_that_dies_mid_request_is_reported_and_found_again(
-    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe
+    policy_server: Any, backend: OpenpiBackend, observe: Observe
 ) -> None:
     good = policy_server.answer
     policy_server.answer = lambda request: policy_server.stop()
@@ -133,7 +133,7 @@ def test_a_server_that_dies_mid_request_is_reported_and_found_again(
 
 
 def test_a_failed_request_is_not_sent_again(
-    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe
+    policy_server: Any, backend: OpenpiBackend, observe: Observe
 ) -> None:
     before = len(policy_server.requests)
     policy_server.answer = lambda request: policy_server.cut()
@@ -143,7 +143,7 @@ def test_a_failed_request_is_not_sent_again(
 
 
 def test_a_slow_answer_is_given_up_and_never_taken_for_the_next_one(
-    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe
+    policy_server: Any, backend: OpenpiBackend, observe: Observe
 ) -> None:
     released = policy_server.released
 
@@ -163,12 +163,12 @@ def test_a_slow_answer_is_given_up_and_never_taken_for_the_next_one(
 
 
 def test_a_half_open_connection_ends_in_time(
-    options: Callable[..., Pi0RemoteOptions], observe: Observe
+    options: Callable[..., OpenpiOptions], observe: Observe
 ) -> None:
     # A peer that answers the handshake and the warm-up, then neither reads nor writes, through a
     # tiny relay.
     with _Relay(options().url) as relay:
-        backend = Pi0RemoteBackend(options(url=relay.url, image_side_px=1024))
+        backend = OpenpiBackend(options(url=relay.url, image_size_px=(1024, 1024)))
         backend.load()
         relay.freeze()
         start = time.monotonic()
@@ -181,7 +181,7 @@ def test_a_half_open_connection_ends_in_time(
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="makes a certificate with openssl")
 def test_tls_is_verified_and_a_half_open_tls_connection_ends_in_time(
     policy_server: Any,
-    options: Callable[..., Pi0RemoteOptions],
+    options: Callable[..., OpenpiOptions],
     observe: Observe,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -205,15 +205,15 @@ def test_tls_is_verified_and_a_half_open_tls_connection_ends_in_time(
     policy_server.tls.load_cert_chain(certificate, key)
     policy_server.start()
     with pytest.raises(ConfigurationError, match="not trusted"):
-        Pi0RemoteBackend(options(url=policy_server.url)).load()
+        OpenpiBackend(options(url=policy_server.url)).load()
     monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
-    patient = Pi0RemoteBackend(options(url=policy_server.url, request_timeout_s=60.0))
+    patient = OpenpiBackend(options(url=policy_server.url, request_timeout_s=60.0))
     patient.load()
     assert patient.predict(observe()).note == ""
     patient.close()
     with _Relay(policy_server.url) as relay:
-        backend = Pi0RemoteBackend(
-            options(url=relay.url.replace("ws:", "wss:"), image_side_px=1024)
+        backend = OpenpiBackend(
+            options(url=relay.url.replace("ws:", "wss:"), image_size_px=(1024, 1024))
         )
         backend.load()
         relay.freeze()
@@ -226,7 +226,7 @@ def test_tls_is_verified_and_a_half_open_tls_connection_ends_in_time(
 
 def test_a_traceback_frame_is_shown_by_its_last_line(
     policy_server: Any,
-    backend: Pi0RemoteBackend,
+    backend: OpenpiBackend,
     observe: Observe,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -246,8 +246,8 @@ def test_a_traceback_frame_is_shown_by_its_last_line(
 @pytest.mark.parametrize(
     ("reply", "word"),
     [
-        (b"\xc1\xc1", "not openpi's format"),
-        (b"\x81", "not openpi's format"),
+        (b"\xc1\xc1", "else than openpi's format"),
+        (b"\x81", "else than openpi's format"),
         ([1, 2], "expected a map"),
         ({"action": np.zeros((1, 7))}, "no array 'actions'"),
         ({"actions": [[0.0] * 7]}, "no array 'actions'"),
@@ -272,7 +272,7 @@ def test_a_traceback_frame_is_shown_by_its_last_line(
     ],
 )
 def test_a_malformed_answer_is_refused(
-    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe, reply: Any, word: str
+    policy_server: Any, backend: OpenpiBackend, observe: Observe, reply: Any, word: str
 ) -> None:
     policy_server.answer = lambda request: reply
     with pytest.raises(ConfigurationError, match=word):
@@ -283,7 +283,7 @@ def test_a_malformed_answer_is_refused(
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_non_finite_actions_are_unsafe(
-    policy_server: Any, backend: Pi0RemoteBackend, observe: Observe, bad: float
+    policy_server: Any, backend: OpenpiBackend, observe: Observe, bad: float
 ) -> None:
     policy_server.answer = lambda request: {"actions": np.full((2, 7), bad)}
     with pytest.raises(UnsafeError, match="non-finite"):
@@ -291,52 +291,50 @@ def test_non_finite_actions_are_unsafe(
 
 
 def test_what_does_not_fit_is_found_by_load(
-    policy_server: Any, options: Callable[..., Pi0RemoteOptions]
+    policy_server: Any, options: Callable[..., OpenpiOptions]
 ) -> None:
     policy_server.answer = lambda request: {"actions": np.zeros((10, 8))}
     with pytest.raises(ConfigurationError, match="8"):
-        Pi0RemoteBackend(options()).load()
+        OpenpiBackend(options()).load()
     policy_server.answer = lambda request: {"actions": np.full((10, 7), np.nan)}
     with pytest.raises(UnsafeError):
-        Pi0RemoteBackend(options()).load()
+        OpenpiBackend(options()).load()
     policy_server.answer = lambda request: {"actions": np.zeros((2, 7))}
     with pytest.raises(ConfigurationError, match="action_steps"):
-        Pi0RemoteBackend(options(action_steps=3)).load()
+        OpenpiBackend(options(action_steps=3)).load()
     with pytest.raises(ConfigurationError, match="choose one of"):
-        Pi0RemoteBackend(options(profile=None)).load()
-    with pytest.raises(ConfigurationError, match="server has done already"):
-        Pi0RemoteBackend(options(profile="libero-openpi")).load()
+        OpenpiBackend(options(profile=None)).load()
     policy_server.metadata = "Traceback\nRuntimeError: no GPU"
     with pytest.raises(NotReadyError, match="no GPU"):
-        Pi0RemoteBackend(options()).load()
+        OpenpiBackend(options()).load()
 
 
-def test_an_absent_server_is_reported_in_time(options: Callable[..., Pi0RemoteOptions]) -> None:
+def test_an_absent_server_is_reported_in_time(options: Callable[..., OpenpiOptions]) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         free = listener.getsockname()[1]
     start = time.monotonic()
     with pytest.raises(NotReadyError, match=r"did not answer within 0\.3 s"):
-        Pi0RemoteBackend(options(url=f"ws://127.0.0.1:{free}", connect_timeout_s=0.3)).load()
+        OpenpiBackend(options(url=f"ws://127.0.0.1:{free}", connect_timeout_s=0.3)).load()
     assert time.monotonic() - start < 0.3 + SLACK_S
 
 
 def test_something_else_that_listens_is_reported_in_time(
-    options: Callable[..., Pi0RemoteOptions],
+    options: Callable[..., OpenpiOptions],
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         url = f"ws://127.0.0.1:{silent.getsockname()[1]}"
         with pytest.raises(NotReadyError, match="did not answer"):
-            Pi0RemoteBackend(options(url=url, connect_timeout_s=0.3)).load()
+            OpenpiBackend(options(url=url, connect_timeout_s=0.3)).load()
 
 
 def test_the_key_travels_in_the_header_and_comes_from_the_environment(
-    policy_server: Any, options: Callable[..., Pi0RemoteOptions], monkeypatch: pytest.MonkeyPatch
+    policy_server: Any, options: Callable[..., OpenpiOptions], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    backend = Pi0RemoteBackend(options(api_key_variable="PI0_TEST_KEY"))
-    monkeypatch.delenv("PI0_TEST_KEY", raising=False)
-    with pytest.raises(ConfigurationError, match="PI0_TEST_KEY"):
+    backend = OpenpiBackend(options(api_key_variable="OPENPI_TEST_KEY"))
+    monkeypatch.delenv("OPENPI_TEST_KEY", raising=False)
+    with pytest.raises(ConfigurationError, match="OPENPI_TEST_KEY"):
         backend.load()
-    monkeypatch.setenv("PI0_TEST_KEY", "secret")
+    monkeypatch.setenv("OPENPI_TEST_KEY", "secret")
     backend.load()
     assert policy_server.headers[-1]["Authorization"] == "Api-Key secret"
     backend.close()
@@ -358,13 +356,13 @@ def test_an_unencrypted_remote_url_is_warned_about_and_gets_no_key() -> None:
 
 
 def test_the_warning_is_logged_and_shown_in_every_chunk(
-    options: Callable[..., Pi0RemoteOptions],
+    options: Callable[..., OpenpiOptions],
     observe: Observe,
     caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("rn_backend_pi0.client.is_loopback", lambda host: False)
-    backend = Pi0RemoteBackend(options())
+    monkeypatch.setattr("rn_backend_openpi.key.is_loopback", lambda host: False)
+    backend = OpenpiBackend(options())
     with caplog.at_level(logging.WARNING):
         backend.load()
     assert "not encrypted" in caplog.text
@@ -380,11 +378,11 @@ def test_loopback_is_recognised_by_the_address_alone() -> None:
 
 
 def test_predict_is_refused_before_load_and_after_close(
-    backend: Pi0RemoteBackend, observe: Observe
+    backend: OpenpiBackend, observe: Observe
 ) -> None:
     backend.close()
     backend.close()
-    for made in (backend, Pi0RemoteBackend(Pi0RemoteOptions(profile="libero"))):
+    for made in (backend, OpenpiBackend(OpenpiOptions(profile="libero"))):
         with pytest.raises(StateError):
             made.predict(observe())
 

@@ -4,7 +4,6 @@ itself.
 
 from __future__ import annotations
 
-import ipaddress
 import logging
 import socket
 import ssl
@@ -12,32 +11,28 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
+from numpy.typing import NDArray
 from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, WebSocketException
+from websockets.protocol import State
 from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 
-from rn_backend_pi0.wire import Value, pack, unpack
-from roboneuron import ConfigurationError, NotReadyError
+from rn_backend_openpi.wire import MOST_BYTES, Value, pack, unpack
+from roboneuron import ConfigurationError, InvalidInputError, NotReadyError
 
-_MAX_REPLY_BYTES = 64 * 2**20
+Reply = dict[object, object] | NDArray[Any]
 _FIRST_PAUSE_S = 0.05
 _LONGEST_PAUSE_S = 1.0
 _UNAUTHORIZED = (401, 403)
 _SHOWN = 300
 _CLOSE_TIMEOUT_S = 0.5
+_RESET_DONE = "reset successful"
+"""Source: roboarena policy_server.py."""
 log = logging.getLogger(__name__)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether `host` is this machine, by its text alone."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 class PolicyClient:
@@ -48,14 +43,18 @@ class PolicyClient:
     that of the next request.
 
     Args:
-        url: "ws://host:port" or "wss://host:port".
+        url: "ws://host:port" or "wss://host:port", with a path if the server has one.
         api_key: sent as "Authorization: Api-Key ..."; None for none.
+        ca_file: PEM of the authority that is trusted beside the system's; None for those alone.
     """
 
-    def __init__(self, url: str, *, api_key: str | None = None) -> None:
+    def __init__(
+        self, url: str, *, api_key: str | None = None, ca_file: Path | None = None
+    ) -> None:
         self._url = url
         self._headers = {"Authorization": f"Api-Key {api_key}"} if api_key else {}
         parts = urlsplit(url)
+        self._tls = _tls(ca_file) if parts.scheme == "wss" else None
         self._address = (parts.hostname or "", parts.port or (443 if parts.scheme == "wss" else 80))
         self._connection: Connection | None = None
         self._stack = ExitStack()
@@ -65,8 +64,11 @@ class PolicyClient:
 
     @property
     def is_connected(self) -> bool:
-        """Whether there is a connection that has not failed yet."""
-        return self._connection is not None
+        """Whether there is a connection that has neither failed nor been closed by the server, as
+        some do after a while without a request.
+        """
+        connection = self._connection
+        return connection is not None and connection.state is State.OPEN
 
     def open(self, timeout_s: float) -> dict[object, object]:
         """Connect, with growing pauses between attempts; returns the server's metadata.
@@ -96,7 +98,7 @@ class PolicyClient:
             hint="Start it, or correct the option 'url'.",
         )
 
-    def infer(self, request: Mapping[str, Value], timeout_s: float) -> dict[object, object]:
+    def infer(self, request: Mapping[str, Value], timeout_s: float) -> Reply:
         """Send one request and return the reply. Must be connected.
 
         Raises:
@@ -107,15 +109,11 @@ class PolicyClient:
         connection = self._connection
         if connection is None:
             raise NotReadyError(f"There is no connection to {self._url}.")
-        deadline_s = time.monotonic() + timeout_s
-        late = threading.Event()
         try:
-            with _shut_after(connection.socket, timeout_s, late):
-                connection.send(pack(request))
-            reply = connection.recv(timeout=max(0.0, deadline_s - time.monotonic()))
+            reply = self._exchange(connection, request, timeout_s)
         except (OSError, WebSocketException) as error:
             self._drop()
-            if late.is_set() or isinstance(error, TimeoutError):
+            if isinstance(error, TimeoutError):
                 raise NotReadyError(
                     f"The policy server at {self._url} gave no answer within {timeout_s:g} s.",
                     hint="It may be overloaded or gone; raise request_timeout_s if its inference "
@@ -126,10 +124,40 @@ class PolicyClient:
             ) from error
         return self._decoded(reply)
 
+    def reset(self, request: Mapping[str, Value], timeout_s: float) -> None:
+        """Send one request whose answer says no more than that it was understood, as text or as a
+        map. Raises NotReadyError as `infer`.
+        """
+        connection = self._connection
+        if connection is None:
+            raise NotReadyError(f"There is no connection to {self._url}.")
+        try:
+            told = self._exchange(connection, request, timeout_s)
+        except (OSError, WebSocketException) as error:
+            self._drop()
+            raise NotReadyError(f"The reset at {self._url} failed: {_reason(error)}.") from error
+        if told != _RESET_DONE:
+            self._decoded(told)
+
     def close(self) -> None:
         """Disconnect; may be called twice, and ends a wait in `open`."""
         self._closed.set()
         self._drop()
+
+    def _exchange(
+        self, connection: Connection, request: Mapping[str, Value], timeout_s: float
+    ) -> str | bytes:
+        """One frame there and one back. Raises TimeoutError when that takes longer."""
+        deadline_s = time.monotonic() + timeout_s
+        late = threading.Event()
+        try:
+            with _shut_after(connection.socket, timeout_s, late):
+                connection.send(pack(request))
+        except (OSError, WebSocketException) as error:
+            if late.is_set():
+                raise TimeoutError("the server does not read") from error
+            raise
+        return connection.recv(timeout=max(0.0, deadline_s - time.monotonic()))
 
     def _attempt(self, timeout_s: float) -> dict[object, object]:
         deadline_s = time.monotonic() + timeout_s
@@ -143,18 +171,30 @@ class PolicyClient:
             connect(
                 self._url,
                 sock=plain,
+                ssl=self._tls,
                 additional_headers=self._headers,
                 compression=None,
-                max_size=_MAX_REPLY_BYTES,
+                max_size=MOST_BYTES,
                 open_timeout=max(0.0, deadline_s - time.monotonic()),
                 close_timeout=_CLOSE_TIMEOUT_S,
                 ping_interval=None,
                 proxy=None,
             )
         )
-        return self._decoded(connection.recv(timeout=max(0.0, deadline_s - time.monotonic())))
+        try:
+            told = connection.recv(timeout=max(0.0, deadline_s - time.monotonic()))
+        except TimeoutError as error:
+            raise TimeoutError("it has accepted the connection, but sends no metadata") from error
+        metadata = self._decoded(told)
+        if not isinstance(metadata, dict):
+            self._drop()
+            raise ConfigurationError(
+                f"{self._url} answers with an array before it is asked; metadata are a map.",
+                hint="Check that the URL is that of a policy server.",
+            )
+        return metadata
 
-    def _decoded(self, frame: str | bytes) -> dict[object, object]:
+    def _decoded(self, frame: str | bytes) -> Reply:
         if isinstance(frame, str):
             self._drop()
             log.warning("policy server at %s failed:\n%s", self._url, frame)
@@ -163,10 +203,22 @@ class PolicyClient:
                 f"The policy server at {self._url} reported a failure: {last}", hint="See its log."
             )
         try:
-            return unpack(frame)
-        except ConfigurationError:
+            reply = unpack(frame)
+        except InvalidInputError as error:
             self._drop()
-            raise
+            raise ConfigurationError(
+                f"The policy server at {self._url} sent something else than openpi's format. "
+                f"{error.message}",
+                hint="Check that the URL is that of a policy server.",
+            ) from error
+        if isinstance(reply, dict) and reply.get("type") == "error":
+            self._drop()
+            told = str(reply.get("message") or reply.get("error") or "no text")[:_SHOWN]
+            log.warning("policy server at %s failed: %s", self._url, told)
+            raise NotReadyError(
+                f"The policy server at {self._url} reported a failure: {told}", hint="See its log."
+            )
+        return reply
 
     def _check_final(self, error: Exception) -> None:
         """Raise for a failure that waiting cannot mend."""
@@ -177,15 +229,14 @@ class PolicyClient:
         if isinstance(error, ssl.SSLCertVerificationError):
             raise ConfigurationError(
                 f"The certificate of {self._url} is not trusted: {error.verify_message}.",
-                hint="Name the host as its certificate does, or add its authority with "
-                "SSL_CERT_FILE.",
+                hint="Name the host as its certificate does, or name the authority's PEM file "
+                "with ca_file.",
             ) from error
         if isinstance(error, InvalidStatus) and error.response.status_code in _UNAUTHORIZED:
             raise ConfigurationError(
                 f"The policy server at {self._url} refused the key (HTTP "
                 f"{error.response.status_code}).",
-                hint="Set api_key_variable to the name of the environment variable that holds a "
-                "valid key.",
+                hint="Set api_key_file to a file with a valid key.",
             ) from error
 
     def _drop(self) -> None:
@@ -198,34 +249,17 @@ class PolicyClient:
         stack.close()
 
 
-def check_url(url: str, *, has_key: bool, allow_insecure_key: bool) -> str:
-    """Return a warning about `url`, empty when there is nothing to say.
-
-    Raises:
-        ConfigurationError: it has no host or holds a password, or a key would travel unencrypted.
-    """
-    try:
-        parts = urlsplit(url)
-        host, _ = parts.hostname, parts.port
-    except ValueError as error:
-        raise ConfigurationError(f"The option 'url' cannot be read: {error}.") from error
-    if not host or parts.username is not None:
-        raise ConfigurationError(
-            "The option 'url' must name a host and hold no user or password.",
-            hint="A key goes into api_key_variable.",
-        )
-    if parts.scheme == "wss" or is_loopback(host):
-        return ""
-    if has_key and not allow_insecure_key:
-        raise ConfigurationError(
-            f"The API key would travel unencrypted to {host}.",
-            hint="Use wss://, a tunnel, or allow_insecure_key = true.",
-        )
-    return (
-        f"the connection to {host} is not encrypted: anyone on the way can read the images and "
-        "change the robot's "
-        "actions; use wss:// or a tunnel"
-    )
+def _tls(ca_file: Path | None) -> ssl.SSLContext:
+    """What is trusted. Raises ConfigurationError when the file holds no certificate."""
+    context = ssl.create_default_context()
+    if ca_file is not None:
+        try:
+            context.load_verify_locations(ca_file)
+        except (OSError, ssl.SSLError) as error:
+            raise ConfigurationError(
+                f"ca_file = {str(ca_file)!r} holds no certificate: {error}."
+            ) from error
+    return context
 
 
 @contextmanager

@@ -1,0 +1,3 @@
+"""openpi's websocket for policies: the backend `openpi` asks a server, the command `openpi-server`
+is one.
+"""

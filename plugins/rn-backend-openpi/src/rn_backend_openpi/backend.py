@@ -1,0 +1,309 @@
+"""The backend "openpi": asks a policy server."""
+
+from __future__ import annotations
+
+import logging
+import time
+import uuid
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_openpi import metadata
+from rn_backend_openpi.interface import layout_of
+from rn_backend_openpi.key import check_url, read_key, read_key_variable
+from rn_backend_openpi.layout import Layout
+from rn_backend_openpi.metadata import STEP, TIME_LEFT, Told
+from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.plugin import MOST_ROWS
+from roboneuron import (
+    ActionChunk,
+    ArmState,
+    Backend,
+    ConfigurationError,
+    Frame,
+    JointSample,
+    NotReadyError,
+    Observation,
+    Pose,
+    StateError,
+    UnsafeError,
+)
+
+if TYPE_CHECKING:
+    from rn_backend_openpi.client import PolicyClient, Reply
+
+_FRESH_S = 0.2
+"""When reconnecting took longer than this, the images at hand are old and the caller is asked for
+newer ones.
+"""
+_DOWN_XYZW = (1.0, 0.0, 0.0, 0.0)
+_GREY_PX = (224, 224)
+log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class _Session:
+    """What a loaded backend holds.
+
+    Attributes:
+        client: connected, or about to be again.
+        told: by the server.
+        warning: shown in every chunk; empty for none.
+        identity: of the episode, for servers that keep one.
+        is_new: the server has not been told yet that the episode is a new one.
+    """
+
+    client: PolicyClient
+    told: Told
+    warning: str
+    identity: str
+    is_new: bool = False
+
+
+class OpenpiBackend:
+    """Follows the protocol `Backend`; construction is pure, `load` connects."""
+
+    def __init__(
+        self, config: OpenpiOptions, *, runtime: object = None, acceleration: object = None
+    ) -> None:
+        if runtime is not None or acceleration is not None:
+            raise ConfigurationError("Backend 'openpi' takes no runtime and no acceleration.")
+        self._config = config
+        self._session: _Session | None = None
+
+    def load(self) -> None:
+        """Connect, compare the server's metadata with the options, and ask for one chunk, so that
+        the server has compiled and its answer is known to fit.
+
+        Raises:
+            ConfigurationError: an option does not fit, the key is refused, or the server's metadata
+                or answer do not fit.
+            NotReadyError: the server cannot be reached in time or fails.
+            UnsafeError: the server's model produces non-finite values.
+            StateError: it is loaded already.
+        """
+        if self._session is not None:
+            raise StateError("Backend 'openpi' is connected already.", hint="Call close() first.")
+        from rn_backend_openpi.client import PolicyClient  # heavy
+
+        config = self._config
+        layout = layout_of(config)
+        key = self._read_key()
+        warning = check_url(
+            config.url, has_key=key is not None, allow_insecure_key=config.allow_insecure_key
+        )
+        if warning:
+            log.warning("%s", warning)
+        with ExitStack() as undo:
+            client = PolicyClient(config.url, api_key=key, ca_file=config.ca_file)
+            undo.callback(client.close)
+            first = client.open(config.connect_timeout_s)
+            log.info("policy server at %s says %s", config.url, first)
+            told = metadata.check(
+                first,
+                layout,
+                size_is_set=config.image_size_px is not None,
+                dialect=config.dialect,
+            )
+            session = _Session(client, told, warning, uuid.uuid4().hex)
+            self._ask(session, _nominal(config, told.layout), config.warm_up_timeout_s)
+            undo.pop_all()
+        self._session = session
+
+    def predict(self, observation: Observation) -> ActionChunk:
+        """Return the next actions.
+
+        Raises:
+            NotReadyError: no answer in time, or the connection is gone; the next call connects
+                again.
+            UngroundedError: a camera, the pose, joints or the gripper is missing.
+            UnsafeError: the measured state or the answer is not finite.
+            ConfigurationError: the answer is not what the protocol and the profile say.
+            StateError: `load` was not called.
+        """
+        session, config = self._session, self._config
+        if session is None:
+            raise StateError("Backend 'openpi' is not loaded; call load() first.")
+        start = time.monotonic()
+        if not session.client.is_connected:
+            session.client.open(config.request_timeout_s)
+            if time.monotonic() - start > _FRESH_S:
+                raise NotReadyError(
+                    f"Connected to {config.url} again; the observation has grown old meanwhile."
+                )
+        left_s = config.request_timeout_s - (time.monotonic() - start)
+        return self._ask(session, observation, left_s)
+
+    def reset(self) -> None:
+        """Begin another episode: a server that keeps one is told with the next request."""
+        if self._session is not None:
+            self._session.identity = uuid.uuid4().hex
+            self._session.is_new = True
+
+    def close(self) -> None:
+        """Disconnect."""
+        session, self._session = self._session, None
+        if session is not None:
+            session.client.close()
+
+    def _read_key(self) -> str | None:
+        config = self._config
+        if config.api_key_file is not None:
+            return read_key(config.api_key_file)
+        if config.api_key_variable is not None:
+            return read_key_variable(config.api_key_variable)
+        return None
+
+    def _ask(self, session: _Session, observation: Observation, timeout_s: float) -> ActionChunk:
+        """One request and its answer, checked."""
+        told, client = session.told, session.client
+        rows = told.layout.rows
+        start = time.monotonic()
+        request = told.layout.request_of(observation)
+        if told.is_roboarena:
+            self._begin(session, timeout_s)
+            request |= {"endpoint": "infer", "session_id": session.identity}
+        left_s = timeout_s - (time.monotonic() - start)
+        if told.is_roboneuron:
+            request[TIME_LEFT] = max(left_s, 0.0)
+        reply = client.infer(request, left_s)
+        served = self._served(reply, rows.width)
+        metrics = {
+            "inference_ms": (time.monotonic() - start) * 1e3,
+            "chunk_horizon": float(len(served)),
+            "cameras": float(len(told.layout.image_keys)),
+            "connections": float(client.connections),
+        }
+        server_ms = _server_ms(reply)
+        if server_ms is not None:
+            metrics["server_ms"] = server_ms
+        return ActionChunk(
+            actions=rows.to_contract(served, observation),
+            step_s=rows.step_s or _step_s(reply),
+            space=rows.space,
+            metrics=metrics,
+            note=session.warning,
+        )
+
+    def _begin(self, session: _Session, timeout_s: float) -> None:
+        """Tell the server of a new episode, once."""
+        if session.is_new:
+            session.client.reset({"endpoint": "reset", "session_id": session.identity}, timeout_s)
+            session.is_new = False
+
+    def _served(self, reply: Reply, width: int) -> NDArray[np.float64]:
+        """float64 (H, width) of a reply, as it was served.
+
+        Raises:
+            ConfigurationError: anything else; names both sides.
+            UnsafeError: a value is not finite.
+        """
+        config = self._config
+        values = _side_by_side(reply, config.action_keys)
+        if values.ndim != 2 or not len(values) or values.shape[1] != width:
+            raise ConfigurationError(
+                f"The policy server yields actions of shape {values.shape}, expected (H >= 1, "
+                f"{width}).",
+                hint="Choose the profile of the served policy.",
+            )
+        steps = config.action_steps
+        if steps is not None and steps > len(values):
+            raise ConfigurationError(
+                f"action_steps is {steps}, the server yields {len(values)} actions."
+            )
+        if steps is None and len(values) > MOST_ROWS:
+            raise ConfigurationError(
+                f"The server yields {len(values)} actions, at most {MOST_ROWS} are taken.",
+                hint="Set action_steps.",
+            )
+        if not np.isfinite(values).all():
+            raise UnsafeError("The policy server answered with non-finite values.")
+        return values[:steps]
+
+
+def _side_by_side(reply: Reply, keys: tuple[str, ...]) -> NDArray[np.float64]:
+    """The arrays of these keys as one, float64; an array alone is what the only key would name.
+
+    Raises:
+        ConfigurationError: one of them is missing, or they do not fit beside each other.
+    """
+    if isinstance(reply, np.ndarray):
+        if len(keys) > 1:
+            raise ConfigurationError(
+                f"The policy server's reply is an array, action_keys names {', '.join(keys)}.",
+                hint="Leave action_keys out.",
+            )
+        return _chunk(reply)
+    parts = []
+    for key in keys:
+        part = reply.get(key)
+        if not isinstance(part, np.ndarray):
+            raise ConfigurationError(
+                f"The policy server's reply has no array {key!r}; its keys: "
+                f"{sorted(map(str, reply))}.",
+                hint="Correct action_keys.",
+            )
+        parts.append(_chunk(part))
+    if len(parts) == 1:
+        return parts[0]
+    if any(part.ndim != 2 or len(part) != len(parts[0]) for part in parts):
+        shapes = ", ".join(f"{key} {part.shape}" for key, part in zip(keys, parts, strict=True))
+        raise ConfigurationError(f"The policy server's arrays do not fit together: {shapes}.")
+    return np.hstack(parts)
+
+
+def _chunk(values: NDArray[np.generic]) -> NDArray[np.float64]:
+    """Without the axis of a batch of one, which some servers leave in."""
+    numbers = values.astype(np.float64)
+    return numbers[0] if numbers.ndim == 3 and len(numbers) == 1 else numbers
+
+
+def _nominal(config: OpenpiOptions, layout: Layout) -> Observation:
+    """A harmless observation for the warm-up; its answer is checked and thrown away."""
+    grey = np.full((*(layout.image_size_px or _GREY_PX), 3), 128, dtype=np.uint8)
+    names = config.joints or ()
+    pose = Pose(position_m=np.array([0.45, 0.0, 0.45]), quaternion_xyzw=np.array(_DOWN_XYZW))
+    arms = {channel.arm for channel in layout.rows.space.channels} - {""}
+    return Observation(
+        frames={
+            role: Frame(camera=role, image=grey, stamp_ns=0, frame_id=role)
+            for role in layout.image_keys
+        },
+        instruction="warm up",
+        joints=JointSample(names=names, position=np.zeros(len(names))),
+        ee_pose=pose,
+        gripper_open=0.5,
+        arms={arm: ArmState(ee_pose=pose, gripper_open=0.5) for arm in sorted(arms)},
+    )
+
+
+def _step_s(reply: Reply) -> float:
+    """The period that the reply says [s]."""
+    step_s = reply.get(STEP) if isinstance(reply, dict) else None
+    if not isinstance(step_s, int | float) or not 0.0 < step_s <= 10.0:
+        raise ConfigurationError(
+            f"The policy server's reply says no time between two actions ({STEP} is {step_s!r}).",
+            hint="Set rate_hz.",
+        )
+    return float(step_s)
+
+
+def _server_ms(reply: Reply) -> float | None:
+    """The server's own inference time, when it says one."""
+    if not isinstance(reply, dict):
+        return None
+    for block in ("policy_timing", "server_timing"):
+        timing = reply.get(block)
+        if isinstance(timing, dict):
+            value = timing.get("infer_ms")
+            if isinstance(value, int | float | np.number) and np.isfinite(value):
+                return float(value)
+    return None
+
+
+if TYPE_CHECKING:
+    _: type[Backend] = OpenpiBackend

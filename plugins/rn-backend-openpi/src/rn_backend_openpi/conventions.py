@@ -1,0 +1,94 @@
+"""How policies write grippers and rotations: to the contract's openings and matrices, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from rn_vla.rotation import F64, matrix_from_rpy, rpy_from_matrix
+from roboneuron import (
+    UnsafeError,
+    matrix_from_quaternion,
+    matrix_from_rotvec,
+    rotvec_from_matrix,
+)
+
+GripperValue = Literal["open_fraction", "closed_fraction", "signed_open", "signed_close", "none"]
+PoseRotation = Literal["quaternion", "quaternion_wxyz", "rotvec", "rpy", "rot6d", "rot6d_rows"]
+ROTATION_VALUES: Mapping[str, int] = MappingProxyType(
+    {
+        "quaternion": 4,
+        "quaternion_wxyz": 4,
+        "rotvec": 3,
+        "rpy": 3,
+        "rot6d": 6,
+        "rot6d_rows": 6,
+    }
+)
+"""How many values each takes."""
+
+
+def to_opening(values: F64, convention: GripperValue) -> F64:
+    """A policy's gripper values -> openings, not clipped."""
+    if convention == "closed_fraction":
+        return 1.0 - values
+    if convention in ("signed_open", "signed_close"):
+        sign = 1.0 if convention == "signed_open" else -1.0
+        return (1.0 + sign * values) / 2.0
+    return values
+
+
+def from_opening(openings: F64, convention: GripperValue) -> F64:
+    """The inverse of `to_opening`."""
+    if convention == "closed_fraction":
+        return 1.0 - openings
+    if convention in ("signed_open", "signed_close"):
+        sign = 1.0 if convention == "signed_open" else -1.0
+        return sign * (2.0 * openings - 1.0)
+    return openings
+
+
+_SHORTEST = 1e-3
+"""Of a quaternion or an axis that still says a direction."""
+
+
+def matrix_of(values: F64, rotation: PoseRotation) -> F64:
+    """Rotation matrix (3, 3) of what a policy writes. Raises UnsafeError when it is none."""
+    if rotation == "rotvec":
+        return matrix_from_rotvec(values)
+    if rotation == "rpy":
+        return matrix_from_rpy(values)
+    if rotation in ("quaternion", "quaternion_wxyz"):
+        xyzw = values if rotation == "quaternion" else np.roll(values, -1)
+        return matrix_from_quaternion(xyzw / _length(xyzw, values))
+    # Gram-Schmidt: networks write two vectors that are nearly of length 1 and nearly perpendicular
+    first = values[:3] / _length(values[:3], values)
+    across = values[3:] - first * (first @ values[3:])
+    second = across / _length(across, values)
+    axes = np.array([first, second, np.cross(first, second)])
+    return axes if rotation == "rot6d_rows" else axes.T
+
+
+def _length(vector: F64, told: F64) -> float:
+    length = float(np.linalg.norm(vector))
+    if length < _SHORTEST:
+        raise UnsafeError(f"The policy server's values {told.tolist()} are no rotation.")
+    return length
+
+
+def rotation_of(quaternion_xyzw: F64, rotation: PoseRotation) -> F64:
+    """The inverse of `matrix_of`, of a unit quaternion."""
+    if rotation == "quaternion":
+        return quaternion_xyzw
+    if rotation == "quaternion_wxyz":
+        return np.roll(quaternion_xyzw, 1)
+    matrix = matrix_from_quaternion(quaternion_xyzw)
+    if rotation == "rotvec":
+        return rotvec_from_matrix(matrix)
+    if rotation == "rpy":
+        return rpy_from_matrix(matrix)
+    axes = matrix if rotation == "rot6d_rows" else matrix.T
+    return np.concatenate([axes[0], axes[1]])

@@ -1,0 +1,208 @@
+"""From options to the interface that they describe."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+import numpy as np
+
+from rn_backend_openpi.layout import Layout, Size
+from rn_backend_openpi.options import (
+    OWN,
+    PLAIN,
+    DeltaAction,
+    JointAction,
+    OpenpiOptions,
+    PoseAction,
+)
+from rn_backend_openpi.profiles import PRESETS, JointMeaning, Keys
+from rn_backend_openpi.rows import (
+    ONE_ARM,
+    DeltaRows,
+    JointRows,
+    PlainRows,
+    PoseRows,
+    Rows,
+    joint_channels,
+    joints_by_arm,
+    pose_channels,
+)
+from rn_backend_openpi.state import State, TermState, WholeState
+from rn_vla.tcp_actions import ActionLayout
+from rn_vla.tcp_profiles import PROFILES
+from rn_vla.tcp_state import StateLayout
+from roboneuron import EE_DELTA, ConfigurationError, ControlSpace
+
+_PLAIN_IMAGES = MappingProxyType(
+    {
+        "primary": "observation/image",
+        "wrist": "observation/wrist_image",
+        "right_wrist": "observation/right_wrist_image",
+    }
+)
+
+
+def layout_of(options: OpenpiOptions, space: ControlSpace | None = None) -> Layout:
+    """The interface that these options describe.
+
+    Args:
+        options: of client or server.
+        space: of the profile 'roboneuron', where it is known; else the options say it.
+
+    Raises:
+        ConfigurationError: there is no profile, or `joints` is missing, does not fit, or has no
+            use.
+    """
+    if options.profile is None:
+        raise ConfigurationError(
+            "The option 'profile' of 'openpi' is not set; choose one of "
+            f"{', '.join((*PRESETS, PLAIN, OWN))}.",
+            hint="The profile says what the served policy takes and what its actions mean; it "
+            "is never guessed.",
+        )
+    preset = PRESETS.get(options.profile)
+    images = _PLAIN_IMAGES if preset is None else preset.images
+    size: Size | None = None if preset is None else preset.size_px
+    if options.image_size_px is not None:
+        size = None if options.image_size_px == "raw" else options.image_size_px
+    rows = _plain(space) if space and options.profile == PLAIN else _rows(options)
+    optional = frozenset(images) - {"primary"} if preset is None else preset.optional
+    return Layout(
+        name=options.profile,
+        image_keys=options.image_keys or images,
+        optional_roles=optional if options.image_keys is None else frozenset(),
+        image_size_px=size,
+        axes=options.image_axes or ("hwc" if preset is None else preset.axes),
+        flip=options.image_flip,
+        prompt_key=options.prompt_key,
+        state=_state(options),
+        rows=rows,
+    )
+
+
+def _arms(options: OpenpiOptions) -> tuple[str, ...]:
+    preset = PRESETS.get(options.profile or "")
+    if preset is not None:
+        return ONE_ARM if preset.rows is None else preset.rows.arms
+    return options.arms or ONE_ARM
+
+
+def _joints(options: OpenpiOptions) -> tuple[str, ...]:
+    if options.joints is None:
+        raise ConfigurationError(
+            f"Profile {options.profile!r} needs the option 'joints': the robot's joints in the "
+            "policy's order."
+        )
+    return options.joints
+
+
+def _rows(options: OpenpiOptions) -> Rows:
+    base = np.array(options.base_position_m)
+    preset = PRESETS.get(options.profile or "")
+    if options.profile == PLAIN:
+        return _plain(_plain_space(options))
+    if preset is not None and preset.rows is not None:
+        names = _joints(options)
+        wanted = preset.joints * len(_arms(options))
+        if len(names) != wanted:
+            raise ConfigurationError(
+                f"The option 'joints' names {len(names)} joints, profile {options.profile!r} has "
+                f"{wanted}.",
+                hint="Name them in the policy's order, from the base to the tip of each arm.",
+            )
+        return _joint_rows(preset.rows, names)
+    action = options.action
+    if isinstance(action, JointAction):
+        meaning = JointMeaning(**action.model_dump(), arms=_arms(options))
+        return _joint_rows(meaning, _joints(options))
+    if isinstance(action, PoseAction):
+        _refuse_joints(options)
+        return PoseRows(
+            rotation=action.rotation,
+            gripper=action.gripper,
+            rate_hz=action.rate_hz,
+            arms=_arms(options),
+            base_position_m=base,
+        )
+    _refuse_joints(options)
+    layout = PROFILES[options.profile or ""].action if action is None else _delta(action)
+    if layout.adds_state:
+        raise ConfigurationError(
+            "adds_state has no use here: a policy server adds the state itoptions.",
+            hint="Leave it out.",
+        )
+    return DeltaRows(layout=layout, base_position_m=base)
+
+
+def _plain(space: ControlSpace) -> PlainRows:
+    return PlainRows(space=space, step_s=1.0 / space.rate_hz if space.rate_hz else 0.0)
+
+
+def _refuse_joints(options: OpenpiOptions) -> None:
+    """Raise for names of joints that nothing reads."""
+    terms = {term for part in (options.state_keys or {}).values() for term in part}
+    if options.joints is not None and "joints" not in terms:
+        raise ConfigurationError(
+            "The option 'joints' has no use: the profile moves the TCP and its state holds no "
+            "joints."
+        )
+
+
+def _plain_space(options: OpenpiOptions) -> ControlSpace:
+    if options.space == "ee_delta":
+        return EE_DELTA
+    if options.space == "ee_pose":
+        channels = pose_channels(_arms(options), has_gripper=options.grippers)
+    else:
+        channels = joint_channels(
+            options.space,
+            _joints(options),
+            _arms(options),
+            has_gripper=options.grippers,
+            slides=options.slides,
+        )
+    return ControlSpace(kind=options.space, channels=channels, rate_hz=options.rate_hz)
+
+
+def _state(options: OpenpiOptions) -> State:
+    if options.profile == PLAIN:
+        return WholeState()
+    preset = PRESETS.get(options.profile or "")
+    tcp = PROFILES.get(options.profile or "") if preset is None or preset.rows is None else None
+    keys: Keys = options.state_keys or (MappingProxyType({}) if preset is None else preset.state)
+    has_joints = any("joints" in terms for terms in keys.values())
+    by_arm = joints_by_arm(_joints(options), _arms(options)) if has_joints else {}
+    near = np.zeros(3) if tcp is None else tcp.state.rotvec_near_rad
+    if options.rotvec_near_rad is not None:
+        near = np.array(options.rotvec_near_rad)
+    return TermState(
+        parts={
+            key: {
+                arm: StateLayout(
+                    terms=terms,
+                    joint_names=by_arm.get(arm, ()) if "joints" in terms else (),
+                    base_position_m=np.array(options.base_position_m),
+                    rotvec_near_rad=near,
+                    finger_travel_m=options.finger_travel_m,
+                )
+                for arm in _arms(options)
+            }
+            for key, terms in keys.items()
+        }
+    )
+
+
+def _joint_rows(meaning: JointMeaning, names: tuple[str, ...]) -> JointRows:
+    return JointRows(
+        kind=meaning.kind,
+        names=names,
+        gripper=meaning.gripper,
+        rate_hz=meaning.rate_hz,
+        arms=meaning.arms,
+        limit=meaning.limit,
+        scale=meaning.scale,
+    )
+
+
+def _delta(action: DeltaAction) -> ActionLayout:
+    return ActionLayout(**action.model_dump(exclude={"kind"}))

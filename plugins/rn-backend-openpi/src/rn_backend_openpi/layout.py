@@ -1,0 +1,144 @@
+"""The whole interface of one served policy: which keys a request has and what they hold, what the
+rows of an answer are. The client and the server use the same one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_backend_openpi.rows import Rows
+from rn_backend_openpi.state import State
+from rn_backend_openpi.wire import Value
+from rn_vla.letterbox import Flip, fit_antialiased, flip_image
+from roboneuron import Frame, InvalidInputError, Observation, UngroundedError
+
+Axes = Literal["hwc", "chw"]
+Size = tuple[int, int]
+_MOST_NESTED = 4
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Layout:
+    """Keys and meanings.
+
+    Attributes:
+        name: of the profile.
+        image_keys: key of each camera role's image; a dot stands for a map inside another.
+        optional_roles: cameras whose images may be missing.
+        image_size_px: height and width that images are fitted into; None: as they are.
+        axes: order of an image's axes on the wire.
+        flip: turns upright images into what the policy was trained on.
+        prompt_key: of the instruction.
+        state: what is measured.
+        rows: what is answered.
+    """
+
+    name: str
+    image_keys: Mapping[str, str]
+    optional_roles: frozenset[str]
+    image_size_px: Size | None
+    axes: Axes
+    flip: Flip
+    prompt_key: str
+    state: State
+    rows: Rows
+
+    def request_of(self, observation: Observation) -> dict[str, Value]:
+        """The map that a client sends.
+
+        Raises:
+            UngroundedError: a camera or something of the state is missing.
+            UnsafeError: a measured value is not finite.
+        """
+        request: dict[str, Value] = {self.prompt_key: observation.instruction}
+        for key, value in self.state.build(observation).items():
+            _put(request, key, value)
+        for role, key in self.image_keys.items():
+            frame = observation.frames.get(role)
+            if frame is None and role in self.optional_roles:
+                continue
+            if frame is None:
+                have = ", ".join(observation.frames) or "none"
+                raise UngroundedError(
+                    f"The policy server needs a frame of the camera role {role!r}; the "
+                    f"observation has: {have}.",
+                    hint="Remove the role from image_keys if the served model does without.",
+                )
+            _put(request, key, self._to_wire(frame.image))
+        return request
+
+    def _to_wire(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        turned = flip_image(image, self.flip)
+        if self.image_size_px is not None:
+            turned = fit_antialiased(turned, self.image_size_px)
+        return np.ascontiguousarray(turned if self.axes == "hwc" else turned.transpose(2, 0, 1))
+
+    def observation_of(
+        self, request: Mapping[object, object], *, needed: Collection[str], has_state: bool
+    ) -> Observation:
+        """What a server's backend sees.
+
+        Args:
+            request: as it was decoded.
+            needed: camera roles that have to be there; others may be.
+            has_state: the state has to be there.
+
+        Raises:
+            InvalidInputError: an entry is missing or malformed.
+            UnsafeError: a value of the state is not finite.
+        """
+        entries = dict(_flat(request))
+        prompt = entries.get(self.prompt_key)
+        if not isinstance(prompt, str) or not prompt.strip():
+            raise InvalidInputError(f"The request has no text at {self.prompt_key!r}.")
+        frames = {
+            role: self._frame(entries, role, key)
+            for role, key in self.image_keys.items()
+            if role in needed or key in entries
+        }
+        if not has_state and not any(key in entries for key in self.state.keys):
+            return Observation(frames=frames, instruction=prompt)
+        measured = self.state.parse(entries)
+        return Observation(
+            frames=frames,
+            instruction=prompt,
+            joints=measured.joints,
+            ee_pose=measured.ee_pose,
+            gripper_open=measured.gripper_open,
+            arms=measured.arms,
+        )
+
+    def _frame(self, entries: Mapping[str, object], role: str, key: str) -> Frame:
+        image = entries.get(key)
+        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 3:
+            what = "is missing" if image is None else "is no uint8 array with three axes"
+            raise InvalidInputError(f"The request's image {key!r} (camera {role!r}) {what}.")
+        upright = flip_image(image if self.axes == "hwc" else image.transpose(1, 2, 0), self.flip)
+        return Frame(
+            camera=role, image=np.ascontiguousarray(upright), stamp_ns=0, frame_id=f"{role}_optical"
+        )
+
+
+def _put(request: dict[str, Value], key: str, value: Value) -> None:
+    """Write at a key whose dots stand for maps."""
+    at = request
+    *outer, last = key.split(".")
+    for name in outer:
+        at = cast("dict[str, Value]", at.setdefault(name, {}))
+    at[last] = value
+
+
+def _flat(
+    request: Mapping[object, object], prefix: str = "", left: int = _MOST_NESTED
+) -> Iterator[tuple[str, object]]:
+    """Entries by key, with a dot for each map inside another."""
+    for name, value in request.items():
+        if isinstance(value, dict) and left:
+            yield from _flat(value, f"{prefix}{name}.", left - 1)
+        else:
+            yield f"{prefix}{name}", value

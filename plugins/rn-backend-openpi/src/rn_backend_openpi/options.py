@@ -1,0 +1,184 @@
+"""What a user may set under `[plugins.openpi]`: the interface of the served policy, which client
+and server share, and how each of them connects.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from rn_backend_openpi.conventions import GripperValue, PoseRotation
+from rn_backend_openpi.layout import Axes
+from rn_backend_openpi.rows import JointKind
+from rn_backend_openpi.server_options import ServerOptions
+from rn_vla.letterbox import Flip
+from rn_vla.tcp_profiles import ActionOptions, OptionSection, Vector
+from rn_vla.tcp_state import StateTerm
+from roboneuron import AgentMaySet, ConfigurationOnly
+
+PLAIN, OWN = "roboneuron", "own"
+ProfileName = Literal[
+    "libero",
+    "bridge",
+    "droid",
+    "droid-position",
+    "roboarena",
+    "franka",
+    "ur5e",
+    "aloha",
+    "roboneuron",
+    "own",
+]
+SpaceKind = Literal["ee_delta", "ee_pose", "joint_position", "joint_velocity", "joint_delta"]
+_PLAIN_ONLY = {"space", "rate_hz", "slides", "grippers"}
+Role = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+Key = Annotated[str, Field(min_length=1, max_length=200)]
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+Side = Annotated[int, Field(ge=16, le=4096)]
+Rate = Annotated[float, Field(gt=0, le=1000)]
+
+
+class DeltaAction(ActionOptions):
+    """Actions that move the TCP of one arm."""
+
+    kind: Literal["ee_delta"] = Field(description="which of the five spaces")
+
+
+class PoseAction(OptionSection):
+    """Actions that are poses of the TCP, arm after arm."""
+
+    kind: Literal["ee_pose"] = Field(description="which of the five spaces")
+    rotation: PoseRotation = Field(description="how a rotation is written")
+    gripper: GripperValue = Field(description="meaning of an arm's last value; 'none' without one")
+    rate_hz: Rate = Field(description="rows per second")
+
+
+class JointAction(OptionSection):
+    """Actions of joints, arm after arm."""
+
+    kind: JointKind = Field(description="which of the five spaces")
+    gripper: GripperValue = Field(description="meaning of an arm's last value; 'none' without one")
+    rate_hz: Rate = Field(description="rows per second")
+    limit: float = Field(default=0.0, ge=0, description="clip joint values to +-limit; 0: not")
+    scale: float = Field(default=1.0, gt=0, description="rad or rad/s of one unit")
+
+
+OwnAction = Annotated[DeltaAction | PoseAction | JointAction, Field(discriminator="kind")]
+
+
+class OpenpiOptions(OptionSection):
+    """Options of the backend "openpi", and of the server."""
+
+    url: Annotated[str, ConfigurationOnly()] = Field(
+        default="ws://127.0.0.1:8000",
+        pattern=r"^wss?://\S+$",
+        description="of the policy server, with its path if it has one",
+    )
+    api_key_file: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="file with the API key"
+    )
+    api_key_variable: Annotated[str | None, ConfigurationOnly()] = Field(
+        default=None, description="name of the environment variable with the API key"
+    )
+    allow_insecure_key: Annotated[bool, ConfigurationOnly()] = Field(
+        default=False, description="send the key over an unencrypted remote connection"
+    )
+    ca_file: Annotated[Path | None, ConfigurationOnly()] = Field(
+        default=None, description="PEM of the authority that signed a wss:// server's certificate"
+    )
+    connect_timeout_s: float = Field(
+        default=10.0, gt=0, le=600, description="until the server answers, during load"
+    )
+    warm_up_timeout_s: float = Field(
+        default=120.0, gt=0, le=600, description="for the first inference (compilation)"
+    )
+    request_timeout_s: float = Field(
+        default=1.5, gt=0, le=60, description="for one inference, reconnecting included"
+    )
+    dialect: Literal["auto", "openpi", "roboarena"] = Field(
+        default="auto",
+        description="'roboarena' (DreamZero, vLLM-Omni) adds endpoint and session_id to requests; "
+        "'auto': as the server's metadata say",
+    )
+    profile: ProfileName | None = Field(
+        default=None, description="the served policy's interface; never guessed"
+    )
+    space: SpaceKind = Field(
+        default="ee_delta", description="profile 'roboneuron': what the server's rows are"
+    )
+    rate_hz: float = Field(
+        default=0.0,
+        ge=0,
+        le=1000,
+        description="profile 'roboneuron': rows per second; 0: each answer says it",
+    )
+    joints: Annotated[tuple[Name, ...], Field(max_length=64)] | None = Field(
+        default=None,
+        description="the robot's names of the policy's joints, in the policy's order (each arm "
+        "from the base to the tip); nothing is mapped by place otherwise",
+    )
+    slides: Annotated[tuple[Name, ...], Field(max_length=64)] = Field(
+        default=(), description="profile 'roboneuron': those of the joints that are prismatic"
+    )
+    arms: Annotated[tuple[Name, ...], Field(max_length=8)] = Field(
+        default=(), description="profiles 'roboneuron' and 'own': names of several arms, in order"
+    )
+    grippers: bool = Field(default=True, description="profile 'roboneuron': each arm has one")
+    action: OwnAction | None = Field(default=None, description="profile 'own': what rows are")
+    state_keys: Annotated[dict[Key, tuple[StateTerm, ...]] | None, AgentMaySet()] = Field(
+        default=None, description="key of the request by terms of the state; the profile's"
+    )
+    rotvec_near_rad: Vector | None = Field(
+        default=None, description="which of two rotation vectors is written [rad]; the profile's"
+    )
+    finger_travel_m: float = Field(
+        default=0.04, gt=0, description="position of one finger joint when open [m]"
+    )
+    base_position_m: Vector = Field(
+        default=(0.0, 0.0, 0.0),
+        description="where the robot's base stands in the frame of the training data [m]",
+    )
+    action_keys: Annotated[tuple[Key, ...], Field(min_length=1, max_length=16), AgentMaySet()] = (
+        Field(default=("actions",), description="arrays of the answer, side by side in this order")
+    )
+    action_steps: int | None = Field(
+        default=None, ge=1, description="actions of a chunk to execute before the next one"
+    )
+    image_keys: Annotated[dict[Role, Key] | None, AgentMaySet()] = Field(
+        default=None,
+        min_length=1,
+        description="key of the request by camera role; a dot stands for a map in another",
+    )
+    image_size_px: tuple[Side, Side] | Literal["raw"] | None = Field(
+        default=None,
+        description="height and width that images are fitted into; the server's or the profile's",
+    )
+    image_axes: Axes | None = Field(
+        default=None, description="'chw': the colour first; the profile's when not given"
+    )
+    image_flip: Flip = Field(
+        default="none", description="turns upright camera images into what the model was trained on"
+    )
+    prompt_key: Annotated[str, AgentMaySet()] = Field(
+        default="prompt", min_length=1, description="key of the instruction"
+    )
+    server: Annotated[ServerOptions, ConfigurationOnly()] = Field(
+        default=ServerOptions(), description="of `roboneuron openpi-server`"
+    )
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if (self.profile == OWN) != (self.action is not None):
+            raise ValueError("profile 'own', and no other, needs the table 'action'")
+        if self.profile == OWN and not self.state_keys:
+            raise ValueError("profile 'own' needs state_keys")
+        if self.arms and self.profile not in (OWN, PLAIN):
+            raise ValueError("arms are told to the profiles 'own' and 'roboneuron' only")
+        unread = _PLAIN_ONLY & self.model_fields_set
+        if unread and self.profile not in (PLAIN, None):
+            raise ValueError(f"{', '.join(sorted(unread))}: read by the profile 'roboneuron' only")
+        if self.api_key_file is not None and self.api_key_variable is not None:
+            raise ValueError("give api_key_file or api_key_variable, not both")
+        return self

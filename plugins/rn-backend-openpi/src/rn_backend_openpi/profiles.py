@@ -1,0 +1,158 @@
+"""Interfaces of public policies as openpi serves them, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from rn_backend_openpi.conventions import GripperValue
+from rn_backend_openpi.layout import Axes, Size
+from rn_backend_openpi.rows import ONE_ARM, JointKind
+from rn_vla.tcp_profiles import PROFILES
+from rn_vla.tcp_state import StateTerm
+
+TWO_ARMS = ("left", "right")
+Keys = Mapping[str, tuple[StateTerm, ...]]
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class JointMeaning:
+    """Rows of joints and grippers; see `JointRows`."""
+
+    kind: JointKind
+    rate_hz: float
+    gripper: GripperValue
+    arms: tuple[str, ...] = ONE_ARM
+    limit: float = 0.0
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Preset:
+    """One named interface.
+
+    Attributes:
+        images: key by camera role.
+        state: terms by key.
+        rows: of joints; None: those of the TCP profile of the same name in `rn_vla.tcp_profiles`.
+        size_px: height and width of the images.
+        axes: of the images.
+        optional: roles that may be missing, unless the server's metadata ask for them.
+        joints: how many each arm has; 0 for policies that move the TCP.
+    """
+
+    images: Mapping[str, str]
+    state: Keys
+    rows: JointMeaning | None = None
+    size_px: Size = (224, 224)
+    axes: Axes = "hwc"
+    optional: frozenset[str] = frozenset()
+    joints: int = 0
+
+
+_LIBERO_IMAGES = MappingProxyType(
+    {"primary": "observation/image", "wrist": "observation/wrist_image"}
+)
+_DROID_IMAGES = MappingProxyType(
+    {
+        "primary": "observation/exterior_image_1_left",
+        "wrist": "observation/wrist_image_left",
+    }
+)
+_DROID_STATE: Keys = MappingProxyType(
+    {
+        "observation/joint_position": ("joints",),
+        "observation/gripper_position": ("gripper_closed",),
+    }
+)
+_STATE: Keys = MappingProxyType({"observation/state": ("joints", "gripper_closed")})
+_ALOHA_IMAGES = MappingProxyType(
+    {
+        "primary": "images.cam_high",
+        "wrist": "images.cam_left_wrist",
+        "right_wrist": "images.cam_right_wrist",
+    }
+)
+_ARENA_IMAGES = MappingProxyType(
+    {
+        "primary": "observation/exterior_image_0_left",
+        "secondary": "observation/exterior_image_1_left",
+        "wrist": "observation/wrist_image_left",
+    }
+)
+_ARENA_STATE: Keys = MappingProxyType(
+    {**_DROID_STATE, "observation/cartesian_position": ("position", "rpy")}
+)
+
+
+def _tcp_state(name: str) -> Keys:
+    return MappingProxyType({"observation/state": PROFILES[name].state.terms})
+
+
+def _droid(kind: JointKind, *, limit: float = 0.0, scale: float = 1.0) -> JointMeaning:
+    return JointMeaning(
+        kind=kind, rate_hz=15.0, gripper="closed_fraction", limit=limit, scale=scale
+    )
+
+
+PRESETS: Mapping[str, Preset] = MappingProxyType(
+    {
+        "libero": Preset(images=_LIBERO_IMAGES, state=_tcp_state("libero")),
+        "bridge": Preset(images=_LIBERO_IMAGES, state=_tcp_state("bridge")),
+        "droid": Preset(
+            images=_DROID_IMAGES,
+            state=_DROID_STATE,
+            rows=_droid("joint_velocity", limit=1.0, scale=0.2 * 15.0),
+            joints=7,
+        ),
+        "droid-position": Preset(
+            images=_DROID_IMAGES,
+            state=_DROID_STATE,
+            rows=_droid("joint_position"),
+            joints=7,
+        ),
+        "roboarena": Preset(
+            images=_ARENA_IMAGES,
+            state=_ARENA_STATE,
+            rows=_droid("joint_position"),
+            optional=frozenset({"secondary"}),
+            joints=7,
+        ),
+        "franka": Preset(
+            images=_LIBERO_IMAGES,
+            state=_STATE,
+            rows=JointMeaning(kind="joint_position", rate_hz=20.0, gripper="closed_fraction"),
+            joints=7,
+        ),
+        "ur5e": Preset(
+            images=MappingProxyType({"primary": "base_rgb", "wrist": "wrist_rgb"}),
+            state=MappingProxyType({"joints": ("joints",), "gripper": ("gripper_closed",)}),
+            rows=JointMeaning(kind="joint_position", rate_hz=20.0, gripper="closed_fraction"),
+            joints=6,
+        ),
+        "aloha": Preset(
+            images=_ALOHA_IMAGES,
+            state=MappingProxyType({"state": ("joints", "gripper_open")}),
+            rows=JointMeaning(
+                kind="joint_position", rate_hz=50.0, gripper="open_fraction", arms=TWO_ARMS
+            ),
+            axes="chw",
+            joints=6,
+        ),
+    }
+)
+"""Preset by name.
+
+A policy server does what lies between its robot's software and the network, so states and actions
+are those of that software: absolute joints, no other signs. "libero", "bridge": see
+`rn_vla.tcp_profiles`. "droid": joint velocities at 15 Hz as shares of DROID's greatest step of 0.2
+rad in one period, so 1 is 3 rad/s; clipped to -1..1 as openpi's example does; gripper 0 open, 1
+closed. Source: droid robot_ik_solver.py, openpi examples/droid. "droid-position": joint positions
+instead. "roboarena": the same with the keys of RoboArena and DreamZero. Source: roboarena
+policy_server.py. "franka": the space of the base models, 20 Hz, gripper 0 open. Source: openpi
+docs/norm_stats.md. "ur5e": likewise, with the keys of openpi examples/ur5. "aloha": two arms at 50
+Hz, images with the colour first in a map of their own, gripper 1 open; whether `adapt_to_pi` is
+set, and whether the network yields deltas, are the server's business. Source: openpi
+examples/aloha_sim, policies/aloha_policy.py.
+"""

@@ -1,0 +1,303 @@
+"""A backend that is served: requests in, answers out, in batches and by deadline."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol, cast
+
+import numpy as np
+
+from rn_backend_openpi import metadata
+from rn_backend_openpi.interface import layout_of
+from rn_backend_openpi.layout import Layout
+from rn_backend_openpi.metadata import STEP, TIME_LEFT
+from rn_backend_openpi.options import PLAIN, OpenpiOptions
+from rn_backend_openpi.plugin import BACKEND
+from rn_backend_openpi.wire import Value, unpack
+from rn_backend_shared.batching import Answer, Batcher, Waiting
+from rn_backend_shared.model import SharedModel
+from rn_backend_shared.options import SharedOptions
+from roboneuron import (
+    EE_DELTA,
+    ActionChunk,
+    BackendSpec,
+    ConfigurationError,
+    ControlSpace,
+    InvalidInputError,
+    Observation,
+    PluginError,
+    RoboNeuronError,
+    RobotProfile,
+    RuntimeSpec,
+)
+from roboneuron.command import Config, Registry, load_profile, loading
+
+_RATE_SHARE = 0.02
+"""How far a chunk's period may be from the profile's: rates are told in whole Hz."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Question:
+    """One request, decoded.
+
+    Attributes:
+        observation: what the backend sees.
+        left_s: how long an answer is of use [s].
+    """
+
+    observation: Observation
+    left_s: float
+
+
+class Model(Protocol):
+    """What answers; see `SharedModel`."""
+
+    @property
+    def most(self) -> int:
+        """Most observations that are worth a batch."""
+
+    def load(self) -> None:
+        """Load."""
+
+    def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
+        """One answer for each."""
+
+    def close(self) -> None:
+        """Release what was loaded."""
+
+
+class ServedPolicy:
+    """A backend behind an interface.
+
+    Args:
+        model: not loaded yet.
+        spec: of its backend.
+        layout: of requests and answers.
+        space: that the backend declares.
+        options: of the server.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        spec: BackendSpec,
+        layout: Layout,
+        space: ControlSpace,
+        options: OpenpiOptions,
+    ) -> None:
+        self._model, self._spec, self._layout, self._space = model, spec, layout, space
+        self._options, self._dialect = options.server, options.dialect
+        self._batcher: Batcher | None = None
+        self.clients: Callable[[], int] = lambda: 1
+        """How many may ask, for the batches."""
+
+    def load(self) -> None:
+        """Load the model, and begin to answer. Raises RoboNeuronError as `Backend.load`."""
+        try:
+            self._model.load()
+        except ConfigurationError as error:
+            hint = error.hint.replace("[plugins.shared]", "[plugins.openpi.server]")
+            raise ConfigurationError(error.message, hint=hint) from error
+        options = self._options
+        self._batcher = Batcher(
+            self._model.answer,
+            most=min(self._model.most, options.most),
+            waiting=options.waiting,
+            linger_s=options.linger_s,
+            clients=lambda: self.clients(),
+        )
+        self._batcher.start()
+
+    def close(self) -> None:
+        """Answer no more and release the model; idempotent."""
+        batcher, self._batcher = self._batcher, None
+        if batcher is not None:
+            batcher.close()
+            self._model.close()
+
+    @property
+    def summary(self) -> str:
+        """Which backend, behind which interface."""
+        layout = self._layout
+        return f"backend {self._spec.name}, profile {layout.name}, {layout.rows.space.kind}"
+
+    def metadata(self) -> dict[str, Value]:
+        """What a client is told first."""
+        if self._dialect == "roboarena":
+            return metadata.describe_arena(self._layout)
+        return metadata.describe(
+            self._layout,
+            backend=self._spec.name,
+            needed=self._spec.cameras,
+            horizon=self._spec.action_space.horizon,
+        )
+
+    def read(self, data: str | bytes) -> Question | None:
+        """Decode a request; None for one that begins an episode, which needs no answer of the
+        backend's.
+
+        Raises:
+            InvalidInputError: it is none; says which entry is wrong.
+            UnsafeError: a value of the state is not finite.
+        """
+        if isinstance(data, str):
+            raise InvalidInputError("A request is a binary frame of msgpack, this one is text.")
+        request = unpack(data)
+        if not isinstance(request, dict):
+            raise InvalidInputError("A request is a map, this one is an array.")
+        endpoint = request.get("endpoint", "infer")
+        if endpoint == "reset":
+            return None
+        if endpoint != "infer":
+            raise InvalidInputError(f"There is no endpoint {str(endpoint)[:40]!r}.")
+        observation = self._layout.observation_of(
+            request, needed=self._spec.cameras, has_state=self._spec.needs_state
+        )
+        most_s = self._options.answer_timeout_s
+        left_s = request.get(TIME_LEFT, most_s)
+        if not isinstance(left_s, float | int) or not left_s >= 0.0:
+            raise InvalidInputError(f"{TIME_LEFT} is {left_s!r}, expected seconds.")
+        return Question(observation=observation, left_s=min(float(left_s), most_s))
+
+    def submit(self, question: Question, tell: Callable[[Answer], object]) -> None:
+        """Have a question answered; `tell` is called once, on the model's thread.
+
+        Raises:
+            NotReadyError: too many wait already.
+            PluginError: the model is not loaded.
+        """
+        if self._batcher is None:
+            raise PluginError("The served model is not loaded.")
+        deadline_s = time.monotonic() + question.left_s
+        self._batcher.submit(
+            Waiting(observation=question.observation, deadline_s=deadline_s, tell=tell)
+        )
+
+    def reply(self, answer: Answer, question: Question) -> dict[str, Value]:
+        """The map of an answer.
+
+        Raises:
+            RoboNeuronError: what the backend says of the observation; or its chunk is in another
+                space or of another period than it declares.
+        """
+        if isinstance(answer, RoboNeuronError):
+            raise answer
+        rows = self._layout.rows
+        self._check(answer)
+        served = rows.from_contract(np.asarray(answer.actions), question.observation)
+        model_ms = answer.metrics.get("shared.model_ms", 0.0)
+        return {
+            "actions": served.astype(self._options.precision),
+            STEP: answer.step_s,
+            "policy_timing": {"infer_ms": float(model_ms)},
+        }
+
+    def _check(self, chunk: ActionChunk) -> None:
+        if chunk.space != self._space:
+            raise PluginError(
+                f"The backend {self._spec.name!r} answered in {chunk.space.label!r}, it declares "
+                f"{self._space.label!r}."
+            )
+        step_s = self._layout.rows.step_s
+        if step_s and abs(chunk.step_s / step_s - 1.0) > _RATE_SHARE:
+            raise PluginError(
+                f"The backend {self._spec.name!r} answered with rows every {chunk.step_s:g} s, the "
+                f"profile {self._layout.name!r} has one every {step_s:g} s."
+            )
+
+
+def make_policy(config: Config, registry: Registry, options: OpenpiOptions) -> ServedPolicy:
+    """The policy that a configuration names, not loaded.
+
+    Args:
+        config: of which [robot], [inference] and the options of plugins are read.
+        registry: what is installed.
+        options: of [plugins.openpi].
+
+    Raises:
+        ConfigurationError: there is no backend, or it and the profile do not fit; names both sides.
+    """
+    inference = config.inference
+    if inference is None:
+        raise ConfigurationError(
+            "The configuration has no [inference]: there is nothing to serve.",
+            hint='Add [inference] with backend = "...".',
+        )
+    if inference.backend == BACKEND.name:
+        raise ConfigurationError(
+            "The backend 'openpi' asks a server itself; it is not served.",
+            hint="Name the backend that holds the model in [inference].",
+        )
+    spec = registry.get(BackendSpec, inference.backend)
+    own = dict(config.options(spec.name))
+    if inference.checkpoint is not None:
+        own["checkpoint"] = inference.checkpoint
+    space = _declared(spec, own, load_profile(registry, config.robot.name))
+    if options.profile is None:
+        options = options.model_copy(update={"profile": PLAIN})
+    is_told = options.model_fields_set & {"space", "rate_hz", "joints", "arms"}
+    layout = _for_backend(layout_of(options, None if is_told else space), spec, space)
+    server = options.server
+    runtime = inference.runtime or spec.default_runtime
+    shared = SharedOptions(
+        backend=spec.name,
+        checkpoint=inference.checkpoint,
+        options=dict(config.options(spec.name)),
+        runtime=runtime or None,
+        runtime_options=_options(registry, config, RuntimeSpec, runtime),
+        acceleration=inference.acceleration,
+        acceleration_options=dict(config.options(inference.acceleration or "")),
+        stateless=server.stateless,
+        most=server.most,
+        waiting=server.waiting,
+        linger_s=server.linger_s,
+    )
+    return ServedPolicy(SharedModel(shared), spec, layout, space, options)
+
+
+def _options(
+    registry: Registry, config: Config, of: type[RuntimeSpec], name: str
+) -> dict[str, object]:
+    """Options of a part that has to be installed. Raises ConfigurationError when it is not."""
+    return dict(config.options(registry.get(of, name).name)) if name else {}
+
+
+def _declared(
+    spec: BackendSpec, options: Mapping[str, object], profile: RobotProfile
+) -> ControlSpace:
+    if spec.space is None:
+        return EE_DELTA
+    declare = cast(
+        "Callable[[Mapping[str, object], RobotProfile], ControlSpace]",
+        loading.load_attribute(spec.space, f"`space` of {spec.name!r}"),
+    )
+    return declare(options, profile)
+
+
+def _for_backend(layout: Layout, spec: BackendSpec, space: ControlSpace) -> Layout:
+    """The layout with the cameras that the backend reads.
+
+    Raises:
+        ConfigurationError: a camera has no key, or rows are in another space than the backend's.
+    """
+    lacking = [role for role in spec.cameras if role not in layout.image_keys]
+    if lacking:
+        raise ConfigurationError(
+            f"The backend {spec.name!r} needs the camera {lacking[0]!r}; profile {layout.name!r} "
+            f"has keys for {', '.join(layout.image_keys)}.",
+            hint="Add it to image_keys of [plugins.openpi].",
+        )
+    rows = layout.rows.space
+    is_same = (rows.kind, rows.channels) == (space.kind, space.channels)
+    if not is_same or (space.rate_hz and rows.rate_hz != space.rate_hz):
+        raise ConfigurationError(
+            f"The backend {spec.name!r} answers in {space.label!r}, profile {layout.name!r} is for "
+            f"{rows.label!r}.",
+            hint="Choose another profile in [plugins.openpi]; 'roboneuron' fits every backend.",
+        )
+    roles = (*spec.cameras, *spec.optional_cameras)
+    keys = {role: key for role, key in layout.image_keys.items() if role in roles}
+    optional = frozenset(keys) - frozenset(spec.cameras)
+    return replace(layout, image_keys=keys, optional_roles=optional)

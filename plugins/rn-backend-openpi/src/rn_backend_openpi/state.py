@@ -1,0 +1,292 @@
+"""What a robot measures, as the entries of a request, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from rn_backend_openpi.wire import Value
+from rn_vla.rotation import DOWN_ROTVEC_RAD, F64, matrix_from_rpy
+from rn_vla.tcp_state import StateLayout, StateTerm
+from roboneuron import (
+    ArmState,
+    InvalidInputError,
+    JointSample,
+    Observation,
+    Pose,
+    UngroundedError,
+    UnsafeError,
+    matrix_from_rotvec,
+    quaternion_from_matrix,
+)
+
+MOST_JOINTS = 256
+_ROUNDED = 1e-3
+"""Length of a quaternion that float32 or a few decimals have rounded."""
+_NAMES, _POSITION = "observation/joint_names", "observation/joint_position"
+_VELOCITY = "observation/joint_velocity"
+_POSE, _GRIPPER = "ee_pose", "gripper_open"
+_PREFIX = "observation/"
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Measured:
+    """What a request says of the robot; None and empty where it says nothing."""
+
+    joints: JointSample | None = None
+    ee_pose: Pose | None = None
+    gripper_open: float | None = None
+    arms: Mapping[str, ArmState] = field(default_factory=dict)
+
+
+class State(Protocol):
+    """How one profile writes the measured state."""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys that a request needs."""
+
+    def build(self, observation: Observation) -> dict[str, Value]:
+        """The entries of a request.
+
+        Raises:
+            UngroundedError: something is not measured.
+            UnsafeError: a value is not finite.
+        """
+
+    def parse(self, entries: Mapping[str, object]) -> Measured:
+        """The inverse of `build`.
+
+        Args:
+            entries: of the request, by key.
+
+        Raises:
+            InvalidInputError: an entry is missing or malformed.
+            UnsafeError: a value is not finite.
+        """
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class WholeState:
+    """All that is measured, by name: what RoboNeuron's client tells RoboNeuron's server.
+
+    Joints travel with their names; poses as x y z qx qy qz qw in the base frame [m, 1].
+    """
+
+    keys: tuple[str, ...] = ()
+
+    def build(self, observation: Observation) -> dict[str, Value]:
+        entries: dict[str, Value] = {}
+        joints = observation.joints
+        if joints is not None:
+            entries[_NAMES] = list(joints.names)
+            entries[_POSITION] = _finite(joints.position, _POSITION)
+            if joints.velocity is not None:
+                entries[_VELOCITY] = _finite(joints.velocity, _VELOCITY)
+        self._put(entries, _PREFIX, observation.ee_pose, observation.gripper_open)
+        for name, arm in observation.arms.items():
+            self._put(entries, f"{_PREFIX}{name}/", arm.ee_pose, arm.gripper_open)
+        if not entries:
+            raise UngroundedError("The observation holds no measured state to tell the server.")
+        return entries
+
+    @staticmethod
+    def _put(
+        entries: dict[str, Value], prefix: str, pose: Pose | None, opening: float | None
+    ) -> None:
+        if pose is not None:
+            values = np.concatenate([pose.position_m, pose.quaternion_xyzw])
+            entries[prefix + _POSE] = _finite(values, prefix + _POSE)
+        if opening is not None:
+            entries[prefix + _GRIPPER] = _finite(np.array([opening]), prefix + _GRIPPER)
+
+    def parse(self, entries: Mapping[str, object]) -> Measured:
+        arms: dict[str, ArmState] = {}
+        for key in entries:
+            arm, _, name = str(key).removeprefix(_PREFIX).rpartition("/")
+            if arm and name == _POSE and str(key).startswith(_PREFIX):
+                pose = _pose(entries, f"{_PREFIX}{arm}/")
+                assert pose is not None
+                arms[arm] = ArmState(
+                    ee_pose=pose, gripper_open=_opening(entries, f"{_PREFIX}{arm}/")
+                )
+        return Measured(
+            joints=_joints(entries),
+            ee_pose=_pose(entries, _PREFIX),
+            gripper_open=_opening(entries, _PREFIX),
+            arms=arms,
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class TermState:
+    """Vectors of terms, as a policy was trained on: of each key arm after arm.
+
+    Attributes:
+        parts: by key, what each arm's values are.
+    """
+
+    parts: Mapping[str, Mapping[str, StateLayout]]
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        return tuple(self.parts)
+
+    def build(self, observation: Observation) -> dict[str, Value]:
+        return {
+            key: np.concatenate(
+                [layout.build(_of_arm(observation, arm)) for arm, layout in part.items()]
+            )
+            for key, part in self.parts.items()
+        }
+
+    def parse(self, entries: Mapping[str, object]) -> Measured:
+        found: dict[str, _Found] = {}
+        for key, part in self.parts.items():
+            values = _vector(entries, key, sum(layout.width for layout in part.values()))
+            start = 0
+            for arm, layout in part.items():
+                end = start + layout.width
+                found.setdefault(arm, _Found()).read(layout, values[start:end])
+                start = end
+        first = next(iter(found.values()), _Found())
+        names = [name for arm in found.values() for name in arm.joints]
+        joints = [value for arm in found.values() for value in arm.joints.values()]
+        arms = {
+            name: ArmState(ee_pose=arm.pose or _UNKNOWN, gripper_open=arm.opening)
+            for name, arm in found.items()
+            if name
+        }
+        return Measured(
+            joints=JointSample(names=tuple(names), position=np.array(joints)) if names else None,
+            ee_pose=first.pose,
+            gripper_open=first.opening,
+            arms=arms,
+        )
+
+
+_UNKNOWN = Pose(position_m=np.full(3, np.nan), quaternion_xyzw=np.full(4, np.nan))
+"""Of an arm whose pose the request does not tell: whoever computes with it gets no number."""
+
+
+@dataclass(slots=True)
+class _Found:
+    """What has been read of one arm so far."""
+
+    joints: dict[str, float] = field(default_factory=dict)
+    position_m: F64 | None = None
+    quaternion_xyzw: F64 | None = None
+    opening: float | None = None
+
+    @property
+    def pose(self) -> Pose | None:
+        if self.position_m is None or self.quaternion_xyzw is None:
+            return None
+        return Pose(position_m=self.position_m, quaternion_xyzw=self.quaternion_xyzw)
+
+    def read(self, layout: StateLayout, values: F64) -> None:
+        start = 0
+        for term in layout.terms:
+            width = replace(layout, terms=(term,)).width
+            self._term(layout, term, values[start : start + width])
+            start += width
+
+    def _term(self, layout: StateLayout, term: StateTerm, values: F64) -> None:
+        if term == "position":
+            self.position_m = values - layout.base_position_m
+        elif term == "quaternion":
+            self.quaternion_xyzw = _unit(values)
+        elif term == "rotvec":
+            self.quaternion_xyzw = quaternion_from_matrix(matrix_from_rotvec(values))
+        elif term == "rpy":
+            self.quaternion_xyzw = quaternion_from_matrix(matrix_from_rpy(values))
+        elif term == "rpy_by_down":
+            down = matrix_from_rotvec(np.array(DOWN_ROTVEC_RAD))
+            self.quaternion_xyzw = quaternion_from_matrix(matrix_from_rpy(values) @ down)
+        elif term == "joints":
+            self.joints |= dict(zip(layout.joint_names, values.tolist(), strict=True))
+        elif term == "fingers":
+            self.opening = float(np.clip(values[0] / layout.finger_travel_m, 0.0, 1.0))
+        elif term in ("gripper_open", "gripper_closed"):
+            opening = values[0] if term == "gripper_open" else 1.0 - values[0]
+            self.opening = float(np.clip(opening, 0.0, 1.0))
+
+
+def _of_arm(observation: Observation, arm: str) -> Observation:
+    """The observation with that arm's pose and gripper in the place of the only one's."""
+    if not arm:
+        return observation
+    state = observation.arms.get(arm)
+    if state is None:
+        raise UngroundedError(
+            f"The state needs the arm {arm!r}; measured are "
+            f"{', '.join(observation.arms) or 'none by name'}.",
+            hint="The robot's profile has to name its arms so, or correct the option 'arms'.",
+        )
+    return replace(observation, ee_pose=state.ee_pose, gripper_open=state.gripper_open)
+
+
+def _finite(values: F64, key: str) -> F64:
+    if not np.isfinite(values).all():
+        raise UnsafeError(f"The measured state holds a non-finite value ({key}).")
+    return np.asarray(values, dtype=np.float64)
+
+
+def _vector(entries: Mapping[str, object], key: str, width: int | None = None) -> F64:
+    """float64 (width,) of an entry. Raises InvalidInputError, UnsafeError."""
+    value = entries.get(key)
+    if not isinstance(value, np.ndarray | np.generic | float | int):
+        has = "is missing" if value is None else f"is a {type(value).__name__}"
+        raise InvalidInputError(f"The request's {key!r} {has}; expected numbers.")
+    numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if numbers.ndim != 1 or (width is not None and numbers.shape != (width,)):
+        wanted = "n" if width is None else width
+        raise InvalidInputError(
+            f"The request's {key!r} has the shape {numbers.shape}, expected ({wanted},)."
+        )
+    if not np.isfinite(numbers).all():
+        raise UnsafeError(f"The request's {key!r} holds a non-finite value.")
+    return numbers
+
+
+def _unit(quaternion_xyzw: F64) -> F64:
+    """The quaternion. Raises InvalidInputError when it has not the length 1."""
+    length = float(np.linalg.norm(quaternion_xyzw))
+    if abs(length - 1.0) > _ROUNDED:
+        raise InvalidInputError(f"The request's quaternion has the length {length:.4g}, not 1.")
+    return quaternion_xyzw
+
+
+def _joints(entries: Mapping[str, object]) -> JointSample | None:
+    names = entries.get(_NAMES)
+    if names is None:
+        return None
+    if (
+        not isinstance(names, Sequence)
+        or len(names) > MOST_JOINTS
+        or not all(isinstance(name, str) for name in names)
+        or len(set(names)) != len(names)
+    ):
+        raise InvalidInputError(f"The request's {_NAMES!r} are no list of distinct names.")
+    has_velocity = _VELOCITY in entries
+    return JointSample(
+        names=tuple(names),
+        position=_vector(entries, _POSITION, len(names)),
+        velocity=_vector(entries, _VELOCITY, len(names)) if has_velocity else None,
+    )
+
+
+def _pose(entries: Mapping[str, object], prefix: str) -> Pose | None:
+    if prefix + _POSE not in entries:
+        return None
+    values = _vector(entries, prefix + _POSE, 7)
+    return Pose(position_m=values[:3], quaternion_xyzw=_unit(values[3:]))
+
+
+def _opening(entries: Mapping[str, object], prefix: str) -> float | None:
+    if prefix + _GRIPPER not in entries:
+        return None
+    return float(_vector(entries, prefix + _GRIPPER, 1)[0])

@@ -1,0 +1,141 @@
+"""openpi's wire format: msgpack, with numpy arrays as maps of byte-string keys. Nothing is ever
+unpickled, and everything has a bound.
+
+Source: openpi-client, msgpack_numpy (format only): {b"__ndarray__": True, b"data", b"dtype",
+b"shape"} for arrays and {b"__npgeneric__": True, b"data", b"dtype"} for scalars; void, object and
+complex types do not travel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron import InvalidInputError
+
+MOST_BYTES = 64 * 2**20
+"""Of one message: four raw camera images of 2560 x 1600 and a state."""
+MOST_DEPTH = 8
+"""Maps and lists in each other; openpi's deepest observation has three."""
+MOST_ITEMS = 1024
+"""Of one map or list."""
+MOST_TEXT = 65536
+"""Characters of one text, a prompt for instance."""
+_DTYPES = frozenset({"b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8"})
+_MOST_DIMENSIONS = 8
+_MOST_SIDE = 2**31
+Value = (
+    str
+    | bytes
+    | int
+    | float
+    | bool
+    | NDArray[Any]
+    | np.generic
+    | list[object]
+    | Mapping[Any, object]
+    | None
+)
+
+
+def pack(value: Value) -> bytes:
+    """Encode strings, numbers, arrays, lists and maps.
+
+    Raises:
+        TypeError: something else is in it.
+    """
+    return bytes(msgpack.packb(value, default=_encode))
+
+
+def unpack(data: bytes) -> dict[object, object] | NDArray[Any]:
+    """Decode one message: a map, or an array alone.
+
+    Raises:
+        InvalidInputError: it is not msgpack, is neither, is larger or deeper than anything that
+            belongs to the protocol, or an array in it is malformed.
+    """
+    if len(data) > MOST_BYTES:
+        raise InvalidInputError(f"A message has {len(data)} bytes, at most {MOST_BYTES} are read.")
+    try:
+        value = msgpack.unpackb(
+            data,
+            object_hook=_decode,
+            strict_map_key=True,
+            max_array_len=MOST_ITEMS,
+            max_map_len=MOST_ITEMS,
+            max_str_len=MOST_TEXT,
+            max_ext_len=0,
+        )
+        _check_depth(value, MOST_DEPTH)
+    except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
+        raise InvalidInputError(
+            f"A message of {len(data)} bytes is not of openpi's format: "
+            f"{error or type(error).__name__}."
+        ) from error
+    if not isinstance(value, dict | np.ndarray):
+        raise InvalidInputError(
+            f"A message holds a {type(value).__name__}, expected a map or an array."
+        )
+    return value
+
+
+def _encode(value: object) -> dict[bytes, object]:
+    if not isinstance(value, np.ndarray | np.generic) or value.dtype.str[1:] not in _DTYPES:
+        raise TypeError(f"{type(value).__name__} has no place in openpi's format")
+    if isinstance(value, np.ndarray):
+        shape = list(value.shape)
+        return {
+            b"__ndarray__": True,
+            b"data": value.tobytes(),
+            b"dtype": value.dtype.str,
+            b"shape": shape,
+        }
+    return {b"__npgeneric__": True, b"data": value.item(), b"dtype": value.dtype.str}
+
+
+def _decode(value: dict[object, object]) -> object:
+    if b"__ndarray__" in value:
+        return _array(value)
+    if b"__npgeneric__" in value:
+        return _scalar(value)
+    return value
+
+
+def _scalar(value: dict[object, object]) -> np.generic:
+    data = value.get(b"data")
+    if not isinstance(data, bool | int | float):
+        raise ValueError(f"a scalar holds a {type(data).__name__}")
+    scalar: np.generic = _dtype(value.get(b"dtype")).type(data)
+    return scalar
+
+
+def _dtype(name: object) -> np.dtype[Any]:
+    if not isinstance(name, str):
+        raise ValueError(f"dtype is {name!r}, expected text")
+    if name[1:] not in _DTYPES:
+        raise ValueError(f"dtype {name!r} is not a number type")
+    return np.dtype(name)
+
+
+def _array(value: dict[object, object]) -> NDArray[Any]:
+    dtype, shape, data = _dtype(value.get(b"dtype")), value.get(b"shape"), value.get(b"data")
+    if not isinstance(data, bytes) or not isinstance(shape, list) or len(shape) > _MOST_DIMENSIONS:
+        raise ValueError("an array lacks data or shape")
+    is_shape = all(type(side) is int and 0 <= side < _MOST_SIDE for side in shape)
+    if not is_shape or math.prod(shape) * dtype.itemsize != len(data):
+        raise ValueError(f"an array of {len(data)} bytes says it is {dtype} {shape}")
+    return np.frombuffer(data, dtype=dtype).reshape(shape).copy()
+
+
+def _check_depth(value: object, left: int) -> None:
+    """Raises ValueError where maps and lists are in each other more than `left` times."""
+    if isinstance(value, dict | list):
+        if left == 0:
+            raise ValueError(f"maps and lists are more than {MOST_DEPTH} deep in each other")
+        for part in value.values() if isinstance(value, dict) else value:
+            _check_depth(part, left - 1)

@@ -1,0 +1,133 @@
+"""Descriptors, options and the contract kit."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from rn_backend_openpi.case import openpi_case
+from rn_backend_openpi.interface import layout_of
+from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.plugin import BACKEND, COMMAND
+from rn_backend_openpi.profiles import PRESETS
+from rn_backend_openpi.server_options import ServerOptions
+from rn_testing import (
+    BackendCase,
+    BackendContract,
+    CommandCase,
+    CommandContract,
+    PackageCase,
+    PackageContract,
+)
+from roboneuron.contract import Observation
+
+README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+
+
+class TestForeignServer(BackendContract):
+    """The backend with a stand-in for openpi's own server."""
+
+    @pytest.fixture
+    def plugin(self, policy_server: Any, observe: Callable[..., Observation]) -> BackendCase:
+        options = {
+            "url": policy_server.url,
+            "profile": "libero",
+            "image_keys": {"primary": "observation/image"},
+        }
+        return BackendCase(spec=BACKEND, options=options, observe=observe)
+
+
+class TestOwnServer(BackendContract):
+    """The backend with RoboNeuron's own server."""
+
+    @pytest.fixture
+    def plugin(self) -> BackendCase:
+        return openpi_case()
+
+
+class TestCommand(CommandContract):
+    """The server's command."""
+
+    @pytest.fixture
+    def plugin(self) -> CommandCase:
+        return CommandCase(spec=COMMAND)
+
+
+class TestPackage(PackageContract):
+    """The distribution as installed."""
+
+    @pytest.fixture
+    def plugin(self) -> PackageCase:
+        return PackageCase(distribution="rn-backend-openpi")
+
+
+def test_the_readme_names_every_option_and_profile_and_its_examples_are_valid() -> None:
+    models = (OpenpiOptions, ServerOptions)
+    names = {*PRESETS, *(name for model in models for name in model.model_fields)}
+    assert [name for name in sorted(names) if f"`{name}`" not in README] == []
+    blocks = re.findall(r"```toml\n(.*?)```", README, flags=re.DOTALL)
+    tables = [tomllib.loads(block).get("plugins", {}).get("openpi") for block in blocks]
+    read = [OpenpiOptions(**table) for table in tables if table is not None]
+    assert len(read) >= 4
+    for options in read:
+        layout_of(options)
+
+
+def test_listing_the_plugin_imports_nothing_heavy() -> None:
+    code = (
+        "import sys, rn_backend_openpi.plugin as p; p.roboneuron_backends();"
+        "print([m for m in ('numpy', 'torch', 'pydantic', 'msgpack', 'websockets') if m in "
+        "sys.modules])"
+    )
+    shown = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert shown.stdout.strip() == "[]"
+
+
+def test_the_client_does_without_torch() -> None:
+    code = (
+        "import sys, rn_backend_openpi.backend, rn_backend_openpi.client;"
+        "print('torch' in sys.modules)"
+    )
+    shown = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert shown.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"url": "http://x"},
+        {"url": "x"},
+        {"image_keys": {}},
+        {"image_keys": {"primary": ""}},
+        {"request_timeout_s": 0},
+        {"profile": "mars"},
+        {"profile": "libero-openpi"},
+        {"profile": "own"},
+        {"profile": "own", "action": {"kind": "torque", "rate_hz": 10, "gripper": "none"}},
+        {"profile": "libero", "action": {"kind": "joint_delta", "rate_hz": 1, "gripper": "none"}},
+        {"profile": "libero", "arms": ["left", "right"]},
+        {"profile": "libero", "api_key_file": "k", "api_key_variable": "K"},
+        {"profile": "libero", "image_size_px": [8, 8]},
+        {"base_position_m": (float("nan"), 0.0, 0.0)},
+        {"profile": "libero", "rate_hz": 20.0},
+        {"profile": "droid", "space": "joint_velocity"},
+        {"server": {"clients": 0}},
+        {"server": {"precision": "float16"}},
+        {"surplus": 1},
+    ],
+)
+def test_wrong_options_are_refused(options: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        OpenpiOptions(**options)
