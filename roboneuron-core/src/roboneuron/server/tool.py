@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
 from pydantic import BaseModel, ConfigDict
+from pydantic.json_schema import JsonSchemaValue
 from pydantic.version import version_short
 
 from roboneuron.errors import RefusedError
 from roboneuron.gate.roles import Role
-from roboneuron.server.schema import Schema, Shape, model_schema, parse, with_choices
+from roboneuron.server.schema import Shape, model_schema, parse, with_choices
 
 if TYPE_CHECKING:
     from anyio import Event
@@ -80,19 +81,6 @@ class Answer:
 
     structured: Mapping[str, Any]
     pictures: tuple[Picture, ...] = ()
-
-
-class UnfinishedCallError(Exception):
-    """Not a failure: ends a call with a question to the client's person, whose answer comes with
-    the next call.
-
-    Attributes:
-        result: an `mcp.types.InputRequiredResult`.
-    """
-
-    def __init__(self, result: Any) -> None:
-        super().__init__("a person is asked")
-        self.result = result
 
 
 _LOCAL_CLIENT = "local HTTP client"
@@ -245,20 +233,22 @@ class Tool(Generic[A]):
                 hint="Use a token with that role, or ask a person who has one.",
             )
 
-    def input_schema(self) -> Schema:
+    def input_schema(self) -> JsonSchemaValue:
         """The JSON schema of the arguments, with today's choices."""
         schema = model_schema(self.arguments)
         return with_choices(schema, self._choices()) if self.choices else schema
 
-    def output_schema(self) -> Schema:
+    def output_schema(self) -> JsonSchemaValue:
         """The JSON schema of the result."""
         return model_schema(self.result, result=True)
 
+    def parsed(self, arguments: Mapping[str, Any]) -> A:
+        """The arguments of a call as the model. Raises InvalidInputError: they do not fit."""
+        return parse(self.arguments, arguments, self._choices())
+
     async def call(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
-        """Check the arguments and do it. Raises InvalidInputError for them, and what the handler
-        raises.
-        """
-        outcome = await self.handler(parse(self.arguments, arguments, self._choices()), context)
+        """Check the arguments and do it. Raises as `parsed`, and what the handler raises."""
+        outcome = await self.handler(self.parsed(arguments), context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
         is_sparse = isinstance(self.result, Shape) or self.result.sparse
         told = reply.result.model_dump(mode="json", exclude_unset=is_sparse)

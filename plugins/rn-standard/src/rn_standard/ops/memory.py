@@ -8,12 +8,11 @@ import logging
 import os
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from weakref import WeakSet
 
 from rn_standard.ops.options import MemoryOptions
-from roboneuron.feature import ModuleKind, ModuleProcess, Modules, Periodic, log_files
+from roboneuron.feature import ModuleKind, ModuleProcess, Modules, Periodic
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
@@ -34,13 +33,6 @@ def own_memory_mb(pid: int) -> float | None:
     except OSError:
         return None
     return (int(fields[1]) - int(fields[2])) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def note(process: ModuleProcess, line: str) -> None:
-    """Add a line to the log of a process, so that it stands among its last ones."""
-    path, opener = process.log_path, log_files.opener
-    with suppress(OSError), open(path, "a", encoding="utf-8", opener=opener) as file:
-        file.write(f"{log_files.escaped(line)}\n")
 
 
 class MemoryWatch(Periodic):
@@ -77,7 +69,7 @@ class MemoryWatch(Periodic):
         )
         log.error("%s (pid %d) is %s.", kind, process.pid, why)
         self._ended.add(process)
-        note(process, f"supervisor: {kind} is {why}.")
+        process.note(f"supervisor: {kind} is {why}.")
         threading.Thread(target=_end, args=(process,), name=f"end-{kind}", daemon=True).start()
         self._record(kind, why)
 

@@ -23,7 +23,6 @@ from roboneuron import (
     Tool,
     frame_from_buffer,
 )
-from roboneuron.feature import Changes
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import Image
@@ -103,7 +102,7 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
     from sensor_msgs.msg import Image  # heavy
 
     topic = f"/{host.config.namespace}/camera/{camera}/image"
-    changes, deadline_s = Changes(), time.monotonic() + timeout_s
+    changes, deadline_s = host.modules.changes, time.monotonic() + timeout_s
     publishers = changes.wait_for(lambda: graph.publishers(topic) or None, timeout_s)
     if not publishers:
         raise NotReadyError(

@@ -17,8 +17,7 @@ from rn_testing.fakes.perception import FAKE_PERCEPTION, ControlledSource, gradi
 from rn_testing.fakes.robot import FAKE_ROBOT, FakeDriver, FakeDriverOptions, gantry_profile
 from rn_testing.fakes.topics import MemoryTopics
 from roboneuron import FeatureSpec, Spec
-from roboneuron.command import PluginRecord, Status
-from roboneuron.feature import Offer, Registry
+from roboneuron.command import Offer, PluginRecord, Registry, Status
 
 FAKE_SPECS: tuple[Spec, ...] = (
     FAKE_BACKEND,
