@@ -73,6 +73,7 @@ from .modules.settings import (
 )
 from .planning import (
     KIND_ENTRIES as KIND_ENTRIES,
+    Plan as Plan,
 )
 from .plugins.registry import (
     Registry as Registry,
@@ -133,7 +134,6 @@ from .supervisor.process import (
 )
 from .supervisor.slot import (
     Phase as Phase,
-    Selection as Selection,
     Slot as Slot,
 )
 

@@ -7,9 +7,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from rn_testing.fakes import fake_plan
 from roboneuron.config import Config, ModuleSettings
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.supervisor.slot import Selection, Slot
+from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor
 
 MakeConfig = Callable[..., Config]
@@ -142,7 +143,8 @@ class World:
             config=self._make_config(stop_timeout_s=stop_timeout_s),
             state_directory="state",
         )
-        slot.begin_start(Selection(settings=settings), next(self.supervisor._order))
+        plan = fake_plan(kind, settings.config)
+        slot.begin_start(plan, settings, next(self.supervisor._order))
         return slot
 
     def named(self, name: str) -> list[tuple[Any, ...]]:

@@ -12,11 +12,11 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from stop_world import NEVER, World
 
+from rn_testing.fakes import fake_plan
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.supervisor import supervisor as supervisor_module
-from roboneuron.supervisor.slot import Selection
 
 
 def test_a_module_is_silenced_before_it_is_ended(world: World) -> None:
@@ -30,7 +30,7 @@ def test_a_module_is_silenced_before_it_is_ended(world: World) -> None:
     assert stopped.took_s == 0.75
     assert world.changed == ["robot"]
     slot = world.supervisor.slot("robot")
-    assert (slot.phase, slot.process, slot.choice) == ("stopped", None, None)
+    assert (slot.phase, slot.process, slot.plan) == ("stopped", None, None)
 
 
 def test_the_node_is_asked_by_its_name_through_the_servers_link(world: World) -> None:
@@ -130,9 +130,9 @@ def test_a_standby_is_heard_by_the_other_name_of_its_kind(world: World) -> None:
     """A module that is to replace another one has another node name than its kind."""
     module = world.running("inference")
     slot = world.supervisor.slot("inference")
-    assert slot.choice is not None
-    settings = slot.choice.settings.model_copy(update={"node_name": "inference_b"})
-    slot.choice = Selection(settings=settings)
+    assert slot.settings is not None
+    settings = slot.settings.model_copy(update={"node_name": "inference_b"})
+    slot.settings = settings
     world.supervisor._ours.add(str(module.pid))
     status = DiagnosticStatus(name=settings.status_name, hardware_id=str(module.pid))
     world.supervisor.receive(DiagnosticArray(status=[status]))
@@ -216,7 +216,7 @@ def test_closing_stops_everything_within_the_time_of_a_leaving_server(world: Wor
     with pytest.raises(RuntimeError, match="shutdown"):
         supervisor._spawning.submit(print)
     with pytest.raises(StateError, match="The server is shutting down"):
-        supervisor.start("robot", world._make_config())
+        supervisor.start(fake_plan("robot", world._make_config()))
 
 
 def test_every_living_module_gets_a_beat(world: World) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from rn_testing.fakes import fake_plan
 from rn_testing.waiting import wait_until
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError, StateError
@@ -36,7 +37,7 @@ def is_gone(pid: int) -> bool:
 
 
 def start(supervisor: Supervisor, config: Config, kind: str = "robot") -> int:
-    view = supervisor.start(kind, config)  # type: ignore[arg-type]
+    view = supervisor.start(fake_plan(kind, config))  # type: ignore[arg-type]
     assert view.process is not None
     return view.process.pid
 
@@ -67,7 +68,7 @@ def test_a_failed_start_whose_process_cannot_be_ended_leaves_a_slot_that_can_be_
     with monkeypatch.context() as patch:
         patch.setattr(bringup, "end_processes", end)
         with pytest.raises(NotReadyError, match="survives"):
-            supervisor.start("robot", make_config(robot="refuses-configure"))
+            supervisor.start(fake_plan("robot", make_config(robot="refuses-configure")))
     assert supervisor.view("robot").phase == "stopped"
     start(supervisor, make_config())
 
@@ -154,7 +155,7 @@ def test_everything_is_stopped_in_reverse_order_and_no_thread_remains(
     assert all(is_gone(pid) for pid in pids)
     assert set(threading.enumerate()) - threads == set()
     with pytest.raises(StateError, match="shutting down"):
-        supervisor.start("robot", config)
+        supervisor.start(fake_plan("robot", config))
 
 
 PARENT = """

@@ -184,8 +184,8 @@ def test_control_follows_from_an_action_until_it_holds_or_cannot_say(
             loop_age_s=0.0,
             ready=True,
         )
-        choice = SimpleNamespace(config=SimpleNamespace(namespace=told["namespace"]))
-        return ModuleView(kind=kind, phase="running", report=report, choice=choice)
+        plan = SimpleNamespace(config=SimpleNamespace(namespace=told["namespace"]))
+        return ModuleView(kind=kind, phase="running", report=report, plan=plan)
 
     monkeypatch.setattr(application.supervisor, "view", view)
     assert path._is_followed(drive(application))

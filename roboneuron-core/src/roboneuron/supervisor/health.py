@@ -11,12 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from roboneuron.config import LimitsConfig
+from roboneuron.config import LimitsConfig, ModuleSettings
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
+from roboneuron.planning import Plan
 from roboneuron.supervisor.changes import Changes, Periodic
 from roboneuron.supervisor.process import ModuleProcess, ProcessEvents
-from roboneuron.supervisor.slot import Phase, Selection, Slot
+from roboneuron.supervisor.slot import Phase, Slot
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -74,14 +75,15 @@ class ModuleView:
     Attributes:
         kind, phase: which one, and what the supervisor is doing with it.
         process: None when there is none; of a module that has ended by itself, the ended one.
-        choice: what it was started with.
+        plan, settings: what it was started with, and what its process was told.
         report: its newest status, None before the first.
     """
 
     kind: ModuleKind
     phase: Phase
     process: ModuleProcess | None = None
-    choice: Selection | None = None
+    plan: Plan | None = None
+    settings: ModuleSettings | None = None
     report: Report | None = None
 
     def health(self, now_s: float) -> Health:
@@ -210,7 +212,8 @@ class Modules:
                 kind=kind,
                 phase=slot.phase,
                 process=slot.process,
-                choice=slot.choice,
+                plan=slot.plan,
+                settings=slot.settings,
                 report=slot.report,
             )
 

@@ -8,14 +8,14 @@ import logging
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.config import Config, ModuleSettings
+from roboneuron.config import ModuleSettings
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind
 from roboneuron.planning import Plan
@@ -31,7 +31,7 @@ from roboneuron.supervisor.process import (
     end_processes,
     spawn,
 )
-from roboneuron.supervisor.slot import Claim, Selection, Slot
+from roboneuron.supervisor.slot import Claim, Slot
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
@@ -107,10 +107,10 @@ class Supervisor(Modules):
             StateError: its process has ended.
         """
         # read once, because a stop may empty the slot meanwhile
-        choice, process = slot.choice, slot.process
-        if choice is None or process is None:
+        settings, process = slot.settings, slot.process
+        if settings is None or process is None:
             raise StateError(f"{slot.kind} has ended.")
-        node = f"/{choice.settings.status_name}"
+        node = f"/{settings.status_name}"
         return NodeClient(self.link, self.changes, node, process.announce, check)
 
     def open(self) -> None:
@@ -124,11 +124,7 @@ class Supervisor(Modules):
 
     def start(
         self,
-        kind: ModuleKind,
-        config: Config,
-        *,
-        names: Mapping[str, str] | None = None,
-        plan: Plan | None = None,
+        plan: Plan,
         on_stage: Stage = lambda stage: None,
         beside: Slot | None = None,
     ) -> ModuleView:
@@ -136,10 +132,7 @@ class Supervisor(Modules):
         nothing behind.
 
         Args:
-            kind: which module.
-            config: the effective configuration it is told.
-            names: what was chosen, for messages.
-            plan: the descriptors behind these names.
+            plan: which module, with what.
             on_stage: called with a phrase whenever the start has come further.
             beside: one of `slots` but the first: it starts there, in shadow, while another one
                 works.
@@ -149,6 +142,7 @@ class Supervisor(Modules):
             NotReadyError: it died, or something is missing; the message names it.
             RoboNeuronError: what the module itself says is wrong.
         """
+        kind = plan.kind
         with self.changes.lock:
             if self._closed:
                 raise StateError("The server is shutting down.")
@@ -156,7 +150,7 @@ class Supervisor(Modules):
             settings = ModuleSettings(
                 kind=kind,
                 node_name=kind,
-                config=config,
+                config=plan.config,
                 state_directory=str(self.state_directory),
                 tightened=self.tightened,
                 needs_start=self.needs_start if kind in ARM_KINDS else "",
@@ -165,19 +159,17 @@ class Supervisor(Modules):
             if beside is not None:
                 settings = self._in_shadow(settings, working)
             slot = beside or working
-            choice = Selection(settings=settings, names=names or {}, plan=plan)
-            slot.begin_start(choice, next(self._order))
+            slot.begin_start(plan, settings, next(self._order))
         self.heartbeat.start()
-        Bringup(slot, choice, self, self._spawn, self.parameters, on_stage).run()
+        Bringup(slot, plan, settings, self, self._spawn, self.parameters, on_stage).run()
         return self.view(kind)
 
-    def _spawn(self, choice: Selection) -> ModuleProcess:
+    def _spawn(self, settings: ModuleSettings) -> ModuleProcess:
         """Start the process of a module.
 
         Raises:
             ConfigurationError: it cannot be started, or its log cannot be written.
         """
-        settings = choice.settings
         section = getattr(settings.config, settings.kind)
         python = None if section is None else section.python
         command = self._command(python)
@@ -209,7 +201,7 @@ class Supervisor(Modules):
         under the one of two node names that it does not use, and still for the same stop.
         """
         kind, report = settings.kind, working.report
-        is_named_so = working.choice is not None and working.choice.settings.node_name == kind
+        is_named_so = working.settings is not None and working.settings.node_name == kind
         changes: dict[str, object] = {
             "shadow": True,
             "node_name": f"{kind}_b" if is_named_so else kind,
@@ -355,6 +347,7 @@ class Supervisor(Modules):
         """Wait for the end of a start that was cancelled: whoever runs it ends the process, which
         takes as long as any stop, and a second for its thread.
         """
-        config = slot.choice.settings.config.supervisor if slot.choice is not None else None
-        bound_s = (config.stop_timeout_s if config else 0.0) + KILL_S + 1.0
+        settings = slot.settings
+        stop_s = settings.config.supervisor.stop_timeout_s if settings is not None else 0.0
+        bound_s = stop_s + KILL_S + 1.0
         self.changes.wait_for(lambda: slot.phase != "starting", bound_s)

@@ -22,8 +22,8 @@ from roboneuron import (
     RuntimeSpec,
     Spec,
 )
-from roboneuron.feature import Config, ModuleKind, Registry, loading
-from roboneuron.node import Plan, find_robot
+from roboneuron.feature import Config, ModuleKind, Plan, Registry, loading
+from roboneuron.node import find_robot
 
 CHECKPOINT_START_S = 900.0
 """Longest start of a policy with a checkpoint: 15 GB from a slow disk, and the warm-up of a large
@@ -112,7 +112,7 @@ def find_policy(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class InferencePlan(Plan):
-    """A module of this feature, see `roboneuron.node.Plan`."""
+    """A module of this feature, see `roboneuron.feature.Plan`."""
 
     policy: Policy
 
@@ -232,6 +232,7 @@ def plan_inference(config: Config, registry: Registry) -> InferencePlan:
     }
     needs_state = policy.backend.needs_state
     return InferencePlan(
+        kind="inference",
         config=config,
         robot=policy.robot,
         driver=policy.driver,

@@ -71,10 +71,9 @@ class RealRobotFeature(Feature[RealRobotOptions]):
         """Raises RefusedError unless the robot is simulated, or a person agrees or has agreed
         before.
         """
-        selection = await context.run(lambda _: host.loop.select("robot", request, context.role))
-        assert selection.plan is not None
-        driver = selection.plan.driver
-        which = selection.config.robot.name, driver.name
+        plan = await context.run(lambda _: host.loop.select("robot", request, context.role))
+        driver = plan.driver
+        which = plan.config.robot.name, driver.name
         if driver.simulated or which in self._agreed:
             return
         agreed = await context.ask(

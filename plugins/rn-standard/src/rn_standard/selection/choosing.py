@@ -16,8 +16,8 @@ from roboneuron.feature import (
     KIND_ENTRIES,
     Config,
     ModuleKind,
+    Plan,
     Registry,
-    Selection,
 )
 
 
@@ -27,7 +27,7 @@ def choose(
     registry: Registry,
     request: Arguments | None = None,
     role: str = "",
-) -> Selection:
+) -> Plan:
     """Check what a client asks for, or without a request what is configured.
 
     Args:
@@ -71,12 +71,7 @@ def choose(
     if checkpoint is not None and policy is not None and policy.takes_checkpoint:
         check_may_load(config, checkpoint)
     plan = KIND_ENTRIES[kind].check(config.model_copy(update=update), registry)
-    selection = Selection.of(kind, plan)
-    return (
-        selection
-        if model is None
-        else replace(selection, names={**selection.names, "model": model})
-    )
+    return plan if model is None else replace(plan, names={**plan.names, "model": model})
 
 
 def _configured_names(kind: ModuleKind, config: Config) -> set[str]:

@@ -157,8 +157,8 @@ def check_camera(host: Host, camera: str) -> None:
 
 def _hint(host: Host) -> str:
     view = host.modules.view("perception")
-    if view.phase == "running" and view.choice is not None:
-        return f"Perception runs with the cameras: {view.choice.names.get('cameras', 'none')}."
+    if view.phase == "running" and view.plan is not None:
+        return f"Perception runs with the cameras: {view.plan.names.get('cameras', 'none')}."
     if view.phase in ("starting", "stopping"):
         return f"Perception is {view.phase}: wait for that, then try again."
     if view.phase == "exited":
