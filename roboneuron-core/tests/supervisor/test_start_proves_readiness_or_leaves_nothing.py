@@ -174,9 +174,7 @@ def test_a_start_during_a_start_is_refused_and_the_first_succeeds(
         if stage == "robot: configuring":
             configuring.set()
 
-    first = threading.Thread(
-        target=supervisor.start, args=("robot", config), kwargs={"on_stage": on_stage}
-    )
+    first = threading.Thread(target=supervisor.start, args=(fake_plan("robot", config), on_stage))
     first.start()
     assert configuring.wait(20)
     with pytest.raises(StateError, match="already starting"):
