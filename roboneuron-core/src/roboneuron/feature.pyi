@@ -113,10 +113,10 @@ from .server.surface import (
 )
 from .server.tool import (
     Holder as Holder,
-    Stage as Stage,
 )
 from .supervisor.changes import (
     Periodic as Periodic,
+    Stage as Stage,
 )
 from .supervisor.health import (
     EXPLANATIONS as EXPLANATIONS,

@@ -265,9 +265,9 @@ def test_a_transport_that_nothing_serves_is_refused(make, specs, transport, word
 
 
 def test_what_a_feature_finds_wrong_is_told_before_anything_is_served(make):
-    make(spec(Pigeons)).features.check()
+    make(spec(Pigeons)).check()
     with pytest.raises(ConfigurationError, match="There is no loft"):
-        make(spec(Pigeons), features=("odometer",)).features.check()
+        make(spec(Pigeons), features=("odometer",)).check()
 
 
 def test_a_feature_admits_calls(make):

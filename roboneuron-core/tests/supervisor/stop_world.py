@@ -144,7 +144,7 @@ class World:
             state_directory="state",
         )
         plan = fake_plan(kind, settings.config)
-        slot.begin_start(plan, settings, next(self.supervisor._order))
+        slot.begin_start(plan, settings)
         return slot
 
     def named(self, name: str) -> list[tuple[Any, ...]]:

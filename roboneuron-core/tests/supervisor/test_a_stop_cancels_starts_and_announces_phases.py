@@ -83,7 +83,7 @@ def test_a_replacement_that_is_being_started_is_cancelled_too(world: World) -> N
         config=world._make_config(),
         state_directory="state",
     )
-    beside.begin_start(fake_plan("control", settings.config), settings, 9)
+    beside.begin_start(fake_plan("control", settings.config), settings)
     world.supervisor.stop("control")
     with pytest.raises(StateError, match=r"cancelled: stop_control was called\."):
         beside.check_not_cancelled()
@@ -103,7 +103,7 @@ def test_the_newest_start_alone_is_cancelled(world: World) -> None:
     beside = Slot("control", world.supervisor.changes)
     world.supervisor.slots["control"].append(beside)
     working = world.supervisor.slot("control")
-    beside.begin_start(working.plan, working.settings, 2)  # type: ignore[arg-type]
+    beside.begin_start(working.plan, working.settings)  # type: ignore[arg-type]
     assert world.supervisor.cancel("control", "because")
     world.supervisor.slot("control").check_not_cancelled()
     with pytest.raises(StateError, match="because"):

@@ -161,12 +161,13 @@ def test_everything_is_stopped_in_reverse_order_and_no_thread_remains(
 PARENT = """
 import sys, time
 from pathlib import Path
+from rn_testing.fakes import fake_plan
 from roboneuron.config import parse_config
 from roboneuron.supervisor.supervisor import Supervisor
 config = parse_config('[robot]\\nname = "fake"\\n[plugins.fault]\\nperception = "has-a-child"')
 supervisor = Supervisor(Path({state!r}), command=lambda python: {command!r})
 for kind in ("robot", "perception"):
-    view = supervisor.start(kind, config)
+    view = supervisor.start(fake_plan(kind, config))
     print(view.process.pid, flush=True)
 print(view.report.metrics["child_pid"], flush=True)
 time.sleep(60)

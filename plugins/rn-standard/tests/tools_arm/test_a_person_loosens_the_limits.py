@@ -58,7 +58,7 @@ def make(tmp_path: Path) -> Iterator[Make]:
 
 
 def call(
-    application: Application, tool: str, agrees: bool | None = None, **arguments: Any
+    application: Application, tool: str, agrees: str | None = None, **arguments: Any
 ) -> dict[str, Any]:
     found = application.tools.get(tool)
     assert found is not None
@@ -66,7 +66,7 @@ def call(
     async def run(work: Callable[[Any], Any], **more: Any) -> Any:
         return work(lambda _: None)
 
-    async def ask(question: str) -> bool | None:
+    async def ask(question: str) -> str | None:
         assert "0.1" in question, "the person is told what would be loosened"
         return agrees
 
@@ -98,8 +98,8 @@ def test_the_gate_of_the_direct_path_judges_by_the_tightened_limits(make: Make) 
     assert paths._limits("another").max_speed_m_s == 0.5, "that of another robot stays"
 
 
-@pytest.mark.parametrize("agrees", [None, False])
-def test_nobody_but_a_person_loosens(make: Make, agrees: bool | None) -> None:
+@pytest.mark.parametrize("agrees", [None, ""])
+def test_nobody_but_a_person_loosens(make: Make, agrees: str | None) -> None:
     application = make()
     call(application, "tighten_limits", max_speed_m_s=0.1)
     with pytest.raises(RefusedError, match="Only a person") as caught:
@@ -113,7 +113,7 @@ def test_a_person_who_agrees_gets_the_configured_limits_back_and_the_audit_says_
 ) -> None:
     application = make()
     call(application, "tighten_limits", max_speed_m_s=0.1)
-    assert call(application, "loosen_limits", True)["max_speed_m_s"] == 0.4
+    assert call(application, "loosen_limits", "yes")["max_speed_m_s"] == 0.4
     assert make().supervisor.tightened is None
     lines = [
         json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()

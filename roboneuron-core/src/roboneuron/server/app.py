@@ -83,7 +83,6 @@ class Application:
             raise ConfigurationError(
                 "This works with one robot; the configuration has [robots.<name>]."
             )
-        self.started_s = time.monotonic()
         self._is_joining = False
         self._joining = anyio.Lock()
         self.events = Events()
@@ -116,7 +115,7 @@ class Application:
             features=self.features,
             tools=self.tools,
             events=self.events,
-            started_s=self.started_s,
+            started_s=time.monotonic(),
             state_directory=self.supervisor.state_directory,
             end_motion=self.end_motion,
             _link=lambda: self.supervisor.link,
@@ -130,7 +129,7 @@ class Application:
         )
         self.resources: Mapping[str, Resource] = {resource.uri: resource for resource in offered}
         if attached:
-            self.features.attach(self.host)
+            self.features.each("attached", lambda feature: feature.attach(self.host))
 
     @classmethod
     def in_directory(
@@ -159,7 +158,7 @@ class Application:
         PlanningError.
         """
         check_configuration(self.loop.base, self.loop.registry)
-        self.features.check()
+        self.features.each("used", lambda feature: feature.check(self.loop.base))
 
     def listen(self) -> Transport | None:
         """Begin to listen for clients; None for stdio."""

@@ -20,8 +20,8 @@ from roboneuron.planning import KIND_ENTRIES, Plan
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.tool import Arguments
+from roboneuron.supervisor.changes import Stage
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
-from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor

@@ -27,7 +27,8 @@ from opentelemetry import trace
 
 from roboneuron import __version__
 from roboneuron.server.registry import ToolRegistry, UnfinishedCallError
-from roboneuron.server.tool import Resource, Stage, Transport, holder_of
+from roboneuron.server.tool import Resource, Transport, holder_of
+from roboneuron.supervisor.changes import Stage
 
 T = TypeVar("T")
 
@@ -265,13 +266,8 @@ class RequestContext:
         self._step += 1
         await self._request.session.report_progress(self._step, message=text)
 
-    async def ask(self, question: str) -> bool | None:
+    async def ask(self, question: str, what: str = "") -> str | None:
         """See `CallContext.ask`."""
-        answer = await self.ask_for(question, "")
-        return None if answer is None else bool(answer)
-
-    async def ask_for(self, question: str, what: str) -> str | None:
-        """See `CallContext.ask_for`."""
         if self._ask is None:
             return None
         answer = await self._ask(self._request, self._params, question, what)

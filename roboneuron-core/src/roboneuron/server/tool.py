@@ -16,14 +16,13 @@ from pydantic.version import version_short
 from roboneuron.errors import RefusedError
 from roboneuron.gate.roles import Role
 from roboneuron.server.schema import Shape, model_schema, parse, with_choices
+from roboneuron.supervisor.changes import Stage
 
 if TYPE_CHECKING:
     from anyio import Event
 
 T = TypeVar("T")
 A = TypeVar("A", bound="Arguments")
-Stage = Callable[[str], None]
-"""Tells the caller how far a long call has come; callable from any thread."""
 
 
 class Arguments(BaseModel):
@@ -160,14 +159,10 @@ class CallContext(Protocol):
         called: what moves a robot ends with the connection.
         """
 
-    async def ask(self, question: str) -> bool | None:
-        """Whether the client's person agreed; None when it cannot ask one. May end the call and
-        begin it again.
-        """
-
-    async def ask_for(self, question: str, what: str) -> str | None:
-        """What the client's person types, such as a PIN; empty when they do not agree, None as
-        `ask`.
+    async def ask(self, question: str, what: str = "") -> str | None:
+        """What the client's person answers: "yes", or what they type when asked for `what`, such as
+        a PIN; empty when they do not agree, None when it cannot ask one. May end the call and begin
+        it again.
         """
 
 

@@ -13,9 +13,8 @@ from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
-from roboneuron.supervisor.changes import Lasting
+from roboneuron.supervisor.changes import Lasting, Stage
 from roboneuron.supervisor.health import Modules
-from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import ModuleProcess, end_processes
 from roboneuron.supervisor.slot import Phase, Slot

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
@@ -46,7 +47,7 @@ class Slot:
         process, plan, settings: what runs, or has ended by itself, what it was started with, and
             what its process was told; None when there is nothing.
         report: the newest that its process has made; None before the first.
-        order: the higher, the later it was started.
+        started_s: when it was last claimed for a start [monotonic s].
     """
 
     def __init__(self, kind: ModuleKind, changes: Changes) -> None:
@@ -60,17 +61,16 @@ class Slot:
         self.plan: Plan | None = None
         self.settings: ModuleSettings | None = None
         self.report: Report | None = None
-        self.order = 0
+        self.started_s = 0.0
         self._cancelled = ""
         self._changes = changes
 
-    def begin_start(self, plan: Plan, settings: ModuleSettings, order: int) -> None:
+    def begin_start(self, plan: Plan, settings: ModuleSettings) -> None:
         """Claim the slot for a start.
 
         Args:
             plan: what is started.
             settings: what its process is told.
-            order: higher than that of all starts before.
 
         Raises:
             StateError: something is in it; the message says what.
@@ -83,7 +83,7 @@ class Slot:
                     + ("." if self.kind == "robot" else f", or switch_{self.kind}."),
                 )
             self.phase, self.plan, self.settings = "starting", plan, settings
-            self.order = order
+            self.started_s = time.monotonic()
             self.process = self.report = None
             self._cancelled = ""
         self._changes.notify()

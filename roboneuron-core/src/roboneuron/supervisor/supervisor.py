@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,9 +20,9 @@ from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.bringup import Bringup
-from roboneuron.supervisor.changes import Periodic
+from roboneuron.supervisor.changes import Periodic, Stage
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
-from roboneuron.supervisor.launching import Command, Connect, Connection, Stage, module_command
+from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import (
     KILL_S,
@@ -88,7 +87,6 @@ class Supervisor(Modules):
         # lives as long as the server, because PR_SET_PDEATHSIG follows the thread
         self._spawning = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
         self.heartbeat = Periodic("heartbeat", _BEAT_S, self._beat)
-        self._order = count(1)
         self._closed = False
 
     @property
@@ -159,7 +157,7 @@ class Supervisor(Modules):
             if beside is not None:
                 settings = self._in_shadow(settings, working)
             slot = beside or working
-            slot.begin_start(plan, settings, next(self._order))
+            slot.begin_start(plan, settings)
         self.heartbeat.start()
         Bringup(slot, plan, settings, self, self._spawn, self.parameters, on_stage).run()
         return self.view(kind)
@@ -263,7 +261,7 @@ class Supervisor(Modules):
             if slot.cancel("everything is being stopped."):
                 self._await_settled(slot)
         claims: list[Claim] = []
-        for slot in sorted(slots, key=lambda s: -s.order):
+        for slot in sorted(slots, key=lambda s: -s.started_s):
             with suppress(StateError):
                 claims.append(slot.begin_stop())
         return self._finish(claims, within_s)

@@ -105,7 +105,7 @@ class Fleet:
             server=self.server,
             events=self.events,
         )
-        first.features.attach(self._host)
+        first.features.each("attached", lambda feature: feature.attach(self._host))
 
     def check(self) -> None:
         """Check the configuration of each robot.

@@ -44,13 +44,9 @@ class RobotContext:
         """See CallContext."""
         return await self._context.run(work, on_cancel=on_cancel, on_leave=on_leave)
 
-    async def ask(self, question: str) -> bool | None:
+    async def ask(self, question: str, what: str = "") -> str | None:
         """See CallContext."""
-        return await self._context.ask(f"Robot {self._robot}: {question}")
-
-    async def ask_for(self, question: str, what: str) -> str | None:
-        """See CallContext."""
-        return await self._context.ask_for(f"Robot {self._robot}: {question}", what)
+        return await self._context.ask(f"Robot {self._robot}: {question}", what)
 
 
 def unwrapped(call: CallRobotTool) -> tuple[str, dict[str, object]]:
