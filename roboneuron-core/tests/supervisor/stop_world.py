@@ -38,8 +38,8 @@ class Module:
         leaves_s: how long it takes to end after SIGTERM.
     """
 
-    def __init__(self, pid: int, world: World) -> None:
-        self.pid, self.name = pid, f"module-{pid}"
+    def __init__(self, pid: int, world: World, name: str = "module") -> None:
+        self.pid, self.name = pid, name
         self.deactivates_s, self.leaves_s = 0.0, 0.0
         self.exit_code: int | None = None
         self.ended_at = datetime.now(UTC)
@@ -130,7 +130,7 @@ class World:
     ) -> Module:
         """A module that was started."""
         slot = slot or self.starting(kind, stop_timeout_s=stop_timeout_s)
-        module = Module(next(self._pids), self)
+        module = Module(next(self._pids), self, kind)
         slot.process = module  # type: ignore[assignment]
         slot.settle("running")
         return module

@@ -29,7 +29,7 @@ def test_a_start_is_cancelled_by_a_stop_which_waits_for_its_end(world: World) ->
         assert look()
 
     world.supervisor.changes.wait_for = wait_for  # type: ignore[assignment, method-assign]
-    assert world.supervisor.stop("robot") is None
+    assert world.supervisor.stop("robot").cancelled_start
     assert looks == [3.0 + 5.0 + 1.0]
     assert world.calls == []
 
@@ -41,8 +41,7 @@ def test_a_start_that_succeeds_although_it_was_cancelled_is_stopped(world: World
         world.running("robot", slot=slot)
 
     world.supervisor.changes.wait_for = wait_for  # type: ignore[assignment, method-assign]
-    stopped = world.supervisor.stop("robot")
-    assert stopped is not None
+    assert not world.supervisor.stop("robot").cancelled_start
     assert slot.phase == "stopped"
 
 
@@ -59,7 +58,7 @@ def test_all_starts_are_cancelled_before_anything_is_stopped(world: World) -> No
         slot.settle("stopped")
 
     world.supervisor.changes.wait_for = wait_for  # type: ignore[assignment, method-assign]
-    assert [stopped.kind for stopped in world.supervisor.stop_all()] == ["robot"]
+    assert [stopped.module for stopped in world.supervisor.stop_all()] == ["robot"]
     assert waits == [9.0]
 
 
@@ -143,7 +142,7 @@ def test_every_change_of_a_slot_is_announced(world: World) -> None:
 def test_a_claim_holds_what_is_to_be_ended(world: World) -> None:
     robot = world.running("robot")
     slot = world.supervisor.slot("robot")
-    assert tuple(slot.begin_stop()) == (slot, robot, slot.settings)
+    assert slot.begin_stop() is robot
     assert slot.phase == "stopping"
     slot.settle("exited")
     assert slot.process is robot, "its log and its exit are still told"

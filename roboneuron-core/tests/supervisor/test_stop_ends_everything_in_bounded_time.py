@@ -47,7 +47,6 @@ def test_a_stopped_module_was_deactivated_and_is_reaped(
 ) -> None:
     pid = start(supervisor, make_config())
     stopped = supervisor.stop("robot")
-    assert stopped is not None
     assert (stopped.pid, stopped.exit_code, stopped.killed) == (pid, 0, False)
     assert is_gone(pid)
     assert "deactivated" in (supervisor.log_directory / "robot.log").read_text()
@@ -86,7 +85,6 @@ def test_what_does_not_leave_is_killed_with_its_children(
     report = supervisor.view("robot").report
     assert report is not None
     stopped = supervisor.stop("robot")
-    assert stopped is not None
     assert stopped.killed == (fault == "ignores-sigterm")
     assert stopped.took_s < PATIENCE_S
     assert is_gone(pid)
@@ -100,7 +98,6 @@ def test_a_frozen_process_is_killed(supervisor: Supervisor, make_config: MakeCon
     pid = start(supervisor, make_config(stop_timeout_s=1.0))
     os.kill(pid, signal.SIGSTOP)
     stopped = supervisor.stop("robot")
-    assert stopped is not None
     assert stopped.killed
     assert is_gone(pid)
 

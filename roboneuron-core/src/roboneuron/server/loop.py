@@ -259,7 +259,7 @@ class ClosedLoop:
         """
         self._supervisor.start(plan, on_stage, beside)
 
-    def end(self, ended: Slot | ModuleKind) -> Stopped | None:
+    def end(self, ended: Slot | ModuleKind) -> Stopped:
         """End the process in a slot, or the module of a kind and a start in progress, for another
         one that takes its place: nobody is told of a stop. Raises as `Supervisor.stop`.
         """
@@ -278,7 +278,7 @@ class ClosedLoop:
                 self.streams[namespace] = _listen(self._supervisor.link, namespace)
             return self.streams[namespace]
 
-    def stop(self, kind: ModuleKind) -> Stopped | None:
+    def stop(self, kind: ModuleKind) -> Stopped:
         """Stop one module. Raises as `Supervisor.stop`."""
         self.on_stop(kind)
         try:

@@ -73,9 +73,7 @@ class Bringup:
         self._make_client = client
         self._on_stage = on_stage
         self._node = f"/{settings.status_name}"
-        config = settings.config
-        self._timeout_s = config.start_timeout_s(slot.kind)
-        self._stop_timeout_s = config.supervisor.stop_timeout_s
+        self._timeout_s = settings.config.start_timeout_s(slot.kind)
 
     def run(self) -> None:
         """Spawn, configure, activate and wait for readiness; a failure ends the process.
@@ -94,7 +92,7 @@ class Bringup:
         finally:
             try:
                 if phase != "running" and slot.process is not None:
-                    end_processes([slot.process], self._stop_timeout_s)
+                    end_processes([slot.process], slot.stop_timeout_s)
             finally:
                 # also when it survives SIGKILL, else nobody could start one again
                 slot.settle(phase)

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from pydantic import BaseModel, ConfigDict, Field, SkipValidation
+
 from roboneuron.config import LimitsConfig, ModuleSettings
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
@@ -110,22 +112,23 @@ class ModuleView:
         return "ok" if report.ready else "waiting"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Stopped:
-    """How a stop went.
+class Stopped(BaseModel):
+    """A module that is gone from the process table, or a start that was cancelled.
 
     Attributes:
-        killed: SIGKILL was needed.
         took_s: from the call to the process reaped.
         report: the last one that came.
     """
 
-    kind: ModuleKind
-    pid: int
-    exit_code: int
-    killed: bool
-    took_s: float
-    report: Report | None = None
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    module: ModuleKind
+    cancelled_start: bool = Field(default=False, description="it was still starting")
+    pid: int | None = None
+    exit_code: int | None = Field(default=None, description="negative for the signal that ended it")
+    killed: bool = Field(default=False, description="it did not leave by itself in time")
+    took_s: float = 0.0
+    report: SkipValidation[Report | None] = Field(default=None, exclude=True)
 
 
 class Modules:

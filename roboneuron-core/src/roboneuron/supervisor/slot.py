@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import NotReadyError, StateError
@@ -24,14 +24,6 @@ _NEXT: Mapping[str, str] = {
     "stopping": "It is being stopped: wait for that, then start it again.",
 }
 """What to do about a module that does not run yet, or any more."""
-
-
-class Claim(NamedTuple):
-    """What a slot held when a stop began: whoever got it ends that process, and nobody else."""
-
-    slot: Slot
-    process: ModuleProcess
-    settings: ModuleSettings
 
 
 class Slot:
@@ -88,20 +80,25 @@ class Slot:
             self._cancelled = ""
         self._changes.notify()
 
-    def begin_stop(self) -> Claim:
-        """Claim the slot for a stop and return what is to be ended.
+    @property
+    def stop_timeout_s(self) -> float:
+        """Time that what is in it gets to leave [s]; 0 when there is nothing."""
+        settings = self.settings
+        return 0.0 if settings is None else settings.config.supervisor.stop_timeout_s
+
+    def begin_stop(self) -> ModuleProcess:
+        """Claim the slot for a stop: whoever gets the process ends it, and nobody else.
 
         Raises:
             StateError: nothing is running.
         """
         with self._changes.lock:
             self.check_running()
-            assert self.process is not None
-            assert self.settings is not None
+            process = self.process
+            assert process is not None
             self.phase = "stopping"
-            claim = Claim(self, self.process, self.settings)
         self._changes.notify()
-        return claim
+        return process
 
     def accept(self, status_name: str, pid: str, report: Report) -> bool:
         """Keep a report if it is one of the process that is here.

@@ -8,7 +8,7 @@ import logging
 import math
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
@@ -30,7 +30,7 @@ from roboneuron.supervisor.process import (
     end_processes,
     spawn,
 )
-from roboneuron.supervisor.slot import Claim, Slot
+from roboneuron.supervisor.slot import Slot
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
@@ -209,9 +209,8 @@ class Supervisor(Modules):
             changes["needs_start"] = report.needs_start
         return settings.model_copy(update=changes)
 
-    def stop(self, kind: ModuleKind) -> Stopped | None:
-        """Deactivate, end and reap a module; a start in progress is cancelled instead, and None is
-        returned.
+    def stop(self, kind: ModuleKind) -> Stopped:
+        """Deactivate, end and reap a module; a start in progress is cancelled instead.
 
         Raises:
             StateError: it is not running.
@@ -224,7 +223,7 @@ class Supervisor(Modules):
         if slot.cancel(reason):
             self._await_settled(slot)
             if slot.phase != "running":
-                return None
+                return Stopped(module=kind, cancelled_start=True)
         return self.end(slot)
 
     def end(self, slot: Slot) -> Stopped:
@@ -236,7 +235,7 @@ class Supervisor(Modules):
         Raises:
             StateError: it is not running.
         """
-        return self._finish([slot.begin_stop()])[0]
+        return self._finish({slot: slot.begin_stop()})[0]
 
     def cancel(self, kind: ModuleKind, reason: str) -> bool:
         """End a start in progress, without waiting for its end; returns whether there was one.
@@ -260,11 +259,11 @@ class Supervisor(Modules):
         for slot in slots:
             if slot.cancel("everything is being stopped."):
                 self._await_settled(slot)
-        claims: list[Claim] = []
+        claimed: dict[Slot, ModuleProcess] = {}
         for slot in sorted(slots, key=lambda s: -s.started_s):
             with suppress(StateError):
-                claims.append(slot.begin_stop())
-        return self._finish(claims, within_s)
+                claimed[slot] = slot.begin_stop()
+        return self._finish(claimed, within_s)
 
     def close(self) -> None:
         """Stop everything, leave the ROS graph, end all threads; idempotent.
@@ -279,58 +278,59 @@ class Supervisor(Modules):
         self.heartbeat.close()
         self._spawning.shutdown()  # a process that is still there gets its death signal
 
-    def _finish(self, claims: Sequence[Claim], within_s: float = math.inf) -> list[Stopped]:
+    def _finish(
+        self, claimed: Mapping[Slot, ModuleProcess], within_s: float = math.inf
+    ) -> list[Stopped]:
         """Silence all in order, then end them together.
 
         Silence first: control holds the arm before any process is ended. Each gets an equal share
         of the time, and what is left of it goes to the ending.
 
         Args:
-            claims: in the order in which they are silenced.
+            claimed: what is ended by its slot, in the order in which it is silenced.
             within_s: bound on all of it [s].
         """
         started_s = time.monotonic()
-        share_s = within_s / (len(claims) + 1)
-        for claim in claims:
-            self._deactivate(claim, min(share_s, DEACTIVATE_S))
-        timeout_s = max(
-            (claim.settings.config.supervisor.stop_timeout_s for claim in claims), default=0.0
-        )
+        share_s = within_s / (len(claimed) + 1)
+        for slot, process in claimed.items():
+            self._deactivate(slot, process, min(share_s, DEACTIVATE_S))
+        timeout_s = max((slot.stop_timeout_s for slot in claimed), default=0.0)
         left_s = max(share_s, started_s + within_s - time.monotonic())
-        killed = end_processes([claim.process for claim in claims], min(timeout_s, left_s))
-        return [self._settle(claim, claim.process.pid in killed, started_s) for claim in claims]
+        killed = end_processes(list(claimed.values()), min(timeout_s, left_s))
+        return [
+            self._settle(slot, process, process.pid in killed, started_s)
+            for slot, process in claimed.items()
+        ]
 
-    def _deactivate(self, claim: Claim, most_s: float) -> None:
+    def _deactivate(self, slot: Slot, process: ModuleProcess, most_s: float) -> None:
         """Ask for silence, for at most `most_s`; what does not answer is ended anyway."""
-        slot, settings = claim.slot, claim.settings
-        limit_s = min(most_s, settings.config.supervisor.stop_timeout_s / 2)
+        limit_s = min(most_s, slot.stop_timeout_s / 2)
         try:
             client = self.parameters(slot, lambda: slot.check_alive("being deactivated"))
             if client.transition("deactivate", limit_s) is None:
-                log.warning(
-                    "%s did not answer `deactivate` within %.1f s.", settings.node_name, limit_s
-                )
+                log.warning("%s did not answer `deactivate` within %.1f s.", process.name, limit_s)
         except RoboNeuronError as error:
-            log.warning("Deactivating %s: %s", settings.node_name, error)
+            log.warning("Deactivating %s: %s", process.name, error)
 
-    def _settle(self, claim: Claim, killed: bool, started_s: float) -> Stopped:
+    def _settle(
+        self, slot: Slot, process: ModuleProcess, killed: bool, started_s: float
+    ) -> Stopped:
         """Free the slot of an ended module; tells how its stop went.
 
         Args:
-            claim: what was ended.
+            slot, process: what was ended.
             killed: it needed SIGKILL.
             started_s: when the stop began [monotonic s].
         """
-        slot, process = claim.slot, claim.process
         report = slot.report
         slot.settle("stopped")
         log.info("Stopped %s: pid %d, exit code %s.", slot.kind, process.pid, process.exit_code)
         stopped = Stopped(
-            kind=slot.kind,
+            module=slot.kind,
             pid=process.pid,
             exit_code=process.exit_code if process.exit_code is not None else -9,
             killed=killed,
-            took_s=time.monotonic() - started_s,
+            took_s=round(time.monotonic() - started_s, 3),
             report=report,
         )
         self.on_change(slot.kind)
@@ -345,7 +345,5 @@ class Supervisor(Modules):
         """Wait for the end of a start that was cancelled: whoever runs it ends the process, which
         takes as long as any stop, and a second for its thread.
         """
-        settings = slot.settings
-        stop_s = settings.config.supervisor.stop_timeout_s if settings is not None else 0.0
-        bound_s = stop_s + KILL_S + 1.0
+        bound_s = slot.stop_timeout_s + KILL_S + 1.0
         self.changes.wait_for(lambda: slot.phase != "starting", bound_s)

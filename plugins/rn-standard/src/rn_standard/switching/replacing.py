@@ -168,7 +168,7 @@ class Switching:
         due = check.is_due()
         on_stage(f"{kind}: stopping the old {check.noun}")
         stopped = self.loop.end(kind)
-        last = stopped.report if stopped is not None else None
+        last = stopped.report
         # a stop, or the end of a task
         if kind == "inference" and self.loop.starts.ticket != ticket:
             plan = with_instruction(plan, self.loop.starts.instruction)
