@@ -19,7 +19,7 @@ from roboneuron.config import (
     PerceptionConfig,
     RobotConfig,
 )
-from roboneuron.config.models import ModuleKind, Section
+from roboneuron.config.models import ModuleKind, ModuleSection
 from roboneuron.errors import (
     ConfigurationError,
     InvalidInputError,
@@ -101,12 +101,12 @@ class KindEntry:
     kind: ModuleKind
     noun: str
     offer: str
-    section: type[Section]
+    section: type[ModuleSection]
     stop_text: str
 
-    def configured(self, config: Config, registry: Registry) -> Section:
+    def configured(self, config: Config, registry: Registry) -> ModuleSection:
         """The section of this kind. Raises InvalidInputError when there is none."""
-        section: Section | None = getattr(config, self.kind)
+        section: ModuleSection | None = getattr(config, self.kind)
         if section is None:
             choices = ", ".join(registry.specs(registry.kinds[self.offer]))
             raise InvalidInputError(

@@ -67,7 +67,7 @@ def call(
     except StateError:
         pending.abandon()
         raise
-    if not pending.done or pending.response is None:
+    if not answered.is_set() or pending.response is None:
         pending.abandon()
         raise NotReadyError(
             f"{exposed.topic} did not answer within {remaining_s:g} s; the request was sent and "
