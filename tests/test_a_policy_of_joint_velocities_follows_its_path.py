@@ -197,7 +197,7 @@ def test_it_replaces_a_policy_of_tcp_deltas_while_the_arm_moves(tmp_path: Path) 
 
     config = CONFIG.format(engine="auto").replace('"joint-path"', '"sway"')
     with installed(tmp_path, "rn-fci-cell", ("fci_plugin",)):
-        application = Application(parse_config(config), supervisor=Supervisor(tmp_path / "state"))
+        application = Application(parse_config(config), directory=tmp_path / "state")
         try:
             with listening() as seen:
                 anyio.run(scenario, application, seen)

@@ -25,7 +25,6 @@ from rn_testing.fakes.site import PluginSite
 from roboneuron import DriverSpec, RobotSpec
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 PLUGIN = """
 import os
@@ -111,7 +110,7 @@ class Served:
 def application(folder: Path, driver: str) -> Application:
     registry = fake_registry(ARM, CLIENTS, RECOVERY)
     config = parse_config(f'[robot]\nname = "arm"\ndriver = "{driver}"\n')
-    return Application(config, plugins=lambda: registry, supervisor=Supervisor(folder))
+    return Application(config, plugins=lambda: registry, directory=folder)
 
 
 @pytest.fixture(scope="module")

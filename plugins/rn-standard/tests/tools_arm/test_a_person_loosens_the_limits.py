@@ -25,7 +25,6 @@ from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 CONFIG = (
     '[robot]\nname = "gantry"\n[control]\ncontroller = "gantry"\n[limits]\nmax_speed_m_s = 0.4\n'
@@ -45,9 +44,8 @@ def make(tmp_path: Path) -> Iterator[Make]:
         application = Application(
             parse_config(CONFIG),
             plugins=lambda: registry,
-            supervisor=Supervisor(
-                tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
-            ),
+            directory=tmp_path / "state",
+            command=lambda python: pytest.fail("nothing may be spawned"),
         )
         made.append(application)
         return application

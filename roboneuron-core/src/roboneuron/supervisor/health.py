@@ -224,11 +224,6 @@ class Modules:
         """All modules, in the order robot, perception, inference, control."""
         return [self.view(kind) for kind in MODULE_KINDS]
 
-    def processes(self, kind: ModuleKind) -> list[ModuleProcess]:
-        """Those of a kind: of the module that works, and of one that is to replace it."""
-        with self.changes.lock:
-            return [slot.process for slot in self.slots[kind] if slot.process is not None]
-
     def require_running(self, kind: ModuleKind) -> ModuleView:
         """The view of a running module.
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
-from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind
+from roboneuron.modules.settings import ARM_KINDS, ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.bringup import Bringup
@@ -337,8 +337,8 @@ class Supervisor(Modules):
         return stopped
 
     def _beat(self) -> None:
-        for kind in MODULE_KINDS:
-            for process in self.processes(kind):
+        for slot in self.all_slots():
+            if (process := slot.process) is not None:
                 process.beat()
 
     def _await_settled(self, slot: Slot) -> None:

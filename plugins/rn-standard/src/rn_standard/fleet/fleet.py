@@ -208,9 +208,9 @@ class Fleet:
         plugins: Callable[[], Registry] | None,
         command: Callable[[str | None], Sequence[str]] | None,
     ) -> Application:
-        made = Application.in_directory(
+        made = Application(
             config,
-            folder,
+            directory=folder,
             plugins=plugins,
             command=command,
             connect=self._connection.of_robot(config.namespace),

@@ -51,10 +51,9 @@ class MemoryWatch(Periodic):
 
     def look(self) -> None:
         """Compare all modules with their limits."""
-        for kind in self._modules.slots:
-            # the one that works, and one that is to replace it
-            for process in self._modules.processes(kind):
-                self._check(kind, process)
+        for slot in self._modules.all_slots():
+            if (process := slot.process) is not None:
+                self._check(slot.kind, process)
 
     def _check(self, kind: ModuleKind, process: ModuleProcess) -> None:
         if process.exit_code is not None or process in self._ended:
