@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 _KEPT_ACTIONS = 4096
 
 
-Sent: TypeAlias = tuple[int, tuple[float, ...]]
+SentAction: TypeAlias = tuple[int, tuple[float, ...]]
 """DDS source time of an action [ns], when inference sent it, whatever the way to here took; and its
 values.
 """
 
 
-def _listen(link: RosLink, namespace: str) -> deque[Sent]:
+def _listen(link: RosLink, namespace: str) -> deque[SentAction]:
     """The newest actions of `/<namespace>/action`, oldest first, for as long as the link is open;
     read a `copy`.
     """
@@ -50,7 +50,7 @@ def _listen(link: RosLink, namespace: str) -> deque[Sent]:
 
     # Many are kept in between: a busy control plane must not mistake its own delay for a missing
     # action.
-    actions: deque[Sent] = deque(maxlen=_KEPT_ACTIONS)
+    actions: deque[SentAction] = deque(maxlen=_KEPT_ACTIONS)
 
     def receive(message: Any, info: dict[str, Any]) -> None:
         actions.append((int(info["source_timestamp"]), tuple(message.data)))
@@ -123,7 +123,7 @@ class ClosedLoop:
         self.emergency_stop.file.on_pressed.append(lambda: self.starts.note_stop(EMERGENCY_STOP))
         self.choose: Choose = choose_configured
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
-        self.streams: dict[str, deque[Sent]] = {}
+        self.streams: dict[str, deque[SentAction]] = {}
         self._lock = threading.Lock()
 
     @property
@@ -271,7 +271,7 @@ class ClosedLoop:
         """The parameters of the module in a slot. Raises StateError: its process has ended."""
         return self._supervisor.parameters(slot)
 
-    def stream(self, namespace: str) -> deque[Sent]:
+    def stream(self, namespace: str) -> deque[SentAction]:
         """What is sent on a robot's action topic since a backend was first started for it."""
         with self._lock:
             if namespace not in self.streams:
