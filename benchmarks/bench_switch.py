@@ -88,8 +88,8 @@ def judge(
 
 def _await_stream(switching: Switching, witness: object) -> None:
     """Some actions of the backend that works now: its own stream, and the end of the last gap."""
-    choice = switching.loop.modules.view("inference").choice
-    tag = 2 if choice is not None and choice.names["backend"] == "second" else 1
+    plan = switching.loop.modules.view("inference").plan
+    tag = 2 if plan is not None and plan.names["backend"] == "second" else 1
     deadline_s = time.monotonic() + 5.0
     while time.monotonic() < deadline_s:
         if all(action.tag == tag for action in witness.actions()[-5:]):  # type: ignore[attr-defined]
@@ -106,8 +106,8 @@ def series(
     took_s = []
     for number in range(count):
         view = switching.loop.modules.view("inference")
-        assert view.choice is not None
-        other = "second" if view.choice.names["backend"] == "first" else "first"
+        assert view.plan is not None
+        other = "second" if view.plan.names["backend"] == "first" else "first"
         try:
             arguments = StartChosenInference(backend=other, options={})
             took_s.append(switching.switch("inference", arguments, mode).took_s)

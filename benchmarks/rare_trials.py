@@ -269,9 +269,9 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
 
     looking = threading.Thread(target=look)
     looking.start()
-    choice = loop.modules.view("control").choice
-    assert choice is not None
-    other = "faulty" if choice.names["controller"] == "gantry" else "gantry"
+    plan = loop.modules.view("control").plan
+    assert plan is not None
+    other = "faulty" if plan.names["controller"] == "gantry" else "gantry"
     try:
         witness.more_actions(20, 20.0)
         switched = switching.switch(

@@ -29,6 +29,7 @@ sys.path.pop(0)
 from rn_robot_fr3.profile import profile
 from rn_simulation.engine import ENGINES
 from rn_standard.tools_arm.plugin import LIMITS
+from rn_testing.fakes import fake_plan
 from rn_testing.spinning import spinning_node
 from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
@@ -141,7 +142,7 @@ def test_the_simulated_fr3_follows_the_path(tmp_path: Path, engine: str) -> None
         try:
             with listening() as seen:
                 for kind in ("robot", "perception", "control", "inference"):
-                    supervisor.start(kind, config)
+                    supervisor.start(fake_plan(kind, config))
                 wait_until(lambda: at_the_end(supervisor), PATH_S + 20.0, "the path is done")
                 count = len(seen.joints)
                 wait_until(lambda: len(seen.joints) > count + 20, 5.0, "the arm is measured")
@@ -196,7 +197,7 @@ def test_it_replaces_a_policy_of_tcp_deltas_while_the_arm_moves(tmp_path: Path) 
 
     config = CONFIG.format(engine="auto").replace('"joint-path"', '"sway"')
     with installed(tmp_path, "rn-fci-cell", ("fci_plugin",)):
-        application = Application(parse_config(config), supervisor=Supervisor(tmp_path / "state"))
+        application = Application(parse_config(config), directory=tmp_path / "state")
         try:
             with listening() as seen:
                 anyio.run(scenario, application, seen)

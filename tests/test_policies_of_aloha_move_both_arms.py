@@ -33,6 +33,7 @@ from rn_backend_pi0.profiles import JOINT_PROFILES
 from rn_backend_pi0.tiny import make_tiny
 from rn_runtime_torch.config import TorchRuntimeConfig
 from rn_runtime_torch.runtime import TorchRuntime
+from rn_testing.fakes import fake_plan
 from rn_testing.spinning import spinning_node
 from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
@@ -213,7 +214,7 @@ def test_both_arms_follow_a_policy_of_aloha(tmp_path: Path, make: Any) -> None:
         try:
             with listening() as seen:
                 for kind in ("robot", "perception", "control", "inference"):
-                    supervisor.start(kind, config)
+                    supervisor.start(fake_plan(kind, config))
                 wanted = 3 * len(chunk.actions)
                 wait_until(lambda: len(seen.rows) > wanted, 30.0, "three chunks were played")
             control = supervisor.view("control").report

@@ -15,6 +15,7 @@ import pytest
 
 from rn_standard.fastdds.feature import SharedMemoryRepair
 from rn_standard.fastdds.segments import SHARED_MEMORY, owned_segments
+from rn_testing.fakes import fake_plan
 from rn_testing.waiting import wait_until
 from roboneuron.config import Config, parse_config
 from roboneuron.supervisor.supervisor import Supervisor
@@ -28,12 +29,13 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 from rn_standard.fastdds.feature import SharedMemoryRepair
+from rn_testing.fakes import fake_plan
 from roboneuron.config import parse_config
 from roboneuron.supervisor.supervisor import Supervisor
 supervisor = Supervisor(Path({state!r}), command=lambda python: {command!r})
 supervisor.link
 SharedMemoryRepair(None).start(SimpleNamespace(modules=supervisor))
-print(supervisor.start("robot", parse_config({config!r})).process.pid, flush=True)
+print(supervisor.start(fake_plan("robot", parse_config({config!r}))).process.pid, flush=True)
 time.sleep(60)
 """
 
@@ -61,19 +63,18 @@ def supervisor(tmp_path: Path) -> Iterator[Supervisor]:
 
 
 def test_a_frozen_module_that_had_to_be_killed(supervisor: Supervisor, config: Config) -> None:
-    process = supervisor.start("robot", config).process
+    process = supervisor.start(fake_plan("robot", config)).process
     assert process is not None
     segments = owned_segments(process.pid)
     assert segments
     os.kill(process.pid, signal.SIGSTOP)
     stopped = supervisor.stop("robot")
-    assert stopped is not None
     assert stopped.killed
     assert left(segments) == []
 
 
 def test_a_module_that_was_killed(supervisor: Supervisor, config: Config) -> None:
-    process = supervisor.start("robot", config).process
+    process = supervisor.start(fake_plan("robot", config)).process
     assert process is not None
     segments = owned_segments(process.pid)
     os.kill(process.pid, signal.SIGKILL)

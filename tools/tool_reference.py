@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from mcp import types
+from pydantic.json_schema import JsonSchemaValue
 
 from roboneuron.config import Config
 from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.registry import Registry
 from roboneuron.server.app import Application
-from roboneuron.server.schema import Schema
 
 Answer = tuple[tuple[str, str, str], ...]
 """Name, type and meaning of each field."""
@@ -79,7 +79,7 @@ def _effect(tool: types.Tool) -> str:
 
 def _section(
     tool: types.Tool,
-    output: Schema,
+    output: JsonSchemaValue,
     seen: dict[Answer, str],
     told: set[tuple[str, str]],
 ) -> str:
@@ -117,7 +117,7 @@ def _section(
     return "\n".join([*lines, *(["Result:", "", *answer, ""] if answer else [])])
 
 
-def _answer(output: Schema, told: set[tuple[str, str]]) -> Iterator[str]:
+def _answer(output: JsonSchemaValue, told: set[tuple[str, str]]) -> Iterator[str]:
     """A line for each field that needs an explanation and has not had it."""
     for name, kind, meaning in _fields(output, output):
         leaf = name.rpartition(".")[2]
@@ -129,7 +129,9 @@ def _answer(output: Schema, told: set[tuple[str, str]]) -> Iterator[str]:
             yield f"- `{name}`: {text}"
 
 
-def _fields(node: Schema, whole: Schema, prefix: str = "") -> Iterator[tuple[str, str, str]]:
+def _fields(
+    node: JsonSchemaValue, whole: JsonSchemaValue, prefix: str = ""
+) -> Iterator[tuple[str, str, str]]:
     """Name, type and meaning of each field of an answer; fields of nested objects after them, by
     path.
     """

@@ -48,7 +48,7 @@ def told(frame):
             return True
         if kind.__name__ == "ModuleSettings":
             facts.setdefault("kind", value.kind)
-        if kind.__name__ in ("ModuleSettings", "Selection", "Choice"):
+        if kind.__name__ == "ModuleSettings" or kind.__name__.endswith("Plan"):
             return True
     return False
 def hook(frame, event, argument):

@@ -17,6 +17,7 @@ import pytest
 
 from rn_standard.tools_arm.plugin import LIMITS
 from rn_testing.domain import free_ros_domain
+from rn_testing.fakes import fake_plan
 from rn_testing.waiting import wait_until
 from roboneuron.config import Config, parse_config
 from roboneuron.ros.environment import prepare_environment
@@ -128,7 +129,7 @@ class Arm:
         """Start the modules that do not run."""
         for kind in kinds:
             if self.supervisor.view(kind).phase != "running":
-                self.supervisor.start(kind, self.config)
+                self.supervisor.start(fake_plan(kind, self.config))
 
     def pid(self, kind: Any) -> int:
         process = self.supervisor.view(kind).process

@@ -22,6 +22,7 @@ import pytest
 
 from rn_robot_fr3.profile import profile
 from rn_testing.domain import free_ros_domain
+from rn_testing.fakes import fake_plan
 from rn_testing.spinning import spinning_node
 from rn_testing.waiting import holds_within, wait_until
 from roboneuron import RoboNeuronError
@@ -181,7 +182,7 @@ class Cell:
 
     def start(self, kind: Any) -> None:
         """Start one module, inference under its own interpreter."""
-        self.supervisor.start(kind, self.config)
+        self.supervisor.start(fake_plan(kind, self.config))
 
     def rests(self, for_s: float) -> bool:
         """Whether the arm does not move for so long from now on."""
@@ -241,7 +242,7 @@ def test_other_policies_move_the_arm_as_lerobot_would(
 ) -> None:
     """Diffusion is asked row by row: its second row answers a second image."""
     config = parse_config(CONFIG.format(checkpoint=made(policy), python=PYTHON))
-    cell.supervisor.start("inference", config)
+    cell.supervisor.start(fake_plan("inference", config))
     wait_until(lambda: len(cell.seen.actions) >= 20, 30.0, "the policy acts")
     check_actions(cell, made(policy), tmp_path, rows)
 
@@ -320,6 +321,6 @@ def test_what_does_not_fit_is_one_sentence_and_the_arm_rests(
 def refusal(cell: Cell, config: Config) -> str:
     """What inference says when it cannot start."""
     with pytest.raises(RoboNeuronError) as refused:
-        cell.supervisor.start("inference", config)
+        cell.supervisor.start(fake_plan("inference", config))
     assert "\n" not in refused.value.message
     return refused.value.message

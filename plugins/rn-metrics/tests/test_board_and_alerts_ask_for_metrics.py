@@ -20,7 +20,6 @@ from roboneuron.config import parse_config
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.server.app import Application
 from roboneuron.supervisor.health import Health
-from roboneuron.supervisor.supervisor import Supervisor
 
 GRAFANA = Path(__file__).parents[3] / "docs" / "grafana"
 BOARD = json.loads((GRAFANA / "roboneuron.json").read_text())
@@ -41,9 +40,8 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
     application = Application(
         parse_config('[robot]\nname = "gantry"\n[metrics]\nprometheus = true\nport = 0\n'),
         plugins=lambda: registry,
-        supervisor=Supervisor(
-            tmp_path_factory.mktemp("state"), command=lambda python: pytest.fail("not spawned")
-        ),
+        directory=tmp_path_factory.mktemp("state"),
+        command=lambda python: pytest.fail("not spawned"),
     )
     try:
         feature: Any = application.features.loaded.get("metrics")

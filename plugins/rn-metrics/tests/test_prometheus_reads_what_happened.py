@@ -19,7 +19,6 @@ from roboneuron.config import parse_config
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.server.app import Application
 from roboneuron.server.registry import ERROR_META
-from roboneuron.supervisor.supervisor import Supervisor
 
 CONFIG = """
 [robot]
@@ -43,9 +42,8 @@ def serve(tmp_path):
         application = Application(
             parse_config(CONFIG.format(prometheus=str(prometheus).lower(), namespace=namespace)),
             plugins=lambda: registry,
-            supervisor=Supervisor(
-                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-            ),
+            directory=tmp_path,
+            command=lambda python: pytest.fail("nothing may be spawned"),
         )
         made.append(application)
         application.events.open.tell()

@@ -11,7 +11,7 @@ import pytest
 from rn_testing.domain import free_ros_domain
 from rn_testing.fakes.site import PluginSite
 
-sys.path.append(str(Path(__file__).parent))  # for recorder_demonstrations
+sys.path.append(str(Path(__file__).parent))  # for recorder_demonstrations and recorder_rig
 CONFIG = """
 [robot]
 name = "gantry"
@@ -28,6 +28,14 @@ state_directory = "{state}"
 images = "lossless"
 incident_after_s = 0.5
 """
+
+
+@pytest.fixture
+def clock() -> object:
+    """A `recorder_rig.Clock`."""
+    from recorder_rig import Clock
+
+    return Clock()
 
 
 @pytest.fixture

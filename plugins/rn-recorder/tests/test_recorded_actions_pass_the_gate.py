@@ -24,7 +24,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron import ConfigurationError, RefusedError, StateError
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 STEP_M, STEPS = 0.004, 12
 
@@ -87,9 +86,8 @@ def application(tmp_path: Path) -> Iterator[Application]:
     application = Application(
         parse_config('[robot]\nname = "gantry"\n[control]\ncontroller = "gantry"\n'),
         plugins=lambda: registry,
-        supervisor=Supervisor(
-            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-        ),
+        directory=tmp_path,
+        command=lambda python: pytest.fail("nothing may be spawned"),
     )
     yield application
     application.close()

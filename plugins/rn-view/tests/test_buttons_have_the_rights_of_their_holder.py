@@ -18,7 +18,6 @@ from roboneuron.config import parse_config
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.server.app import Application
 from roboneuron.server.tool import Holder
-from roboneuron.supervisor.supervisor import Supervisor
 
 VIEWER, OPERATOR = Holder(who="eve", role="viewer"), Holder(who="ann", role="operator")
 
@@ -30,9 +29,8 @@ def application(tmp_path):
     application = Application(
         parse_config('[robot]\nname = "gantry"\n'),
         plugins=lambda: registry,
-        supervisor=Supervisor(
-            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-        ),
+        directory=tmp_path,
+        command=lambda python: pytest.fail("nothing may be spawned"),
     )
     yield application
     application.close()

@@ -30,7 +30,6 @@ from .ros import (
 )
 from .server import (
     envelope as envelope,
-    schema as schema,
 )
 from .supervisor import (
     launching as launching,
@@ -60,7 +59,6 @@ from .gate.motion.rules import (
     MotionRules as MotionRules,
     inspector_of as inspector_of,
     motion_rules as motion_rules,
-    poses_of as poses_of,
 )
 from .modules.plugin import (
     build as build,
@@ -75,9 +73,9 @@ from .modules.settings import (
 )
 from .planning import (
     KIND_ENTRIES as KIND_ENTRIES,
+    Plan as Plan,
 )
 from .plugins.registry import (
-    Offer as Offer,
     Registry as Registry,
 )
 from .ros.link import (
@@ -108,7 +106,6 @@ from .server.registry import (
     ToolRegistry as ToolRegistry,
 )
 from .server.schema import (
-    Schema as Schema,
     Shape as Shape,
 )
 from .server.surface import (
@@ -116,12 +113,10 @@ from .server.surface import (
 )
 from .server.tool import (
     Holder as Holder,
-    Stage as Stage,
-    UnfinishedCallError as UnfinishedCallError,
 )
 from .supervisor.changes import (
-    Changes as Changes,
     Periodic as Periodic,
+    Stage as Stage,
 )
 from .supervisor.health import (
     EXPLANATIONS as EXPLANATIONS,
@@ -139,7 +134,6 @@ from .supervisor.process import (
 )
 from .supervisor.slot import (
     Phase as Phase,
-    Selection as Selection,
     Slot as Slot,
 )
 

@@ -50,7 +50,6 @@ from .modules.worker import (
     Worker as Worker,
 )
 from .planning import (
-    Plan as Plan,
     find_robot as find_robot,
 )
 from .ros.host import (

@@ -19,7 +19,7 @@ from roboneuron.config import (
     PerceptionConfig,
     RobotConfig,
 )
-from roboneuron.config.models import ModuleKind, Section
+from roboneuron.config.models import ModuleKind, ModuleSection
 from roboneuron.errors import (
     ConfigurationError,
     InvalidInputError,
@@ -36,9 +36,11 @@ from roboneuron.plugins.specs import DriverSpec, FeatureSpec, RobotSpec, Spec
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Plan:
-    """A module that fits, resolved to descriptors; features derive their own.
+    """A module that fits, resolved to descriptors: what it is started with, or was. Features derive
+    their own.
 
     Attributes:
+        kind: of the module.
         config: what its process is told.
         robot, driver: what moves.
         spec: of what the module runs, which reads the options.
@@ -47,6 +49,7 @@ class Plan:
         inputs: kinds of modules that it takes inputs from.
     """
 
+    kind: ModuleKind
     config: Config
     robot: RobotSpec
     driver: DriverSpec
@@ -98,12 +101,12 @@ class KindEntry:
     kind: ModuleKind
     noun: str
     offer: str
-    section: type[Section]
+    section: type[ModuleSection]
     stop_text: str
 
-    def configured(self, config: Config, registry: Registry) -> Section:
+    def configured(self, config: Config, registry: Registry) -> ModuleSection:
         """The section of this kind. Raises InvalidInputError when there is none."""
-        section: Section | None = getattr(config, self.kind)
+        section: ModuleSection | None = getattr(config, self.kind)
         if section is None:
             choices = ", ".join(registry.specs(registry.kinds[self.offer]))
             raise InvalidInputError(
@@ -132,7 +135,9 @@ class KindEntry:
                 registry, section.name, section.driver, is_elsewhere=is_elsewhere
             )
             names = {"robot": robot.name, "driver": driver.name}
-            return Plan(config=config, robot=robot, driver=driver, spec=driver, names=names)
+            return Plan(
+                kind=self.kind, config=config, robot=robot, driver=driver, spec=driver, names=names
+            )
         spec = registry.get(FeatureSpec, self.kind)  # it is called as the kind
         named = load_attribute(spec.module_plan or "", f"`module_plan` of {spec.name!r}")
         return cast("Callable[[Config, Registry], Plan]", named)(config, registry)

@@ -1,4 +1,6 @@
-"""Tests of the limiter share an arm whose numbers are worked out by hand, in `gantry.py`."""
+"""Tests of the limiter share arms whose numbers are worked out by hand, in `gantry.py` and
+`planar.py`.
+"""
 
 import sys
 from pathlib import Path

@@ -1,6 +1,4 @@
-"""The limits on control's commands, judged with a planar arm of two joints whose kinematics fit on
-two lines.
-"""
+"""The limits on control's commands, judged with a planar arm of two joints."""
 
 from __future__ import annotations
 
@@ -9,102 +7,32 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from planar import (
+    HOLD,
+    SCALE,
+    START,
+    STEP_S,
+    command,
+    forward,
+    hold,
+    limiter,
+    place,
+    profile,
+    sample,
+    sent,
+)
 
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
-    GripperProfile,
     Hold,
     JointCommand,
-    JointLimits,
     JointSample,
     Obstacle,
-    Pose,
     Posture,
-    Proximity,
-    RobotProfile,
     Workspace,
 )
-from roboneuron.contract.rotation import matrix_from_rotvec, quaternion_from_matrix
 from roboneuron.errors import ConfigurationError, UnsafeError
-from roboneuron.gate.motion import LIMITS, LimitedCommand, MotionLimiter, MotionRules, motion_rules
-from roboneuron.gate.motion.joint_space import JointLimit, braking_velocity
-
-NAMES = ("a", "b")
-HOLD = dict.fromkeys(LIMITS, "hold")
-SCALE = dict.fromkeys(LIMITS, "scale")
-START = np.array([0.3, 1.2])
-STEP_S = 0.1
-
-
-def profile(*, braking: bool = False) -> RobotProfile:
-    return RobotProfile(
-        name="planar",
-        arm_joints=NAMES,
-        limits=JointLimits(
-            lower=np.array([-2.0, 0.1]),
-            upper=np.array([2.0, 2.5]),
-            velocity=np.array([1.0, 1.5]),
-            acceleration=np.array([4.0, 4.0]),
-            effort=np.ones(2),
-            braking_offset=np.array([0.1, 0.1]) if braking else None,
-            braking_deceleration=np.array([2.0, 3.0]) if braking else None,
-        ),
-        gripper=GripperProfile(joint="finger", closed_position=0.0, open_position=0.04),
-    )
-
-
-def inspect(joints: JointSample) -> Posture:
-    """Two links of 0.5 m in the x-z plane; straight (b = 0) is singular; "touching" when folded
-    beyond 2.4 rad.
-    """
-    a, b = joints.position[:2].tolist()
-    x, z = 0.5 * math.cos(a) + 0.5 * math.cos(a + b), 0.5 * math.sin(a) + 0.5 * math.sin(a + b)
-    turn = matrix_from_rotvec(np.array([0.0, -(a + b), 0.0]))
-    return Posture(
-        pose=Pose(position_m=np.array([x, 0.0, z]), quaternion_xyzw=quaternion_from_matrix(turn)),
-        smallest_singular_value=0.3 * abs(math.sin(b)),
-        near=(Proximity(first="link1", second="link2", distance_m=(2.4 - b) / 10.0, least_m=0.0),)
-        if b > 2.4
-        else (),
-    )
-
-
-def forward(joints: JointSample) -> Pose:
-    return inspect(joints).pose
-
-
-def place(position: np.ndarray) -> np.ndarray:
-    return inspect(sample(position)).pose.position_m
-
-
-def sample(position: np.ndarray) -> JointSample:
-    return JointSample(names=NAMES, position=np.asarray(position, dtype=float))
-
-
-def command(position: np.ndarray, duration_s: float = STEP_S) -> JointCommand:
-    return JointCommand(
-        names=NAMES, position=np.asarray(position, dtype=float), duration_s=duration_s
-    )
-
-
-def limiter(rules: MotionRules | None = None, **options: bool) -> MotionLimiter:
-    braking = options.pop("braking", False)
-    return MotionLimiter(
-        rules or MotionRules(reactions=SCALE), profile(braking=braking), forward, inspect, **options
-    )
-
-
-def sent(verdict: LimitedCommand) -> JointCommand:
-    assert isinstance(verdict.command, JointCommand), verdict
-    return verdict.command
-
-
-def hold(verdict: LimitedCommand) -> Hold:
-    assert isinstance(verdict.command, Hold), verdict
-    assert verdict.sent is None
-    return verdict.command
+from roboneuron.gate.motion import LIMITS, MotionLimiter, MotionRules, motion_rules
 
 
 def test_command_within_all_limits_is_sent_as_it_is() -> None:
@@ -331,106 +259,6 @@ def test_hundredfold_rate_does_not_make_the_arm_faster() -> None:
     assert 0.3 < travelled <= 0.5
 
 
-way = st.tuples(*[st.floats(-1.0, 1.0, allow_nan=False) for _ in NAMES])
-steps = st.lists(
-    st.tuples(way, st.floats(0.001, 0.4), st.floats(0.02, 0.3), st.floats(0.0, 1.0)),
-    min_size=1,
-    max_size=25,
-)
-RULES = MotionRules(
-    reactions=SCALE,
-    max_step_m=0.2,
-    max_step_rad=0.4,
-    max_speed_m_s=0.4,
-    max_turn_rad_s=1.2,
-    lower_m=np.array([0.1, -1.0, -0.2]),
-    upper_m=np.array([0.9, 1.0, 0.9]),
-    min_height_m=0.1,
-    zones=(
-        Obstacle(name="vase", lower_m=np.array([0.3, -1, 0.3]), upper_m=np.array([0.45, 1, 0.45])),
-    ),
-    min_singular_value=0.1,
-)
-
-
-@settings(max_examples=100, deadline=None)
-@given(steps=steps, immediate=st.booleans(), braking=st.booleans())
-def test_random_actions_never_produce_a_command_outside_any_limit(
-    steps: list[tuple[tuple[float, float], float, float, float]], immediate: bool, braking: bool
-) -> None:
-    judge = limiter(RULES, immediate=immediate, braking=braking)
-    limits = [JointLimit.by_joint(profile(braking=braking))[name] for name in NAMES]
-    position, commanded, velocity = START.copy(), START.copy(), np.zeros(2)
-    now_s, last_s = 10.0, -math.inf
-    for asked, wait_s, duration_s, lag in steps:
-        verdict = judge.limit(command(position + asked, duration_s), sample(position), now_s)
-        if isinstance(verdict.command, JointCommand):
-            target = verdict.command
-            change, time_s = target.position - commanded, target.duration_s
-            for i, limit in enumerate(limits):
-                assert limit.lower - 1e-6 <= target.position[i] <= limit.upper + 1e-6
-                bound = min(limit.fastest(commanded[i], change[i] > 0, time_s), limit.velocity)
-                assert abs(change[i]) / time_s <= bound * (1 + 1e-5) + 1e-9
-                assert (
-                    abs(change[i] / time_s - velocity[i])
-                    <= 4.0 * min(now_s - last_s, time_s) * (1 + 1e-5) + 1e-9
-                )
-            assert np.linalg.norm(place(target.position) - place(commanded)) / time_s <= 0.4 * (
-                1 + 1e-6
-            )
-            tcp = place(target.position)
-            assert (tcp >= RULES.lower_m - 1e-9).all()
-            assert (tcp <= RULES.upper_m + 1e-9).all()
-            assert tcp[2] >= 0.1 - 1e-9
-            assert not ((tcp > [0.3, -1, 0.3]) & (tcp < [0.45, 1, 0.45])).all()
-            assert inspect(sample(target.position)).smallest_singular_value >= 0.1 - 1e-9
-            # The robot follows: it is where the command brings it in `wait_s`, or a little behind.
-            part = 1.0 if immediate else min(1.0, wait_s / time_s)
-            last_s = now_s
-            velocity = change / time_s
-            # after its end it brakes by 4 rad/s^2
-            over_s = max(0.0, wait_s - (2 * time_s if immediate else time_s))
-            velocity = np.sign(velocity) * np.maximum(0.0, np.abs(velocity) - 4.0 * over_s)
-            behind = min(lag, 0.05 / max(1e-9, float(np.abs(change * part).max())))
-            position, commanded = (
-                commanded + change * part * (1 - behind),
-                commanded + change * part,
-            )
-        else:
-            judge.rest(sample(position), now_s)
-            commanded, velocity, last_s = position.copy(), np.zeros(2), now_s
-        now_s += wait_s
-
-
-@settings(max_examples=100, deadline=None)
-@given(way=way, duration_s=st.floats(0.02, 1.0))
-def test_from_rest_every_shortened_command_keeps_the_direction(
-    way: tuple[float, float], duration_s: float
-) -> None:
-    verdict = limiter(RULES).limit(command(START + way, duration_s), sample(START), 1.0)
-    if not isinstance(verdict.command, JointCommand):
-        return
-    moved = verdict.command.position - START
-    np.testing.assert_allclose(moved, verdict.share * np.array(way), atol=1e-9)
-
-
-@given(
-    distance=st.floats(0.0, 3.0),
-    offset=st.floats(0.0, 0.5),
-    deceleration=st.floats(0.5, 20.0),
-    step=st.floats(0, 0.5),
-)
-def test_velocity_towards_a_limit_can_always_be_braked_before_it(
-    distance: float, offset: float, deceleration: float, step: float
-) -> None:
-    velocity = braking_velocity(distance, offset, deceleration, step)
-    left = distance - velocity * step
-    assert left >= -1e-9
-    assert (
-        velocity == 0.0 or velocity <= -offset + math.sqrt(2 * deceleration * max(left, 0.0)) + 1e-6
-    )
-
-
 def test_limits_of_a_configuration_can_only_be_tightened() -> None:
     robot = replace(profile(), workspace=None)
     rules = motion_rules(LimitsConfig(min_height_m=0.2, on_zone="refuse"), robot)
@@ -451,43 +279,6 @@ def test_limits_of_a_configuration_can_only_be_tightened() -> None:
     zones = ({"name": "vase", "lower_m": [0.0, 0.0, 0.0], "upper_m": [0.0, 1.0, 1.0]},)
     with pytest.raises(ConfigurationError, match="'vase'"):
         motion_rules(LimitsConfig.model_validate({"zones": zones}), robot)
-
-
-def fastest_m_s(verdict: LimitedCommand, measured: np.ndarray) -> float:
-    """Of the TCP, from where it really is to the end of the command in the command's time."""
-    answer = sent(verdict)
-    return float(np.linalg.norm(place(answer.position) - place(measured)) / answer.duration_s)
-
-
-def test_an_arm_that_is_behind_its_setpoint_gets_the_time_that_it_needs_from_where_it_is() -> None:
-    judge = limiter(MotionRules(reactions=SCALE, max_speed_m_s=0.1))
-    step = np.array([0.01, 0.0])
-    judge.limit(command(START + step), sample(START), 1.0)
-    frozen = judge.limit(command(START + 2 * step), sample(START), 1.1)
-    assert sent(frozen).duration_s > STEP_S
-    assert fastest_m_s(frozen, START) <= 0.1
-    np.testing.assert_allclose(
-        sent(frozen).position, START + 2 * step, err_msg="it is slower, and goes as far"
-    )
-
-
-def test_an_arm_that_follows_gets_no_other_time() -> None:
-    judge = limiter(MotionRules(reactions=SCALE, max_speed_m_s=0.5))
-    step = np.array([0.01, 0.0])
-    judge.limit(command(START + step), sample(START), 1.0)
-    assert (
-        sent(judge.limit(command(START + 2 * step), sample(START + 0.8 * step), 1.1)).duration_s
-        == STEP_S
-    )
-
-
-def test_a_command_without_a_time_is_shortened_when_the_arm_is_behind() -> None:
-    judge = limiter(MotionRules(reactions=SCALE, max_speed_m_s=0.1), immediate=True)
-    step = np.array([0.01, 0.0])
-    for number in (1, 2, 3):
-        verdict = judge.limit(command(START + number * step), sample(START), 1.0 + 0.1 * number)
-        assert np.linalg.norm(place(sent(verdict).position) - place(START)) <= 0.1 * STEP_S * 1.01
-    assert verdict.acted == ("speed",)
 
 
 def test_other_rules_hold_from_the_next_command_on() -> None:

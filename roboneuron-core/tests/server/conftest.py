@@ -17,7 +17,6 @@ from rn_testing.fakes.site import PluginSite
 from roboneuron.config import parse_config
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 CONFIG = """
 [robot]
@@ -50,9 +49,8 @@ def application(tmp_path: Path) -> Iterator[Application]:
     application = Application(
         config,
         plugins=lambda: registry,
-        supervisor=Supervisor(
-            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-        ),
+        directory=tmp_path,
+        command=lambda python: pytest.fail("nothing may be spawned"),
     )
     try:
         yield application

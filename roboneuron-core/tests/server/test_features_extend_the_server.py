@@ -25,7 +25,6 @@ from roboneuron.config import Config
 from roboneuron.errors import ConfigurationError, RefusedError, RoboNeuronError
 from roboneuron.server.app import Application
 from roboneuron.server.tool import Transport
-from roboneuron.supervisor.supervisor import Supervisor
 
 TRACE: list[str] = []
 
@@ -159,9 +158,8 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         application = Application(
             Config.model_validate({"robot": {"name": "gantry"}, **config}),
             plugins=lambda: registry,
-            supervisor=Supervisor(
-                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-            ),
+            directory=tmp_path,
+            command=lambda python: pytest.fail("nothing may be spawned"),
         )
         made.append(application)
         return application
@@ -265,9 +263,9 @@ def test_a_transport_that_nothing_serves_is_refused(make, specs, transport, word
 
 
 def test_what_a_feature_finds_wrong_is_told_before_anything_is_served(make):
-    make(spec(Pigeons)).features.check()
+    make(spec(Pigeons)).check()
     with pytest.raises(ConfigurationError, match="There is no loft"):
-        make(spec(Pigeons), features=("odometer",)).features.check()
+        make(spec(Pigeons), features=("odometer",)).check()
 
 
 def test_a_feature_admits_calls(make):

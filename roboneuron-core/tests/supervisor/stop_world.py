@@ -7,9 +7,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from rn_testing.fakes import fake_plan
 from roboneuron.config import Config, ModuleSettings
 from roboneuron.modules.settings import ModuleKind
-from roboneuron.supervisor.slot import Selection, Slot
+from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor
 
 MakeConfig = Callable[..., Config]
@@ -37,8 +38,8 @@ class Module:
         leaves_s: how long it takes to end after SIGTERM.
     """
 
-    def __init__(self, pid: int, world: World) -> None:
-        self.pid, self.name = pid, f"module-{pid}"
+    def __init__(self, pid: int, world: World, name: str = "module") -> None:
+        self.pid, self.name = pid, name
         self.deactivates_s, self.leaves_s = 0.0, 0.0
         self.exit_code: int | None = None
         self.ended_at = datetime.now(UTC)
@@ -129,7 +130,7 @@ class World:
     ) -> Module:
         """A module that was started."""
         slot = slot or self.starting(kind, stop_timeout_s=stop_timeout_s)
-        module = Module(next(self._pids), self)
+        module = Module(next(self._pids), self, kind)
         slot.process = module  # type: ignore[assignment]
         slot.settle("running")
         return module
@@ -142,7 +143,8 @@ class World:
             config=self._make_config(stop_timeout_s=stop_timeout_s),
             state_directory="state",
         )
-        slot.begin_start(Selection(settings=settings), next(self.supervisor._order))
+        plan = fake_plan(kind, settings.config)
+        slot.begin_start(plan, settings)
         return slot
 
     def named(self, name: str) -> list[tuple[Any, ...]]:

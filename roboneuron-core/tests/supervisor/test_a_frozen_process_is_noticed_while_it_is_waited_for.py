@@ -10,6 +10,7 @@ from collections.abc import Callable
 
 import pytest
 
+from rn_testing.fakes import fake_plan
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError
 from roboneuron.supervisor.supervisor import Supervisor
@@ -38,7 +39,8 @@ def test_a_start_ends_when_its_process_is_frozen(
     started_s = time.monotonic()
     with pytest.raises(NotReadyError, match=r"frozen .* while configuring"):
         supervisor.start(
-            "robot", make_config(START_S, robot="slow-configure"), on_stage=freeze_when_configuring
+            fake_plan("robot", make_config(START_S, robot="slow-configure")),
+            on_stage=freeze_when_configuring,
         )
     assert time.monotonic() - started_s < SOON_S
     assert supervisor.view("robot").phase == "stopped"
@@ -53,6 +55,6 @@ def test_a_process_that_is_stopped_for_a_moment_is_waited_for(
             threading.Timer(0.1, os.kill, [pid, signal.SIGCONT]).start()
 
     assert (
-        supervisor.start("robot", make_config(START_S), on_stage=stop_for_a_moment).phase
+        supervisor.start(fake_plan("robot", make_config(START_S)), on_stage=stop_for_a_moment).phase
         == "running"
     )

@@ -9,22 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from rn_testing.fakes import fake_plan
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError, StateError
-from roboneuron.modules.settings import ModuleKind
-from roboneuron.planning import Plan
-from roboneuron.plugins.specs import DriverSpec, RobotSpec
 from roboneuron.supervisor.slot import Phase
 from roboneuron.supervisor.supervisor import Supervisor
 
 MakeConfig = Callable[..., Config]
-
-
-def _plan(config: Config, *inputs: ModuleKind) -> Plan:
-    driver = DriverSpec(name="simulated", summary="Simulates.", target="x:y")
-    robot = RobotSpec(name="fake", summary="Fake.", target="x:y", drivers=(driver,))
-    names = {"source": "any"}
-    return Plan(config=config, robot=robot, driver=driver, spec=driver, names=names, inputs=inputs)
 
 
 @pytest.mark.ros
@@ -35,7 +26,7 @@ def test_a_backend_without_cameras_names_the_call_that_is_missing(
     started_s = time.monotonic()
     config = make_config(45.0, inference="never-ready")
     with pytest.raises(NotReadyError, match="not running: perception") as caught:
-        supervisor.start("inference", config, plan=_plan(config, "perception"))
+        supervisor.start(fake_plan("inference", config, "perception"))
     assert caught.value.hint == "Call start_perception first."
     assert time.monotonic() - started_s < 25.0
     assert supervisor.view("inference").phase == "stopped"
@@ -47,10 +38,10 @@ def test_what_is_being_started_is_waited_for(
     supervisor: Supervisor, make_config: MakeConfig
 ) -> None:
     config = make_config(12.0, inference="never-ready", perception="slow-configure")
-    starting = threading.Thread(target=lambda: supervisor.start("perception", config))
+    starting = threading.Thread(target=lambda: supervisor.start(fake_plan("perception", config)))
     starting.start()
     with pytest.raises(NotReadyError, match="was not ready within 12 s"):
-        supervisor.start("inference", config, plan=_plan(config, "perception"))
+        supervisor.start(fake_plan("inference", config, "perception"))
     starting.join(30.0)
     assert supervisor.view("perception").phase == "running"
 
@@ -65,7 +56,7 @@ def test_cameras_of_a_simulation_without_the_robot_name_the_call_at_once(
         with pytest.raises(
             NotReadyError, match="come from the driver of the robot, which is not running"
         ) as caught:
-            supervisor.start("perception", config, plan=_plan(config, "robot"))
+            supervisor.start(fake_plan("perception", config, "robot"))
     finally:
         supervisor.close()
     assert caught.value.hint == "Call start_robot first."

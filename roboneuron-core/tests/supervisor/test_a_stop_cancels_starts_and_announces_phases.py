@@ -10,9 +10,10 @@ from collections.abc import Callable
 import pytest
 from stop_world import Module, World
 
+from rn_testing.fakes import fake_plan
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import StateError
-from roboneuron.supervisor.slot import Selection, Slot
+from roboneuron.supervisor.slot import Slot
 
 
 def test_a_start_is_cancelled_by_a_stop_which_waits_for_its_end(world: World) -> None:
@@ -28,7 +29,7 @@ def test_a_start_is_cancelled_by_a_stop_which_waits_for_its_end(world: World) ->
         assert look()
 
     world.supervisor.changes.wait_for = wait_for  # type: ignore[assignment, method-assign]
-    assert world.supervisor.stop("robot") is None
+    assert world.supervisor.stop("robot").cancelled_start
     assert looks == [3.0 + 5.0 + 1.0]
     assert world.calls == []
 
@@ -40,8 +41,7 @@ def test_a_start_that_succeeds_although_it_was_cancelled_is_stopped(world: World
         world.running("robot", slot=slot)
 
     world.supervisor.changes.wait_for = wait_for  # type: ignore[assignment, method-assign]
-    stopped = world.supervisor.stop("robot")
-    assert stopped is not None
+    assert not world.supervisor.stop("robot").cancelled_start
     assert slot.phase == "stopped"
 
 
@@ -58,7 +58,7 @@ def test_all_starts_are_cancelled_before_anything_is_stopped(world: World) -> No
         slot.settle("stopped")
 
     world.supervisor.changes.wait_for = wait_for  # type: ignore[assignment, method-assign]
-    assert [stopped.kind for stopped in world.supervisor.stop_all()] == ["robot"]
+    assert [stopped.module for stopped in world.supervisor.stop_all()] == ["robot"]
     assert waits == [9.0]
 
 
@@ -82,7 +82,7 @@ def test_a_replacement_that_is_being_started_is_cancelled_too(world: World) -> N
         config=world._make_config(),
         state_directory="state",
     )
-    beside.begin_start(Selection(settings=settings), 9)
+    beside.begin_start(fake_plan("control", settings.config), settings)
     world.supervisor.stop("control")
     with pytest.raises(StateError, match=r"cancelled: stop_control was called\."):
         beside.check_not_cancelled()
@@ -101,8 +101,8 @@ def test_the_newest_start_alone_is_cancelled(world: World) -> None:
     world.starting("control")
     beside = Slot("control", world.supervisor.changes)
     world.supervisor.slots["control"].append(beside)
-    assert world.supervisor.slot("control").choice is not None
-    beside.begin_start(world.supervisor.slot("control").choice, 2)  # type: ignore[arg-type]
+    working = world.supervisor.slot("control")
+    beside.begin_start(working.plan, working.settings)  # type: ignore[arg-type]
     assert world.supervisor.cancel("control", "because")
     world.supervisor.slot("control").check_not_cancelled()
     with pytest.raises(StateError, match="because"):
@@ -142,8 +142,7 @@ def test_every_change_of_a_slot_is_announced(world: World) -> None:
 def test_a_claim_holds_what_is_to_be_ended(world: World) -> None:
     robot = world.running("robot")
     slot = world.supervisor.slot("robot")
-    settings = slot.choice.settings if slot.choice is not None else None
-    assert tuple(slot.begin_stop()) == (slot, robot, settings)
+    assert slot.begin_stop() is robot
     assert slot.phase == "stopping"
     slot.settle("exited")
     assert slot.process is robot, "its log and its exit are still told"

@@ -12,25 +12,24 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from stop_world import NEVER, World
 
+from rn_testing.fakes import fake_plan
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
 from roboneuron.supervisor import supervisor as supervisor_module
-from roboneuron.supervisor.slot import Selection
 
 
 def test_a_module_is_silenced_before_it_is_ended(world: World) -> None:
     robot = world.running("robot")
     robot.deactivates_s, robot.leaves_s = 0.5, 0.25
     stopped = world.supervisor.stop("robot")
-    assert stopped is not None
     assert [call[0] for call in world.calls] == ["deactivate", "terminate", "wait", "wait"]
-    assert (stopped.kind, stopped.pid, stopped.exit_code) == ("robot", robot.pid, 0)
+    assert (stopped.module, stopped.pid, stopped.exit_code) == ("robot", robot.pid, 0)
     assert (stopped.killed, stopped.report) == (False, None)
     assert stopped.took_s == 0.75
     assert world.changed == ["robot"]
     slot = world.supervisor.slot("robot")
-    assert (slot.phase, slot.process, slot.choice) == ("stopped", None, None)
+    assert (slot.phase, slot.process, slot.plan) == ("stopped", None, None)
 
 
 def test_the_node_is_asked_by_its_name_through_the_servers_link(world: World) -> None:
@@ -51,7 +50,6 @@ def test_a_node_that_does_not_answer_is_waited_for_two_seconds_at_most(
     world.running("robot", stop_timeout_s=30.0).deactivates_s = NEVER
     stopped = world.supervisor.stop("robot")
     assert world.named("deactivate") == [("deactivate", 7, 2.0)]
-    assert stopped is not None
     assert stopped.took_s == 2.0, "it is ended all the same"
     assert "robot did not answer `deactivate` within 2.0 s" in caplog.text
 
@@ -69,7 +67,7 @@ def test_a_node_that_answers_with_an_error_is_ended(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     world.running("robot").refusal = NotReadyError("The driver hangs.")
-    assert world.supervisor.stop("robot") is not None
+    assert not world.supervisor.stop("robot").cancelled_start
     assert "Deactivating robot: The driver hangs." in caplog.text
 
 
@@ -82,7 +80,6 @@ def test_a_process_that_died_while_it_is_deactivated_is_not_waited_for(
     robot.last_lines = lambda: ()  # type: ignore[attr-defined]
     robot.log_path = "robot.log"  # type: ignore[attr-defined]
     stopped = world.supervisor.stop("robot")
-    assert stopped is not None
     assert stopped.took_s == 0.0
     assert "ended with exit code 13 while being deactivated" in caplog.text
 
@@ -90,7 +87,6 @@ def test_a_process_that_died_while_it_is_deactivated_is_not_waited_for(
 def test_a_process_that_does_not_leave_is_killed_within_its_time_to_stop(world: World) -> None:
     world.running("robot", stop_timeout_s=4.0).leaves_s = NEVER
     stopped = world.supervisor.stop("robot")
-    assert stopped is not None
     assert (stopped.killed, stopped.exit_code, stopped.took_s) == (True, -9, 4.0)
 
 
@@ -100,7 +96,6 @@ def test_a_process_whose_end_nobody_knows_counts_as_killed(
     world.running("robot")
     monkeypatch.setattr(supervisor_module, "end_processes", lambda processes, timeout_s: set())
     stopped = world.supervisor.stop("robot")
-    assert stopped is not None
     assert stopped.exit_code == -9
 
 
@@ -121,7 +116,6 @@ def test_the_last_report_is_told_and_then_forgotten(world: World) -> None:
     slot, report = world.supervisor.slot("robot"), Report()
     slot.report = report
     stopped = world.supervisor.stop("robot")
-    assert stopped is not None
     assert stopped.report is report
     assert slot.report is None
 
@@ -130,9 +124,9 @@ def test_a_standby_is_heard_by_the_other_name_of_its_kind(world: World) -> None:
     """A module that is to replace another one has another node name than its kind."""
     module = world.running("inference")
     slot = world.supervisor.slot("inference")
-    assert slot.choice is not None
-    settings = slot.choice.settings.model_copy(update={"node_name": "inference_b"})
-    slot.choice = Selection(settings=settings)
+    assert slot.settings is not None
+    settings = slot.settings.model_copy(update={"node_name": "inference_b"})
+    slot.settings = settings
     world.supervisor._ours.add(str(module.pid))
     status = DiagnosticStatus(name=settings.status_name, hardware_id=str(module.pid))
     world.supervisor.receive(DiagnosticArray(status=[status]))
@@ -147,7 +141,7 @@ def test_all_are_silenced_in_the_reverse_order_of_starting_and_then_ended_togeth
         world.running(kind).leaves_s = 1.0
     stopped = world.supervisor.stop_all()
     order = [module.pid for module in stopped]
-    assert [module.kind for module in stopped] == list(reversed(kinds))
+    assert [one.module for one in stopped] == list(reversed(kinds))
     assert world.calls[:8] == [
         *(("deactivate", pid, 1.5) for pid in order),
         *(("terminate", pid) for pid in order),
@@ -216,7 +210,7 @@ def test_closing_stops_everything_within_the_time_of_a_leaving_server(world: Wor
     with pytest.raises(RuntimeError, match="shutdown"):
         supervisor._spawning.submit(print)
     with pytest.raises(StateError, match="The server is shutting down"):
-        supervisor.start("robot", world._make_config())
+        supervisor.start(fake_plan("robot", world._make_config()))
 
 
 def test_every_living_module_gets_a_beat(world: World) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from rn_testing.fakes import fake_plan
 from roboneuron.config import Config
 from roboneuron.modules.report import Report
 from roboneuron.supervisor.health import Health, ModuleView, Watch
@@ -92,7 +93,7 @@ def test_one_word_says_how_a_module_is(
 def test_freezing_and_killing_are_noticed_within_half_a_second(
     supervisor: Supervisor, diary: Diary, make_config: MakeConfig
 ) -> None:
-    process = supervisor.start("robot", make_config()).process
+    process = supervisor.start(fake_plan("robot", make_config())).process
     assert process is not None
     diary.wait_for("robot", "ok")
     noticed_s = []

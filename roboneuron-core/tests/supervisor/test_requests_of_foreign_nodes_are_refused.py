@@ -13,6 +13,7 @@ import pytest
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 
+from rn_testing.fakes import fake_plan
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError
 from roboneuron.modules.requests import Announcements, digest_of, parameters_request
@@ -53,7 +54,7 @@ def test_the_server_s_own_requests_are_known_whoever_reads_their_announcements_a
     """The thread that reads stdin may not get the processor in time; what a plugin starts may read
     its stdin too.
     """
-    view = supervisor.start("inference", make_config(inference=fault))
+    view = supervisor.start(fake_plan("inference", make_config(inference=fault)))
     assert view.process is not None
     own = NodeClient(supervisor.link, supervisor.changes, "/fake/inference", view.process.announce)
     for round_ in range(10):
@@ -117,7 +118,7 @@ def test_foreign_requests_are_refused_and_reported_by_name(
     from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
     from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 
-    supervisor.start("robot", make_config())
+    supervisor.start(fake_plan("robot", make_config()))
     changes = supervisor.changes
 
     def ask(service_type: Any, name: str, request: Any) -> Any:
@@ -156,7 +157,6 @@ def test_foreign_requests_are_refused_and_reported_by_name(
     assert "/meddler" in report.metrics["foreign_request"]
     assert "roboneuron_server" not in report.metrics["foreign_request"]
     stopped = supervisor.stop("robot")
-    assert stopped is not None
     assert not stopped.killed
 
 
@@ -164,7 +164,7 @@ def test_foreign_requests_are_refused_and_reported_by_name(
 def test_the_server_s_own_requests_are_followed_beside_foreign_ones(
     supervisor: Supervisor, foreign: RosLink, make_config: MakeConfig
 ) -> None:
-    view = supervisor.start("inference", make_config())
+    view = supervisor.start(fake_plan("inference", make_config()))
     assert view.process is not None
     own = NodeClient(supervisor.link, supervisor.changes, "/fake/inference", view.process.announce)
     other = NodeClient(foreign, supervisor.changes, "/fake/inference", lambda digest: None)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from rn_testing.fakes import fake_plan
 from roboneuron.config import Config
 from roboneuron.errors import (
     CheckpointError,
@@ -48,7 +49,9 @@ def test_a_started_module_is_active_ready_and_reported(
     supervisor: Supervisor, make_config: MakeConfig
 ) -> None:
     stages: list[str] = []
-    view = supervisor.start("robot", make_config(), names={"robot": "fake"}, on_stage=stages.append)
+    view = supervisor.start(
+        fake_plan("robot", make_config(), names={"robot": "fake"}), on_stage=stages.append
+    )
     assert view.phase == "running"
     assert view.report is not None
     assert view.report.state == "active"
@@ -66,11 +69,12 @@ def test_a_started_module_is_active_ready_and_reported(
 def test_answers_that_are_lost_hinder_neither_start_nor_stop(
     supervisor: Supervisor, make_config: MakeConfig, caplog: pytest.LogCaptureFixture
 ) -> None:
-    view = supervisor.start("robot", make_config(start_timeout_s=15.0, robot="loses-answers"))
+    view = supervisor.start(
+        fake_plan("robot", make_config(start_timeout_s=15.0, robot="loses-answers"))
+    )
     assert view.report is not None
     assert view.report.state == "active"
     stopped = supervisor.stop("robot")
-    assert stopped is not None
     assert (stopped.exit_code, stopped.killed) == (0, False)
     assert "did not answer" not in caplog.text
 
@@ -80,7 +84,7 @@ def test_a_refused_configure_raises_the_modules_own_error(
 ) -> None:
     before = children()
     with pytest.raises(CheckpointError, match="truncated: 3 of 7 shards") as caught:
-        supervisor.start("robot", make_config(robot="refuses-configure"))
+        supervisor.start(fake_plan("robot", make_config(robot="refuses-configure")))
     assert caught.value.hint == "Download them again."
     assert supervisor.view("robot").phase == "stopped"
     assert children() == before
@@ -101,7 +105,7 @@ def test_a_death_during_the_start_is_told_with_the_last_lines(
 ) -> None:
     before = children()
     with pytest.raises(NotReadyError) as caught:
-        supervisor.start("robot", make_config(robot=fault))
+        supervisor.start(fake_plan("robot", make_config(robot=fault)))
     for word in words:
         assert word in str(caught.value)
     assert children() == before
@@ -114,7 +118,9 @@ def test_what_is_missing_is_named_when_the_time_is_over(
     with pytest.raises(
         NotReadyError, match=r"not ready within 10 s; missing: images on camera/front/image"
     ):
-        supervisor.start("perception", make_config(start_timeout_s=10.0, perception="never-ready"))
+        supervisor.start(
+            fake_plan("perception", make_config(start_timeout_s=10.0, perception="never-ready"))
+        )
     assert children() == before
     assert supervisor.view("perception").phase == "stopped"
 
@@ -129,7 +135,7 @@ def test_a_hang_in_configure_ends_at_the_timeout_of_that_module(
     )
     stages: list[str] = []
     with pytest.raises(NotReadyError, match="missing: the end of 'configure'") as caught:
-        supervisor.start("robot", config, on_stage=stages.append)
+        supervisor.start(fake_plan("robot", config), on_stage=stages.append)
     assert "raise start_timeout_s in [robot]" in caught.value.hint
     assert any(
         re.fullmatch(r"robot: configuring, \d+ of at most 10 s, \d+\.\d GB in memory", s)
@@ -142,18 +148,18 @@ def test_an_error_that_stays_ends_the_start_with_that_error(
     supervisor: Supervisor, make_config: MakeConfig
 ) -> None:
     with pytest.raises(UngroundedError, match="Nothing here is a 'red cube'"):
-        supervisor.start("inference", make_config(inference="fails-when-active"))
+        supervisor.start(fake_plan("inference", make_config(inference="fails-when-active")))
 
 
 def test_a_second_start_says_what_is_running_and_harms_nothing(
     supervisor: Supervisor, make_config: MakeConfig
 ) -> None:
-    view = supervisor.start("inference", make_config(), names={"backend": "fake"})
+    view = supervisor.start(fake_plan("inference", make_config(), names={"backend": "fake"}))
     assert view.process is not None
     with pytest.raises(
         StateError, match=rf"already running \(pid {view.process.pid}, backend 'fake', since \d\d:"
     ):
-        supervisor.start("inference", make_config())
+        supervisor.start(fake_plan("inference", make_config()))
     assert supervisor.require_running("inference").process is view.process
 
 
@@ -167,13 +173,11 @@ def test_a_start_during_a_start_is_refused_and_the_first_succeeds(
         if stage == "robot: configuring":
             configuring.set()
 
-    first = threading.Thread(
-        target=supervisor.start, args=("robot", config), kwargs={"on_stage": on_stage}
-    )
+    first = threading.Thread(target=supervisor.start, args=(fake_plan("robot", config), on_stage))
     first.start()
     assert configuring.wait(20)
     with pytest.raises(StateError, match="already starting"):
-        supervisor.start("robot", config)
+        supervisor.start(fake_plan("robot", config))
     first.join(20)
     assert supervisor.view("robot").phase == "running"
 
@@ -185,8 +189,7 @@ def test_a_stop_during_a_start_cancels_it(supervisor: Supervisor, make_config: M
     def start() -> None:
         try:
             supervisor.start(
-                "robot",
-                make_config(stop_timeout_s=0.5, robot="hangs-in-configure"),
+                fake_plan("robot", make_config(stop_timeout_s=0.5, robot="hangs-in-configure")),
                 on_stage=lambda stage: configuring.set() if stage == "robot: configuring" else None,
             )
         except StateError as error:
@@ -196,7 +199,7 @@ def test_a_stop_during_a_start_cancels_it(supervisor: Supervisor, make_config: M
     first = threading.Thread(target=start)
     first.start()
     assert configuring.wait(20)
-    assert supervisor.stop("robot") is None
+    assert supervisor.stop("robot").cancelled_start
     first.join(5)
     assert not first.is_alive()
     assert "stop_robot was called" in str(errors[0])
@@ -209,12 +212,12 @@ def test_a_module_of_another_server_is_neither_driven_nor_disturbed(
     tmp_path: Path,
     fake_command: Callable[[str | None], list[str]],
 ) -> None:
-    first = supervisor.start("robot", make_config())
+    first = supervisor.start(fake_plan("robot", make_config()))
     assert first.process is not None
     other = Supervisor(tmp_path / "other", command=fake_command)
     try:
         with pytest.raises(StateError, match=rf"as process {first.process.pid} of another server"):
-            other.start("robot", make_config())
+            other.start(fake_plan("robot", make_config()))
     finally:
         other.close()
     view = supervisor.require_running("robot")
@@ -228,7 +231,7 @@ def test_a_state_directory_that_cannot_be_written_is_named(
     (tmp_path / "file").touch()
     other = Supervisor(tmp_path / "file" / "state", command=fake_command)
     try:
-        for attempt in (other.open, lambda: other.start("robot", make_config())):
+        for attempt in (other.open, lambda: other.start(fake_plan("robot", make_config()))):
             with pytest.raises(
                 ConfigurationError, match=r"The state directory .*/file/state.* cannot be written"
             ) as caught:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from rn_testing.fakes import fake_plan
 from rn_testing.waiting import wait_until
 from roboneuron.config import Config
 from roboneuron.errors import NotReadyError, StateError
@@ -36,7 +37,7 @@ def is_gone(pid: int) -> bool:
 
 
 def start(supervisor: Supervisor, config: Config, kind: str = "robot") -> int:
-    view = supervisor.start(kind, config)  # type: ignore[arg-type]
+    view = supervisor.start(fake_plan(kind, config))  # type: ignore[arg-type]
     assert view.process is not None
     return view.process.pid
 
@@ -46,7 +47,6 @@ def test_a_stopped_module_was_deactivated_and_is_reaped(
 ) -> None:
     pid = start(supervisor, make_config())
     stopped = supervisor.stop("robot")
-    assert stopped is not None
     assert (stopped.pid, stopped.exit_code, stopped.killed) == (pid, 0, False)
     assert is_gone(pid)
     assert "deactivated" in (supervisor.log_directory / "robot.log").read_text()
@@ -67,7 +67,7 @@ def test_a_failed_start_whose_process_cannot_be_ended_leaves_a_slot_that_can_be_
     with monkeypatch.context() as patch:
         patch.setattr(bringup, "end_processes", end)
         with pytest.raises(NotReadyError, match="survives"):
-            supervisor.start("robot", make_config(robot="refuses-configure"))
+            supervisor.start(fake_plan("robot", make_config(robot="refuses-configure")))
     assert supervisor.view("robot").phase == "stopped"
     start(supervisor, make_config())
 
@@ -85,7 +85,6 @@ def test_what_does_not_leave_is_killed_with_its_children(
     report = supervisor.view("robot").report
     assert report is not None
     stopped = supervisor.stop("robot")
-    assert stopped is not None
     assert stopped.killed == (fault == "ignores-sigterm")
     assert stopped.took_s < PATIENCE_S
     assert is_gone(pid)
@@ -99,7 +98,6 @@ def test_a_frozen_process_is_killed(supervisor: Supervisor, make_config: MakeCon
     pid = start(supervisor, make_config(stop_timeout_s=1.0))
     os.kill(pid, signal.SIGSTOP)
     stopped = supervisor.stop("robot")
-    assert stopped is not None
     assert stopped.killed
     assert is_gone(pid)
 
@@ -154,18 +152,19 @@ def test_everything_is_stopped_in_reverse_order_and_no_thread_remains(
     assert all(is_gone(pid) for pid in pids)
     assert set(threading.enumerate()) - threads == set()
     with pytest.raises(StateError, match="shutting down"):
-        supervisor.start("robot", config)
+        supervisor.start(fake_plan("robot", config))
 
 
 PARENT = """
 import sys, time
 from pathlib import Path
+from rn_testing.fakes import fake_plan
 from roboneuron.config import parse_config
 from roboneuron.supervisor.supervisor import Supervisor
 config = parse_config('[robot]\\nname = "fake"\\n[plugins.fault]\\nperception = "has-a-child"')
 supervisor = Supervisor(Path({state!r}), command=lambda python: {command!r})
 for kind in ("robot", "perception"):
-    view = supervisor.start(kind, config)
+    view = supervisor.start(fake_plan(kind, config))
     print(view.process.pid, flush=True)
 print(view.report.metrics["child_pid"], flush=True)
 time.sleep(60)

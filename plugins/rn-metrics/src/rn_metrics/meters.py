@@ -12,7 +12,7 @@ from prometheus_client import CollectorRegistry, Counter, Histogram
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
 from roboneuron import Host
-from roboneuron.feature import ERROR_META, EXPLANATIONS, AuditRecord, Health, ModuleView
+from roboneuron.feature import ERROR_META, EXPLANATIONS, FAULTS, AuditRecord, Health, ModuleView
 
 OK = "ok"
 UNKNOWN = "unknown"
@@ -97,7 +97,7 @@ class Meters:
 
     def on_health(self, view: ModuleView, before: Health, health: Health) -> None:
         """Listener of `Events.health`."""
-        if health in ("failing", "stalled", "stuck", "silent", "exited"):
+        if health in FAULTS:
             self.faults.labels(view.kind, health).inc()
 
     def on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:

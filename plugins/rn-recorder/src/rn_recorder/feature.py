@@ -223,7 +223,7 @@ class Recorder(Feature[RecorderOptions]):
 
     def _on_change(self, kind: ModuleKind) -> None:
         view = self._host.modules.view(kind)
-        names = dict(view.choice.names) if view.choice is not None else {}
+        names = dict(view.plan.names) if view.plan is not None else {}
         self._note("change", {"module": kind, "phase": view.phase, "names": names})
         if (
             kind == "robot"

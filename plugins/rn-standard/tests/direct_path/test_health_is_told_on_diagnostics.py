@@ -11,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rn_standard.direct_path.health_diagnostics import HealthDiagnostics
 from roboneuron.supervisor.health import Health, ModuleView
 
-CHOICE = SimpleNamespace(config=SimpleNamespace(namespace="cell"))
+PLAN = SimpleNamespace(config=SimpleNamespace(namespace="cell"))
 
 
 class Link:
@@ -38,7 +38,7 @@ class Link:
 def test_a_change_is_told_with_its_level(health: Health, level: Any) -> None:
     link = Link()
     told = HealthDiagnostics(lambda: cast(Any, link))
-    view = ModuleView(kind="control", phase="running", choice=cast(Any, CHOICE))
+    view = ModuleView(kind="control", phase="running", plan=cast(Any, PLAN))
     for _ in range(2):
         told.publish(view, "starting", health)
     assert link.advertised == ["/diagnostics"]

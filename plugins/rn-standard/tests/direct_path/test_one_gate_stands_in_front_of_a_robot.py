@@ -26,7 +26,6 @@ from roboneuron.modules.report import Report
 from roboneuron.modules.settings import FOLLOWING_NOTE
 from roboneuron.server.app import Application
 from roboneuron.supervisor.health import ModuleView
-from roboneuron.supervisor.supervisor import Supervisor
 
 Make = Callable[..., Application]
 DRIVE = Endpoint(
@@ -47,9 +46,8 @@ def make(tmp_path: Path) -> Iterator[Make]:
         application = Application(
             parse_config('[robot]\nname = "gantry"\n' + text),
             plugins=lambda: registry,
-            supervisor=Supervisor(
-                tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
-            ),
+            directory=tmp_path / "state",
+            command=lambda python: pytest.fail("nothing may be spawned"),
         )
         made.append(application)
         return application
@@ -184,8 +182,8 @@ def test_control_follows_from_an_action_until_it_holds_or_cannot_say(
             loop_age_s=0.0,
             ready=True,
         )
-        choice = SimpleNamespace(config=SimpleNamespace(namespace=told["namespace"]))
-        return ModuleView(kind=kind, phase="running", report=report, choice=choice)
+        plan = SimpleNamespace(config=SimpleNamespace(namespace=told["namespace"]))
+        return ModuleView(kind=kind, phase="running", report=report, plan=plan)
 
     monkeypatch.setattr(application.supervisor, "view", view)
     assert path._is_followed(drive(application))

@@ -18,7 +18,6 @@ from rn_testing.fakes import fake_registry
 from rn_testing.fakes.site import PluginSite
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 MODULES = """
 [robot]
@@ -81,9 +80,8 @@ def application(tmp_path: Path) -> Iterator[Application]:
     application = Application(
         parse_config(MODULES.format(source="controlled")),
         plugins=lambda: registry,
-        supervisor=Supervisor(
-            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-        ),
+        directory=tmp_path,
+        command=lambda python: pytest.fail("nothing may be spawned"),
     )
     try:
         yield application

@@ -22,7 +22,6 @@ from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import Application
 from roboneuron.server.host import Host
 from roboneuron.supervisor.health import ModuleView
-from roboneuron.supervisor.supervisor import Supervisor
 
 Make = Callable[[str], Application]
 
@@ -37,9 +36,8 @@ def make(tmp_path: Path) -> Iterator[Make]:
         application = Application(
             parse_config(f'[robot]\nname = "gantry"\n{text}', registry=registry),
             plugins=lambda: registry,
-            supervisor=Supervisor(
-                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-            ),
+            directory=tmp_path,
+            command=lambda python: pytest.fail("nothing may be spawned"),
         )
         made.append(application)
         return application

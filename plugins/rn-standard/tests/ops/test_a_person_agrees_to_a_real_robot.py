@@ -19,7 +19,6 @@ from roboneuron import DriverSpec, RobotSpec
 from roboneuron.config import parse_config
 from roboneuron.errors import NotReadyError
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 MODES = ("auto", "legacy")
 REACHED = "the robot would be spawned now"
@@ -57,9 +56,8 @@ def make(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[.
         application = Application(
             parse_config(f'[robot]\nname = "arm"\ndriver = "network"\n{more}', registry=registry),
             plugins=lambda: registry,
-            supervisor=Supervisor(
-                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-            ),
+            directory=tmp_path,
+            command=lambda python: pytest.fail("nothing may be spawned"),
         )
         monkeypatch.setattr(application.loop, "start_selected", refuse)
         monkeypatch.setattr(application.loop.emergency_stop, "prepare", lambda namespace: None)

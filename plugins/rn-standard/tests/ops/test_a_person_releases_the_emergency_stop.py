@@ -23,7 +23,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 pytestmark = pytest.mark.ros
 MODES = ("auto", "legacy")
@@ -43,9 +42,8 @@ def serve(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
         application = Application(
             parse_config(f'[robot]\nname = "gantry"\n[server]\n{more}'),
             plugins=lambda: registry,
-            supervisor=Supervisor(
-                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-            ),
+            directory=tmp_path,
+            command=lambda python: pytest.fail("nothing may be spawned"),
         )
         made.append(application)
         application.loop.emergency_stop.file.latch(who="a guard", reason="a hand in the workspace")

@@ -17,7 +17,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron import FeatureSpec
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 STATUS = "roboneuron://status"
 
@@ -32,9 +31,8 @@ def make(tmp_path: Path) -> Iterator[Callable[..., Application]]:
         application = Application(
             parse_config('[robot]\nname = "gantry"\n'),
             plugins=lambda: registry,
-            supervisor=Supervisor(
-                tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-            ),
+            directory=tmp_path,
+            command=lambda python: pytest.fail("nothing may be spawned"),
         )
         made.append(application)
         return application

@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from rn_standard.ops.incidents import Incidents
-from rn_standard.ops.memory import note
 from rn_standard.ops.records import parse_entries
 from rn_standard.ops.server_log import ServerLog
 from roboneuron.gate.audit import AuditLog, AuditRecord
@@ -45,7 +44,7 @@ def test_files_are_640_and_directories_750(tmp_path: Path) -> None:
     )
     process.reap(lambda _: None)
     assert process.wait(20)
-    note(process, "said")
+    process.note("said")
     incident = Incidents(state / "incidents").record("robot", "silent", {})
     assert incident is not None
     audit = AuditLog(state / "audit.jsonl", lambda: 1)
@@ -65,14 +64,14 @@ def test_a_note_stands_among_the_last_lines_and_passes_for_one_entry(tmp_path: P
     process = spawn("m", ["echo", "up"], dict(os.environ), "", path, ProcessEvents())
     process.reap(lambda _: None)
     assert process.wait(20)
-    note(process, "killed\nERROR \x1b[2Jé")
+    process.note("killed\nERROR \x1b[2Jé")
     assert process.last_lines() == ("up", "killed", "    ERROR \\x1b[2Jé")
     path.unlink()
-    note(process, "again")
+    process.note("again")
     assert path.stat().st_mode & 0o007 == 0
     path.unlink()
     path.parent.rmdir()
-    note(process, "nowhere to write it")
+    process.note("nowhere to write it")
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pytest
 
 from rn_standard.ops.options import OpsOptions
 from rn_standard.ops.restarts import Restarts
+from rn_testing.fakes import fake_plan
 from rn_testing.waiting import wait_until
 from roboneuron.config import Config
 from roboneuron.modules.settings import ModuleKind
@@ -57,8 +58,8 @@ def test_perception_is_restarted_a_few_times_and_the_robot_is_not(
     supervisor: Supervisor, config: Config, make_restarts: Make
 ) -> None:
     _, told = make_restarts(restart_limit=2)
-    supervisor.start("robot", config)
-    supervisor.start("perception", config)
+    supervisor.start(fake_plan("robot", config))
+    supervisor.start(fake_plan("perception", config))
     first = pid_of(supervisor, "perception")
     os.kill(first, signal.SIGKILL)
     wait_until(
@@ -84,8 +85,8 @@ def test_a_module_is_restarted_only_when_the_configuration_says_so(
     supervisor: Supervisor, config: Config, make_restarts: Make
 ) -> None:
     _, told = make_restarts(restart={"perception": "never", "robot": "on_failure"})
-    supervisor.start("robot", config)
-    supervisor.start("perception", config)
+    supervisor.start(fake_plan("robot", config))
+    supervisor.start(fake_plan("perception", config))
     before = pid_of(supervisor, "robot")
     os.kill(pid_of(supervisor, "perception"), signal.SIGKILL)
     os.kill(before, signal.SIGKILL)
@@ -102,7 +103,7 @@ def test_a_stop_ends_a_pending_restart(
     supervisor: Supervisor, config: Config, make_restarts: Make
 ) -> None:
     made, told = make_restarts(restart_backoff_s=2.0)
-    process = supervisor.start("perception", config).process
+    process = supervisor.start(fake_plan("perception", config)).process
     assert process is not None
     process.kill()
     wait_until(lambda: made.cancel("perception"), 5.0, "a restart is pending")

@@ -13,9 +13,9 @@ from rn_standard.ops import restarts
 from rn_standard.ops.load import runnable_per_core
 from rn_standard.ops.options import OpsOptions
 from rn_standard.ops.restarts import Restarts
-from roboneuron.config import ModuleSettings, parse_config
+from rn_testing.fakes import fake_plan
+from roboneuron.config import parse_config
 from roboneuron.errors import NotReadyError
-from roboneuron.supervisor.slot import Selection
 
 BUSY, IDLE = 20.0, 0.1
 
@@ -40,9 +40,8 @@ class CountingModules:
 def ended(kind: str = "perception") -> Any:
     """The view of a module that has ended by itself."""
     config = parse_config('[robot]\nname = "gantry"\n')
-    settings = ModuleSettings(kind=kind, node_name=kind, config=config)
-    choice = Selection(settings=settings)
-    return SimpleNamespace(kind=kind, phase="exited", process=None, choice=choice)
+    plan = fake_plan(kind, config)  # type: ignore[arg-type]
+    return SimpleNamespace(kind=kind, phase="exited", process=None, plan=plan)
 
 
 class Rig:

@@ -20,12 +20,11 @@ from mcp import Client, types
 
 from rn_standard.ops.plugin import CLIENTS, RECOVERY
 from rn_testing.domain import free_ros_domain
-from rn_testing.fakes import fake_registry
+from rn_testing.fakes import fake_plan, fake_registry
 from rn_testing.fakes.site import PluginSite
 from roboneuron import DriverSpec, RobotSpec
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 PLUGIN = """
 import os
@@ -111,7 +110,7 @@ class Served:
 def application(folder: Path, driver: str) -> Application:
     registry = fake_registry(ARM, CLIENTS, RECOVERY)
     config = parse_config(f'[robot]\nname = "arm"\ndriver = "{driver}"\n')
-    return Application(config, plugins=lambda: registry, supervisor=Supervisor(folder))
+    return Application(config, plugins=lambda: registry, directory=folder)
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +125,7 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         patch.setenv("ROS_DOMAIN_ID", os.environ.get("ROS_DOMAIN_ID") or str(free_ros_domain()))
         made = application(folder / "state", "faulty")
         try:
-            made.supervisor.start("robot", made.loop.config)
+            made.supervisor.start(fake_plan("robot", made.loop.config))
             yield Served(application=made, fault=fault, audit=folder / "state" / "audit.jsonl")
         finally:
             made.close()

@@ -21,7 +21,6 @@ from rn_standard.ops.plugin import FEATURE
 from rn_testing.fakes import fake_registry
 from roboneuron.config import Config
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 SOURCES = ("robot", "perception", "inference", "control", "server")
 
@@ -30,11 +29,13 @@ SOURCES = ("robot", "perception", "inference", "control", "server")
 def application(tmp_path: Path) -> Iterator[Application]:
     """The feature in a server of fakes; nothing is started."""
     config = Config.model_validate({"robot": {"name": "gantry"}})
-    supervisor = Supervisor(
-        tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
-    )
     registry = fake_registry(FEATURE)
-    application = Application(config, plugins=lambda: registry, supervisor=supervisor)
+    application = Application(
+        config,
+        plugins=lambda: registry,
+        directory=tmp_path / "state",
+        command=lambda python: pytest.fail("nothing may be spawned"),
+    )
     yield application
     application.close()
 

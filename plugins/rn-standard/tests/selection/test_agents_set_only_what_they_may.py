@@ -25,8 +25,8 @@ from roboneuron.errors import (
     RefusedError,
 )
 from roboneuron.gate.roles import Role
+from roboneuron.planning import Plan
 from roboneuron.plugins.specs import BackendSpec
-from roboneuron.supervisor.slot import Selection
 
 
 class Camera(BaseModel):
@@ -95,7 +95,7 @@ def configuration(more: str = "", selection: str = "") -> Config:
 
 def select(
     config: Config, options: dict[str, Any], role: str = Role.OPERATOR, backend: str = "distant"
-) -> Selection:
+) -> Plan:
     return choose(
         "inference", config, REGISTRY, StartChosenInference(backend=backend, options=options), role
     )
@@ -169,7 +169,7 @@ def test_options_of_a_plugin_that_cannot_be_imported_here_are_all_restricted(
         select(config, {"gain": 2.0}, Role.ADMIN, "elsewhere")
 
 
-def load(config: Config, checkpoint: Path | str) -> Selection:
+def load(config: Config, checkpoint: Path | str) -> Plan:
     return choose(
         "inference",
         config,

@@ -138,8 +138,8 @@ def test_50_changes_during_motion_cost_no_period_and_no_reload(
         took_s.append(done.took_s)
         assert done.mode == "in place"
         assert done.view.process is process
-        assert done.view.choice is not None
-        assert done.view.choice.names.get("acceleration") == name
+        assert done.view.plan is not None
+        assert done.view.plan.names.get("acceleration") == name
         assert done.change.gap is not None
         told = report(switching).metrics
         assert told["acceleration"] == (name or "")
@@ -176,7 +176,7 @@ def test_a_preset_that_does_not_fit_leaves_the_former_one_in_force(
         switch(switching, "unfit")
     after = inference(switching)
     assert after.process is before.process
-    assert after.choice == before.choice
+    assert after.plan == before.plan
     assert report(switching).metrics["acceleration"] == ""
     with pytest.raises(PlanningError, match="fastv-p50"):
         switch(switching, "fastv-p50")
@@ -193,9 +193,9 @@ def test_one_call_goes_back_and_the_instruction_is_kept(cell: tuple[Switching, W
     assert back.replaced["acceleration"] == "quarter"
     assert report(switching).metrics["acceleration"] == "half"
     assert report(switching).instruction == "move further"
-    assert back.view.choice is not None
-    assert back.view.choice.settings.config.inference is not None
-    assert back.view.choice.settings.config.inference.instruction == "move further"
+    assert back.view.plan is not None
+    assert back.view.plan.config.inference is not None
+    assert back.view.plan.config.inference.instruction == "move further"
 
 
 def test_what_else_is_to_change_needs_another_process_and_so_does_cold(
@@ -232,8 +232,8 @@ def test_a_restart_after_a_crash_uses_the_new_preset(cell: tuple[Switching, Witn
         what="the end of the process is noticed",
     )
     view = loop.modules.view("inference")
-    assert view.choice is not None
-    loop.launch(view.choice)
+    assert view.plan is not None
+    loop.launch(view.plan)
     wait_until(
         lambda: share(switching) == SHARES["quarter"], what="the new preset after the restart"
     )

@@ -12,7 +12,6 @@ from mcp import Client
 
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 sys.path.insert(0, str(Path(__file__).parents[4] / "benchmarks"))
 from plugin_site import installed
@@ -69,7 +68,7 @@ def test_an_agent_switches_and_goes_back(tmp_path: Path) -> None:
 
     with installed(tmp_path, "rn-switch", ("switch_plugin",)):
         config = parse_config(CONFIG.format(rate_hz=10.0, camera_options=""))
-        application = Application(config, supervisor=Supervisor(tmp_path / "state"))
+        application = Application(config, directory=tmp_path / "state")
         try:
             anyio.run(scenario, application)
         finally:

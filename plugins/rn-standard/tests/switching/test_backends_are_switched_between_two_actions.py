@@ -37,8 +37,8 @@ def check_turns(switching: Switching, witness: Witness) -> None:
         switched = switching.switch(
             "inference", StartChosenInference(backend=backend), "warm", quiet
         )
-        assert switched.view.choice is not None
-        assert switched.view.choice.names["backend"] == backend
+        assert switched.view.plan is not None
+        assert switched.view.plan.names["backend"] == backend
         assert switched.view.report is not None
         assert switched.view.report.instruction == "move on"
         assert switched.change.gap is not None
@@ -70,7 +70,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Switching,
 def cell(built: tuple[Switching, Witness]) -> tuple[Switching, Witness]:
     """The loop of the module with the first backend at work; the witness has seen nothing yet."""
     switching, witness = built
-    choice = switching.loop.modules.view("inference").choice
+    choice = switching.loop.modules.view("inference").plan
     assert choice is not None
     assert choice.names["backend"] == "first"
     witness.forget()
@@ -206,8 +206,8 @@ def test_one_call_goes_back_and_a_cold_switch_says_its_gap(cell: tuple[Switching
     back = switching.roll_back("inference", "warm")
     assert back.change.gap is not None
     assert back.change.gap.gap_s < min(0.3, cold.change.gap.gap_s)
-    assert back.view.choice is not None
-    assert back.view.choice.names["backend"] == "first"
+    assert back.view.plan is not None
+    assert back.view.plan.names["backend"] == "first"
     assert back.view.report is not None
     assert back.view.report.instruction == "move further"
     assert [b.tag for _, b in change_overs(witness.more_actions())] == [2, 1]

@@ -80,8 +80,8 @@ def test_a_source_takes_over_between_two_images_and_gives_it_back(
     switching, witness = cell
     witness.more_actions()
     switched = switching.switch("perception", StartPerception(source="other"), "warm")
-    assert switched.view.choice is not None
-    assert switched.view.choice.names["source"] == "other"
+    assert switched.view.plan is not None
+    assert switched.view.plan.names["source"] == "other"
     assert switched.replaced["source"] == "numbering"
     gap = switched.change.gap
     assert gap is not None
@@ -91,8 +91,8 @@ def test_a_source_takes_over_between_two_images_and_gives_it_back(
     )
     assert gap.gap_s < 0.25
     back = switching.roll_back("perception", "warm")
-    assert back.view.choice is not None
-    assert back.view.choice.names["source"] == "numbering"
+    assert back.view.plan is not None
+    assert back.view.plan.names["source"] == "numbering"
     actions = witness.more_actions()
     times = [action.at_ns / 1e9 for action in actions]
     assert max(b - a for a, b in pairwise(times)) < 0.5, "the backend was without images"
@@ -147,8 +147,8 @@ def test_a_controller_goes_on_from_the_last_command_of_the_old_one(
     witness.more_actions(10)
     first = len(witness.commands())
     switched = switching.switch("control", StartControl(controller="faulty"), "warm")
-    assert switched.view.choice is not None
-    assert switched.view.choice.names["controller"] == "faulty"
+    assert switched.view.plan is not None
+    assert switched.view.plan.names["controller"] == "faulty"
     gap = switched.change.gap
     assert gap is not None
     assert switched.change.difference is not None
@@ -159,8 +159,8 @@ def test_a_controller_goes_on_from_the_last_command_of_the_old_one(
     assert switched.change.difference < 0.005
     assert gap.gap_s < 0.25
     back = switching.roll_back("control", "warm")
-    assert back.view.choice is not None
-    assert back.view.choice.names["controller"] == "gantry"
+    assert back.view.plan is not None
+    assert back.view.plan.names["controller"] == "gantry"
     witness.more_actions()
     commands = witness.commands()[first:]
     actions_ns = [action.at_ns for action in witness.actions() if action.at_ns > commands[0][0]]
@@ -228,8 +228,8 @@ def test_a_controller_takes_over_an_arm_whose_policy_pauses_just_then(tmp_path: 
     with moving_loop(tmp_path, RATE_HZ, f'mode_file = "{mode}"') as (switching, witness):
         witness.more_actions(10)
         switched = switching.switch("control", StartControl(controller="faulty"), "warm", pause)
-        assert switched.view.choice is not None
-        assert switched.view.choice.names["controller"] == "faulty"
+        assert switched.view.plan is not None
+        assert switched.view.plan.names["controller"] == "faulty"
         mode.unlink()
         witness.more_actions()
         first = len(witness.commands())

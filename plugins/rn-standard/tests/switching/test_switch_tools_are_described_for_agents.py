@@ -15,7 +15,6 @@ from rn_standard.switching.plugin import FEATURE
 from rn_testing.fakes import fake_registry
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 
 @pytest.fixture
@@ -25,9 +24,8 @@ def application(tmp_path: Path) -> Iterator[Application]:
     application = Application(
         parse_config('[robot]\nname = "gantry"\n'),
         plugins=lambda: registry,
-        supervisor=Supervisor(
-            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-        ),
+        directory=tmp_path,
+        command=lambda python: pytest.fail("nothing may be spawned"),
     )
     try:
         yield application

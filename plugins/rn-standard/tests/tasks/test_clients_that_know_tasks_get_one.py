@@ -26,7 +26,6 @@ from roboneuron.server.app import Application
 from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.surface import Served, make_server
 from roboneuron.server.tool import CallContext, NoArguments, Result, Stage, Tool
-from roboneuron.supervisor.supervisor import Supervisor
 
 KNOWS, OLD = "2025-11-25", "2025-06-18"
 
@@ -254,7 +253,7 @@ def test_a_client_of_an_older_revision_makes_the_plain_call() -> None:
 def test_the_feature_offers_it(tmp_path: Any) -> None:
     registry = fake_registry(SELECTION, FEATURE)
     config = parse_config('[robot]\nname = "gantry"\n', registry=registry)
-    application = Application(config, plugins=lambda: registry, supervisor=Supervisor(tmp_path))
+    application = Application(config, plugins=lambda: registry, directory=tmp_path)
     try:
         assert isinstance(application.server.middleware[1], TaskCalls)
     finally:

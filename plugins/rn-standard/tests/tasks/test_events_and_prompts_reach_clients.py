@@ -29,7 +29,6 @@ from roboneuron.config import parse_config
 from roboneuron.errors import InvalidInputError
 from roboneuron.plugins.specs import PLUGIN_KINDS
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 CONFIG = """
 [robot]
@@ -66,10 +65,8 @@ def application(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Applicatio
     made = Application(
         parse_config(CONFIG, registry=registry),
         plugins=lambda: registry,
-        supervisor=Supervisor(
-            tmp_path_factory.mktemp("state"),
-            command=lambda python: pytest.fail("nothing may be spawned"),
-        ),
+        directory=tmp_path_factory.mktemp("state"),
+        command=lambda python: pytest.fail("nothing may be spawned"),
     )
     made.events.open.tell()
     try:

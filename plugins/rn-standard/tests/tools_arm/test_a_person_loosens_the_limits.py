@@ -25,7 +25,6 @@ from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 CONFIG = (
     '[robot]\nname = "gantry"\n[control]\ncontroller = "gantry"\n[limits]\nmax_speed_m_s = 0.4\n'
@@ -45,9 +44,8 @@ def make(tmp_path: Path) -> Iterator[Make]:
         application = Application(
             parse_config(CONFIG),
             plugins=lambda: registry,
-            supervisor=Supervisor(
-                tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
-            ),
+            directory=tmp_path / "state",
+            command=lambda python: pytest.fail("nothing may be spawned"),
         )
         made.append(application)
         return application
@@ -58,7 +56,7 @@ def make(tmp_path: Path) -> Iterator[Make]:
 
 
 def call(
-    application: Application, tool: str, agrees: bool | None = None, **arguments: Any
+    application: Application, tool: str, agrees: str | None = None, **arguments: Any
 ) -> dict[str, Any]:
     found = application.tools.get(tool)
     assert found is not None
@@ -66,7 +64,7 @@ def call(
     async def run(work: Callable[[Any], Any], **more: Any) -> Any:
         return work(lambda _: None)
 
-    async def ask(question: str) -> bool | None:
+    async def ask(question: str) -> str | None:
         assert "0.1" in question, "the person is told what would be loosened"
         return agrees
 
@@ -98,8 +96,8 @@ def test_the_gate_of_the_direct_path_judges_by_the_tightened_limits(make: Make) 
     assert paths._limits("another").max_speed_m_s == 0.5, "that of another robot stays"
 
 
-@pytest.mark.parametrize("agrees", [None, False])
-def test_nobody_but_a_person_loosens(make: Make, agrees: bool | None) -> None:
+@pytest.mark.parametrize("agrees", [None, ""])
+def test_nobody_but_a_person_loosens(make: Make, agrees: str | None) -> None:
     application = make()
     call(application, "tighten_limits", max_speed_m_s=0.1)
     with pytest.raises(RefusedError, match="Only a person") as caught:
@@ -113,7 +111,7 @@ def test_a_person_who_agrees_gets_the_configured_limits_back_and_the_audit_says_
 ) -> None:
     application = make()
     call(application, "tighten_limits", max_speed_m_s=0.1)
-    assert call(application, "loosen_limits", True)["max_speed_m_s"] == 0.4
+    assert call(application, "loosen_limits", "yes")["max_speed_m_s"] == 0.4
     assert make().supervisor.tightened is None
     lines = [
         json.loads(line) for line in (tmp_path / "state" / "audit.jsonl").read_text().splitlines()

@@ -18,7 +18,6 @@ from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.specs import FeatureSpec
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 Make = Callable[..., Application]
 
@@ -33,9 +32,8 @@ def make(tmp_path: Path) -> Iterator[Make]:
         application = Application(
             parse_config('[robot]\nname = "gantry"\n' + text),
             plugins=lambda: registry,
-            supervisor=Supervisor(
-                tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
-            ),
+            directory=tmp_path / "state",
+            command=lambda python: pytest.fail("nothing may be spawned"),
         )
         made.append(application)
         return application

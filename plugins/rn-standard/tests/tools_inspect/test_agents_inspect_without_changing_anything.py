@@ -15,7 +15,6 @@ from rn_testing.fakes import fake_registry
 from roboneuron.config import Config
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 TOOLS = {
     *(
@@ -38,9 +37,8 @@ def application(tmp_path: Path) -> Iterator[Application]:
     application = Application(
         Config.model_validate({"robot": {"name": "gantry"}}),
         plugins=lambda: registry,
-        supervisor=Supervisor(
-            tmp_path, command=lambda python: pytest.fail("nothing may be spawned")
-        ),
+        directory=tmp_path,
+        command=lambda python: pytest.fail("nothing may be spawned"),
     )
     try:
         yield application

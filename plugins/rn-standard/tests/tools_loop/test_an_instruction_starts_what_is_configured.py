@@ -10,8 +10,8 @@ from rn_standard.tools_loop.tools import StartInference, choose_instruction
 from rn_testing.fakes import fake_registry
 from roboneuron import Arguments, InternalError, NoArguments
 from roboneuron.config import Config
+from roboneuron.planning import Plan
 from roboneuron.server.loop import choose_configured
-from roboneuron.supervisor.slot import Selection
 
 CONFIG = Config.model_validate(
     {
@@ -22,7 +22,7 @@ CONFIG = Config.model_validate(
 )
 
 
-def _choose(kind: str, request: Arguments | None) -> Selection:
+def _choose(kind: str, request: Arguments | None) -> Plan:
     choose = partial(choose_instruction, choose_configured)
     return choose(kind, CONFIG, fake_registry(), request, "operator")
 

@@ -27,7 +27,6 @@ from roboneuron.config import parse_config
 from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import prepare_environment
 from roboneuron.server.app import Application
-from roboneuron.supervisor.supervisor import Supervisor
 
 EXPOSED = """
 [robot]
@@ -270,9 +269,8 @@ def make_application(tmp_path: Path) -> Iterator[Callable[..., Application]]:
         application = Application(
             parse_config(text),
             plugins=lambda: found,
-            supervisor=Supervisor(
-                tmp_path / "state", command=lambda python: pytest.fail("nothing may be spawned")
-            ),
+            directory=tmp_path / "state",
+            command=lambda python: pytest.fail("nothing may be spawned"),
         )
         made.append(application)
         return application

@@ -211,10 +211,6 @@ class _Context:
             on_cancel()
             raise
 
-    async def ask(self, question: str) -> bool | None:
+    async def ask(self, question: str, what: str = "") -> str | None:
         """See CallContext; a button asks nothing, so the emergency stop is not released here."""
-        return None
-
-    async def ask_for(self, question: str, what: str) -> str | None:
-        """See CallContext; as `ask`."""
         return None

@@ -17,13 +17,6 @@ Namespace = Annotated[
 Seconds = Annotated[float, Field(gt=0, le=3600)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Point = Annotated[list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)]
-StartTimeout = Annotated[
-    Seconds | None,
-    Field(description="longest start, loading included; as in [supervisor] when not given"),
-]
-Interpreter = Annotated[
-    str | None, Field(description="interpreter of the module's own environment")
-]
 Reaction = Literal["hold", "scale", "refuse"]
 """At a limit: stop where the arm is measured, shorten the command, or send nothing and let the last
 command end.
@@ -39,7 +32,19 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
-class RobotConfig(Section):
+class ModuleSection(Section):
+    """A table of one kind of module."""
+
+    start_timeout_s: Seconds | None = Field(
+        default=None,
+        description="longest start, loading included; as in [supervisor] when not given",
+    )
+    python: str | None = Field(
+        default=None, description="interpreter of the module's own environment"
+    )
+
+
+class RobotConfig(ModuleSection):
     """`[robot]`: which robot, moved how."""
 
     name: Name = Field(description="a robot offered by an installed plugin")
@@ -56,11 +61,9 @@ class RobotConfig(Section):
     state_rate_hz: Annotated[float, Field(ge=10, le=1000)] = Field(
         default=120.0, description="rate of joint_states"
     )
-    start_timeout_s: StartTimeout = None
-    python: Interpreter = None
 
 
-class PerceptionConfig(Section):
+class PerceptionConfig(ModuleSection):
     """`[perception]`: where images come from."""
 
     source: Name = Field(description="a perception source offered by an installed plugin")
@@ -69,11 +72,9 @@ class PerceptionConfig(Section):
         strict=False,
         description="names of the robot's cameras to serve; all of them when empty",
     )
-    start_timeout_s: StartTimeout = None
-    python: Interpreter = None
 
 
-class InferenceConfig(Section):
+class InferenceConfig(ModuleSection):
     """`[inference]`: which policy runs, and how."""
 
     backend: Name = Field(description="a backend offered by an installed plugin")
@@ -112,10 +113,9 @@ class InferenceConfig(Section):
         description="longest start, loading included; when not given 900 with a checkpoint, else "
         "as in [supervisor]",
     )
-    python: Interpreter = None
 
 
-class ControlConfig(Section):
+class ControlConfig(ModuleSection):
     """`[control]`: how actions become joint commands."""
 
     controller: Name = Field(description="a controller offered by an installed plugin")
@@ -138,8 +138,6 @@ class ControlConfig(Section):
         default=0.05,
         description="a warm switch to commands or TCP poses that differ more [rad or m] is refused",
     )
-    start_timeout_s: StartTimeout = None
-    python: Interpreter = None
 
     @model_validator(mode="after")
     def _check_horizon(self) -> Self:
@@ -334,8 +332,8 @@ class Config(Section):
         Args:
             kind: of the module, as its section is called.
         """
-        section = getattr(self, kind)
-        own_s: float | None = None if section is None else section.start_timeout_s
+        section: ModuleSection | None = getattr(self, kind)
+        own_s = None if section is None else section.start_timeout_s
         return self.supervisor.start_timeout_s if own_s is None else own_s
 
 

@@ -261,8 +261,8 @@ class FeatureSpec(Spec):
         module: "module:attribute" of the class of the modules called as the feature ("perception"
             or "inference"), called with a `ModuleHost`.
         module_plan: "module:attribute" of a light function that finds and compares what such a
-            module consists of: called with Config and Registry, returns its `roboneuron.node.Plan`
-            or raises a RoboNeuronError.
+            module consists of: called with Config and Registry, returns its
+            `roboneuron.feature.Plan` or raises a RoboNeuronError.
         fleet: "module:attribute" of what serves a configuration with several robots: called with
             the Config and the state directory, returns a `roboneuron.server.surface.Served`; None
             when it does not do that.

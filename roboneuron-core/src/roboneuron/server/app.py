@@ -67,7 +67,10 @@ class Application:
 
     Args:
         config: of the robot.
-        plugins, supervisor: others than usual.
+        plugins: others than usual.
+        directory: for the state, where not as configured.
+        command: how to start a module under a given interpreter; None: as usual.
+        connect: makes the server's node, see `Supervisor`.
         attached: clients come to `server`; not so for one of several robots.
     """
 
@@ -76,19 +79,22 @@ class Application:
         config: Config,
         *,
         plugins: Callable[[], Registry] | None = None,
-        supervisor: Supervisor | None = None,
+        directory: Path | None = None,
+        command: Command | None = None,
+        connect: Connect = Connection,
         attached: bool = True,
     ) -> None:
         if config.robots:
             raise ConfigurationError(
                 "This works with one robot; the configuration has [robots.<name>]."
             )
-        self.started_s = time.monotonic()
         self._is_joining = False
         self._joining = anyio.Lock()
         self.events = Events()
-        self.supervisor = supervisor or Supervisor(
-            state_directory(config.supervisor.state_directory)
+        self.supervisor = Supervisor(
+            directory or state_directory(config.supervisor.state_directory),
+            command=command or module_command,
+            connect=connect,
         )
         self.supervisor.on_change = self.events.change.tell
         self.loop = ClosedLoop(
@@ -116,7 +122,7 @@ class Application:
             features=self.features,
             tools=self.tools,
             events=self.events,
-            started_s=self.started_s,
+            started_s=time.monotonic(),
             state_directory=self.supervisor.state_directory,
             end_motion=self.end_motion,
             _link=lambda: self.supervisor.link,
@@ -130,36 +136,14 @@ class Application:
         )
         self.resources: Mapping[str, Resource] = {resource.uri: resource for resource in offered}
         if attached:
-            self.features.attach(self.host)
-
-    @classmethod
-    def in_directory(
-        cls,
-        config: Config,
-        directory: Path,
-        *,
-        plugins: Callable[[], Registry] | None = None,
-        command: Command | None = None,
-        connect: Connect = Connection,
-        attached: bool = True,
-    ) -> Application:
-        """One whose modules are started and joined in another way than usual.
-
-        Args:
-            config, plugins, attached: as of the class.
-            directory: for the state.
-            command: how to start a module under a given interpreter; None: as usual.
-            connect: makes the server's node, see `Supervisor`.
-        """
-        supervisor = Supervisor(directory, command=command or module_command, connect=connect)
-        return cls(config, plugins=plugins, supervisor=supervisor, attached=attached)
+            self.features.each("attached", lambda feature: feature.attach(self.host))
 
     def check(self) -> None:
         """Check the configuration against what is installed. Raises ConfigurationError,
         PlanningError.
         """
         check_configuration(self.loop.base, self.loop.registry)
-        self.features.check()
+        self.features.each("used", lambda feature: feature.check(self.loop.base))
 
     def listen(self) -> Transport | None:
         """Begin to listen for clients; None for stdio."""

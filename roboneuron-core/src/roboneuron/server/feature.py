@@ -159,15 +159,11 @@ class Features:
         named = (self._specs[name].on_join for name in self.loaded)
         return tuple(reference for reference in named if reference is not None)
 
-    def check(self) -> None:
-        """Have every feature check its part of the configuration."""
-        self._each("used", lambda feature: feature.check(self._config))
-
     def listen(self, host: Host) -> Transport | None:
         """Have every feature reserve what it needs, and the one that serves the configured
         transport listen.
         """
-        self._each("started", lambda feature: feature.reserve(self._config))
+        self.each("started", lambda feature: feature.reserve(self._config))
         return None if self._transport is None else self.loaded[self._transport].listen(host)
 
     def offer(self, host: Host, tools: ToolRegistry) -> list[Resource]:
@@ -178,19 +174,15 @@ class Features:
             tools.add_all(feature.tools(host))
             resources.extend(feature.resources(host))
 
-        self._each("asked for its tools", add)
+        self.each("asked for its tools", add)
         for name in self.failed:
             tools.replace_derived(name, ())
-        self._each("completed", lambda feature: feature.complete(host), must_work=True)
+        self.each("completed", lambda feature: feature.complete(host), must_work=True)
         return resources
-
-    def attach(self, host: Host) -> None:
-        """Have every feature add to the MCP server what clients get besides tools and resources."""
-        self._each("attached", lambda feature: feature.attach(host))
 
     def start(self, host: Host) -> None:
         """Start every feature."""
-        self._each("started", lambda feature: feature.start(host))
+        self.each("started", lambda feature: feature.start(host))
 
     def close(self) -> None:
         """Close every feature in the reverse order; idempotent."""
@@ -200,9 +192,16 @@ class Features:
             except Exception:  # the border to a plugin's own code
                 log.exception("The feature %r could not be closed.", name)
 
-    def _each(
+    def each(
         self, what: str, work: Callable[[Feature[Any]], object], *, must_work: bool = False
     ) -> None:
+        """Do something with every feature; one that fails is left out, or the failure raised.
+
+        Args:
+            what: could not be done then, such as "started".
+            work: called with each feature.
+            must_work: whether the failure is raised also of a feature that is not asked for.
+        """
         for name, feature in self.loaded.items():
             self._attempt(self._specs[name], what, partial(work, feature), must_work=must_work)
 

@@ -16,14 +16,14 @@ from roboneuron.errors import InternalError, StateError
 from roboneuron.estop.emergency import EmergencyStop
 from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.modules.settings import EMERGENCY_STOP, MODULE_KINDS, ModuleKind
-from roboneuron.planning import KIND_ENTRIES
+from roboneuron.planning import KIND_ENTRIES, Plan
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import RobotSpec
 from roboneuron.server.tool import Arguments
+from roboneuron.supervisor.changes import Stage
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
-from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.lifecycle import NodeClient
-from roboneuron.supervisor.slot import Selection, Slot
+from roboneuron.supervisor.slot import Slot
 from roboneuron.supervisor.supervisor import Supervisor
 
 if TYPE_CHECKING:
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 _KEPT_ACTIONS = 4096
 
 
-Sent: TypeAlias = tuple[int, tuple[float, ...]]
+SentAction: TypeAlias = tuple[int, tuple[float, ...]]
 """DDS source time of an action [ns], when inference sent it, whatever the way to here took; and its
 values.
 """
 
 
-def _listen(link: RosLink, namespace: str) -> deque[Sent]:
+def _listen(link: RosLink, namespace: str) -> deque[SentAction]:
     """The newest actions of `/<namespace>/action`, oldest first, for as long as the link is open;
     read a `copy`.
     """
@@ -50,7 +50,7 @@ def _listen(link: RosLink, namespace: str) -> deque[Sent]:
 
     # Many are kept in between: a busy control plane must not mistake its own delay for a missing
     # action.
-    actions: deque[Sent] = deque(maxlen=_KEPT_ACTIONS)
+    actions: deque[SentAction] = deque(maxlen=_KEPT_ACTIONS)
 
     def receive(message: Any, info: dict[str, Any]) -> None:
         actions.append((int(info["source_timestamp"]), tuple(message.data)))
@@ -76,7 +76,7 @@ class RobotFacts:
         return f"{self.kind} robot {self.name} (driver {self.driver})"
 
 
-Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Selection]
+Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Plan]
 """Selects what a client asks for; called with kind, configuration, plugins, request and role;
 raises as `KindEntry.check`.
 """
@@ -84,13 +84,13 @@ raises as `KindEntry.check`.
 
 def choose_configured(
     kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None, role: str
-) -> Selection:
+) -> Plan:
     """What is configured, whatever the role."""
     if request is not None:
         raise InternalError(
             f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
         )
-    return Selection.of(kind, KIND_ENTRIES[kind].check(config, registry))
+    return KIND_ENTRIES[kind].check(config, registry)
 
 
 class ClosedLoop:
@@ -123,17 +123,17 @@ class ClosedLoop:
         self.emergency_stop.file.on_pressed.append(lambda: self.starts.note_stop(EMERGENCY_STOP))
         self.choose: Choose = choose_configured
         self.on_stop: Callable[[ModuleKind], object] = lambda kind: None
-        self.streams: dict[str, deque[Sent]] = {}
+        self.streams: dict[str, deque[SentAction]] = {}
         self._lock = threading.Lock()
 
     @property
     def config(self) -> Config:
         """The configuration with the robot that is running, or the configured one."""
-        choice = self.modules.view("robot").choice
+        running = self.modules.view("robot").plan
         others: dict[str, Any] = {
             kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"
         }
-        return self.base if choice is None else choice.config.model_copy(update=others)
+        return self.base if running is None else running.config.model_copy(update=others)
 
     @property
     def registry(self) -> Registry:
@@ -174,7 +174,7 @@ class ClosedLoop:
         spec = self.registry.specs(RobotSpec).get(self.config.robot.name)
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
-    def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Selection:
+    def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Plan:
         """What a client with `role` asks for, or else what is configured, checked against what is
         installed and runs.
 
@@ -184,11 +184,11 @@ class ClosedLoop:
             RoboNeuronError: as `choose` and `check`.
         """
         config = self.base if kind == "robot" else self.config
-        selection = self.choose(kind, config, self.registry, request, role)
-        self.check(selection)
-        return selection
+        plan = self.choose(kind, config, self.registry, request, role)
+        self.check(plan)
+        return plan
 
-    def check(self, selection: Selection) -> None:
+    def check(self, plan: Plan) -> None:
         """Refuse what does not go together with the modules that run, or could not move now.
 
         Raises:
@@ -198,20 +198,19 @@ class ClosedLoop:
             RoboNeuronError: as `Plan.check_beside` of a module that runs, or of this one.
         """
         views = self.modules.views()
-        if selection.kind == "robot":
-            _check_namespace(selection, views)
+        if plan.kind == "robot":
+            _check_namespace(plan, views)
         running = {
-            view.kind: view.choice
+            view.kind: view.plan
             for view in views
-            if view.phase == "running" and view.choice is not None
+            if view.phase == "running" and view.plan is not None
         }
-        running[selection.kind] = selection
-        configs = {kind: choice.config for kind, choice in running.items()}
-        for choice in running.values():
-            if choice.plan is not None:
-                choice.plan.check_beside(configs)
-        section = selection.config.inference
-        if selection.kind == "inference" and section is not None and section.instruction:
+        running[plan.kind] = plan
+        configs = {kind: one.config for kind, one in running.items()}
+        for one in running.values():
+            one.check_beside(configs)
+        section = plan.config.inference
+        if plan.kind == "inference" and section is not None and section.instruction:
             self.emergency_stop.check()
 
     def start(
@@ -228,21 +227,21 @@ class ClosedLoop:
         """
         return self.start_selected(self.select(kind, request, role), on_stage)
 
-    def start_selected(self, selection: Selection, on_stage: Stage) -> ModuleView:
+    def start_selected(self, plan: Plan, on_stage: Stage) -> ModuleView:
         """Start what `select` returned. An instruction in it is a start of motion. Raises as
         `Supervisor.start`.
         """
-        self.emergency_stop.prepare(selection.config.namespace)
+        self.emergency_stop.prepare(plan.config.namespace)
         self.starts.look()
         self.starts.settle()
-        kind, section, ticket = selection.kind, selection.config.inference, 0
+        kind, section, ticket = plan.kind, plan.config.inference, 0
         if kind == "inference" and self._supervisor.slot(kind).phase in ("stopped", "exited"):
-            self.stream(selection.config.namespace)
+            self.stream(plan.config.namespace)
             text = section.instruction if section is not None else ""
             if text:
                 self.starts.permit()
             ticket = self.starts.begin(text)
-        self.launch(selection, on_stage)
+        self.launch(plan, on_stage)
         if kind == "inference":
             self.starts.follow(self._supervisor.slot(kind), ticket)
         else:
@@ -251,23 +250,16 @@ class ClosedLoop:
 
     def launch(
         self,
-        selection: Selection,
+        plan: Plan,
         on_stage: Stage = lambda stage: None,
         beside: Slot | None = None,
     ) -> None:
         """Start a process, as nobody's start of motion: once more what has ended, or in a slot
         beside the module that works. Raises as `Supervisor.start`.
         """
-        self._supervisor.start(
-            selection.kind,
-            selection.config,
-            names=selection.names,
-            plan=selection.plan,
-            on_stage=on_stage,
-            beside=beside,
-        )
+        self._supervisor.start(plan, on_stage, beside)
 
-    def end(self, ended: Slot | ModuleKind) -> Stopped | None:
+    def end(self, ended: Slot | ModuleKind) -> Stopped:
         """End the process in a slot, or the module of a kind and a start in progress, for another
         one that takes its place: nobody is told of a stop. Raises as `Supervisor.stop`.
         """
@@ -279,14 +271,14 @@ class ClosedLoop:
         """The parameters of the module in a slot. Raises StateError: its process has ended."""
         return self._supervisor.parameters(slot)
 
-    def stream(self, namespace: str) -> deque[Sent]:
+    def stream(self, namespace: str) -> deque[SentAction]:
         """What is sent on a robot's action topic since a backend was first started for it."""
         with self._lock:
             if namespace not in self.streams:
                 self.streams[namespace] = _listen(self._supervisor.link, namespace)
             return self.streams[namespace]
 
-    def stop(self, kind: ModuleKind) -> Stopped | None:
+    def stop(self, kind: ModuleKind) -> Stopped:
         """Stop one module. Raises as `Supervisor.stop`."""
         self.on_stop(kind)
         try:
@@ -332,7 +324,7 @@ class ClosedLoop:
             slots = tuple(self.modules.slots[kind])
         for slot in slots:
             self.modules.changes.wait_for(partial(_has_started, slot), start_s)
-            if slot.phase != "running" or slot.choice is None or slot.process is None:
+            if slot.phase != "running" or slot.process is None:
                 continue
             if refused := self.parameters(slot).set(values, timeout_s):
                 return refused
@@ -343,11 +335,11 @@ def _has_started(slot: Slot) -> bool:
     return slot.phase != "starting"
 
 
-def _check_namespace(robot: Selection, views: Iterable[ModuleView]) -> None:
+def _check_namespace(robot: Plan, views: Iterable[ModuleView]) -> None:
     for view in views:
-        if view.choice is not None and view.choice.config.namespace != robot.config.namespace:
+        if view.plan is not None and view.plan.config.namespace != robot.config.namespace:
             raise StateError(
-                f"{view.kind} works for the robot in /{view.choice.config.namespace}, "
+                f"{view.kind} works for the robot in /{view.plan.config.namespace}, "
                 f"not for {robot.config.robot.name!r}.",
                 hint="Call stop_all first.",
             )

@@ -23,7 +23,7 @@ from roboneuron.errors import (
 )
 from roboneuron.gate.roles import Role
 from roboneuron.server.schema import listed_output
-from roboneuron.server.tool import Answer, CallContext, Tool, UnfinishedCallError
+from roboneuron.server.tool import Answer, CallContext, Tool
 
 log = logging.getLogger(__name__)
 Admission = Callable[[Tool[Any], CallContext], None]
@@ -42,6 +42,16 @@ ERROR_META = "roboneuron/error"
 """Key in a failed call's `_meta`: code, message and hint (clients check `structuredContent` by the
 output schema).
 """
+
+
+class UnfinishedCallError(Exception):
+    """Not a failure: ends a call with a question to the client's person, whose answer comes with
+    the next call.
+    """
+
+    def __init__(self, result: types.InputRequiredResult) -> None:
+        super().__init__("a person is asked")
+        self.result = result
 
 
 class ToolRegistry:

@@ -9,12 +9,12 @@ from functools import cache
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
+from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import to_json
 
 from roboneuron.errors import InvalidInputError, shortened
 from roboneuron.plugins.loading import option_names
 
-Schema = dict[str, Any]
 _NO_JSON = "The call holds text that is no Unicode, or is nested too deeply."
 M = TypeVar("M", bound=BaseModel)
 M_co = TypeVar("M_co", bound=BaseModel, covariant=True)
@@ -31,11 +31,11 @@ class Shape(ABC, Generic[M_co]):
     """
 
     model: type[M_co]
-    properties: Mapping[str, Schema]
+    properties: Mapping[str, JsonSchemaValue]
     required: Sequence[str]
 
     @abstractmethod
-    def schema(self, own: Schema) -> Schema:
+    def schema(self, own: JsonSchemaValue) -> JsonSchemaValue:
         """The strict JSON schema of `properties` and `required`, from the model's own."""
 
     @abstractmethod
@@ -43,7 +43,9 @@ class Shape(ABC, Generic[M_co]):
         """Raise InvalidInputError for a value that fits the model and not the tool."""
 
 
-def model_schema(kind: type[BaseModel] | Shape[BaseModel], *, result: bool = False) -> Schema:
+def model_schema(
+    kind: type[BaseModel] | Shape[BaseModel], *, result: bool = False
+) -> JsonSchemaValue:
     """The strict JSON schema of arguments, or of a result; `$defs` are collected at its root."""
     return (
         kind.schema(_own_schema(kind.model, result))
@@ -53,13 +55,15 @@ def model_schema(kind: type[BaseModel] | Shape[BaseModel], *, result: bool = Fal
 
 
 @cache
-def _own_schema(model: type[BaseModel], result: bool) -> Schema:
+def _own_schema(model: type[BaseModel], result: bool) -> JsonSchemaValue:
     made = model.model_json_schema(mode="serialization" if result else "validation")
-    schema: Schema = _plain(made, keep_null=result)
+    schema: JsonSchemaValue = _plain(made, keep_null=result)
     return {**schema, "properties": schema.get("properties", {})}
 
 
-def with_choices(schema: Schema, choices: Mapping[str, Mapping[str, str]]) -> Schema:
+def with_choices(
+    schema: JsonSchemaValue, choices: Mapping[str, Mapping[str, str]]
+) -> JsonSchemaValue:
     """The schema with {allowed value: one-line summary} of arguments: an enum, and summaries in the
     description.
     """
@@ -84,7 +88,7 @@ def with_choices(schema: Schema, choices: Mapping[str, Mapping[str, str]]) -> Sc
     return {**schema, "properties": properties}
 
 
-def listed_output(schema: Schema) -> Schema:
+def listed_output(schema: JsonSchemaValue) -> JsonSchemaValue:
     """An output schema as `tools/list` shows it: the fields of the answer and their types.
 
     Every agent reads the list in full before it does anything, so what is inside of nested objects,
@@ -94,7 +98,7 @@ def listed_output(schema: Schema) -> Schema:
     return {"type": "object", "properties": fields}
 
 
-def _listed_field(entry: Schema) -> Schema:
+def _listed_field(entry: JsonSchemaValue) -> JsonSchemaValue:
     if "enum" in entry:
         return {"type": "string"} if all(isinstance(value, str) for value in entry["enum"]) else {}
     if "$ref" in entry:

@@ -10,22 +10,15 @@ from pydantic import Field
 
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.roles import Role
-from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
+from roboneuron.modules.settings import MODULE_KINDS
 from roboneuron.planning import KIND_ENTRIES, KindEntry
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.tool import Arguments, CallContext, NoArguments, Result, Tool
 from roboneuron.supervisor.health import Stopped
 
 
-class StopResult(Result):
+class StopResult(Stopped, Result):
     """A module that is gone from the process table, or a start that was cancelled."""
-
-    module: ModuleKind
-    cancelled_start: bool = Field(default=False, description="it was still starting")
-    pid: int | None = None
-    exit_code: int | None = Field(default=None, description="negative for the signal that ended it")
-    killed: bool = Field(default=False, description="it did not leave by itself in time")
-    took_s: float = 0.0
 
 
 class StopAllResult(Result):
@@ -52,7 +45,7 @@ def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
     kind = entry.kind
 
     async def handler(_: NoArguments, context: CallContext) -> StopResult:
-        return _stop_result(kind, await context.run(lambda _: loop.stop(kind)))
+        return StopResult(**dict(await context.run(lambda _: loop.stop(kind))))
 
     return Tool(
         name=f"stop_{kind}",
@@ -69,23 +62,10 @@ def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
     )
 
 
-def _stop_result(kind: ModuleKind, stopped: Stopped | None) -> StopResult:
-    """How a stop went, as the agent reads it."""
-    if stopped is None:
-        return StopResult(module=kind, cancelled_start=True)
-    return StopResult(
-        module=stopped.kind,
-        pid=stopped.pid,
-        exit_code=stopped.exit_code,
-        killed=stopped.killed,
-        took_s=round(stopped.took_s, 3),
-    )
-
-
 def _stop_all(loop: ClosedLoop) -> Tool[Any]:
     async def handler(_: NoArguments, context: CallContext) -> StopAllResult:
         stopped = await context.run(lambda _: loop.stop_all())
-        return StopAllResult(stopped=[_stop_result(s.kind, s) for s in stopped])
+        return StopAllResult(stopped=[StopResult(**dict(one)) for one in stopped])
 
     return Tool(
         name="stop_all",

@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable, Collection, Mapping
 from concurrent.futures import Future
 from contextlib import nullcontext
 from functools import partial
-from typing import Any, Protocol, TypeVar, cast
+from typing import Any, Protocol, TypeVar
 
 import anyio
 from anyio import to_thread
@@ -26,22 +26,23 @@ from mcp.shared.exceptions import MCPError
 from opentelemetry import trace
 
 from roboneuron import __version__
-from roboneuron.server.registry import ToolRegistry
-from roboneuron.server.tool import Resource, Stage, Transport, UnfinishedCallError, holder_of
+from roboneuron.server.registry import ToolRegistry, UnfinishedCallError
+from roboneuron.server.tool import Resource, Transport, holder_of
+from roboneuron.supervisor.changes import Stage
 
 T = TypeVar("T")
 
 
 Ask = Callable[
-    [ServerRequestContext[Any, Any], types.CallToolRequestParams, str, str], Awaitable[str | None]
+    [ServerRequestContext[Any, Any], types.CallToolRequestParams, str, str],
+    Awaitable[str | types.InputRequiredResult | None],
 ]
 """Asks the person behind the client of a tool call a question; the last argument is what they are
 to type, if anything.
 
-Answers with what was typed, or "yes"; empty when they did not agree, None when it cannot ask.
-
-Raises UnfinishedCallError when the question goes out as the answer to the call, which is then made
-again.
+Answers with what was typed, or "yes"; empty when they did not agree, None when it cannot ask. A
+question that goes out as the answer to the call, which is then made again, is an
+InputRequiredResult.
 """
 
 
@@ -131,7 +132,7 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
             made = RequestContext(context, params, server.ask)
             return await surface.tools.call(params.name, params.arguments or {}, made)
         except UnfinishedCallError as question:
-            return cast(types.InputRequiredResult, question.result)
+            return question.result
 
     async def list_resources(
         _: ServerRequestContext[Any, Any], params: types.PaginatedRequestParams | None
@@ -265,15 +266,11 @@ class RequestContext:
         self._step += 1
         await self._request.session.report_progress(self._step, message=text)
 
-    async def ask(self, question: str) -> bool | None:
+    async def ask(self, question: str, what: str = "") -> str | None:
         """See `CallContext.ask`."""
-        answer = await self.ask_for(question, "")
-        return None if answer is None else bool(answer)
-
-    async def ask_for(self, question: str, what: str) -> str | None:
-        """See `CallContext.ask_for`."""
-        return (
-            None
-            if self._ask is None
-            else await self._ask(self._request, self._params, question, what)
-        )
+        if self._ask is None:
+            return None
+        answer = await self._ask(self._request, self._params, question, what)
+        if isinstance(answer, types.InputRequiredResult):
+            raise UnfinishedCallError(answer)
+        return answer

@@ -10,19 +10,19 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
 from pydantic import BaseModel, ConfigDict
+from pydantic.json_schema import JsonSchemaValue
 from pydantic.version import version_short
 
 from roboneuron.errors import RefusedError
 from roboneuron.gate.roles import Role
-from roboneuron.server.schema import Schema, Shape, model_schema, parse, with_choices
+from roboneuron.server.schema import Shape, model_schema, parse, with_choices
+from roboneuron.supervisor.changes import Stage
 
 if TYPE_CHECKING:
     from anyio import Event
 
 T = TypeVar("T")
 A = TypeVar("A", bound="Arguments")
-Stage = Callable[[str], None]
-"""Tells the caller how far a long call has come; callable from any thread."""
 
 
 class Arguments(BaseModel):
@@ -80,19 +80,6 @@ class Answer:
 
     structured: Mapping[str, Any]
     pictures: tuple[Picture, ...] = ()
-
-
-class UnfinishedCallError(Exception):
-    """Not a failure: ends a call with a question to the client's person, whose answer comes with
-    the next call.
-
-    Attributes:
-        result: an `mcp.types.InputRequiredResult`.
-    """
-
-    def __init__(self, result: Any) -> None:
-        super().__init__("a person is asked")
-        self.result = result
 
 
 _LOCAL_CLIENT = "local HTTP client"
@@ -172,14 +159,10 @@ class CallContext(Protocol):
         called: what moves a robot ends with the connection.
         """
 
-    async def ask(self, question: str) -> bool | None:
-        """Whether the client's person agreed; None when it cannot ask one. May end the call and
-        begin it again.
-        """
-
-    async def ask_for(self, question: str, what: str) -> str | None:
-        """What the client's person types, such as a PIN; empty when they do not agree, None as
-        `ask`.
+    async def ask(self, question: str, what: str = "") -> str | None:
+        """What the client's person answers: "yes", or what they type when asked for `what`, such as
+        a PIN; empty when they do not agree, None when it cannot ask one. May end the call and begin
+        it again.
         """
 
 
@@ -245,20 +228,22 @@ class Tool(Generic[A]):
                 hint="Use a token with that role, or ask a person who has one.",
             )
 
-    def input_schema(self) -> Schema:
+    def input_schema(self) -> JsonSchemaValue:
         """The JSON schema of the arguments, with today's choices."""
         schema = model_schema(self.arguments)
         return with_choices(schema, self._choices()) if self.choices else schema
 
-    def output_schema(self) -> Schema:
+    def output_schema(self) -> JsonSchemaValue:
         """The JSON schema of the result."""
         return model_schema(self.result, result=True)
 
+    def parsed(self, arguments: Mapping[str, Any]) -> A:
+        """The arguments of a call as the model. Raises InvalidInputError: they do not fit."""
+        return parse(self.arguments, arguments, self._choices())
+
     async def call(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
-        """Check the arguments and do it. Raises InvalidInputError for them, and what the handler
-        raises.
-        """
-        outcome = await self.handler(parse(self.arguments, arguments, self._choices()), context)
+        """Check the arguments and do it. Raises as `parsed`, and what the handler raises."""
+        outcome = await self.handler(self.parsed(arguments), context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
         is_sparse = isinstance(self.result, Shape) or self.result.sparse
         told = reply.result.model_dump(mode="json", exclude_unset=is_sparse)

@@ -8,15 +8,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from roboneuron.config import ModuleSettings
 from roboneuron.errors import InternalError, NotReadyError, RoboNeuronError
 from roboneuron.modules.settings import ModuleKind
+from roboneuron.planning import Plan
 from roboneuron.ros.claim import LEAVE_S, claimant, runs_already
-from roboneuron.supervisor.changes import Lasting
+from roboneuron.supervisor.changes import Lasting, Stage
 from roboneuron.supervisor.health import Modules
-from roboneuron.supervisor.launching import Stage
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import ModuleProcess, end_processes
-from roboneuron.supervisor.slot import Phase, Selection, Slot
+from roboneuron.supervisor.slot import Phase, Slot
 
 log = logging.getLogger(__name__)
 _REASON_S = 1.0
@@ -47,31 +48,32 @@ class Bringup:
     def __init__(
         self,
         slot: Slot,
-        choice: Selection,
+        plan: Plan,
+        settings: ModuleSettings,
         modules: Modules,
-        spawn: Callable[[Selection], ModuleProcess],
+        spawn: Callable[[ModuleSettings], ModuleProcess],
         client: Callable[[Slot, Callable[[], None]], NodeClient],
         on_stage: Stage,
     ) -> None:
         """Args:
         slot: claimed for it.
-        choice: what is started.
+        plan: what is started.
+        settings: what its process is told.
         modules: the others, some of which this one needs.
         spawn: starts its process.
         client: drives the node of the process in a slot, and calls a function while it waits.
         on_stage: called with a phrase whenever the start has come further.
         """
         self._slot = slot
-        self._choice = choice
+        self._inputs = plan.inputs
+        self._settings = settings
         self._modules = modules
         self._changes = modules.changes
         self._spawn = spawn
         self._make_client = client
         self._on_stage = on_stage
-        self._node = f"/{choice.settings.status_name}"
-        config = choice.settings.config
-        self._timeout_s = config.start_timeout_s(slot.kind)
-        self._stop_timeout_s = config.supervisor.stop_timeout_s
+        self._node = f"/{settings.status_name}"
+        self._timeout_s = settings.config.start_timeout_s(slot.kind)
 
     def run(self) -> None:
         """Spawn, configure, activate and wait for readiness; a failure ends the process.
@@ -83,14 +85,14 @@ class Bringup:
         phase: Phase = "stopped"
         try:
             self._check_robot()
-            self._process = slot.process = self._spawn(self._choice)
+            self._process = slot.process = self._spawn(self._settings)
             self._process.reap(self._on_exit)
             self._prove(deadline_s)
             phase = "running"
         finally:
             try:
                 if phase != "running" and slot.process is not None:
-                    end_processes([slot.process], self._stop_timeout_s)
+                    end_processes([slot.process], slot.stop_timeout_s)
             finally:
                 # also when it survives SIGKILL, else nobody could start one again
                 slot.settle(phase)
@@ -215,10 +217,10 @@ class Bringup:
         """Modules that this one takes inputs from and that are neither running nor being
         started.
         """
-        plan = self._choice.plan
-        inputs = plan.inputs if plan is not None else ()
         return [
-            kind for kind in inputs if self._modules.slot(kind).phase not in ("starting", "running")
+            kind
+            for kind in self._inputs
+            if self._modules.slot(kind).phase not in ("starting", "running")
         ]
 
     def _check_alone(self) -> None:
@@ -237,7 +239,7 @@ class Bringup:
         holder = claimant(self._node)
         if holder not in (None, self._process.pid):
             return holder
-        return self._modules.foreign(self._choice.settings.status_name)
+        return self._modules.foreign(self._settings.status_name)
 
     def _too_late(self, missing: str) -> RoboNeuronError:
         """The error for a start that took too long.

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from typing import Generic, ParamSpec, TypeVar
 
 log = logging.getLogger(__name__)
+Stage = Callable[[str], None]
+"""Tells the caller how far a long call has come; callable from any thread."""
 P = ParamSpec("P")
 T = TypeVar("T")
 _JOIN_S = 2.0

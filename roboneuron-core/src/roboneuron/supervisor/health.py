@@ -11,12 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from roboneuron.config import LimitsConfig
+from pydantic import BaseModel, ConfigDict, Field, SkipValidation
+
+from roboneuron.config import LimitsConfig, ModuleSettings
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import MODULE_KINDS, ModuleKind
+from roboneuron.planning import Plan
 from roboneuron.supervisor.changes import Changes, Periodic
 from roboneuron.supervisor.process import ModuleProcess, ProcessEvents
-from roboneuron.supervisor.slot import Phase, Selection, Slot
+from roboneuron.supervisor.slot import Phase, Slot
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -74,14 +77,15 @@ class ModuleView:
     Attributes:
         kind, phase: which one, and what the supervisor is doing with it.
         process: None when there is none; of a module that has ended by itself, the ended one.
-        choice: what it was started with.
+        plan, settings: what it was started with, and what its process was told.
         report: its newest status, None before the first.
     """
 
     kind: ModuleKind
     phase: Phase
     process: ModuleProcess | None = None
-    choice: Selection | None = None
+    plan: Plan | None = None
+    settings: ModuleSettings | None = None
     report: Report | None = None
 
     def health(self, now_s: float) -> Health:
@@ -108,22 +112,23 @@ class ModuleView:
         return "ok" if report.ready else "waiting"
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Stopped:
-    """How a stop went.
+class Stopped(BaseModel):
+    """A module that is gone from the process table, or a start that was cancelled.
 
     Attributes:
-        killed: SIGKILL was needed.
         took_s: from the call to the process reaped.
         report: the last one that came.
     """
 
-    kind: ModuleKind
-    pid: int
-    exit_code: int
-    killed: bool
-    took_s: float
-    report: Report | None = None
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    module: ModuleKind
+    cancelled_start: bool = Field(default=False, description="it was still starting")
+    pid: int | None = None
+    exit_code: int | None = Field(default=None, description="negative for the signal that ended it")
+    killed: bool = Field(default=False, description="it did not leave by itself in time")
+    took_s: float = 0.0
+    report: SkipValidation[Report | None] = Field(default=None, exclude=True)
 
 
 class Modules:
@@ -210,18 +215,14 @@ class Modules:
                 kind=kind,
                 phase=slot.phase,
                 process=slot.process,
-                choice=slot.choice,
+                plan=slot.plan,
+                settings=slot.settings,
                 report=slot.report,
             )
 
     def views(self) -> list[ModuleView]:
         """All modules, in the order robot, perception, inference, control."""
         return [self.view(kind) for kind in MODULE_KINDS]
-
-    def processes(self, kind: ModuleKind) -> list[ModuleProcess]:
-        """Those of a kind: of the module that works, and of one that is to replace it."""
-        with self.changes.lock:
-            return [slot.process for slot in self.slots[kind] if slot.process is not None]
 
     def require_running(self, kind: ModuleKind) -> ModuleView:
         """The view of a running module.

@@ -8,7 +8,6 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from concurrent.futures import TimeoutError as FutureTimeoutError
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -69,7 +68,7 @@ class Connection:
         self.begin()
         try:
             return self._opened.result(timeout=_OPEN_TIMEOUT_S)
-        except FutureTimeoutError as error:
+        except TimeoutError as error:
             raise NotReadyError(
                 f"The ROS graph was not joined within {_OPEN_TIMEOUT_S:g} s.", hint="Retry."
             ) from error
@@ -100,7 +99,6 @@ class Connection:
             self._opened.set_result(link)
 
 
-Stage = Callable[[str], None]
 Command = Callable[[str | None], Sequence[str]]
 Connect = Callable[[Callable[["DiagnosticArray"], None], Path], Connection]
 

@@ -20,7 +20,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from roboneuron.errors import NotReadyError
-from roboneuron.log_files import opener
+from roboneuron.log_files import escaped, opener
 from roboneuron.supervisor.changes import Event, Lasting
 
 log = logging.getLogger(__name__)
@@ -123,6 +123,11 @@ class ModuleProcess:
     def last_lines(self) -> tuple[str, ...]:
         """The end of what this process has written to its log."""
         return read_tail(self.log_path, lines=_LAST_LINES, offset=self._log_offset)
+
+    def note(self, line: str) -> None:
+        """Add a line to its log, so that it stands among its last ones."""
+        with suppress(OSError), open(self.log_path, "a", encoding="utf-8", opener=opener) as file:
+            file.write(f"{escaped(line)}\n")
 
     def show(self) -> None:
         """Have listeners look at it while it lives."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple, Self
+from typing import Literal
 
-from roboneuron.config import Config, ModuleSettings
+from roboneuron.config import ModuleSettings
 from roboneuron.errors import NotReadyError, StateError
 from roboneuron.modules.report import Report
 from roboneuron.modules.settings import ModuleKind
@@ -26,49 +26,6 @@ _NEXT: Mapping[str, str] = {
 """What to do about a module that does not run yet, or any more."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Selection:
-    """What a module is to be started with, or was.
-
-    Attributes:
-        settings: what its process is told; the supervisor fills in all but kind and configuration.
-        names: what was chosen, for messages and the status: {"backend": "servo", ...}.
-        plan: the descriptors behind these names; None when it was started without a plan.
-    """
-
-    settings: ModuleSettings
-    names: Mapping[str, str] = field(default_factory=dict)
-    plan: Plan | None = None
-
-    @classmethod
-    def of(cls, kind: ModuleKind, plan: Plan) -> Self:
-        """A module that was planned; what only the supervisor knows is still open."""
-        settings = ModuleSettings(kind=kind, node_name=kind, config=plan.config)
-        return cls(settings=settings, names=plan.names, plan=plan)
-
-    @property
-    def kind(self) -> ModuleKind:
-        """Of the module."""
-        return self.settings.kind
-
-    @property
-    def config(self) -> Config:
-        """The effective configuration."""
-        return self.settings.config
-
-    def with_config(self, config: Config) -> Self:
-        """The same with another configuration."""
-        return replace(self, settings=self.settings.model_copy(update={"config": config}))
-
-
-class Claim(NamedTuple):
-    """What a slot held when a stop began: whoever got it ends that process, and nobody else."""
-
-    slot: Slot
-    process: ModuleProcess
-    settings: ModuleSettings
-
-
 class Slot:
     """The phases of one module; every change is made under the lock of `changes` and announced.
 
@@ -79,10 +36,10 @@ class Slot:
     Attributes:
         kind: of the module.
         phase: see above.
-        process, choice: what runs, or has ended by itself, and what it was started with; None when
-            there is nothing.
+        process, plan, settings: what runs, or has ended by itself, what it was started with, and
+            what its process was told; None when there is nothing.
         report: the newest that its process has made; None before the first.
-        order: the higher, the later it was started.
+        started_s: when it was last claimed for a start [monotonic s].
     """
 
     def __init__(self, kind: ModuleKind, changes: Changes) -> None:
@@ -93,18 +50,19 @@ class Slot:
         self.kind = kind
         self.phase: Phase = "stopped"
         self.process: ModuleProcess | None = None
-        self.choice: Selection | None = None
+        self.plan: Plan | None = None
+        self.settings: ModuleSettings | None = None
         self.report: Report | None = None
-        self.order = 0
+        self.started_s = 0.0
         self._cancelled = ""
         self._changes = changes
 
-    def begin_start(self, choice: Selection, order: int) -> None:
+    def begin_start(self, plan: Plan, settings: ModuleSettings) -> None:
         """Claim the slot for a start.
 
         Args:
-            choice: what is started.
-            order: higher than that of all starts before.
+            plan: what is started.
+            settings: what its process is told.
 
         Raises:
             StateError: something is in it; the message says what.
@@ -116,25 +74,31 @@ class Slot:
                     hint=f"Call stop_{self.kind} first"
                     + ("." if self.kind == "robot" else f", or switch_{self.kind}."),
                 )
-            self.phase, self.choice, self.order = "starting", choice, order
+            self.phase, self.plan, self.settings = "starting", plan, settings
+            self.started_s = time.monotonic()
             self.process = self.report = None
             self._cancelled = ""
         self._changes.notify()
 
-    def begin_stop(self) -> Claim:
-        """Claim the slot for a stop and return what is to be ended.
+    @property
+    def stop_timeout_s(self) -> float:
+        """Time that what is in it gets to leave [s]; 0 when there is nothing."""
+        settings = self.settings
+        return 0.0 if settings is None else settings.config.supervisor.stop_timeout_s
+
+    def begin_stop(self) -> ModuleProcess:
+        """Claim the slot for a stop: whoever gets the process ends it, and nobody else.
 
         Raises:
             StateError: nothing is running.
         """
         with self._changes.lock:
             self.check_running()
-            assert self.process is not None
-            assert self.choice is not None
+            process = self.process
+            assert process is not None
             self.phase = "stopping"
-            claim = Claim(self, self.process, self.choice.settings)
         self._changes.notify()
-        return claim
+        return process
 
     def accept(self, status_name: str, pid: str, report: Report) -> bool:
         """Keep a report if it is one of the process that is here.
@@ -144,10 +108,10 @@ class Slot:
             pid: of the process that reported it: a predecessor may still do so.
             report: what it said.
         """
-        process, choice = self.process, self.choice
-        if process is None or choice is None or str(process.pid) != pid:
+        process, settings = self.process, self.settings
+        if process is None or settings is None or str(process.pid) != pid:
             return False
-        if choice.settings.status_name != status_name or self.phase == "exited":
+        if settings.status_name != status_name or self.phase == "exited":
             return False
         self.report = report
         return True
@@ -161,7 +125,7 @@ class Slot:
         with self._changes.lock:
             self.phase = phase
             if phase == "stopped":
-                self.process = self.choice = self.report = None
+                self.process = self.plan = self.settings = self.report = None
         self._changes.notify()
 
     def cancel(self, reason: str) -> bool:
@@ -232,8 +196,8 @@ class Slot:
         parts = []
         if self.process is not None:
             parts.append(f"pid {self.process.pid}")
-        if self.choice is not None:
-            parts += [f"{key} {name!r}" for key, name in self.choice.names.items() if name]
+        if self.plan is not None:
+            parts += [f"{key} {name!r}" for key, name in self.plan.names.items() if name]
         if self.process is not None:
             parts.append(f"since {self.process.started_at.astimezone():%H:%M:%S}")
         return ", ".join(parts) or "process not spawned yet"

@@ -8,22 +8,21 @@ import logging
 import math
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from roboneuron.config import Config, ModuleSettings
+from roboneuron.config import ModuleSettings
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
-from roboneuron.modules.settings import ARM_KINDS, MODULE_KINDS, ModuleKind
+from roboneuron.modules.settings import ARM_KINDS, ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.bringup import Bringup
-from roboneuron.supervisor.changes import Periodic
+from roboneuron.supervisor.changes import Periodic, Stage
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
-from roboneuron.supervisor.launching import Command, Connect, Connection, Stage, module_command
+from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import (
     KILL_S,
@@ -31,7 +30,7 @@ from roboneuron.supervisor.process import (
     end_processes,
     spawn,
 )
-from roboneuron.supervisor.slot import Claim, Selection, Slot
+from roboneuron.supervisor.slot import Slot
 
 if TYPE_CHECKING:
     from roboneuron.ros.link import RosLink
@@ -88,7 +87,6 @@ class Supervisor(Modules):
         # lives as long as the server, because PR_SET_PDEATHSIG follows the thread
         self._spawning = ThreadPoolExecutor(max_workers=1, thread_name_prefix="spawner")
         self.heartbeat = Periodic("heartbeat", _BEAT_S, self._beat)
-        self._order = count(1)
         self._closed = False
 
     @property
@@ -107,10 +105,10 @@ class Supervisor(Modules):
             StateError: its process has ended.
         """
         # read once, because a stop may empty the slot meanwhile
-        choice, process = slot.choice, slot.process
-        if choice is None or process is None:
+        settings, process = slot.settings, slot.process
+        if settings is None or process is None:
             raise StateError(f"{slot.kind} has ended.")
-        node = f"/{choice.settings.status_name}"
+        node = f"/{settings.status_name}"
         return NodeClient(self.link, self.changes, node, process.announce, check)
 
     def open(self) -> None:
@@ -124,11 +122,7 @@ class Supervisor(Modules):
 
     def start(
         self,
-        kind: ModuleKind,
-        config: Config,
-        *,
-        names: Mapping[str, str] | None = None,
-        plan: Plan | None = None,
+        plan: Plan,
         on_stage: Stage = lambda stage: None,
         beside: Slot | None = None,
     ) -> ModuleView:
@@ -136,10 +130,7 @@ class Supervisor(Modules):
         nothing behind.
 
         Args:
-            kind: which module.
-            config: the effective configuration it is told.
-            names: what was chosen, for messages.
-            plan: the descriptors behind these names.
+            plan: which module, with what.
             on_stage: called with a phrase whenever the start has come further.
             beside: one of `slots` but the first: it starts there, in shadow, while another one
                 works.
@@ -149,6 +140,7 @@ class Supervisor(Modules):
             NotReadyError: it died, or something is missing; the message names it.
             RoboNeuronError: what the module itself says is wrong.
         """
+        kind = plan.kind
         with self.changes.lock:
             if self._closed:
                 raise StateError("The server is shutting down.")
@@ -156,7 +148,7 @@ class Supervisor(Modules):
             settings = ModuleSettings(
                 kind=kind,
                 node_name=kind,
-                config=config,
+                config=plan.config,
                 state_directory=str(self.state_directory),
                 tightened=self.tightened,
                 needs_start=self.needs_start if kind in ARM_KINDS else "",
@@ -165,19 +157,17 @@ class Supervisor(Modules):
             if beside is not None:
                 settings = self._in_shadow(settings, working)
             slot = beside or working
-            choice = Selection(settings=settings, names=names or {}, plan=plan)
-            slot.begin_start(choice, next(self._order))
+            slot.begin_start(plan, settings)
         self.heartbeat.start()
-        Bringup(slot, choice, self, self._spawn, self.parameters, on_stage).run()
+        Bringup(slot, plan, settings, self, self._spawn, self.parameters, on_stage).run()
         return self.view(kind)
 
-    def _spawn(self, choice: Selection) -> ModuleProcess:
+    def _spawn(self, settings: ModuleSettings) -> ModuleProcess:
         """Start the process of a module.
 
         Raises:
             ConfigurationError: it cannot be started, or its log cannot be written.
         """
-        settings = choice.settings
         section = getattr(settings.config, settings.kind)
         python = None if section is None else section.python
         command = self._command(python)
@@ -209,7 +199,7 @@ class Supervisor(Modules):
         under the one of two node names that it does not use, and still for the same stop.
         """
         kind, report = settings.kind, working.report
-        is_named_so = working.choice is not None and working.choice.settings.node_name == kind
+        is_named_so = working.settings is not None and working.settings.node_name == kind
         changes: dict[str, object] = {
             "shadow": True,
             "node_name": f"{kind}_b" if is_named_so else kind,
@@ -219,9 +209,8 @@ class Supervisor(Modules):
             changes["needs_start"] = report.needs_start
         return settings.model_copy(update=changes)
 
-    def stop(self, kind: ModuleKind) -> Stopped | None:
-        """Deactivate, end and reap a module; a start in progress is cancelled instead, and None is
-        returned.
+    def stop(self, kind: ModuleKind) -> Stopped:
+        """Deactivate, end and reap a module; a start in progress is cancelled instead.
 
         Raises:
             StateError: it is not running.
@@ -234,7 +223,7 @@ class Supervisor(Modules):
         if slot.cancel(reason):
             self._await_settled(slot)
             if slot.phase != "running":
-                return None
+                return Stopped(module=kind, cancelled_start=True)
         return self.end(slot)
 
     def end(self, slot: Slot) -> Stopped:
@@ -246,7 +235,7 @@ class Supervisor(Modules):
         Raises:
             StateError: it is not running.
         """
-        return self._finish([slot.begin_stop()])[0]
+        return self._finish({slot: slot.begin_stop()})[0]
 
     def cancel(self, kind: ModuleKind, reason: str) -> bool:
         """End a start in progress, without waiting for its end; returns whether there was one.
@@ -270,11 +259,11 @@ class Supervisor(Modules):
         for slot in slots:
             if slot.cancel("everything is being stopped."):
                 self._await_settled(slot)
-        claims: list[Claim] = []
-        for slot in sorted(slots, key=lambda s: -s.order):
+        claimed: dict[Slot, ModuleProcess] = {}
+        for slot in sorted(slots, key=lambda s: -s.started_s):
             with suppress(StateError):
-                claims.append(slot.begin_stop())
-        return self._finish(claims, within_s)
+                claimed[slot] = slot.begin_stop()
+        return self._finish(claimed, within_s)
 
     def close(self) -> None:
         """Stop everything, leave the ROS graph, end all threads; idempotent.
@@ -289,72 +278,72 @@ class Supervisor(Modules):
         self.heartbeat.close()
         self._spawning.shutdown()  # a process that is still there gets its death signal
 
-    def _finish(self, claims: Sequence[Claim], within_s: float = math.inf) -> list[Stopped]:
+    def _finish(
+        self, claimed: Mapping[Slot, ModuleProcess], within_s: float = math.inf
+    ) -> list[Stopped]:
         """Silence all in order, then end them together.
 
         Silence first: control holds the arm before any process is ended. Each gets an equal share
         of the time, and what is left of it goes to the ending.
 
         Args:
-            claims: in the order in which they are silenced.
+            claimed: what is ended by its slot, in the order in which it is silenced.
             within_s: bound on all of it [s].
         """
         started_s = time.monotonic()
-        share_s = within_s / (len(claims) + 1)
-        for claim in claims:
-            self._deactivate(claim, min(share_s, DEACTIVATE_S))
-        timeout_s = max(
-            (claim.settings.config.supervisor.stop_timeout_s for claim in claims), default=0.0
-        )
+        share_s = within_s / (len(claimed) + 1)
+        for slot, process in claimed.items():
+            self._deactivate(slot, process, min(share_s, DEACTIVATE_S))
+        timeout_s = max((slot.stop_timeout_s for slot in claimed), default=0.0)
         left_s = max(share_s, started_s + within_s - time.monotonic())
-        killed = end_processes([claim.process for claim in claims], min(timeout_s, left_s))
-        return [self._settle(claim, claim.process.pid in killed, started_s) for claim in claims]
+        killed = end_processes(list(claimed.values()), min(timeout_s, left_s))
+        return [
+            self._settle(slot, process, process.pid in killed, started_s)
+            for slot, process in claimed.items()
+        ]
 
-    def _deactivate(self, claim: Claim, most_s: float) -> None:
+    def _deactivate(self, slot: Slot, process: ModuleProcess, most_s: float) -> None:
         """Ask for silence, for at most `most_s`; what does not answer is ended anyway."""
-        slot, settings = claim.slot, claim.settings
-        limit_s = min(most_s, settings.config.supervisor.stop_timeout_s / 2)
+        limit_s = min(most_s, slot.stop_timeout_s / 2)
         try:
             client = self.parameters(slot, lambda: slot.check_alive("being deactivated"))
             if client.transition("deactivate", limit_s) is None:
-                log.warning(
-                    "%s did not answer `deactivate` within %.1f s.", settings.node_name, limit_s
-                )
+                log.warning("%s did not answer `deactivate` within %.1f s.", process.name, limit_s)
         except RoboNeuronError as error:
-            log.warning("Deactivating %s: %s", settings.node_name, error)
+            log.warning("Deactivating %s: %s", process.name, error)
 
-    def _settle(self, claim: Claim, killed: bool, started_s: float) -> Stopped:
+    def _settle(
+        self, slot: Slot, process: ModuleProcess, killed: bool, started_s: float
+    ) -> Stopped:
         """Free the slot of an ended module; tells how its stop went.
 
         Args:
-            claim: what was ended.
+            slot, process: what was ended.
             killed: it needed SIGKILL.
             started_s: when the stop began [monotonic s].
         """
-        slot, process = claim.slot, claim.process
         report = slot.report
         slot.settle("stopped")
         log.info("Stopped %s: pid %d, exit code %s.", slot.kind, process.pid, process.exit_code)
         stopped = Stopped(
-            kind=slot.kind,
+            module=slot.kind,
             pid=process.pid,
             exit_code=process.exit_code if process.exit_code is not None else -9,
             killed=killed,
-            took_s=time.monotonic() - started_s,
+            took_s=round(time.monotonic() - started_s, 3),
             report=report,
         )
         self.on_change(slot.kind)
         return stopped
 
     def _beat(self) -> None:
-        for kind in MODULE_KINDS:
-            for process in self.processes(kind):
+        for slot in self.all_slots():
+            if (process := slot.process) is not None:
                 process.beat()
 
     def _await_settled(self, slot: Slot) -> None:
         """Wait for the end of a start that was cancelled: whoever runs it ends the process, which
         takes as long as any stop, and a second for its thread.
         """
-        config = slot.choice.settings.config.supervisor if slot.choice is not None else None
-        bound_s = (config.stop_timeout_s if config else 0.0) + KILL_S + 1.0
+        bound_s = slot.stop_timeout_s + KILL_S + 1.0
         self.changes.wait_for(lambda: slot.phase != "starting", bound_s)

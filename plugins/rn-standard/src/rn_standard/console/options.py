@@ -39,13 +39,18 @@ class Option:
 
 
 def describe_options(model: type[BaseModel]) -> Iterator[Option]:
-    """The options of a model, in its order.
+    """The options of a model, in its order; what it has in common with others stands last.
 
     Those of a table follow it, as `table.key`; in a table of tables as `table.<name>.key`, in a
     list as `list[].key`.
     """
-    for key, entry in model.model_json_schema().get("properties", {}).items():
-        field = next(f for name, f in model.model_fields.items() if key in (name, f.alias))
+    fields = model.model_fields
+    own = [fields[name].alias or name for name in model.__annotations__ if name in fields]
+    properties = model.model_json_schema().get("properties", {})
+    for key, entry in sorted(
+        properties.items(), key=lambda item: own.index(item[0]) if item[0] in own else len(own)
+    ):
+        field = next(f for name, f in fields.items() if key in (name, f.alias))
         default = (
             None if field.is_required() else _literal(field.get_default(call_default_factory=True))
         )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from roboneuron import ControllerSpec, PlanningError, RobotSpec
-from roboneuron.feature import Config, Registry
-from roboneuron.node import Plan, find_robot
+from roboneuron.feature import Config, Plan, Registry
+from roboneuron.node import find_robot
 
 
 def plan_control(config: Config, registry: Registry) -> Plan:
@@ -25,6 +25,7 @@ def plan_control(config: Config, registry: Registry) -> Plan:
     is_elsewhere = section.python is not None
     spec = find_controller(registry, section.controller, robot, is_elsewhere=is_elsewhere)
     return Plan(
+        kind="control",
         config=config,
         robot=robot,
         driver=driver,

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from pydantic import BaseModel
+from pydantic.json_schema import JsonSchemaValue
 
 from roboneuron import InvalidInputError
-from roboneuron.feature import Schema, Shape
+from roboneuron.feature import Shape
 
 M_co = TypeVar("M_co", bound=BaseModel, covariant=True)
 
@@ -26,15 +27,15 @@ class Derived(Shape[M_co]):
     """
 
     model: type[M_co]
-    properties: Mapping[str, Schema]
+    properties: Mapping[str, JsonSchemaValue]
     required: Sequence[str] = ()
 
-    def schema(self, own: Schema) -> Schema:
+    def schema(self, own: JsonSchemaValue) -> JsonSchemaValue:
         """The strict JSON schema of the fields that are used, with the definitions that they
         use.
         """
-        definitions: Schema = {}
-        properties: dict[str, Schema] = {}
+        definitions: JsonSchemaValue = {}
+        properties: dict[str, JsonSchemaValue] = {}
         for name, part in self.properties.items():
             entry = {**own["properties"].get(name, {}), **part}
             definitions |= entry.pop("$defs", {})
@@ -46,7 +47,11 @@ class Derived(Shape[M_co]):
             for name, entry in own.get("$defs", {}).items()
             if f"#/$defs/{name}'" in used
         }
-        schema: Schema = {"type": "object", "properties": properties, "additionalProperties": False}
+        schema: JsonSchemaValue = {
+            "type": "object",
+            "properties": properties,
+            "additionalProperties": False,
+        }
         if self.required:
             schema["required"] = list(self.required)
         return {**schema, "$defs": definitions} if definitions else schema

@@ -110,11 +110,11 @@ class DirectPath(Feature[DirectPathOptions]):
     def _policy(self, exposed: ExposedEndpoint) -> str:
         """Which policy moves the robot now, as a sentence; empty when none does."""
         view = self._host.modules.view("inference")
-        if view.phase not in ("starting", "running") or view.choice is None:
+        if view.phase not in ("starting", "running") or view.plan is None:
             return ""
-        if view.choice.config.namespace != exposed.namespace:
+        if view.plan.config.namespace != exposed.namespace:
             return ""
-        return f"The policy {view.choice.names.get('backend', '')!r} moves {exposed.robot!r}."
+        return f"The policy {view.plan.names.get('backend', '')!r} moves {exposed.robot!r}."
 
     def _is_followed(self, exposed: ExposedEndpoint) -> bool:
         """Whether control has acted since it held last; one that is frozen tells nothing, and comes
@@ -122,8 +122,8 @@ class DirectPath(Feature[DirectPathOptions]):
         """
         view = self._host.modules.view("control")
         if (
-            view.choice is None
-            or view.choice.config.namespace != exposed.namespace
+            view.plan is None
+            or view.plan.config.namespace != exposed.namespace
             or view.report is None
         ):
             return False

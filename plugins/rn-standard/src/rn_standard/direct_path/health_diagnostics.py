@@ -26,7 +26,7 @@ class HealthDiagnostics:
 
     def publish(self, view: ModuleView, before: Health, health: Health) -> None:
         """Publish one change; a listener of `Events.health`."""
-        if view.choice is None:
+        if view.plan is None:
             return
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue  # heavy
 
@@ -41,7 +41,7 @@ class HealthDiagnostics:
             )
         told = DiagnosticStatus(
             level=level,
-            name=f"{view.choice.config.namespace}/supervisor/{view.kind}",
+            name=f"{view.plan.config.namespace}/supervisor/{view.kind}",
             message=EXPLANATIONS[health],
             hardware_id=str(os.getpid()),
             values=[KeyValue(key="health", value=health), KeyValue(key="before", value=before)],

@@ -105,7 +105,7 @@ class Fleet:
             server=self.server,
             events=self.events,
         )
-        first.features.attach(self._host)
+        first.features.each("attached", lambda feature: feature.attach(self._host))
 
     def check(self) -> None:
         """Check the configuration of each robot.
@@ -208,9 +208,9 @@ class Fleet:
         plugins: Callable[[], Registry] | None,
         command: Callable[[str | None], Sequence[str]] | None,
     ) -> Application:
-        made = Application.in_directory(
+        made = Application(
             config,
-            folder,
+            directory=folder,
             plugins=plugins,
             command=command,
             connect=self._connection.of_robot(config.namespace),

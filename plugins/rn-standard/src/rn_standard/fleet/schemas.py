@@ -8,11 +8,10 @@ with one robot, and in docs/tools.md.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from mcp import types
+from pydantic.json_schema import JsonSchemaValue
 
-Schema = dict[str, Any]
 _WIDER = {"minimum": min, "exclusiveMinimum": min, "minLength": min, "minItems": min}
 _WIDER |= {"maximum": max, "exclusiveMaximum": max, "maxLength": max, "maxItems": max}
 _MOST_VARIANTS = 4
@@ -49,7 +48,7 @@ def merged_tool(
     return first.model_copy(update=changed)
 
 
-def without_summaries(entry: Schema) -> Schema:
+def without_summaries(entry: JsonSchemaValue) -> JsonSchemaValue:
     """An argument without the summaries of its choices: list_* has them, and every robot would add
     its own.
     """
@@ -63,14 +62,14 @@ def without_summaries(entry: Schema) -> Schema:
     }
 
 
-def widest(schemas: Sequence[Schema]) -> Schema:
+def widest(schemas: Sequence[JsonSchemaValue]) -> JsonSchemaValue:
     """A JSON schema that accepts whatever one of them accepts; each robot checks exactly what it
     takes itself.
     """
     first, *others = schemas
     if all(other == first for other in others):
         return first
-    merged: Schema = {}
+    merged: JsonSchemaValue = {}
     for key in dict.fromkeys(key for schema in schemas for key in schema):
         values = [schema[key] for schema in schemas if key in schema]
         is_everywhere = len(values) == len(schemas)

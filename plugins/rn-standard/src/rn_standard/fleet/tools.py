@@ -12,7 +12,7 @@ from mcp import types
 from rn_standard.fleet.schemas import merged_tool
 from rn_standard.fleet.search import CALL, CallRobotTool, search_tools
 from roboneuron import CallContext, InvalidInputError, RoboNeuronError, Tool, nearest
-from roboneuron.feature import Role, Stage, ToolRegistry, schema
+from roboneuron.feature import Role, Stage, ToolRegistry
 
 if TYPE_CHECKING:
     from roboneuron.feature import Application
@@ -44,13 +44,9 @@ class RobotContext:
         """See CallContext."""
         return await self._context.run(work, on_cancel=on_cancel, on_leave=on_leave)
 
-    async def ask(self, question: str) -> bool | None:
+    async def ask(self, question: str, what: str = "") -> str | None:
         """See CallContext."""
-        return await self._context.ask(f"Robot {self._robot}: {question}")
-
-    async def ask_for(self, question: str, what: str) -> str | None:
-        """See CallContext."""
-        return await self._context.ask_for(f"Robot {self._robot}: {question}", what)
+        return await self._context.ask(f"Robot {self._robot}: {question}", what)
 
 
 def unwrapped(call: CallRobotTool) -> tuple[str, dict[str, object]]:
@@ -114,9 +110,10 @@ class FleetTools(ToolRegistry):
         self, name: str, arguments: Mapping[str, object], context: CallContext
     ) -> types.CallToolResult:
         """Have the named robot do it; every failure is an MCP error result."""
-        if name == CALL and self.get(CALL) is not None:
+        caller = self.get(CALL)
+        if name == CALL and caller is not None:
             try:
-                name, arguments = unwrapped(schema.parse(CallRobotTool, arguments))
+                name, arguments = unwrapped(caller.parsed(arguments))
             except RoboNeuronError as error:
                 return self.failure(error)
         robot = arguments.get("robot")
@@ -138,12 +135,11 @@ class FleetTools(ToolRegistry):
         self, name: str, arguments: Mapping[str, object]
     ) -> tuple[str, Mapping[str, object]]:
         """The call that a client makes, also when it makes it with call_robot_tool."""
+        caller = self.get(CALL)
+        if name != CALL or caller is None:
+            return name, arguments
         try:
-            return (
-                unwrapped(schema.parse(CallRobotTool, arguments))
-                if name == CALL
-                else (name, arguments)
-            )
+            return unwrapped(caller.parsed(arguments))
         except RoboNeuronError:
             return name, arguments
 

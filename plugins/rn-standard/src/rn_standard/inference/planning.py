@@ -30,8 +30,8 @@ from roboneuron import (
     RuntimeSpec,
     Spec,
 )
-from roboneuron.feature import Config, ModuleKind, Registry, loading
-from roboneuron.node import Plan, find_robot
+from roboneuron.feature import Config, ModuleKind, Plan, Registry, loading
+from roboneuron.node import find_robot
 
 CHECKPOINT_START_S = 900.0
 """Longest start of a policy with a checkpoint: 15 GB from a slow disk, and the warm-up of a large
@@ -161,7 +161,7 @@ def find_policies(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class InferencePlan(Plan):
-    """A module of this feature, see `roboneuron.node.Plan`.
+    """A module of this feature, see `roboneuron.feature.Plan`.
 
     Attributes:
         policy: what acts.
@@ -291,6 +291,7 @@ def plan_inference(config: Config, registry: Registry) -> InferencePlan:
     }
     needs_state = any(one.backend.needs_state for one in (policy, fallback) if one is not None)
     return InferencePlan(
+        kind="inference",
         config=config,
         robot=policy.robot,
         driver=policy.driver,

@@ -15,8 +15,6 @@ from mcp.server.context import ServerRequestContext
 from mcp.shared.exceptions import MCPError
 from mcp_types.version import is_version_at_least
 
-from roboneuron.feature import UnfinishedCallError
-
 _ASKED_IN_RESULT = "2026-07-28"
 _KEY, _FIELD, _TYPED = "confirm", "confirmed", "typed"
 _SCHEMA: dict[str, object] = {
@@ -49,12 +47,8 @@ class Questions:
         params: types.CallToolRequestParams,
         text: str,
         what: str = "",
-    ) -> str | None:
-        """See `roboneuron.server.surface.Ask`; None also when nobody answered in time.
-
-        Raises:
-            UnfinishedCallError: the question goes out with the answer to this call.
-        """
+    ) -> str | types.InputRequiredResult | None:
+        """See `roboneuron.server.surface.Ask`; None also when nobody answered in time."""
         declared = request.session.client_capabilities
         elicitation = declared.elicitation if declared is not None else None
         if elicitation is None or (elicitation.form is None and elicitation.url is not None):
@@ -70,7 +64,9 @@ class Questions:
                 return None
         return None
 
-    def _answer(self, params: types.CallToolRequestParams, text: str, what: str) -> str:
+    def _answer(
+        self, params: types.CallToolRequestParams, text: str, what: str
+    ) -> str | types.InputRequiredResult:
         asked = (params.request_state or "", text)
         if asked in self._open:
             self._open.remove(asked)
@@ -79,9 +75,7 @@ class Questions:
         self._open.append((ticket, text))
         form = types.ElicitRequestFormParams(message=text, requested_schema=_schema(what))
         question = types.ElicitRequest(params=form)
-        raise UnfinishedCallError(
-            types.InputRequiredResult(input_requests={_KEY: question}, request_state=ticket)
-        )
+        return types.InputRequiredResult(input_requests={_KEY: question}, request_state=ticket)
 
 
 def _schema(what: str) -> dict[str, object]:

@@ -8,12 +8,11 @@ import logging
 import os
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from weakref import WeakSet
 
 from rn_standard.ops.options import MemoryOptions
-from roboneuron.feature import ModuleKind, ModuleProcess, Modules, Periodic, log_files
+from roboneuron.feature import ModuleKind, ModuleProcess, Modules, Periodic
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
@@ -36,13 +35,6 @@ def own_memory_mb(pid: int) -> float | None:
     return (int(fields[1]) - int(fields[2])) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def note(process: ModuleProcess, line: str) -> None:
-    """Add a line to the log of a process, so that it stands among its last ones."""
-    path, opener = process.log_path, log_files.opener
-    with suppress(OSError), open(path, "a", encoding="utf-8", opener=opener) as file:
-        file.write(f"{log_files.escaped(line)}\n")
-
-
 class MemoryWatch(Periodic):
     """Ends modules that hold more than `[ops.memory_limit_mb]` allows; looks every 50 ms, at
     starting ones too.
@@ -59,10 +51,9 @@ class MemoryWatch(Periodic):
 
     def look(self) -> None:
         """Compare all modules with their limits."""
-        for kind in self._modules.slots:
-            # the one that works, and one that is to replace it
-            for process in self._modules.processes(kind):
-                self._check(kind, process)
+        for slot in self._modules.all_slots():
+            if (process := slot.process) is not None:
+                self._check(slot.kind, process)
 
     def _check(self, kind: ModuleKind, process: ModuleProcess) -> None:
         if process.exit_code is not None or process in self._ended:
@@ -77,7 +68,7 @@ class MemoryWatch(Periodic):
         )
         log.error("%s (pid %d) is %s.", kind, process.pid, why)
         self._ended.add(process)
-        note(process, f"supervisor: {kind} is {why}.")
+        process.note(f"supervisor: {kind} is {why}.")
         threading.Thread(target=_end, args=(process,), name=f"end-{kind}", daemon=True).start()
         self._record(kind, why)
 

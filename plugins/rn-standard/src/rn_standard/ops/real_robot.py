@@ -71,23 +71,20 @@ class RealRobotFeature(Feature[RealRobotOptions]):
         """Raises RefusedError unless the robot is simulated, or a person agrees or has agreed
         before.
         """
-        selection = await context.run(lambda _: host.loop.select("robot", request, context.role))
-        assert selection.plan is not None
-        driver = selection.plan.driver
-        which = selection.config.robot.name, driver.name
+        plan = await context.run(lambda _: host.loop.select("robot", request, context.role))
+        driver = plan.driver
+        which = plan.config.robot.name, driver.name
         if driver.simulated or which in self._agreed:
             return
-        agreed = await context.ask(
+        answer = await context.ask(
             f"Start the real robot {which[0]} (driver {which[1]})? It can move afterwards: look "
             "whether its "
             "workspace is free and the stop button is at hand."
         )
-        refused = agreed is False or (agreed is None and self.options.confirm == "require")
-        said = {
-            True: "a person agreed",
-            False: "a person did not agree",
-            None: "this client cannot ask a person",
-        }[agreed]
+        refused = answer == "" or (answer is None and self.options.confirm == "require")
+        said = {"": "a person did not agree", None: "this client cannot ask a person"}.get(
+            answer, "a person agreed"
+        )
         host.audit.write(
             AuditRecord(
                 who=context.who,
@@ -102,7 +99,7 @@ class RealRobotFeature(Feature[RealRobotOptions]):
             raise RefusedError(
                 f"The real robot {which[0]} (driver {which[1]}) is not started: {said}.",
                 hint="Ask the person at the robot."
-                if agreed is False
+                if answer == ""
                 else 'Use a client that supports elicitation, or let a person set confirm = "ask" '
                 "in [real_robot].",
             )

@@ -179,8 +179,8 @@ def log_file(modules: Modules, source: Source) -> Path:
     """
     if source == "server":
         return modules.log_directory / FILE_NAME
-    choice = modules.slot(source).choice
-    name = choice.settings.node_name if choice is not None else source
+    settings = modules.slot(source).settings
+    name = settings.node_name if settings is not None else source
     return modules.log_directory / f"{name}.log"
 
 

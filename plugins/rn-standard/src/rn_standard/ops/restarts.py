@@ -7,6 +7,7 @@ import threading
 import time
 from collections import defaultdict, deque
 from collections.abc import Callable
+from dataclasses import replace
 
 from rn_standard.ops.load import OVERLOADED, cores, runnable_per_core
 from rn_standard.ops.options import OpsOptions
@@ -85,7 +86,7 @@ class Restarts:
             self._begin_anew(view.kind)
         if health != "exited" and health not in _FROZEN:
             return
-        if view.choice is None or self._options.restart.policy(view.kind) != "on_failure":
+        if view.plan is None or self._options.restart.policy(view.kind) != "on_failure":
             return
         with self._lock:
             if self._closed or view.kind in self._pending:
@@ -130,8 +131,8 @@ class Restarts:
                 del self._pending[kind]
 
     def _attempt(self, view: ModuleView, cancelled: threading.Event) -> None:
-        assert view.choice is not None
-        kind, selection = view.kind, view.choice
+        assert view.plan is not None
+        kind, plan = view.kind, view.plan
         if view.phase == "running" and not self._is_still_frozen(
             view, cancelled, self._options.unresponsive_s
         ):
@@ -148,8 +149,8 @@ class Restarts:
                 return
             try:
                 self._before(kind)
-                config = without_instruction(selection.config)
-                self._loop.launch(selection.with_config(config))
+                config = without_instruction(plan.config)
+                self._loop.launch(replace(plan, config=config))
             except RoboNeuronError as error:
                 self._record(kind, f"restart failed: {error.message}")
                 continue

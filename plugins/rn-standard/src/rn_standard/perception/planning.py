@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from roboneuron import InvalidInputError, PerceptionSpec, PlanningError
-from roboneuron.feature import Config, Registry
-from roboneuron.node import Plan, find_robot
+from roboneuron.feature import Config, Plan, Registry
+from roboneuron.node import find_robot
 
 
 def plan_perception(config: Config, registry: Registry) -> Plan:
@@ -44,6 +44,7 @@ def plan_perception(config: Config, registry: Registry) -> Plan:
                 hint=f"Its cameras: {_listed(known)}.",
             )
     return Plan(
+        kind="perception",
         config=config,
         robot=robot,
         driver=driver,

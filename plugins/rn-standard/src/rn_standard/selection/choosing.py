@@ -17,8 +17,8 @@ from roboneuron.feature import (
     KIND_ENTRIES,
     Config,
     ModuleKind,
+    Plan,
     Registry,
-    Selection,
 )
 
 
@@ -28,7 +28,7 @@ def choose(
     registry: Registry,
     request: Arguments | None = None,
     role: str = "",
-) -> Selection:
+) -> Plan:
     """Check what a client asks for, or without a request what is configured.
 
     Args:
@@ -72,8 +72,7 @@ def choose(
     if checkpoint is not None and policy is not None and policy.takes_checkpoint:
         check_may_load(config, checkpoint)
     plan = KIND_ENTRIES[kind].check(config.model_copy(update=update), registry)
-    selection = Selection.of(kind, plan)
-    return replace(selection, names={**selection.names, **told}) if told else selection
+    return replace(plan, names={**plan.names, **told}) if told else plan
 
 
 def _configured_names(kind: ModuleKind, config: Config) -> set[str]:

@@ -5,10 +5,9 @@ discarded.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 
 from roboneuron import StateError
-from roboneuron.feature import ClosedLoop, ModuleKind, Selection, Slot, Stage
+from roboneuron.feature import ClosedLoop, ModuleKind, Plan, Slot, Stage
 
 
 class Standbys:
@@ -27,14 +26,14 @@ class Standbys:
         with self._modules.changes.lock:
             return tuple(self._modules.slots[kind])
 
-    def start(self, selection: Selection, on_stage: Stage) -> Slot:
+    def start(self, plan: Plan, on_stage: Stage) -> Slot:
         """Start a second process beside the running one, in shadow; `adopt` or `discard` it.
 
         Raises:
             StateError: nothing of that kind runs, or there is a standby already.
             RoboNeuronError: as `ClosedLoop.launch`.
         """
-        kind, modules = selection.kind, self._modules
+        kind, modules = plan.kind, self._modules
         standby = Slot(kind, modules.changes)
         with modules.changes.lock:
             working, *others = modules.slots[kind]
@@ -45,7 +44,7 @@ class Standbys:
                 )
             modules.slots[kind].append(standby)
         try:
-            self._loop.launch(selection, on_stage, beside=standby)
+            self._loop.launch(plan, on_stage, beside=standby)
         except BaseException:
             self._forget(standby)
             raise
@@ -75,8 +74,8 @@ class Standbys:
         finally:
             self._forget(slot)
 
-    def note_changed(self, slot: Slot, selection: Selection) -> None:
-        """The module in a slot has become what `selection` says, without another process; a restart
+    def note_changed(self, slot: Slot, plan: Plan) -> None:
+        """The module in a slot has become what `plan` says, without another process; a restart
         uses it too.
 
         Raises:
@@ -84,9 +83,9 @@ class Standbys:
         """
         with self._modules.changes.lock:
             slot.check_running()
-            assert slot.choice is not None
-            told = slot.choice.with_config(selection.config)
-            slot.choice = replace(told, names=selection.names, plan=selection.plan)
+            assert slot.settings is not None
+            slot.plan = plan
+            slot.settings = slot.settings.model_copy(update={"config": plan.config})
         self._modules.on_change(slot.kind)
 
     def _forget(self, slot: Slot) -> None:

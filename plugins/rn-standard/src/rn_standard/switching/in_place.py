@@ -17,8 +17,8 @@ from roboneuron.feature import (
     Config,
     ModuleView,
     NodeClient,
+    Plan,
     Report,
-    Selection,
     Slot,
     Stage,
 )
@@ -28,24 +28,23 @@ _DONE_S = 20.0
 """The prediction in progress ends first."""
 
 
-def differs_in_acceleration_only(old: ModuleView, selection: Selection) -> bool:
+def differs_in_acceleration_only(old: ModuleView, plan: Plan) -> bool:
     """Whether the running backend needs no more than another acceleration, and can take it."""
     if (
-        selection.kind != "inference"
-        or old.choice is None
+        plan.kind != "inference"
         or old.report is None
-        or not isinstance(old.choice.plan, InferencePlan)
-        or not isinstance(selection.plan, InferencePlan)
+        or not isinstance(old.plan, InferencePlan)
+        or not isinstance(plan, InferencePlan)
     ):
         return False
-    before, after = old.choice.plan.policy, selection.plan.policy
-    section = selection.config.inference
+    before, after = old.plan.policy, plan.policy
+    section = plan.config.inference
     return (
         old.report.metrics.get("acceleration_in_place") == "true"
         and before.acceleration != after.acceleration
         and (before.backend, before.runtime, before.cameras)
         == (after.backend, after.runtime, after.cameras)
-        and _without_acceleration(old.choice.config) == _without_acceleration(selection.config)
+        and _without_acceleration(old.plan.config) == _without_acceleration(plan.config)
         and section is not None
         and section.instruction == old.report.instruction
     )
@@ -61,12 +60,12 @@ def _without_acceleration(config: Config) -> Config:
 class AccelerationSwitch:
     """One change; used once, on the thread of the caller."""
 
-    def __init__(self, loop: ClosedLoop, selection: Selection, on_stage: Stage) -> None:
+    def __init__(self, loop: ClosedLoop, plan: Plan, on_stage: Stage) -> None:
         self._loop = loop
         self._changes = loop.modules.changes
         self._standbys = Standbys(loop)
-        self._selection = selection
-        self._name = selection.names.get("acceleration", "")
+        self._plan = plan
+        self._name = plan.names.get("acceleration", "")
         self._on_stage = on_stage
 
     def run(self) -> Change:
@@ -100,7 +99,7 @@ class AccelerationSwitch:
                 f"Acceleration {self._name or 'none'!r} was refused: {reason} "
                 f"{former or 'none'!r} stays in force."
             )
-        self._standbys.note_changed(slot, self._selection)
+        self._standbys.note_changed(slot, self._plan)
         return Change(gap=self._gap(report), difference=None)
 
     def _await_answer(
@@ -129,7 +128,7 @@ class AccelerationSwitch:
         """The period in which it was changed; None when nothing is sent."""
         if not report.instruction:
             return None
-        stream = self._loop.stream(self._selection.config.namespace)
+        stream = self._loop.stream(self._plan.config.namespace)
         changed_ns = int(report.metrics["acceleration_changed_ns"])
         return self._changes.wait_for(
             lambda: action_gap([at for at, _ in stream.copy()], changed_ns), ARRIVAL_S

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from rn_standard.selection.requests import StartChosenInference, StartPerception
@@ -17,8 +17,8 @@ from roboneuron.feature import (
     ClosedLoop,
     ModuleKind,
     ModuleView,
+    Plan,
     Report,
-    Selection,
     Stage,
 )
 
@@ -59,7 +59,7 @@ class Switching:
 
     def __init__(self, loop: ClosedLoop) -> None:
         self.loop = loop
-        self._before: dict[ModuleKind, Selection] = {}
+        self._before: dict[ModuleKind, Plan] = {}
         self._busy = {kind: threading.Lock() for kind in loop.modules.slots}
 
     def switch(
@@ -82,15 +82,15 @@ class Switching:
         """
         old = self.loop.modules.require_running(kind)
         ticket, instruction = self.loop.starts.ticket, self.loop.starts.instruction
-        selection = self.loop.select(kind, _keep(old, request), role)
+        plan = self.loop.select(kind, _keep(old, request), role)
         if isinstance(request, StartChosenInference):
             if request.instruction:
                 self.loop.starts.permit()
-            selection = with_instruction(selection, request.instruction or instruction)
-            self.loop.check(selection)
+            plan = with_instruction(plan, request.instruction or instruction)
+            self.loop.check(plan)
         if kind == "control":
-            check_same_commands(old, selection)
-        return self._replace(old, selection, mode, on_stage, ticket)
+            check_same_commands(old, plan)
+        return self._replace(old, plan, mode, on_stage, ticket)
 
     def roll_back(
         self, kind: ModuleKind, mode: SwitchMode = "warm", on_stage: Stage = lambda stage: None
@@ -102,19 +102,19 @@ class Switching:
             RoboNeuronError: as `switch`.
         """
         old = self.loop.modules.require_running(kind)
-        selection = self._before.get(kind)
-        if selection is None:
+        plan = self._before.get(kind)
+        if plan is None:
             raise StateError(
                 f"There is no {KIND_ENTRIES[kind].noun} to go back to: none was replaced yet."
             )
         ticket = self.loop.starts.ticket
         if kind == "inference":
-            selection = with_instruction(selection, self.loop.starts.instruction)
-        self.loop.check(selection)
-        return self._replace(old, selection, mode, on_stage, ticket)
+            plan = with_instruction(plan, self.loop.starts.instruction)
+        self.loop.check(plan)
+        return self._replace(old, plan, mode, on_stage, ticket)
 
     def _replace(
-        self, old: ModuleView, selection: Selection, mode: SwitchMode, on_stage: Stage, ticket: int
+        self, old: ModuleView, plan: Plan, mode: SwitchMode, on_stage: Stage, ticket: int
     ) -> Switched:
         started_s = time.monotonic()
         if not self._busy[old.kind].acquire(blocking=False):
@@ -122,10 +122,10 @@ class Switching:
                 f"{old.kind} is already being replaced.", hint="Wait for the end of that call."
             )
         try:
-            replaced = old.choice
-            if replaced is None or replaced.plan is None:
+            replaced = old.plan
+            if replaced is None:
                 raise StateError(f"It is not known what {old.kind} was started with.")
-            way, change = self._change(old, replaced, selection, mode, on_stage, ticket)
+            way, change = self._change(old, replaced, plan, mode, on_stage, ticket)
             self._before[old.kind] = replaced
         finally:
             self._busy[old.kind].release()
@@ -140,23 +140,23 @@ class Switching:
     def _change(
         self,
         old: ModuleView,
-        replaced: Selection,
-        selection: Selection,
+        replaced: Plan,
+        plan: Plan,
         mode: SwitchMode,
         on_stage: Stage,
         ticket: int,
     ) -> tuple[SwitchWay, Change]:
-        if mode == "warm" and differs_in_acceleration_only(old, selection):
-            return "in place", AccelerationSwitch(self.loop, selection, on_stage).run()
-        check = CHECKS[old.kind](self.loop, selection)
+        if mode == "warm" and differs_in_acceleration_only(old, plan):
+            return "in place", AccelerationSwitch(self.loop, plan, on_stage).run()
+        check = CHECKS[old.kind](self.loop, plan)
         if mode == "warm":
-            return mode, WarmSwitch(self.loop, selection, check, on_stage, ticket).run()
-        return mode, self._cold(replaced, selection, check, on_stage, ticket)
+            return mode, WarmSwitch(self.loop, plan, check, on_stage, ticket).run()
+        return mode, self._cold(replaced, plan, check, on_stage, ticket)
 
     def _cold(
         self,
-        replaced: Selection,
-        selection: Selection,
+        replaced: Plan,
+        plan: Plan,
         check: SwitchCheck,
         on_stage: Stage,
         ticket: int,
@@ -168,13 +168,13 @@ class Switching:
         due = check.is_due()
         on_stage(f"{kind}: stopping the old {check.noun}")
         stopped = self.loop.end(kind)
-        last = stopped.report if stopped is not None else None
+        last = stopped.report
         # a stop, or the end of a task
         if kind == "inference" and self.loop.starts.ticket != ticket:
-            selection = with_instruction(selection, self.loop.starts.instruction)
+            plan = with_instruction(plan, self.loop.starts.instruction)
             due = due and bool(self.loop.starts.instruction)
         try:
-            self.loop.start_selected(selection, on_stage)
+            self.loop.start_selected(plan, on_stage)
         except RoboNeuronError as error:
             before = ", ".join(f"{key} {name!r}" for key, name in replaced.names.items())
             raise error.with_hint(
@@ -193,14 +193,14 @@ class Switching:
         return self.loop.modules.view(kind).report
 
 
-def check_same_commands(old: ModuleView, selection: Selection) -> None:
+def check_same_commands(old: ModuleView, plan: Plan) -> None:
     """Two controllers that publish on different topics cannot hand the arm over.
 
     Raises:
         InvalidInputError: the type of the command topic would change.
     """
-    assert old.choice is not None
-    before, after = old.choice.config.control, selection.config.control
+    assert old.plan is not None
+    before, after = old.plan.config.control, plan.config.control
     if before is not None and after is not None and before.command != after.command:
         raise InvalidInputError(
             f"The running controller sends {before.command}, the new one would send "
@@ -209,23 +209,23 @@ def check_same_commands(old: ModuleView, selection: Selection) -> None:
         )
 
 
-def with_instruction(selection: Selection, text: str) -> Selection:
+def with_instruction(plan: Plan, text: str) -> Plan:
     """The same with that instruction; the configured one counts only for whoever asks for a start
     of the policy.
     """
-    section = selection.config.inference
+    section = plan.config.inference
     assert section is not None
-    config = selection.config.model_copy(
+    config = plan.config.model_copy(
         update={"inference": section.model_copy(update={"instruction": text.strip()})}
     )
-    return selection.with_config(config)
+    return replace(plan, config=config)
 
 
 def _keep(old: ModuleView, request: Arguments) -> Arguments:
     """The request, with what is kept from the running module where it names nothing else."""
-    assert old.choice is not None
+    assert old.plan is not None
     if isinstance(request, StartPerception) and not request.cameras:
-        section = old.choice.config.perception
+        section = old.plan.config.perception
         return request.model_copy(
             update={"cameras": list(section.cameras) if section is not None else []}
         )

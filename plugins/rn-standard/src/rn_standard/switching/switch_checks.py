@@ -12,7 +12,7 @@ from typing import ClassVar
 
 from rn_standard.switching.gap import Gap, action_gap
 from roboneuron import ACTION_LABEL, GRIPPER, NotReadyError, RefusedError, channel_keys
-from roboneuron.feature import KIND_ENTRIES, ClosedLoop, ModuleKind, Report, Selection
+from roboneuron.feature import KIND_ENTRIES, ClosedLoop, ModuleKind, Plan, Report
 
 _LOOKS = 3
 """So many shadow actions are compared: reports come every 0.2 s. Control compares in its own
@@ -38,10 +38,10 @@ class SwitchCheck(ABC):
 
     kind: ClassVar[ModuleKind]
 
-    def __init__(self, loop: ClosedLoop, selection: Selection) -> None:
+    def __init__(self, loop: ClosedLoop, plan: Plan) -> None:
         self._loop = loop
         self._modules = loop.modules
-        self._config = selection.config
+        self._config = plan.config
 
     @property
     def noun(self) -> str:
@@ -89,10 +89,10 @@ class InferenceCheck(SwitchCheck):
 
     kind = "inference"
 
-    def __init__(self, loop: ClosedLoop, selection: Selection) -> None:
-        super().__init__(loop, selection)
-        self._stream = loop.stream(selection.config.namespace)
-        section = selection.config.inference
+    def __init__(self, loop: ClosedLoop, plan: Plan) -> None:
+        super().__init__(loop, plan)
+        self._stream = loop.stream(plan.config.namespace)
+        section = plan.config.inference
         assert section is not None
         self._bound = section.switch_max_difference
         self._has_instruction = bool(section.instruction)
@@ -208,9 +208,9 @@ class ControlCheck(SwitchCheck):
 
     kind = "control"
 
-    def __init__(self, loop: ClosedLoop, selection: Selection) -> None:
-        super().__init__(loop, selection)
-        section = selection.config.control
+    def __init__(self, loop: ClosedLoop, plan: Plan) -> None:
+        super().__init__(loop, plan)
+        section = plan.config.control
         assert section is not None
         self._bound = section.switch_max_difference
         self._is_commanding = False

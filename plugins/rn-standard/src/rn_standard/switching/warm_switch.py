@@ -29,7 +29,7 @@ from rn_standard.switching.standby import (
 )
 from rn_standard.switching.switch_checks import SwitchCheck
 from roboneuron import NotReadyError, RoboNeuronError, StateError
-from roboneuron.feature import ClosedLoop, NodeClient, Report, Selection, Slot, Stage
+from roboneuron.feature import ClosedLoop, NodeClient, Plan, Report, Slot, Stage
 
 log = logging.getLogger(__name__)
 _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
@@ -82,7 +82,7 @@ class WarmSwitch:
 
     Args:
         loop: the closed loop.
-        selection: what is to run.
+        plan: what is to run.
         check: of its kind.
         on_stage: told how it goes.
         ticket: of the instruction that was in force when the caller asked, see `MotionStarts`.
@@ -91,7 +91,7 @@ class WarmSwitch:
     def __init__(
         self,
         loop: ClosedLoop,
-        selection: Selection,
+        plan: Plan,
         check: SwitchCheck,
         on_stage: Stage,
         ticket: int = 0,
@@ -102,7 +102,7 @@ class WarmSwitch:
         self._loop = loop
         self._modules = loop.modules
         self._standbys = Standbys(loop)
-        self._selection = selection
+        self._plan = plan
         self._check = check
         self._kind = check.kind
         self._on_stage = on_stage
@@ -115,7 +115,7 @@ class WarmSwitch:
         Raises:
             RoboNeuronError: the reason why nothing was replaced; the old one acts as before.
         """
-        standby = self._standbys.start(self._selection, self._on_start)
+        standby = self._standbys.start(self._plan, self._on_start)
         try:
             self._on_stage(f"new {self._kind}: comparing it in shadow with the old one")
             difference = self._check.compare(lambda: self._healthy(standby))
@@ -156,7 +156,7 @@ class WarmSwitch:
 
     def _own_instruction(self) -> None:
         """The caller's own instruction is in force from now on, unless another came, or an end."""
-        section = self._selection.config.inference
+        section = self._plan.config.inference
         if self._kind != "inference" or section is None or self._starts.ticket != self._ticket:
             return
         if section.instruction != self._starts.instruction:

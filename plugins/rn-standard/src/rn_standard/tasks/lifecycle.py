@@ -107,8 +107,8 @@ def list_models_tool(host: Host) -> Tool[NoArguments]:
     async def handler(_: NoArguments, context: CallContext) -> Models:
         view = host.modules.view("inference")
         running = (
-            view.choice.names.get("model")
-            if view.choice is not None and view.phase == "running"
+            view.plan.names.get("model")
+            if view.plan is not None and view.phase == "running"
             else None
         )
         return await context.run(

@@ -6,6 +6,7 @@ import io
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 
 from rn_standard.selection.requests import StartChosenInference
 from rn_standard.tasks.inputs import Inputs, pose_of, pose_topic
@@ -142,13 +143,13 @@ class LiveCell:
         loop = self._host.loop
         self._starting = True
         try:
-            selection = loop.select("inference", StartChosenInference(options={}), self._role)
-            section = selection.config.inference
+            plan = loop.select("inference", StartChosenInference(options={}), self._role)
+            section = plan.config.inference
             assert section is not None
             section = section.model_copy(update={"instruction": ""})
-            config = selection.config.model_copy(update={"inference": section})
-            selection = selection.with_config(config)
-            loop.start_selected(selection, self._stage)
+            config = plan.config.model_copy(update={"inference": section})
+            plan = replace(plan, config=config)
+            loop.start_selected(plan, self._stage)
         finally:
             self._starting = False
 

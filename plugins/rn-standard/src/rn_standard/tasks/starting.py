@@ -15,7 +15,7 @@ from roboneuron.feature import (
     ModuleKind,
     Modules,
     ModuleView,
-    Selection,
+    Plan,
     Stage,
 )
 
@@ -90,9 +90,7 @@ class ParallelStart:
         wanted = [kind for kind in phases if kind not in already and self._is_configured(kind)]
         if not wanted:
             raise StateError("Everything that is configured runs already.", hint="See get_status.")
-        selections = [
-            self._loop.select(kind, self._requests.get(kind), self._role) for kind in wanted
-        ]
+        plans = [self._loop.select(kind, self._requests.get(kind), self._role) for kind in wanted]
         # What each start would wait for alone is done first: a module gives up when what it needs
         # is not even starting.
         self._loop.emergency_stop.prepare(self._loop.config.namespace)
@@ -104,10 +102,10 @@ class ParallelStart:
         threads = [
             threading.Thread(
                 target=self._start,
-                args=(selection, on_stage, began_s),
-                name=f"start-{selection.kind}",
+                args=(plan, on_stage, began_s),
+                name=f"start-{plan.kind}",
             )
-            for selection in selections
+            for plan in plans
         ]
         for thread in threads:
             thread.start()
@@ -137,24 +135,24 @@ class ParallelStart:
         if self._failure is not None:
             raise self._failure
 
-    def _start(self, selection: Selection, on_stage: Stage, began_s: float) -> None:
+    def _start(self, plan: Plan, on_stage: Stage, began_s: float) -> None:
         try:
             with self._lock:
                 self._check()
-            self._loop.start_selected(selection, on_stage)
+            self._loop.start_selected(plan, on_stage)
         except RoboNeuronError as error:
-            self._fail(error, f"{selection.kind} could not be started.")
+            self._fail(error, f"{plan.kind} could not be started.")
         except BaseException as error:  # a thread's border; the others must end too
             self._fail(
-                NotReadyError(f"{selection.kind} failed to start: {error!r}."),
-                f"{selection.kind} failed.",
+                NotReadyError(f"{plan.kind} failed to start: {error!r}."),
+                f"{plan.kind} failed.",
             )
             raise
         else:
-            self._took_s[selection.kind] = time.monotonic() - began_s
-            on_stage(f"{selection.kind}: works ({len(self._took_s)} of {len(self._kinds)})")
+            self._took_s[plan.kind] = time.monotonic() - began_s
+            on_stage(f"{plan.kind}: works ({len(self._took_s)} of {len(self._kinds)})")
             if self._failure is not None:  # cancelled after the last look of the start itself
-                self._stop(selection.kind)
+                self._stop(plan.kind)
 
     def _fail(self, error: RoboNeuronError, reason: str) -> None:
         with self._lock:

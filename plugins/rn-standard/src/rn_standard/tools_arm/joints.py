@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from pydantic import Field
+from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.direct_path.delivery import TRAJECTORY
 from rn_standard.direct_path.derived import Derived
@@ -31,7 +32,6 @@ from roboneuron import (
 from roboneuron.feature import (
     ExposedEndpoint,
     MotionGate,
-    Schema,
     Stage,
     TimedCommand,
     joint_space,
@@ -94,7 +94,7 @@ def joint_tools(
         return []
     limits = joint_space.JointLimit.by_joint(found.profile)
     mover = _JointMover(found, limits, gate, host)
-    joints: Schema = {
+    joints: JsonSchemaValue = {
         "properties": {
             name: {"type": "number", "minimum": limit.lower, "maximum": limit.upper}
             for name, limit in limits.items()

@@ -132,9 +132,9 @@ class LimitsFeature(Feature[None]):
     def _on_change(self, kind: ModuleKind) -> None:
         """A control that was being started while the limits changed has the old ones."""
         view = self._host.modules.view(kind)
-        if kind != "control" or view.phase != "running" or view.choice is None:
+        if kind != "control" or view.phase != "running" or view.settings is None:
             return
-        if view.choice.settings.tightened != self._host.modules.tightened:
+        if view.settings.tightened != self._host.modules.tightened:
             threading.Thread(target=self._tell_quietly, name="limits-control", daemon=True).start()
 
     def _tell_quietly(self) -> None:

@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 
 from pydantic import Field
+from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.tools_arm.arm_rows import of_named_arm
@@ -24,7 +25,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import ExposedEndpoint, MotionGate, Schema
+from roboneuron.feature import ExposedEndpoint, MotionGate
 
 log = logging.getLogger(__name__)
 _CLEAR_M = 0.08
@@ -191,7 +192,7 @@ def place_tool(
         robot: its name.
     """
     placers = {arm: _Placer(movers[arm], grip) for arm, grip in grips.items()}
-    properties: dict[str, Schema] = {name: {} for name in PlaceArguments.model_fields}
+    properties: dict[str, JsonSchemaValue] = {name: {} for name in PlaceArguments.model_fields}
     several = [*placers] != [""]
     if several:
         properties["arm"] = {"enum": [*placers]}

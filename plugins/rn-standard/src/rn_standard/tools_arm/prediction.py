@@ -20,7 +20,7 @@ from roboneuron import (
     Pose,
     SpaceController,
 )
-from roboneuron.feature import ExposedEndpoint, MotionLimiter, poses_of
+from roboneuron.feature import ExposedEndpoint, MotionLimiter
 
 
 def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, MotionLimiter]:
@@ -58,13 +58,12 @@ class PredictedArm:
         """
         self.held = ""
         self._controller, self._limiter, self._joints = controller, limiter, joints
-        self._poses = poses_of(controller)
         self._now_s = 0.0
         limiter.rest(joints, self._now_s)
 
     def poses(self) -> tuple[Pose, ...]:
         """TCP pose of each arm in the base frame. Raises UnsafeError as `Controller.forward`."""
-        return self._poses(self._joints)
+        return self._limiter.poses(self._joints)
 
     def follow(self, space: ControlSpace, row: F64, step_s: float) -> None:
         """Carry out a row of a space for `step_s`, as far as the limits allow; the arm stays where

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from pydantic.json_schema import JsonSchemaValue
+
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import ACTION_LABELS
 from rn_standard.tools_arm.end_effector import (
@@ -17,7 +19,6 @@ from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
 from rn_standard.tools_arm.placing import GripHeight, place_tool
 from roboneuron import Host, Tool
-from roboneuron.feature import Schema
 
 
 def arm_tools(
@@ -46,7 +47,7 @@ def arm_tools(
             grip = GripHeight(host, gate, action, tcp, arm.name)
             hands[arm.name] = grips.setdefault(key, grip)
     movers = {arm: EndEffectorMover(action, profile, host, options, tcps, arm) for arm in tcps}
-    properties: dict[str, Schema] = {name: {} for name in MoveEndEffector.model_fields}
+    properties: dict[str, JsonSchemaValue] = {name: {} for name in MoveEndEffector.model_fields}
     properties["duration_s"] = {"maximum": gate.max_duration_s}
     if not hands:
         del properties["gripper_open"]

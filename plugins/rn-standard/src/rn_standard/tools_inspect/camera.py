@@ -23,7 +23,6 @@ from roboneuron import (
     Tool,
     frame_from_buffer,
 )
-from roboneuron.feature import Changes
 
 if TYPE_CHECKING:
     from sensor_msgs.msg import Image
@@ -103,7 +102,7 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
     from sensor_msgs.msg import Image  # heavy
 
     topic = f"/{host.config.namespace}/camera/{camera}/image"
-    changes, deadline_s = Changes(), time.monotonic() + timeout_s
+    changes, deadline_s = host.modules.changes, time.monotonic() + timeout_s
     publishers = changes.wait_for(lambda: graph.publishers(topic) or None, timeout_s)
     if not publishers:
         raise NotReadyError(
@@ -158,8 +157,8 @@ def check_camera(host: Host, camera: str) -> None:
 
 def _hint(host: Host) -> str:
     view = host.modules.view("perception")
-    if view.phase == "running" and view.choice is not None:
-        return f"Perception runs with the cameras: {view.choice.names.get('cameras', 'none')}."
+    if view.phase == "running" and view.plan is not None:
+        return f"Perception runs with the cameras: {view.plan.names.get('cameras', 'none')}."
     if view.phase in ("starting", "stopping"):
         return f"Perception is {view.phase}: wait for that, then try again."
     if view.phase == "exited":

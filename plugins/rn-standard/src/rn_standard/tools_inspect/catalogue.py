@@ -4,7 +4,8 @@ robots.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Iterator
+from typing import Any, Literal, TypeVar
 
 from pydantic import Field
 
@@ -19,9 +20,12 @@ from roboneuron import (
     Result,
     RobotSpec,
     RuntimeSpec,
+    Spec,
     Tool,
 )
-from roboneuron.feature import Config, Offer, Registry
+from roboneuron.feature import Config, Registry
+
+S = TypeVar("S", bound=Spec)
 
 
 class CatalogueEntry(Result):
@@ -144,14 +148,20 @@ class Robots(Result):
     robots: list[Robot]
 
 
-def _common(offer: Offer) -> dict[str, str]:
-    return {
-        "name": offer.spec.name,
-        "summary": offer.spec.summary,
-        "package": offer.distribution,
-        "status": str(offer.status),
-        "reason": offer.reason,
-    }
+def _offered(registry: Registry, kind: type[S]) -> Iterator[tuple[S, dict[str, str]]]:
+    """Each descriptor of a kind, with what is said of any."""
+    for offer in registry.offers(kind.kind):
+        if isinstance(offer.spec, kind):
+            yield (
+                offer.spec,
+                {
+                    "name": offer.spec.name,
+                    "summary": offer.spec.summary,
+                    "package": offer.distribution,
+                    "status": str(offer.status),
+                    "reason": offer.reason,
+                },
+            )
 
 
 def backends(registry: Registry) -> Backends:
@@ -160,7 +170,7 @@ def backends(registry: Registry) -> Backends:
     return Backends(
         backends=[
             BackendEntry(
-                **_common(offer),
+                **common,
                 needs_checkpoint=spec.needs_checkpoint,
                 needs_state=spec.needs_state,
                 cameras=list(spec.cameras),
@@ -176,8 +186,7 @@ def backends(registry: Registry) -> Backends:
                     if spec.family and spec.family in a.families
                 ],
             )
-            for offer in registry.offers("backend")
-            if isinstance(spec := offer.spec, BackendSpec)
+            for spec, common in _offered(registry, BackendSpec)
         ]
     )
 
@@ -187,13 +196,12 @@ def runtimes(registry: Registry) -> Runtimes:
     return Runtimes(
         runtimes=[
             RuntimeEntry(
-                **_common(offer),
+                **common,
                 families=list(spec.families),
                 capabilities=list(spec.capabilities),
                 served=spec.served,
             )
-            for offer in registry.offers("runtime")
-            if isinstance(spec := offer.spec, RuntimeSpec)
+            for spec, common in _offered(registry, RuntimeSpec)
         ]
     )
 
@@ -202,11 +210,8 @@ def accelerations(registry: Registry) -> Accelerations:
     """All acceleration presets."""
     return Accelerations(
         accelerations=[
-            AccelerationEntry(
-                **_common(offer), families=list(spec.families), capability=spec.capability
-            )
-            for offer in registry.offers("acceleration")
-            if isinstance(spec := offer.spec, AccelerationSpec)
+            AccelerationEntry(**common, families=list(spec.families), capability=spec.capability)
+            for spec, common in _offered(registry, AccelerationSpec)
         ]
     )
 
@@ -215,11 +220,8 @@ def perception_sources(registry: Registry) -> PerceptionSources:
     """All sources of images."""
     return PerceptionSources(
         perception_sources=[
-            PerceptionSourceEntry(
-                **_common(offer), robots=list(spec.robots), drivers=list(spec.drivers)
-            )
-            for offer in registry.offers("perception")
-            if isinstance(spec := offer.spec, PerceptionSpec)
+            PerceptionSourceEntry(**common, robots=list(spec.robots), drivers=list(spec.drivers))
+            for spec, common in _offered(registry, PerceptionSpec)
         ]
     )
 
@@ -228,9 +230,8 @@ def controllers(registry: Registry) -> Controllers:
     """All controllers."""
     return Controllers(
         controllers=[
-            ControllerEntry(**_common(offer), robot_kinds=list(spec.robot_kinds))
-            for offer in registry.offers("controller")
-            if isinstance(spec := offer.spec, ControllerSpec)
+            ControllerEntry(**common, robot_kinds=list(spec.robot_kinds))
+            for spec, common in _offered(registry, ControllerSpec)
         ]
     )
 
@@ -241,7 +242,7 @@ def robots(registry: Registry, configured: Config) -> Robots:
     return Robots(
         robots=[
             Robot(
-                **_common(offer),
+                **common,
                 kind=spec.robot_kind,
                 configured=spec.name == chosen.name,
                 drivers=[
@@ -255,8 +256,7 @@ def robots(registry: Registry, configured: Config) -> Robots:
                 ],
                 cameras=[CameraEntry(name=c.name, role=c.role) for c in spec.cameras],
             )
-            for offer in registry.offers("robot")
-            if isinstance(spec := offer.spec, RobotSpec)
+            for spec, common in _offered(registry, RobotSpec)
         ]
     )
 

@@ -40,14 +40,11 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
             "Look at the robot first. Nothing moves until someone gives a new instruction or "
             "moves the arm."
         )
-        typed = await context.ask_for(question, "PIN") if for_pin else ""
-        agreed = (
-            (None if typed is None else bool(typed)) if for_pin else await context.ask(question)
-        )
-        if agreed and stop.file.read_state().time_ns == before.time_ns:
-            return typed or ""
-        why = {None: "this client cannot ask one", False: "the person did not agree"}.get(
-            agreed, "it was pressed again"
+        answer = await context.ask(question, "PIN" if for_pin else "")
+        if answer and stop.file.read_state().time_ns == before.time_ns:
+            return answer
+        why = {None: "this client cannot ask one", "": "the person did not agree"}.get(
+            answer, "it was pressed again"
         )
         directory = shlex.quote(str(stop.file.path.parent))
         raise RefusedError(

@@ -140,7 +140,7 @@ def _summary(view: ModuleView) -> dict[str, Any]:
         "phase": view.phase,
         "health": view.health(time.monotonic()),
         "pid": view.process.pid if view.process is not None and view.phase != "exited" else None,
-        "started_with": dict(view.choice.names) if view.choice is not None else {},
+        "started_with": dict(view.plan.names) if view.plan is not None else {},
     }
 
 

@@ -18,8 +18,8 @@ from roboneuron.feature import (
     ClosedLoop,
     Config,
     ModuleKind,
+    Plan,
     Registry,
-    Selection,
 )
 
 
@@ -88,13 +88,13 @@ class StartInference(Arguments):
 
 
 def choose_instruction(
-    otherwise: Callable[..., Selection],
+    otherwise: Callable[..., Plan],
     kind: ModuleKind,
     config: Config,
     registry: Registry,
     request: Arguments | None,
     role: str,
-) -> Selection:
+) -> Plan:
     """What `otherwise` selects without a request, with the instruction that a request of these
     tools names.
 

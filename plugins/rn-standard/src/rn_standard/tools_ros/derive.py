@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
+from pydantic.json_schema import JsonSchemaValue
+
 from rn_standard.direct_path.derived import Derived
 from rn_standard.tools_ros.action import GoalSending, SendGoal, goal_model
 from rn_standard.tools_ros.exposed_types import action_of, message_of, service_of
@@ -16,7 +18,7 @@ from rn_standard.tools_ros.sequence import PublishSequence, Sequencing
 from rn_standard.tools_ros.service import Calling, CallService, served_model
 from rn_standard.tools_ros.targets import Targets
 from roboneuron import Host, Tool
-from roboneuron.feature import ExposedEndpoint, Schema
+from roboneuron.feature import ExposedEndpoint
 
 _SENT = "Fails without a subscriber."
 
@@ -97,7 +99,7 @@ def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Publis
         *(["message"] if message_of(targets.first).fields else []),
         *([] if targets.trajectory else ["duration_s"]),
     ]
-    step: Schema = {
+    step: JsonSchemaValue = {
         "type": "object",
         "properties": {
             "message": {
@@ -116,7 +118,7 @@ def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Publis
     }
     if not needed:
         del step["required"]
-    steps: Schema = {
+    steps: JsonSchemaValue = {
         "items": step,
         "description": "Messages in order, each with the time it lasts.",
     }

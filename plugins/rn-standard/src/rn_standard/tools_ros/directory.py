@@ -9,9 +9,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from pydantic import Field
+from pydantic.json_schema import JsonSchemaValue
 
 from roboneuron import Arguments, CallContext, InvalidInputError, Reply, Result, Tool
-from roboneuron.feature import Role, Schema
+from roboneuron.feature import Role
 
 
 class FindTools(Arguments):
@@ -30,7 +31,7 @@ class FoundTool(Result):
     description: str
     read_only: bool
     arguments: list[str]
-    input_schema: Schema | None = None
+    input_schema: JsonSchemaValue | None = None
 
 
 class FoundTools(Result):

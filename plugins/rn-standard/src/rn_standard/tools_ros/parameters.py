@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from pydantic.json_schema import JsonSchemaValue
+
 from rn_standard.direct_path.derived import Derived
 from rn_standard.tools_ros.parameter_calls import (
     ListParameters,
@@ -17,7 +19,7 @@ from rn_standard.tools_ros.parameter_calls import (
 )
 from rn_standard.tools_ros.parameter_nodes import ParameterNode
 from roboneuron import Tool
-from roboneuron.feature import MotionGate, Schema
+from roboneuron.feature import MotionGate
 
 
 def parameter_tools(nodes: Sequence[ParameterNode], gate: MotionGate) -> list[Tool[Any]]:
@@ -25,8 +27,8 @@ def parameter_tools(nodes: Sequence[ParameterNode], gate: MotionGate) -> list[To
     if not nodes:
         return []
     calls = ParameterCalls(nodes, gate)
-    node: Schema = {"enum": [node.name for node in nodes]}
-    value: Schema = {
+    node: JsonSchemaValue = {"enum": [node.name for node in nodes]}
+    value: JsonSchemaValue = {
         "description": "A boolean, number or text, or a list of such.",
         "type": ["boolean", "number", "string", "array"],
         "items": {"type": ["boolean", "number", "string"]},

@@ -8,6 +8,8 @@ import copy
 from collections.abc import Mapping
 from typing import Any
 
+from pydantic.json_schema import JsonSchemaValue
+
 from rn_standard.tools_ros.interfaces import (
     Array,
     FieldType,
@@ -19,7 +21,6 @@ from rn_standard.tools_ros.interfaces import (
 from rn_standard.tools_ros.interfaces.summary import SUMMARIES
 from roboneuron import Endpoint
 
-Schema = dict[str, Any]
 _OF_TYPES = frozenset(
     {*(-(2**bits) for bits in (7, 15, 31, 63)), *(2**b - 1 for b in (7, 8, 15, 16, 31, 32, 63, 64))}
 )
@@ -28,7 +29,9 @@ _DEPTH = 4
 """Deeper messages are described as objects: the schema would be longer than what it describes."""
 
 
-def message_schema(part: MessageInterface, bounds: Mapping[str, tuple[float, float]]) -> Schema:
+def message_schema(
+    part: MessageInterface, bounds: Mapping[str, tuple[float, float]]
+) -> JsonSchemaValue:
     """What the encoder accepts, with limits of the endpoint put into the fields they are about."""
     schema = part.json_schema()
     for path, (low, high) in bounds.items():
@@ -57,7 +60,7 @@ def _short(node: Any) -> Any:
     }
 
 
-def _bound(schema: Schema, path: list[str], low: float, high: float) -> None:
+def _bound(schema: JsonSchemaValue, path: list[str], low: float, high: float) -> None:
     node: Any = schema
     for name in path:
         node = node.get("items", node) if isinstance(node, dict) else {}
@@ -78,12 +81,12 @@ def hull(endpoints: list[Endpoint]) -> dict[str, tuple[float, float]]:
     }
 
 
-def decoded_schema(part: MessageInterface) -> Schema:
+def decoded_schema(part: MessageInterface) -> JsonSchemaValue:
     """What `MessageInterface.decode` gives, limits of decoding included."""
     return _object(part.message, _DEPTH)
 
 
-def _object(message: MessageType, depth: int) -> Schema:
+def _object(message: MessageType, depth: int) -> JsonSchemaValue:
     if depth == 0:
         return {"type": "object"}
     properties = {}
@@ -100,7 +103,7 @@ def _object(message: MessageType, depth: int) -> Schema:
     }
 
 
-def _type(field_type: FieldType, depth: int, named: bool) -> Schema:
+def _type(field_type: FieldType, depth: int, named: bool) -> JsonSchemaValue:
     if isinstance(field_type, Array):
         return {"type": ["array", "object"], "items": _type(field_type.element, depth, named)}
     if isinstance(field_type, Nested):
@@ -108,7 +111,7 @@ def _type(field_type: FieldType, depth: int, named: bool) -> Schema:
     return _scalar(field_type, named)
 
 
-def _scalar(scalar: Scalar, named: bool) -> Schema:
+def _scalar(scalar: Scalar, named: bool) -> JsonSchemaValue:
     if scalar.ros == "boolean":
         return {"type": "boolean"}
     if scalar.is_integer:
@@ -118,6 +121,6 @@ def _scalar(scalar: Scalar, named: bool) -> Schema:
     return {"type": ["string", "object"]}
 
 
-def copied(schema: Schema) -> Schema:
+def copied(schema: JsonSchemaValue) -> JsonSchemaValue:
     """A schema that may be changed."""
     return copy.deepcopy(schema)

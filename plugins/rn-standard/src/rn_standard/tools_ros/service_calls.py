@@ -10,7 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from roboneuron import NotReadyError, StateError
-from roboneuron.feature import Changes, ExposedEndpoint, GateRequest, MotionGate, Verdict
+from roboneuron.feature import ExposedEndpoint, GateRequest, MotionGate, Verdict
+
+_LOOK_S = 0.05
+"""A call that is cancelled ends this soon."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,32 +46,28 @@ def call(
     if exposed.endpoint.kind != "read":
         gate.check_free(exposed)
     started_s = time.monotonic()
-    changes = Changes()
-
-    def is_served() -> bool:
+    _check(halt)
+    while not gate.is_served(exposed):
+        if time.monotonic() - started_s >= timeout_s:
+            raise NotReadyError(
+                f"{exposed.topic} had no server within {timeout_s:g} s: nothing was sent.",
+                hint="Start what serves it.",
+            )
+        halt.wait(_LOOK_S)
         _check(halt)
-        return gate.is_served(exposed)
-
-    if not changes.wait_for(is_served, timeout_s):
-        raise NotReadyError(
-            f"{exposed.topic} had no server within {timeout_s:g} s: nothing was sent.",
-            hint="Start what serves it.",
-        )
-    verdict, pending = gate.send_request(exposed, request, changes.notify)
+    answered = threading.Event()
+    verdict, pending = gate.send_request(exposed, request, answered.set)
     if pending is None:
         return Response(verdict=verdict)
-
-    def is_answered() -> bool:
-        _check(halt)
-        return pending.done
-
     remaining_s = max(0.5, timeout_s - (time.monotonic() - started_s))
+    deadline_s = time.monotonic() + remaining_s
     try:
-        answered = changes.wait_for(is_answered, remaining_s)
+        while not answered.wait(_LOOK_S) and time.monotonic() < deadline_s:
+            _check(halt)
     except StateError:
         pending.abandon()
         raise
-    if not answered or pending.response is None:
+    if not answered.is_set() or pending.response is None:
         pending.abandon()
         raise NotReadyError(
             f"{exposed.topic} did not answer within {remaining_s:g} s; the request was sent and "

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from pydantic.json_schema import JsonSchemaValue
+
 from rn_standard.direct_path.delivery import TRAJECTORY
-from roboneuron.feature import ExposedEndpoint, Schema
+from roboneuron.feature import ExposedEndpoint
 
 
 class Targets:
@@ -36,7 +38,7 @@ class Targets:
         """Names of the arguments that choose: "robot" when there is a choice."""
         return ["robot"] if len(self.endpoints) > 1 else []
 
-    def schema(self) -> dict[str, Schema]:
+    def schema(self) -> dict[str, JsonSchemaValue]:
         """The properties that choose."""
         if len(self.endpoints) == 1:
             return {}

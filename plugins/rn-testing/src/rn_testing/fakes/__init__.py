@@ -4,6 +4,8 @@ hardware.
 They keep the contract themselves: the kit's own tests run every rule on them.
 """
 
+from collections.abc import Mapping
+
 from rn_testing.fakes.backend import FAKE_BACKEND, InstantBackend, InstantOptions, make_observation
 from rn_testing.fakes.controller import FAKE_CONTROLLER, GantryController
 from rn_testing.fakes.engine import (
@@ -17,8 +19,8 @@ from rn_testing.fakes.perception import FAKE_PERCEPTION, ControlledSource, gradi
 from rn_testing.fakes.robot import FAKE_ROBOT, FakeDriver, FakeDriverOptions, gantry_profile
 from rn_testing.fakes.topics import MemoryTopics
 from roboneuron import FeatureSpec, Spec
-from roboneuron.command import PluginRecord, Status
-from roboneuron.feature import Offer, Registry
+from roboneuron.command import Offer, PluginRecord, Registry, Status
+from roboneuron.feature import Config, ModuleKind, Plan
 
 FAKE_SPECS: tuple[Spec, ...] = (
     FAKE_BACKEND,
@@ -46,6 +48,23 @@ _TOOLS = FeatureSpec(
     summary="Tools of the closed loop.",
     target="rn_standard.tools_loop.feature:LoopTools",
 )
+
+
+def fake_plan(
+    kind: ModuleKind, config: Config, *inputs: ModuleKind, names: Mapping[str, str] | None = None
+) -> Plan:
+    """The plan of a module, whatever is installed: with the fake robot, whose driver is compared
+    with nothing.
+    """
+    return Plan(
+        kind=kind,
+        config=config,
+        robot=FAKE_ROBOT,
+        driver=FAKE_ROBOT.drivers[0],
+        spec=FAKE_ROBOT.drivers[0],
+        names=names or {},
+        inputs=inputs,
+    )
 
 
 def fake_registry(*more: Spec) -> Registry:

@@ -58,11 +58,8 @@ def _server(case: FeatureCase, with_feature: bool = True) -> Iterator[Applicatio
     )
     registry = fake_registry(*((case.spec, *case.needs) if with_feature else ()))
     with tempfile.TemporaryDirectory() as folder:
-        application = Application.in_directory(
-            config,
-            Path(folder),
-            plugins=lambda: registry,
-            command=refuse,
+        application = Application(
+            config, directory=Path(folder), plugins=lambda: registry, command=refuse
         )
         try:
             yield application

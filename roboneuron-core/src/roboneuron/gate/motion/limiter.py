@@ -82,10 +82,11 @@ class MotionLimiter:
         longest_s: float = math.inf,
     ) -> None:
         self._names = profile.arm_joints
+        self.poses = poses or (lambda joints: (forward(joints),))
         self._shortener = Shortener(
             rules,
             profile,
-            poses or (lambda joints: (forward(joints),)),
+            self.poses,
             inspect,
             immediate=immediate,
             longest_s=longest_s,
