@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from rn_backend_shared.batching import _with_metrics
+from rn_backend_shared.frames import HEADER_BYTES, Header, Kind, decode, encode, read_header
 from rn_backend_shared.space import shared_space
-from rn_backend_shared.wire import decode, encode, from_answer, to_answer
+from rn_backend_shared.wire import from_answer, to_answer
 from roboneuron import (
     EE_DELTA,
     GRIPPER,
@@ -41,9 +42,8 @@ ROBOT = RobotProfile(
 
 def sent(chunk: ActionChunk) -> ActionChunk:
     """As it arrives at the robot."""
-    frame = encode(from_answer(chunk))
-    head = int.from_bytes(frame[:4], "big")
-    return to_answer(decode(frame[8 : 8 + head], frame[8 + head :]))
+    frame = b"".join(encode(Header(Kind.ANSWER), from_answer(chunk)))
+    return to_answer(decode(read_header(frame[:HEADER_BYTES]), frame[HEADER_BYTES:]))
 
 
 def test_the_space_travels_with_the_chunk() -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rn_backend_shared import wire
 from rn_backend_shared.links import Links
 from rn_backend_shared.options import SharedOptions
-from roboneuron import ActionChunk, Backend, InvalidInputError, Observation, PluginError, StateError
+from roboneuron import ActionChunk, Backend, InvalidInputError, Observation, StateError
 
 
 class SharedBackend:
@@ -19,7 +19,7 @@ class SharedBackend:
     ) -> None:
         self._options = config
         self._links: Links | None = None
-        self._cameras: list[str] = []
+        self._cameras: tuple[str, ...] = ()
 
     def load(self) -> None:
         """Reach the server of the model, or start it.
@@ -32,7 +32,7 @@ class SharedBackend:
             raise StateError("Backend 'shared' is loaded already; close it first.")
         links = Links(self._options)
         try:
-            self._cameras = links.open()
+            self._cameras = links.open().cameras
         except BaseException:
             links.close()
             raise
@@ -45,6 +45,7 @@ class SharedBackend:
             NotReadyError: no answer in time, or the server is gone; the next observation may be
                 answered again.
             InvalidInputError: a camera that the model needs, or the state, is absent.
+            UnsafeError: the state is not finite.
             RoboNeuronError: what the model says of this observation.
         """
         if self._links is None:
@@ -54,24 +55,8 @@ class SharedBackend:
             raise InvalidInputError(
                 f"The observation has no {f'image of {lacking[0]!r}' if lacking else 'state'}."
             )
-        began_s = time.monotonic()
-        told = self._links.ask(
-            wire.from_observation(observation), began_s + self._options.timeout_s
-        )
-        try:
-            chunk = wire.to_answer(told)
-        except (KeyError, TypeError, ValueError) as error:
-            raise PluginError(
-                f"The server of the shared model answered what is no chunk: {error!r}."
-            ) from error
-        metrics = {**chunk.metrics, "shared.round_trip_ms": (time.monotonic() - began_s) * 1e3}
-        return ActionChunk(
-            actions=chunk.actions,
-            step_s=chunk.step_s,
-            metrics=metrics,
-            note=chunk.note,
-            space=chunk.space,
-        )
+        deadline_s = time.monotonic() + self._options.timeout_s
+        return self._links.ask(wire.from_observation(observation), deadline_s)
 
     def reset(self) -> None:
         """Nothing is remembered between observations: only such models can be shared."""

@@ -18,6 +18,7 @@ SOURCE = '''
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,6 +30,7 @@ class Options(BaseModel):
     model_config = ConfigDict(extra="forbid")
     took_s: float = 0.0
     fails: bool = False
+    rows: int = 1
 
 
 class Reflex:
@@ -41,9 +43,17 @@ class Reflex:
         if self._options.fails:
             raise CheckpointError("There are no weights.", hint="Copy some.")
         self._weights = np.random.default_rng(0).standard_normal((12, 7))
+        self._asked = 0
 
     def predict(self, observation):
-        return self.predict_batch([observation])[0]
+        chunk = self.predict_batch([observation])[0]
+        ahead = observation.ahead
+        if ahead is None or not len(ahead.rows):
+            return chunk
+        rows, count = chunk.actions.copy(), min(ahead.committed_rows, len(chunk.actions))
+        rows[:count] = ahead.rows[:count]
+        metrics = {"continues": -1.0 if ahead.context is None else ahead.context["row"] + ahead.context_row}
+        return replace(chunk, actions=rows, conditioned_rows=count, metrics=metrics)
 
     def predict_batch(self, observations):
         rows = []
@@ -59,8 +69,13 @@ class Reflex:
             rows.append([*np.array(colours) / 255.0, *state])
         time.sleep(self._options.took_s)
         moves = 0.01 * np.tanh(np.array(rows) @ self._weights)
-        moves[:, 6] = 0.5
-        return [ActionChunk(actions=row[None], step_s=0.1) for row in moves]
+        count = self._options.rows
+        self._asked += len(moves)
+        return [
+            ActionChunk(actions=np.outer(np.arange(count) + 1.0, row) * [1, 1, 1, 1, 1, 1, 0] + [0, 0, 0, 0, 0, 0, 0.5],
+                        step_s=0.1, context={"row": 100.0 * self._asked})
+            for row in moves
+        ]
 
     def reset(self):
         pass
@@ -80,7 +95,7 @@ class Rememberer(Reflex):
 def roboneuron_backends():
     common = {"config": __name__ + ":Options", "needs_state": True}
     return [
-        BackendSpec(name="reflex", summary="Small.", target=__name__ + ":Reflex", **common),
+        BackendSpec(name="reflex", summary="Small.", target=__name__ + ":Reflex", conditions_on_rows=True, **common),
         BackendSpec(name="rememberer", summary="Not sharable.", target=__name__ + ":Rememberer", **common),
     ]
 '''  # noqa: E501
@@ -88,7 +103,12 @@ def roboneuron_backends():
 
 def shared_case() -> BackendCase:
     """`shared` with the backend `reflex`, which exists in the server's process only."""
-    return BackendCase(spec=BACKEND, options=options_in(_folder(), idle_s=5.0))
+    return BackendCase(
+        spec=BACKEND,
+        options=options_in(_folder(), idle_s=5.0, options={"rows": 6}),
+        row_tolerance=1e-12,
+        rows=6,
+    )
 
 
 def options_in(folder: Path, **options: object) -> dict[str, object]:

@@ -80,8 +80,15 @@ class SharedModel:
         return self._options.most if self._many is not None else 1
 
     def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
-        """One answer for each; what one observation lacks is an error of that one only."""
-        if self._many is not None and len(observations) > 1:
+        """One answer for each; what one observation lacks is an error of that one only.
+
+        A model that continues rows is asked one by one where rows are ahead: its forward over
+        several observations continues none.
+        """
+        continues = self.spec.conditions_on_rows and any(
+            one.ahead is not None and len(one.ahead.rows) for one in observations
+        )
+        if self._many is not None and len(observations) > 1 and not continues:
             try:
                 return list(self._many(observations))
             except RoboNeuronError:

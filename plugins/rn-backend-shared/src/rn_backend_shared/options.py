@@ -9,11 +9,10 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from rn_backend_shared.frames import VERSION
 from roboneuron import ConfigurationOnly
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
-_VERSION = 2
-"""Of the messages: robots of another version use other servers."""
 Table = Annotated[dict[str, object], ConfigurationOnly()]
 
 
@@ -69,4 +68,4 @@ class SharedOptions(BaseModel):
     def identity(self) -> str:
         """16 hexadecimal digits: the same for robots that share a model."""
         own = self.model_dump(mode="json", exclude={"timeout_s", "start_timeout_s", "directory"})
-        return hashlib.sha256(json.dumps([_VERSION, own], sort_keys=True).encode()).hexdigest()[:16]
+        return hashlib.sha256(json.dumps([VERSION, own], sort_keys=True).encode()).hexdigest()[:16]

@@ -17,10 +17,13 @@ BACKEND = BackendSpec(
     optional_cameras=("wrist",),
     needs_state=True,
     action_space=ActionSpace(horizon=100, step_s=0.0),
+    conditions_on_rows=True,
     case="rn_backend_shared.case:shared_case",
     space="rn_backend_shared.space:shared_space",
 )
-"""Descriptor of the backend. What the model itself needs is checked when its server answers."""
+"""Descriptor of the backend. What the model itself needs is checked when its server answers; one
+that continues no rows says so in each chunk.
+"""
 COMMAND = CommandSpec(
     name="shared-model",
     summary="serve the model of [plugins.shared] until Ctrl-C",

@@ -8,29 +8,43 @@ import errno
 import fcntl
 import logging
 import os
+import secrets
 import signal
 import socket
 import struct
 import sys
 import threading
 import time
+from collections import OrderedDict
 from pathlib import Path
 from typing import IO
 
 from rn_backend_shared import wire
 from rn_backend_shared.batching import Answer, Batcher, Waiting
+from rn_backend_shared.channel import Channel, Received
+from rn_backend_shared.fields import field
+from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
 from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
-from roboneuron import InvalidInputError, NotReadyError, RoboNeuronError
+from rn_backend_shared.session import FAILED, LOADING, READY
+from roboneuron import (
+    ActionChunk,
+    ConfigurationError,
+    InvalidInputError,
+    NotReadyError,
+    PluginError,
+    RoboNeuronError,
+)
 
 log = logging.getLogger(__name__)
-LOADING, READY, FAILED = "loading", "ready", "failed"
 _SEND_S = 0.5
 """A robot that does not read for so long has lost its connection; nobody else waits for it."""
 _FAILED_S = 3.0
 """A server that could not load tells so for this long, then ends."""
 _LOOK_S = 0.1
 _BACKLOG = 1024
+_MOST_HELD = 8
+"""Contexts of chunks that are kept for a robot: of the running one, and of answers on their way."""
 _MOST_ROBOTS = 128
 """Connections; each has a thread and two handles."""
 _FIRST_S = 5.0
@@ -129,9 +143,9 @@ class SharedModelServer:
         self._end.wait(_FAILED_S)
         return 1
 
-    def hello(self) -> wire.Document:
+    def hello(self) -> Document:
         """What a robot is told first, and whenever it asks again while the model loads."""
-        told: wire.Document = {"state": self._state, "pid": os.getpid()}
+        told: Document = {"state": self._state, "pid": os.getpid()}
         if self._failure is not None:
             return told | wire.from_answer(self._failure)
         if self._state == READY:
@@ -186,10 +200,13 @@ class SharedModelServer:
 class _Robot:
     """One connection."""
 
-    def __init__(self, channel: wire.Channel, server: SharedModelServer) -> None:
+    def __init__(self, channel: Channel, server: SharedModelServer) -> None:
         self._channel = channel
         self._server = server
         self._sending = threading.Lock()
+        self._session = secrets.randbits(62)
+        self._held: OrderedDict[int, object] = OrderedDict()
+        self._last = 0
         self.has_asked = False
 
     def serve(self) -> None:
@@ -202,35 +219,64 @@ class _Robot:
                 self._take(self._channel.receive(None))
         except OSError:
             pass
-        except (KeyError, TypeError, ValueError) as error:
-            log.warning("A client sent what is no request: %r", error)
+        except VersionError as error:
+            log.warning("A client was refused: %s", error)
+            refusal = ConfigurationError(f"The server of the shared model refuses: {error}.")
+            self._send(Header(Kind.ANSWER), wire.from_answer(refusal))
+        except FrameError as error:
+            log.warning("A client sent what is no request: %s", error)
         finally:
             self._server.leave(self)
             self.close()
 
-    def _take(self, asked: wire.Document) -> None:
-        if asked["ask"] == "hello":
-            self._send(self._server.hello())
+    def _take(self, received: Received) -> None:
+        header = received.header
+        if header.kind is Kind.HELLO:
+            self._send(Header(Kind.WELCOME), self._server.hello())
             return
-        number = asked["number"]
+        if header.kind is not Kind.REQUEST or header.number <= self._last:
+            raise FrameError(f"frame {header.number} of kind {header.kind} was not expected")
+        self._last = header.number
+        answer_header = Header(Kind.ANSWER, header.number, header.clock_ns)
 
         def tell(answer: Answer) -> None:
-            self._send({"number": number, **wire.from_answer(answer)})
+            try:
+                held = self._hold(answer, header.number)
+                self._send(answer_header, wire.from_answer(answer, held))
+            except (TypeError, ValueError) as error:
+                refusal = PluginError(f"The answer of the shared model cannot be sent: {error}.")
+                self._send(answer_header, wire.from_answer(refusal))
 
         try:
-            observation = wire.to_observation(asked["observation"])
-            self._server.submit(
-                Waiting(observation=observation, deadline_s=float(asked["deadline_s"]), tell=tell)
+            observation = wire.to_observation(
+                field(received.document(), "observation"), self._recall
             )
+            deadline_s = time.monotonic() + header.left_s
+            self._server.submit(Waiting(observation=observation, deadline_s=deadline_s, tell=tell))
         except RoboNeuronError as error:
             tell(error)
-        except (KeyError, TypeError, ValueError) as error:
-            tell(InvalidInputError(f"The observation cannot be read: {error!r}."))
+        except FrameError as error:
+            tell(InvalidInputError(f"The observation cannot be read: {error}."))
 
-    def _send(self, document: wire.Document) -> None:
+    def _hold(self, answer: Answer, number: int) -> wire.HeldContext | None:
+        """Keep the context of a chunk; on the thread of the model, so that it is there before the
+        robot can name it.
+        """
+        if not isinstance(answer, ActionChunk) or answer.context is None:
+            return None
+        self._held[number] = answer.context
+        while len(self._held) > _MOST_HELD:
+            self._held.popitem(last=False)
+        return wire.HeldContext(self._session, number)
+
+    def _recall(self, named: wire.HeldContext) -> object:
+        """A context that is still held; None for those of another connection."""
+        return self._held.get(named.number) if named.session == self._session else None
+
+    def _send(self, header: Header, document: Document) -> None:
         try:
             with self._sending:
-                self._channel.send(document, _SEND_S)
+                self._channel.send(header, document, _SEND_S)
         except OSError:
             self.close()  # `serve` ends by that
 
@@ -239,10 +285,10 @@ class _Robot:
         self._channel.close()
 
 
-def _channel_of(connected: socket.socket) -> wire.Channel:
+def _channel_of(connected: socket.socket) -> Channel:
     """Raises OSError, with the connection closed, when no second handle is left for it."""
     try:
-        return wire.Channel(connected)
+        return Channel(connected)
     except OSError:
         connected.close()
         raise
