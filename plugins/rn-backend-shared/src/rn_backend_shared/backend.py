@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from rn_backend_shared import wire
 from rn_backend_shared.links import Links
 from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.remote import RemoteLink
 from roboneuron import ActionChunk, Backend, InvalidInputError, Observation, StateError
 
 
@@ -18,11 +19,11 @@ class SharedBackend:
         self, config: SharedOptions, *, runtime: object = None, acceleration: object = None
     ) -> None:
         self._options = config
-        self._links: Links | None = None
+        self._links: Links | RemoteLink | None = None
         self._cameras: tuple[str, ...] = ()
 
     def load(self) -> None:
-        """Reach the server of the model, or start it.
+        """Reach the server of the model; on this machine, start it when there is none.
 
         Raises:
             NotReadyError: it was not ready in time.
@@ -30,7 +31,8 @@ class SharedBackend:
         """
         if self._links is not None:
             raise StateError("Backend 'shared' is loaded already; close it first.")
-        links = Links(self._options)
+        options = self._options
+        links = Links(options) if options.address is None else RemoteLink(options)
         try:
             self._cameras = links.open().cameras
         except BaseException:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import ssl
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from rn_backend_shared.frames import (
     read_header,
 )
 
+Buffer = bytes | bytearray | memoryview
 _LONG_S = 1e6
 _LEAST_S = 1e-3
 
@@ -78,7 +79,7 @@ class Channel:
         """
         self.send_parts(encode(header, document), timeout_s)
 
-    def send_parts(self, parts: list[bytes | memoryview], timeout_s: float) -> None:
+    def send_parts(self, parts: Sequence[Buffer], timeout_s: float) -> None:
         """Send a frame that is encoded already; raises OSError as `send`."""
         if self._is_cut:
             raise ConnectionError("a frame before was sent in part")

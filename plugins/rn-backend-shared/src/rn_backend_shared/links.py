@@ -29,12 +29,20 @@ _POLL_S = 0.02
 
 
 def directory_of(options: SharedOptions) -> Path:
-    """The folder of sockets and logs, made for this user alone.
+    """The folder of sockets and logs; raises as `private_directory`."""
+    return private_directory(options.directory)
+
+
+def private_directory(chosen: Path | None) -> Path:
+    """A folder for sockets and logs, made for this user alone.
+
+    Args:
+        chosen: None for one in the user's run-time directory.
 
     Raises:
         ConfigurationError: it cannot be made, or belongs to somebody else.
     """
-    path = options.directory
+    path = chosen
     if path is None:
         base = os.environ.get("XDG_RUNTIME_DIR")
         path = Path(base) / "roboneuron" if base else Path(f"/tmp/roboneuron-{os.getuid()}")
@@ -179,7 +187,7 @@ class Links:
         try:
             subprocess.run(
                 [python, "-P", "-m", "rn_backend_shared.server", str(path)],
-                input=self._options.model_dump_json(),
+                input=self._options.model_dump_json() + "\n",
                 env={**os.environ, **self._options.environment},
                 check=True,
                 capture_output=True,

@@ -49,6 +49,8 @@ class SharedModel:
             RoboNeuronError: as `Backend.load`.
         """
         options, registry = self._options, discover()
+        if options.backend is None:
+            raise ConfigurationError("No backend is named that holds the shared model.")
         self.spec = spec = registry.get(BackendSpec, options.backend)
         runtime = options.runtime or spec.default_runtime
         parts: dict[str, object] = {"runtime": None, "acceleration": None}

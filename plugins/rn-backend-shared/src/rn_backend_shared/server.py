@@ -27,6 +27,7 @@ from rn_backend_shared.frames import Document, FrameError, Header, Kind, Version
 from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.session import FAILED, LOADING, READY
+from rn_backend_shared.statistics import Statistics
 from roboneuron import (
     ActionChunk,
     ConfigurationError,
@@ -42,6 +43,7 @@ _SEND_S = 0.5
 _FAILED_S = 3.0
 """A server that could not load tells so for this long, then ends."""
 _LOOK_S = 0.1
+STAY = "--stay"
 _BACKLOG = 1024
 _MOST_HELD = 8
 """Contexts of chunks that are kept for a robot: of the running one, and of answers on their way."""
@@ -73,6 +75,7 @@ class SharedModelServer:
         self._state = LOADING
         self._failure: RoboNeuronError | None = None
         self._used_s = time.monotonic()
+        self._statistics = Statistics()
 
     def run(self) -> int:
         """Serve until `stop`, or idle; returns the exit status. One server of a path at a time:
@@ -116,7 +119,7 @@ class SharedModelServer:
             return self._fail(NotReadyError(f"The shared model cannot be loaded: {error!r}."))
         options = self._options
         batcher = self._batcher = Batcher(
-            self._model.answer,
+            self._statistics.timed(self._model.answer),
             most=self._model.most,
             waiting=options.waiting,
             linger_s=options.linger_s,
@@ -152,11 +155,25 @@ class SharedModelServer:
             told["cameras"] = list(self._model.spec.cameras)
         return told
 
+    def status(self) -> Document:
+        """Numbers of this server."""
+        asking = sum(robot.has_asked for robot in list(self._robots))
+        return {
+            "state": self._state,
+            "pid": os.getpid(),
+            "clients": asking,
+            **self._statistics.values(),
+        }
+
     def submit(self, waiting: Waiting) -> None:
         """See `Batcher`."""
         if self._batcher is None:
             raise NotReadyError("The shared model is being loaded.")
         self._batcher.submit(waiting)
+
+    def note(self, answer: Answer) -> None:
+        """Count what a robot is told."""
+        self._statistics.note(answer)
 
     def leave(self, robot: _Robot) -> None:
         """It is gone."""
@@ -234,12 +251,16 @@ class _Robot:
         if header.kind is Kind.HELLO:
             self._send(Header(Kind.WELCOME), self._server.hello())
             return
+        if header.kind is Kind.STATUS:
+            self._send(Header(Kind.STATUS), self._server.status())
+            return
         if header.kind is not Kind.REQUEST or header.number <= self._last:
             raise FrameError(f"frame {header.number} of kind {header.kind} was not expected")
         self._last = header.number
         answer_header = Header(Kind.ANSWER, header.number, header.clock_ns)
 
         def tell(answer: Answer) -> None:
+            self._server.note(answer)
             try:
                 held = self._hold(answer, header.number)
                 self._send(answer_header, wire.from_answer(answer, held))
@@ -311,12 +332,15 @@ def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
 
 
 def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
-    """A server in the background: options as JSON on stdin, path of the socket as argument.
+    """A server in the background: options as JSON in the first line of stdin, path of the socket as
+    argument.
 
     Returns at once in the process that was started, which leaves one behind that belongs to
-    nobody's group.
+    nobody's group. With `--stay` it serves in the process itself, until stdin ends.
     """
-    options, path = SharedOptions.model_validate_json(source.read()), Path(arguments[0])
+    options, path = SharedOptions.model_validate_json(source.readline()), Path(arguments[-1])
+    if arguments[0] == STAY:
+        return _stay(options, path, source)
     if os.fork():
         return 0
     os.setsid()
@@ -324,7 +348,7 @@ def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> in
         os.dup2(nothing.fileno(), 0)
         for number in (1, 2):
             os.dup2(output.fileno(), number)
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    _log()
     code = 1
     try:
         code = serve(options, path, options.idle_s)
@@ -332,6 +356,29 @@ def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> in
         logging.shutdown()
         # threads of robots may be in the middle of something, and hold nothing that must be saved
         os._exit(code)
+
+
+def _stay(options: SharedOptions, path: Path, source: IO[str]) -> int:
+    _log()
+    server = SharedModelServer(options, path, None)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: server.stop())
+
+    def watch() -> None:
+        source.read()  # its other end closes with the process that started this one
+        server.stop()
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+    code = 1
+    try:
+        code = server.run()
+    finally:
+        logging.shutdown()
+        os._exit(code)
+
+
+def _log() -> None:
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
 
 
 if __name__ == "__main__":

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-from rn_backend_shared import wire
+from rn_backend_shared import fields, wire
 from rn_backend_shared.channel import Channel
-from rn_backend_shared.fields import field, integer, items, text
 from rn_backend_shared.frames import Document, FrameError, Header, Kind
 from roboneuron import ActionChunk, NotReadyError
 
@@ -26,22 +25,25 @@ class Welcome:
         pid: of its process.
         cameras: roles that the model needs.
         failure: why it failed, as a document; None for another state.
+        document: all of it, as it came.
     """
 
     state: str
     pid: int
     cameras: tuple[str, ...] = ()
     failure: Document | None = None
+    document: Document = field(default_factory=dict)
 
     @classmethod
     def of(cls, document: Document) -> Welcome:
         """What was sent; raises FrameError."""
-        cameras = items(document.get("cameras", []), "cameras", most=16)
+        cameras = fields.items(document.get("cameras", []), "cameras", most=16)
         return cls(
-            state=text(field(document, "state"), "state"),
-            pid=integer(field(document, "pid"), "pid", 0),
-            cameras=tuple(text(camera, "a camera", 64) for camera in cameras),
+            state=fields.text(fields.field(document, "state"), "state"),
+            pid=fields.integer(fields.field(document, "pid"), "pid", 0),
+            cameras=tuple(fields.text(camera, "a camera", 64) for camera in cameras),
             failure=document if "error" in document else None,
+            document=document,
         )
 
 

@@ -29,6 +29,8 @@ def shared_space(options: Mapping[str, object], profile: RobotProfile) -> Contro
     """
     try:
         given = SharedOptions.model_validate(dict(options))
+        if given.backend is None:
+            return EE_DELTA
         spec = discover().get(BackendSpec, given.backend, elsewhere=True)
     except (ValidationError, ConfigurationError):
         return EE_DELTA
