@@ -103,15 +103,18 @@ def said_to(port: int, sent: bytes, context: ssl.SSLContext | None = None) -> by
     return heard
 
 
+@pytest.mark.parametrize("coding", ["raw", "png"])
 def test_answers_over_tls_equal_those_of_the_same_backend_here_bit_for_bit(
-    serve: Serve, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    serve: Serve, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, coding: str
 ) -> None:
-    server = serve({"only": {"options": {"rows": 6}}})
-    far = robot(server.address)
+    # the model shrinks images itself, so the robot does it before it sends them
+    own = {"rows": 6, "shrinks_to": [64, 48]}
+    server = serve({"only": {"options": own}})
+    far = robot(server.address, coding=coding)
     monkeypatch.syspath_prepend(str(tmp_path / "site"))
     reflex = importlib.import_module("rn_reflex_plugin")
     monkeypatch.delitem(sys.modules, "rn_reflex_plugin")
-    alone = reflex.Reflex(reflex.Options(rows=6))
+    alone = reflex.Reflex(reflex.Options(**own))
     alone.load()
     drawn = np.random.default_rng(0)
     assert SEEN.ee_pose is not None
@@ -125,12 +128,25 @@ def test_answers_over_tls_equal_those_of_the_same_backend_here_bit_for_bit(
         there = far.predict(observation)
         assert alone.predict(observation).actions.tobytes() == there.actions.tobytes(), index
     metrics = there.metrics
+    assert metrics["shared.image_kb"] < 3 * 64 * 48 / 1e3 + 1.0
     parts = [metrics[f"shared.{part}_ms"] for part in ("link", "queue", "model")]
     assert sum(parts) == pytest.approx(metrics["shared.round_trip_ms"])
 
 
+def test_jpeg_is_used_as_far_as_it_moves_actions_no_further_than_allowed(
+    serve: Serve, robot: Robot
+) -> None:
+    server = serve()
+    metrics = robot(server.address, coding="jpeg", quality=80).predict(SEEN).metrics
+    assert 0.0 < metrics["shared.parity_m"] < 0.002
+    assert metrics["shared.coding"] == 2.0
+    strict = robot(server.address, coding="jpeg", quality=80, parity_m=0.0)
+    with pytest.raises(ConfigurationError, match="parity_m = 0 are allowed"):
+        strict.predict(SEEN)
+
+
 def test_real_time_chunking_goes_on_over_the_network(serve: Serve, robot: Robot) -> None:
-    far = robot(serve({"only": {"options": {"rows": 6}}}).address)
+    far = robot(serve({"only": {"options": {"rows": 6}}}).address, coding="raw")
     first = far.predict(SEEN)
     ahead = Ahead(
         rows=first.actions[1:],
@@ -307,6 +323,7 @@ def test_a_model_that_dies_is_an_error_at_once_and_comes_back(serve: Serve, robo
 def test_a_model_that_hangs_costs_no_more_than_the_deadline(serve: Serve, robot: Robot) -> None:
     server = serve()
     one = robot(server.address, timeout_s=0.3)
+    assert answers(one)
     pid = server.status()["models"]["only"]["pid"]
     os.kill(pid, signal.SIGSTOP)
     try:
@@ -354,7 +371,7 @@ def test_why_a_model_cannot_be_loaded_is_told_to_robots_and_in_the_status(
     with pytest.raises(CheckpointError, match=r"There are no weights\. Copy some"):
         robot(server.address, model="bad")
     wait_until(lambda: server.status()["models"]["good"]["state"] == "ready", 60.0)
-    good = robot(server.address, model="good")
+    good = robot(server.address, model="good", coding="raw")
     for _ in range(3):
         good.predict(SEEN)
     words = ["serve-policy", "status", "--config", str(server.config)]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING
 
-from rn_backend_shared import wire
 from rn_backend_shared.links import Links
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.remote import RemoteLink
@@ -58,7 +57,7 @@ class SharedBackend:
                 f"The observation has no {f'image of {lacking[0]!r}' if lacking else 'state'}."
             )
         deadline_s = time.monotonic() + self._options.timeout_s
-        return self._links.ask(wire.from_observation(observation), deadline_s)
+        return self._links.ask(observation, deadline_s)
 
     def reset(self) -> None:
         """Nothing is remembered between observations: only such models can be shared."""

@@ -21,6 +21,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from PIL import Image
 
 from roboneuron import ActionChunk, BackendSpec, CheckpointError, InvalidInputError, UnsafeError, hookimpl
 from pydantic import BaseModel, ConfigDict
@@ -31,6 +32,7 @@ class Options(BaseModel):
     took_s: float = 0.0
     fails: bool = False
     rows: int = 1
+    shrinks_to: list[int] | None = None
 
 
 class Reflex:
@@ -44,6 +46,10 @@ class Reflex:
             raise CheckpointError("There are no weights.", hint="Copy some.")
         self._weights = np.random.default_rng(0).standard_normal((12, 7))
         self._asked = 0
+
+    @property
+    def image_sizes(self):
+        return {} if self._options.shrinks_to is None else {"primary": tuple(self._options.shrinks_to)}
 
     def predict(self, observation):
         chunk = self.predict_batch([observation])[0]
@@ -63,7 +69,10 @@ class Reflex:
             state = [*observation.joints.position[:1], *observation.ee_pose.position_m, observation.gripper_open]
             if not np.isfinite([*observation.joints.position, *state]).all():
                 raise UnsafeError("the state is not finite")
-            image = observation.frames["primary"].image.astype(float)
+            image = observation.frames["primary"].image
+            if self._options.shrinks_to is not None:
+                image = np.asarray(Image.fromarray(image).resize(self._options.shrinks_to, Image.Resampling.BILINEAR))
+            image = image.astype(float)
             half = image.shape[1] // 2
             colours = [*image[:, :half].mean((0, 1)), *image[:, half:].mean((0, 1)), len(observation.instruction)]
             rows.append([*np.array(colours) / 255.0, *state])

@@ -13,12 +13,13 @@ import threading
 import time
 from pathlib import Path
 
+from rn_backend_shared import wire
 from rn_backend_shared.channel import Channel
-from rn_backend_shared.frames import Document, FrameError, VersionError
+from rn_backend_shared.frames import FrameError, VersionError
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.server import peer_user
 from rn_backend_shared.session import FAILED, READY, Session, Welcome, check_ready, greet
-from roboneuron import ActionChunk, ConfigurationError, NotReadyError
+from roboneuron import ActionChunk, ConfigurationError, NotReadyError, Observation
 
 log = logging.getLogger(__name__)
 _HELLO_S = 0.5
@@ -105,7 +106,7 @@ class Links:
                 )
             time.sleep(_POLL_S)
 
-    def ask(self, observation: Document, deadline_s: float) -> ActionChunk:
+    def ask(self, observation: Observation, deadline_s: float) -> ActionChunk:
         """The answer to an observation. A server that dies meanwhile is replaced by another one
         that is ready.
 
@@ -113,6 +114,7 @@ class Links:
             NotReadyError: none by the deadline, or no server is ready; another is being started.
             RoboNeuronError: what the server says instead of a chunk.
         """
+        document = wire.from_observation(observation)
         while True:
             if self._session is None and not any(self._is_ready(path) for path in self._paths):
                 self._revive()
@@ -121,7 +123,7 @@ class Links:
                 )
             assert self._session is not None
             try:
-                return self._session.ask(observation, deadline_s)
+                return self._session.ask(document, deadline_s)
             except TimeoutError as error:
                 if len(self._paths) > 1:  # it may hang: another one is asked next
                     self._paths.append(self._paths.pop(0))

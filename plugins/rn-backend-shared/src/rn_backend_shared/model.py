@@ -4,7 +4,7 @@ robots at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import cast
 
 from rn_backend_shared.batching import Answer
@@ -26,6 +26,8 @@ METHOD = "predict_batch"
 """What a backend may offer beside `Backend`: one chunk for each observation, in their order, from
 one forward. Offering it says that predictions depend on the observation alone.
 """
+
+SIZES = "image_sizes"
 
 
 class SharedModel:
@@ -80,6 +82,13 @@ class SharedModel:
         gain.
         """
         return self._options.most if self._many is not None else 1
+
+    @property
+    def image_sizes(self) -> Mapping[str, tuple[int, int]]:
+        """What the backend says in an attribute `image_sizes`: width and height by role or name
+        of the camera, to which it shrinks images itself, by Pillow's bilinear filter [px].
+        """
+        return dict(getattr(self._backend, SIZES, {}))
 
     def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
         """One answer for each; what one observation lacks is an error of that one only.

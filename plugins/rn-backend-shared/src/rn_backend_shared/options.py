@@ -76,6 +76,24 @@ class SharedOptions(ModelOptions):
     """With a token: certificate that the server's is, or is issued by (PEM). Without it the server
     has to be reached by loopback.
     """
+    coding: Literal["auto", "raw", "png", "jpeg"] = "auto"
+    """How images are sent to an address. `auto`: raw where the link carries it within `link_share`
+    of a period, else PNG, else JPEG. On this machine they are always raw.
+    """
+    link_share: Annotated[float, Field(gt=0, le=1)] = 0.3
+    """See `coding`."""
+    quality: Annotated[int, Field(ge=1, le=100)] = 90
+    """Of JPEG."""
+    image_size: Annotated[tuple[int, int] | None, Field(strict=False)] = None
+    """Shrink images to this width and height before they are sent [px], where the model itself
+    declares no size.
+    """
+    parity_m: Annotated[float, Field(ge=0)] = 0.002
+    """Before the first action it is measured how far JPEG or `image_size` move actions. Where it is
+    more, JPEG is not chosen, and what is fixed is refused [m, m/s].
+    """
+    parity_rad: Annotated[float, Field(ge=0)] = 0.01
+    """Likewise [rad, rad/s]."""
     replicas: Annotated[int, Field(ge=1, le=8)] = 1
     """Servers, each with a copy of the model; when one dies, its robots go on with another within
     the same chunk.
@@ -101,7 +119,8 @@ class SharedOptions(ModelOptions):
 
     def identity(self) -> str:
         """16 hexadecimal digits: the same for robots that share a model."""
-        own = self.model_dump(mode="json", exclude={"timeout_s", "start_timeout_s", "directory"})
+        of_the_server = {*ModelOptions.model_fields, "backend", "replicas", "idle_s"}
+        own = self.model_dump(mode="json", include=of_the_server)
         return hashlib.sha256(json.dumps([VERSION, own], sort_keys=True).encode()).hexdigest()[:16]
 
 

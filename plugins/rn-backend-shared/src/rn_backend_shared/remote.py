@@ -10,11 +10,18 @@ import time
 from collections.abc import Sequence
 
 from rn_backend_shared.channel import Channel
+from rn_backend_shared.coding import Coder
 from rn_backend_shared.frames import Document, FrameError, VersionError
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.security import Place, link_stamps, place_of, tune
 from rn_backend_shared.session import Session, Welcome, check_ready, greet
-from roboneuron import ActionChunk, ConfigurationError, NotReadyError, RoboNeuronError
+from roboneuron import (
+    ActionChunk,
+    ConfigurationError,
+    NotReadyError,
+    Observation,
+    RoboNeuronError,
+)
 
 log = logging.getLogger(__name__)
 _CONNECT_S = 3.0
@@ -47,6 +54,7 @@ class RemoteLink:
         self._lock = threading.Lock()
         self._session: Session | None = None
         self._connecting: threading.Thread | None = None
+        self._coder: Coder | None = None
         self._reason = ""
         self._end = threading.Event()
         self._silent = 0
@@ -79,10 +87,24 @@ class RemoteLink:
                 continue
             with self._lock:
                 self._session = session
+            sizes = session.welcome.image_sizes
+            self._coder = Coder(self._options, sizes, session.base_s)
             return session.welcome
 
-    def ask(self, observation: Document, deadline_s: float) -> ActionChunk:
-        """The answer to an observation.
+    def ask(self, observation: Observation, deadline_s: float) -> ActionChunk:
+        """The answer to an observation; before the first one it is measured what coded images
+        change, see `Coder`.
+
+        Raises:
+            ConfigurationError: they change too much.
+            RoboNeuronError: as `exchange`.
+        """
+        if self._coder is None:
+            raise NotReadyError("The server of the shared model was not reached yet.")
+        return self._coder.ask(observation, self.exchange, deadline_s)
+
+    def exchange(self, observation: Document, deadline_s: float) -> ActionChunk:
+        """The answer to an observation that is a document.
 
         Raises:
             NotReadyError: none by the deadline (monotonic [s]), or there is no connection; another
@@ -177,9 +199,11 @@ class RemoteLink:
             connected.close()
             raise
         try:
+            begun_s = time.monotonic()
             welcome = self._greet(channel, place)
+            base_s = time.monotonic() - begun_s
             check_ready(welcome)
-            return Session(channel, welcome)
+            return Session(channel, welcome, base_s)
         except BaseException:
             channel.close()
             raise

@@ -16,6 +16,7 @@ import sys
 import threading
 import time
 from collections import OrderedDict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
 
@@ -73,6 +74,7 @@ class SharedModelServer:
         self._robots: dict[_Robot, None] = {}
         self._end = threading.Event()
         self._state = LOADING
+        self._image_sizes: Mapping[str, tuple[int, int]] = {}
         self._failure: RoboNeuronError | None = None
         self._used_s = time.monotonic()
         self._statistics = Statistics()
@@ -126,6 +128,7 @@ class SharedModelServer:
             clients=lambda: sum(robot.has_asked for robot in list(self._robots)),
         )
         batcher.start()
+        self._image_sizes = self._model.image_sizes
         self._state = READY
         log.info("The model %s is ready.", self._options.backend)
         self._used_s = time.monotonic()
@@ -153,6 +156,7 @@ class SharedModelServer:
             return told | wire.from_answer(self._failure)
         if self._state == READY:
             told["cameras"] = list(self._model.spec.cameras)
+            told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
         return told
 
     def status(self) -> Document:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from rn_backend_shared import fields, wire
 from rn_backend_shared.channel import Channel
 from rn_backend_shared.frames import Document, FrameError, Header, Kind
+from rn_backend_shared.images import MOST_SIDE_PX
 from roboneuron import ActionChunk, NotReadyError
 
 LOADING, READY, FAILED = "loading", "ready", "failed"
@@ -24,6 +26,7 @@ class Welcome:
         state: `LOADING`, `READY` or `FAILED`.
         pid: of its process.
         cameras: roles that the model needs.
+        image_sizes: width and height by role to which the model shrinks images itself [px].
         failure: why it failed, as a document; None for another state.
         document: all of it, as it came.
     """
@@ -31,6 +34,7 @@ class Welcome:
     state: str
     pid: int
     cameras: tuple[str, ...] = ()
+    image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     failure: Document | None = None
     document: Document = field(default_factory=dict)
 
@@ -38,13 +42,21 @@ class Welcome:
     def of(cls, document: Document) -> Welcome:
         """What was sent; raises FrameError."""
         cameras = fields.items(document.get("cameras", []), "cameras", most=16)
+        sizes = fields.table(document.get("image_sizes", {}), "image sizes", 16)
         return cls(
             state=fields.text(fields.field(document, "state"), "state"),
             pid=fields.integer(fields.field(document, "pid"), "pid", 0),
             cameras=tuple(fields.text(camera, "a camera", 64) for camera in cameras),
+            image_sizes={role: _size(size) for role, size in sizes.items()},
             failure=document if "error" in document else None,
             document=document,
         )
+
+
+def _size(value: object) -> tuple[int, int]:
+    width, height = fields.items(value, "an image size", most=2, least=2)
+    most = MOST_SIDE_PX
+    return fields.integer(width, "a width", 1, most), fields.integer(height, "a height", 1, most)
 
 
 def greet(channel: Channel, hello: Document, timeout_s: float) -> Welcome:
@@ -67,12 +79,14 @@ class Session:
     Args:
         channel: to a server that has said that it is ready.
         welcome: what it said.
+        base_s: how long it took to say that [s].
     """
 
-    def __init__(self, channel: Channel, welcome: Welcome) -> None:
+    def __init__(self, channel: Channel, welcome: Welcome, base_s: float = 0.0) -> None:
         self._channel = channel
         self._number = 0
         self.welcome = welcome
+        self.base_s = base_s
 
     def ask(self, observation: Document, deadline_s: float) -> ActionChunk:
         """The answer to an observation, with the time of the round trip split up.

@@ -23,6 +23,7 @@ from rn_backend_shared.fields import (
     text,
 )
 from rn_backend_shared.frames import Document
+from rn_backend_shared.images import decode_image
 from roboneuron import (
     EE_DELTA,
     ActionChunk,
@@ -224,7 +225,7 @@ def _to_frame(value: object) -> Frame:
     known = field(value, "calibration")
     return Frame(
         camera=text(field(value, "camera"), "camera"),
-        image=array(field(value, "image"), "an image", "|u1", (None, None, 3)),
+        image=decode_image(field(value, "image")),
         stamp_ns=integer(field(value, "stamp_ns"), "stamp of an image"),
         frame_id=text(field(value, "frame_id"), "frame_id"),
         calibration=None if known is None else _to_calibration(known),
