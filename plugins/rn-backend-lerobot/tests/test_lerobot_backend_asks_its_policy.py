@@ -126,7 +126,10 @@ def test_a_robot_may_resize_images_before_it_sends_them(load: Any) -> None:
         backend.predict(observation)
     here, there = (seen.images["observation.images.front"] for seen in fake.seen)
     np.testing.assert_array_equal(here, there)
-    assert load(images="any")[0].image_sizes == {}
+
+
+def test_images_of_another_size_that_are_refused_are_not_resized_by_a_robot(load: Any) -> None:
+    assert load()[0].image_sizes == {}
 
 
 def test_action_steps_cut_the_chunk(load: Any) -> None:
