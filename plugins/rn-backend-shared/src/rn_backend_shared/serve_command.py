@@ -6,10 +6,13 @@ import hashlib
 import json
 import logging
 import signal
+import sys
 import tomllib
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from typing import TYPE_CHECKING
 
 from roboneuron import ConfigurationError
@@ -32,6 +35,9 @@ _COLUMNS = (
 )
 
 
+_FILES = {"unit": "serve-policy.service", "containerfile": "Containerfile"}
+
+
 class ServePolicyCommand:
     """Serve the models of a file to robots on other machines, until Ctrl-C or SIGTERM.
 
@@ -44,9 +50,10 @@ class ServePolicyCommand:
         parser.add_argument(
             "action",
             nargs="?",
-            choices=("run", "status"),
+            choices=("run", "status", "unit", "containerfile"),
             default="run",
-            help="serve (run), or show a server that runs (status)",
+            help="serve (run), show a server that runs (status), or print a systemd unit or a "
+            "container file that runs one",
         )
         parser.add_argument(
             "--config",
@@ -61,6 +68,9 @@ class ServePolicyCommand:
 
     def run(self, arguments: Namespace) -> int:
         """Do it."""
+        if arguments.action in _FILES:
+            print(deployment_file(arguments.action, arguments.config), end="")
+            return 0
         from rn_backend_shared.links import private_directory
 
         options = read_options(arguments)
@@ -79,6 +89,18 @@ class ServePolicyCommand:
         for number in (signal.SIGTERM, signal.SIGINT):
             signal.signal(number, lambda *_: server.stop())
         return server.run()
+
+
+def deployment_file(action: str, config: Path) -> str:
+    """The systemd unit (`unit`) for this interpreter and a file, or the container file."""
+    text = (files(__package__) / "deployment" / _FILES[action]).read_text(encoding="utf-8")
+    if action == "containerfile":
+        return text
+    # systemd splits at spaces and knows % as the begin of a specifier
+    words = {"python": sys.executable, "config": str(config.resolve())}
+    return Template(text).substitute(
+        {name: '"' + word.replace("%", "%%") + '"' for name, word in words.items()}
+    )
 
 
 def read_options(arguments: Namespace) -> PolicyServerOptions:
