@@ -85,11 +85,15 @@ class RunningServer:
         assert self._process is not None
         return self._process.pid
 
+    def words(self) -> list[str]:
+        """Its command line."""
+        return [*WORDS, "--config", str(self.config)]
+
     def start(self, *words: str, is_ready: bool = True) -> RunningServer:
         """Start it, and wait until it listens; `is_ready`: until all its models are ready."""
         with (self.folder / "server.log").open("ab") as log:
             self._process = subprocess.Popen(
-                [*WORDS, "--config", str(self.config), *words],
+                [*self.words(), *words],
                 env=self._environment,
                 stdout=log,
                 stderr=log,
