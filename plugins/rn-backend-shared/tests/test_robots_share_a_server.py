@@ -350,6 +350,23 @@ def test_raw_answers_equal_those_of_the_same_backend_here_bit_for_bit(
         assert (here.step_s, here.space, here.note) == (there.step_s, there.space, there.note)
 
 
+def test_images_that_the_model_does_not_use_are_not_sent(
+    served: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[list[str]] = []
+    one = served()
+    ask = one._links.ask  # type: ignore[union-attr]
+
+    def watched(observation: Observation, deadline_s: float) -> Any:
+        sent.append(list(observation.frames))
+        return ask(observation, deadline_s)
+
+    monkeypatch.setattr(one._links, "ask", watched)
+    frame = SEEN.frames["primary"]
+    one.predict(replace(SEEN, frames={"primary": frame, "wrist": frame, "top": frame}))
+    assert sent == [["primary", "wrist"]]
+
+
 def test_the_round_trip_is_split_up_by_one_clock(served: Robot) -> None:
     metrics = served(options={"took_s": 0.05}).predict(SEEN).metrics
     parts = [metrics[f"shared.{part}_ms"] for part in ("link", "queue", "model")]

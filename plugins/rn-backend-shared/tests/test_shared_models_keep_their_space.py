@@ -72,6 +72,26 @@ def test_the_backend_that_holds_the_model_says_its_space() -> None:
         shared_space({"backend": "oft", "options": {**own, "joints": None}}, ROBOT)
 
 
+def test_the_space_of_a_model_with_an_address_is_said_by_a_person() -> None:
+    given = {"address": "gpu:1", "space": {"kind": "joint_position", "rate_hz": 20.0}}
+    space = shared_space(given, ROBOT)
+    assert (space.kind, space.rate_hz, space.size) == ("joint_position", 20.0, 14)
+    turned = tuple(reversed(space.keys))
+    for kind in ("joint_position", "joint_delta"):
+        own = shared_space({**given, "space": {"kind": kind, "channels": list(turned)}}, ROBOT)
+        assert own.kind == kind
+        assert own.keys == turned
+        assert own.channels[-1] == space.channels[0]
+    for wrong in (
+        {"kind": "joint_position", "channels": ["left0", "elbow"]},
+        {"kind": "joint_position", "channels": ["left/left0", "left/left0"]},
+        {"kind": "sideways"},
+        {"kind": "ee_delta"},
+    ):
+        with pytest.raises(ConfigurationError, match=r"plugins\.shared\.space"):
+            shared_space({**given, "space": wrong}, ROBOT)
+
+
 @pytest.mark.parametrize("options", [{"backend": "elsewhere"}, {"backend": "oft"}, {"no": 1}])
 def test_other_models_move_the_tcp(options: dict[str, object]) -> None:
     assert shared_space(options, ROBOT) is EE_DELTA

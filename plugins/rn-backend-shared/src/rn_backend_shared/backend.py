@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from rn_backend_shared.links import Links
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.remote import RemoteLink
+from rn_backend_shared.session import Welcome
 from roboneuron import ActionChunk, Backend, InvalidInputError, Observation, StateError
 
 
@@ -19,7 +21,7 @@ class SharedBackend:
     ) -> None:
         self._options = config
         self._links: Links | RemoteLink | None = None
-        self._cameras: tuple[str, ...] = ()
+        self._welcome: Welcome | None = None
 
     def load(self) -> None:
         """Reach the server of the model; on this machine, start it when there is none.
@@ -33,7 +35,7 @@ class SharedBackend:
         options = self._options
         links = Links(options) if options.address is None else RemoteLink(options)
         try:
-            self._cameras = links.open().cameras
+            self._welcome = links.open()
         except BaseException:
             links.close()
             raise
@@ -49,13 +51,18 @@ class SharedBackend:
             UnsafeError: the state is not finite.
             RoboNeuronError: what the model says of this observation.
         """
-        if self._links is None:
+        if self._links is None or self._welcome is None:
             raise StateError("Backend 'shared' is not loaded; call load first.")
-        lacking = [role for role in ("primary", *self._cameras) if role not in observation.frames]
+        needed, frames = ("primary", *self._welcome.cameras), observation.frames
+        lacking = [role for role in needed if role not in frames]
         if lacking or observation.joints is None:
             raise InvalidInputError(
                 f"The observation has no {f'image of {lacking[0]!r}' if lacking else 'state'}."
             )
+        used = {*needed, *self._welcome.optional_cameras}
+        if not frames.keys() <= used:
+            seen = {role: frame for role, frame in frames.items() if role in used}
+            observation = replace(observation, frames=seen)
         deadline_s = time.monotonic() + self._options.timeout_s
         return self._links.ask(observation, deadline_s)
 

@@ -104,7 +104,8 @@ class Rememberer(Reflex):
 def roboneuron_backends():
     common = {"config": __name__ + ":Options", "needs_state": True}
     return [
-        BackendSpec(name="reflex", summary="Small.", target=__name__ + ":Reflex", conditions_on_rows=True, **common),
+        BackendSpec(name="reflex", summary="Small.", target=__name__ + ":Reflex", conditions_on_rows=True,
+                    optional_cameras=("wrist",), **common),
         BackendSpec(name="rememberer", summary="Not sharable.", target=__name__ + ":Rememberer", **common),
     ]
 '''  # noqa: E501

@@ -50,16 +50,28 @@ class ModelOptions(BaseModel):
     """Further environment variables of the servers."""
 
 
+class SpaceOptions(BaseModel):
+    """The control space of a model on another machine."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+    kind: str
+    """One of the contract's kinds, such as `joint_position`."""
+    rate_hz: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)] = 0.0
+    """Rows per second that the policy was trained for; 0 when any rate will do."""
+    channels: Annotated[tuple[str, ...], Field(strict=False)] = ()
+    """Names of its values in its own order, as the robot calls them: joints, `gripper_open`,
+    `left/x`. Left out: the robot's own order.
+    """
+
+
 class SharedOptions(ModelOptions):
     """Which model is shared, and how it is asked. Robots with the same model options use the same
     server.
     """
 
     backend: Annotated[Name | None, ConfigurationOnly()] = None
-    """The backend that holds the model, for instance `oft`. With `address` it is the server that
-    holds it; name it all the same when the model does not move the TCP, so that its control space
-    is known here.
-    """
+    """The backend that holds the model, for instance `oft`; with `address` the server knows it."""
     address: Annotated[
         str | None, ConfigurationOnly(), Field(pattern=r"^[^\s:]{1,253}:\d{1,5}$")
     ] = None
@@ -68,6 +80,10 @@ class SharedOptions(ModelOptions):
     """
     model: Annotated[Name | None, ConfigurationOnly()] = None
     """Name of the model on that server; may be left out when it has one."""
+    space: Annotated[SpaceOptions | None, ConfigurationOnly()] = None
+    """Control space of a model with an address, when it does not move the TCP by deltas. What it
+    answers is held against it.
+    """
     token_file: Annotated[Path | None, ConfigurationOnly()] = None
     """Introduce this robot to that server by the token in this file, instead of the keys of
     `roboneuron link`.
@@ -111,8 +127,8 @@ class SharedOptions(ModelOptions):
     def _check_place(self) -> Self:
         if self.backend is None and self.address is None:
             raise ValueError("name the backend that holds the model, or the address of a server")
-        if self.address is None and (self.model or self.token_file or self.ca):
-            raise ValueError("model, token_file and ca belong to a server with an address")
+        if self.address is None and (self.model or self.space or self.token_file or self.ca):
+            raise ValueError("model, space, token_file and ca belong to a server with an address")
         if self.ca is not None and self.token_file is None:
             raise ValueError("ca belongs to a token_file; with a link the keys are known")
         return self

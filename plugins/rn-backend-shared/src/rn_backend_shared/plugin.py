@@ -14,7 +14,7 @@ BACKEND = BackendSpec(
     "another, that answers in batches.",
     target="rn_backend_shared.backend:SharedBackend",
     config="rn_backend_shared.options:SharedOptions",
-    optional_cameras=("wrist",),
+    optional_cameras=("wrist", "left_wrist", "right_wrist", "side", "top", "front"),
     needs_state=True,
     action_space=ActionSpace(horizon=100, step_s=0.0),
     conditions_on_rows=True,

@@ -156,6 +156,7 @@ class SharedModelServer:
             return told | wire.from_answer(self._failure)
         if self._state == READY:
             told["cameras"] = list(self._model.spec.cameras)
+            told["optional_cameras"] = list(self._model.spec.optional_cameras)
             told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
         return told
 

@@ -26,6 +26,7 @@ class Welcome:
         state: `LOADING`, `READY` or `FAILED`.
         pid: of its process.
         cameras: roles that the model needs.
+        optional_cameras: roles that it uses where they are.
         image_sizes: width and height by role to which the model shrinks images itself [px].
         failure: why it failed, as a document; None for another state.
         document: all of it, as it came.
@@ -34,6 +35,7 @@ class Welcome:
     state: str
     pid: int
     cameras: tuple[str, ...] = ()
+    optional_cameras: tuple[str, ...] = ()
     image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     failure: Document | None = None
     document: Document = field(default_factory=dict)
@@ -41,16 +43,21 @@ class Welcome:
     @classmethod
     def of(cls, document: Document) -> Welcome:
         """What was sent; raises FrameError."""
-        cameras = fields.items(document.get("cameras", []), "cameras", most=16)
         sizes = fields.table(document.get("image_sizes", {}), "image sizes", 16)
         return cls(
             state=fields.text(fields.field(document, "state"), "state"),
             pid=fields.integer(fields.field(document, "pid"), "pid", 0),
-            cameras=tuple(fields.text(camera, "a camera", 64) for camera in cameras),
+            cameras=_roles(document, "cameras"),
+            optional_cameras=_roles(document, "optional_cameras"),
             image_sizes={role: _size(size) for role, size in sizes.items()},
             failure=document if "error" in document else None,
             document=document,
         )
+
+
+def _roles(document: Document, name: str) -> tuple[str, ...]:
+    roles = fields.items(document.get(name, []), name, most=16)
+    return tuple(fields.text(role, "a role", 64) for role in roles)
 
 
 def _size(value: object) -> tuple[int, int]:
