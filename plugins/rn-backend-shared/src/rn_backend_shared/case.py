@@ -33,6 +33,7 @@ class Options(BaseModel):
     fails: bool = False
     rows: int = 1
     shrinks_to: list[int] | None = None
+    gain: float = 0.01
 
 
 class Reflex:
@@ -77,7 +78,7 @@ class Reflex:
             colours = [*image[:, :half].mean((0, 1)), *image[:, half:].mean((0, 1)), len(observation.instruction)]
             rows.append([*np.array(colours) / 255.0, *state])
         time.sleep(self._options.took_s)
-        moves = 0.01 * np.tanh(np.array(rows) @ self._weights)
+        moves = self._options.gain * np.tanh(np.array(rows) @ self._weights)
         count = self._options.rows
         self._asked += len(moves)
         return [
