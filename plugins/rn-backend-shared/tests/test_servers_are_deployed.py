@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import configparser
 import json
+import re
 import shlex
 import shutil
 import socket
@@ -20,7 +21,7 @@ from rn_backend_shared.serve_command import ServePolicyCommand, deployment_file
 from rn_testing.waiting import wait_until
 from roboneuron.cli.main import main
 
-PROJECT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[3]
 
 
 def command_of(words: list[str]) -> str:
@@ -93,11 +94,11 @@ def test_a_server_tells_its_manager_that_it_has_begun(
 
 
 def test_the_container_file_installs_and_runs_what_is_there(
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["serve-policy", "containerfile"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    steps = [line.partition(" ") for line in lines if line and not line.startswith("#")]
+    text = re.sub(r"(?m)^#.*\n", "", capsys.readouterr().out).replace("\\\n", " ")
+    steps = [line.partition(" ") for line in text.splitlines() if line]
     instructions = [step[0] for step in steps]
     known = {
         *("FROM", "ARG", "COPY", "RUN", "USER", "ENV", "VOLUME", "EXPOSE", "STOPSIGNAL"),
@@ -111,7 +112,32 @@ def test_the_container_file_installs_and_runs_what_is_there(
     assert command_of(entry[2:]) == "/etc/policies.toml"
     assert int(by_name["EXPOSE"]) == ListenOptions().port
     assert by_name["USER"] != "0"
-    installed = next(rest for name, _, rest in steps if name == "RUN" and "pip" in rest)
-    assert '"rn-backend-shared[link]"' in installed
-    extras = (PROJECT / "pyproject.toml").read_text()
-    assert "\nlink = [" in extras
+    check_it_installs(
+        next(rest for name, _, rest in steps if name == "RUN" and "pip" in rest), tmp_path
+    )
+
+
+def check_it_installs(script: str, folder: Path) -> None:
+    """Run the script with a pip that says what it was asked for, and wheels called as ours are."""
+    names = ("roboneuron_core", "rn_link", "rn_backend_shared", "rn_vla", "rn_backend_oft")
+    (folder / "wheels").mkdir()
+    for name in (*names, "rn_eval"):
+        assert (ROOT / "plugins" / name.replace("_", "-")).exists() or name == "roboneuron_core"
+        (folder / "wheels" / f"{name}-0.1.0-py3-none-any.whl").touch()
+    pip = folder / "pip"
+    pip.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
+    pip.chmod(0o755)
+    done = subprocess.run(
+        ["sh", "-c", script.replace("/wheels", str(folder / "wheels"))],
+        env={
+            "PATH": f"{folder}:/usr/bin:/bin",
+            "BACKENDS": "rn_vla rn_backend_oft",
+            "PACKAGES": "torch",
+        },
+        capture_output=True,
+        text=True,
+        timeout=30,
+        check=True,
+    )
+    wheels = [str(folder / "wheels" / f"{name}-0.1.0-py3-none-any.whl") for name in names]
+    assert done.stdout.split() == ["install", "--no-cache-dir", "torch", *wheels]

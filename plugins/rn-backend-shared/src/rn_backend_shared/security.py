@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from rn_backend_shared.options import ListenOptions, SharedOptions
 from roboneuron import ConfigurationError, MissingDependencyError
+from roboneuron.command import availability
 
 if TYPE_CHECKING:
     from rn_link.machine import Machine
@@ -164,7 +165,7 @@ def _link() -> tuple[Path, Machine]:
     except ModuleNotFoundError as error:
         raise MissingDependencyError(
             "The keys of `roboneuron link` are used by rn-link, which is not installed.",
-            hint="Run: pip install rn-link. Or use a token (token_file).",
+            hint=f"Run: {availability.install_command('rn-link')}. Or use a token (token_file).",
         ) from error
     folder = link_folder()
     machine = read_machine(folder)
