@@ -128,6 +128,13 @@ def test_a_robot_may_resize_images_before_it_sends_them(load: Any) -> None:
     np.testing.assert_array_equal(here, there)
 
 
+def test_whether_rows_are_continued_is_said_by_the_policy(load: Any) -> None:
+    backend, fake = load()
+    assert backend.continues_rows
+    fake.can_continue = False
+    assert not backend.continues_rows
+
+
 def test_images_of_another_size_that_are_refused_are_not_resized_by_a_robot(load: Any) -> None:
     assert load()[0].image_sizes == {}
 

@@ -13,7 +13,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -28,12 +28,14 @@ from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.case import install, options_in
 from rn_backend_shared.frames import VERSION, Header, Kind
 from rn_backend_shared.links import Links, directory_of
+from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.plugin import BACKEND
 from rn_backend_shared.server import SharedModelServer
 from rn_testing.fakes.backend import make_observation
 from rn_testing.waiting import wait_until
 from roboneuron import (
+    ActionChunk,
     Ahead,
     CheckpointError,
     ConfigurationError,
@@ -324,6 +326,40 @@ def test_robots_whose_rows_go_on_are_answered_one_by_one(served: Robot) -> None:
     with ThreadPoolExecutor(3) as pool:
         for _ in range(5):
             assert list(pool.map(ask, range(3))) == [3, 3, 3]
+
+
+def test_a_batch_holds_those_whose_rows_do_not_go_on(tmp_path: Path) -> None:
+    install(tmp_path)
+    sys.path.insert(0, str(tmp_path / "site"))
+    try:
+        for continues in (True, False):
+            options = options_in(tmp_path, options={"rows": 6, "continues": continues})
+            model = SharedModel(SharedOptions.model_validate(options))
+            model.load()
+            asked: list[int] = []
+            many = model._many
+            assert many is not None
+
+            def counted(
+                observations: Sequence[Observation], many: Any = many, asked: list[int] = asked
+            ) -> Any:
+                asked.append(len(observations))
+                return many(observations)
+
+            model._many = counted
+            ahead = Ahead(rows=np.zeros((4, 7)), committed_rows=3, step_s=0.1)
+            given = [seen(0), replace(seen(1), ahead=ahead), seen(2)]
+            told = [chunk for chunk in model.answer(given) if isinstance(chunk, ActionChunk)]
+            assert [chunk.conditioned_rows for chunk in told] == [0, 3 if continues else 0, 0]
+            assert asked == [2 if continues else 3]
+            alone = [model.answer([one])[0] for one in given]
+            for chunk, single in zip(told, alone, strict=True):
+                assert isinstance(single, ActionChunk)
+                if chunk.conditioned_rows == single.conditioned_rows:
+                    np.testing.assert_allclose(chunk.actions, single.actions, rtol=0, atol=1e-5)
+    finally:
+        sys.path.remove(str(tmp_path / "site"))
+        sys.modules.pop("rn_reflex_plugin", None)
 
 
 def test_raw_answers_equal_those_of_the_same_backend_here_bit_for_bit(

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,16 @@ import numpy as np
 import pytest
 from policy_servers import RunningServer, link_of, pair, robot_of
 
+from rn_backend_shared import front as front_module
 from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.channel import Channel
 from rn_backend_shared.frames import HEADER_BYTES, VERSION, Header, Kind
-from rn_backend_shared.options import ListenOptions, SharedOptions
+from rn_backend_shared.front import PolicyServer
+from rn_backend_shared.options import ListenOptions, PolicyServerOptions, SharedOptions
 from rn_backend_shared.plugin import BACKEND
+from rn_backend_shared.processes import ModelProcess
 from rn_backend_shared.security import Guard, is_loopback, place_of
+from rn_link.certificates import issue, key_to_pem, new_issuer, new_key, to_pem, write_private
 from rn_link.machine import read_machine
 from rn_link.tls import tls_context
 from rn_link_pairing.keeping import remove_peer
@@ -37,6 +42,7 @@ from roboneuron import (
     Ahead,
     CheckpointError,
     ConfigurationError,
+    MissingDependencyError,
     NotReadyError,
     RoboNeuronError,
 )
@@ -520,3 +526,93 @@ def test_a_server_that_is_not_there_is_an_error_after_a_while(
         port = free.getsockname()[1]
     with pytest.raises(RoboNeuronError, match="cannot be reached"):
         robot(f"127.0.0.1:{port}", token_file=str(token), start_timeout_s=0.5)
+
+
+def test_a_token_goes_over_tls_where_the_servers_certificate_is_known(
+    serve: Serve, robot: Robot, tmp_path: Path
+) -> None:
+    issuer = new_issuer("server", datetime.now(UTC))
+    key = new_key()
+    shown = issue(issuer, "server", "member", key.public_key(), datetime.now(UTC), 30)
+    write_private(tmp_path / "server.pem", to_pem(shown))
+    write_private(tmp_path / "server.key", key_to_pem(key))
+    write_private(tmp_path / "ca.pem", to_pem(issuer.certificate))
+    write_private(
+        tmp_path / "other.pem", to_pem(new_issuer("other", datetime.now(UTC)).certificate)
+    )
+    server = serve(
+        keys="token",
+        host="0.0.0.0",
+        certificate=str(tmp_path / "server.pem"),
+        key=str(tmp_path / "server.key"),
+    )
+    options = {"token_file": str(tmp_path / "token"), "coding": "raw"}
+    assert answers(robot(server.address, ca=str(tmp_path / "ca.pem"), **options))
+    with pytest.raises(ConfigurationError, match="not trusted"):
+        robot(server.address, ca=str(tmp_path / "other.pem"), **options)
+    with pytest.raises(NotReadyError, match="closed the connection without a word"):
+        robot(server.address, start_timeout_s=0.5, **options)
+
+
+def test_without_rn_link_a_person_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rn_link.machine", None)
+    with pytest.raises(MissingDependencyError, match="pip install"):
+        place_of(SharedOptions(address="gpu:7420"))
+    with pytest.raises(MissingDependencyError, match="pip install"):
+        Guard(ListenOptions())
+
+
+@pytest.fixture
+def front(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PolicyServer]:
+    """A server in this process that is impatient, without a model."""
+    monkeypatch.setattr(front_module, "_FRAME_S", 0.3)
+    monkeypatch.setattr(front_module, "_ADMIT_S", 0.5)
+    monkeypatch.setattr(ModelProcess, "start", lambda process: None)
+    (tmp_path / "run").mkdir(mode=0o700)
+    listen = {"port": 0, "keys": "token", "token_file": str(tmp_path / "token")}
+    options = PolicyServerOptions.model_validate(
+        {"listen": listen, "models": {"only": {"backend": "reflex"}}}
+    )
+    server = PolicyServer(options, tmp_path / "run", "front")
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    assert server.has_begun.wait(30.0)
+    yield server
+    server.stop()
+    thread.join(60.0)
+
+
+def test_who_stalls_is_left_before_and_after_it_was_admitted(
+    front: PolicyServer, tmp_path: Path
+) -> None:
+    with socket.create_connection(("127.0.0.1", front.port), 20.0) as silent:
+        assert silent.recv(1) == b""
+    with socket.create_connection(("127.0.0.1", front.port), 20.0) as slow, suppress(OSError):
+        for byte in Header(Kind.HELLO).pack() * 10:  # a byte now and then is no introduction
+            slow.send(bytes([byte]))
+            time.sleep(0.05)
+    wait_until(lambda: front.status()["refused_connections"] == 2, 20.0, "both are left")
+    raw = socket.create_connection(("127.0.0.1", front.port), 20.0)
+    channel = Channel(raw)
+    token = (tmp_path / "token").read_text().strip()
+    channel.send(Header(Kind.HELLO), {"token": token}, 10.0)
+    assert channel.receive(time.monotonic() + 10.0).document()["state"] == "loading"
+    wait_until(lambda: front.status()["robots"] == 1, 20.0)
+    raw.sendall(Header(Kind.REQUEST, 1, 0, 5.0, 1000).pack())
+    with pytest.raises(OSError, match="closed"):
+        channel.receive(time.monotonic() + 20.0)
+    channel.close()
+    wait_until(lambda: front.status()["robots"] == 0, 20.0)
+
+
+def test_a_robot_is_told_when_there_is_no_model(front: PolicyServer, tmp_path: Path) -> None:
+    channel = Channel(socket.create_connection(("127.0.0.1", front.port), 20.0))
+    token = (tmp_path / "token").read_text().strip()
+    channel.send(Header(Kind.HELLO), {"token": token}, 10.0)
+    channel.receive(time.monotonic() + 10.0)
+    channel.send(Header(Kind.REQUEST, 1, 77, 5.0), {"observation": {}}, 5.0)
+    told = channel.receive(time.monotonic() + 10.0)
+    assert (told.header.number, told.header.clock_ns) == (1, 77)
+    assert told.document()["error"] == "not_ready"
+    channel.close()
+    assert front.status()["models"]["only"]["lost"] == 1

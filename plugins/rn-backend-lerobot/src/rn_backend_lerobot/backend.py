@@ -104,6 +104,14 @@ class LeRobotBackend:
         return self._predict_batch
 
     @property
+    def continues_rows(self) -> bool:
+        """Whether this policy continues rows that are played meanwhile; others are worth asking for
+        several robots at once all the same.
+        """
+        _, engine = self._loaded()
+        return engine.can_continue
+
+    @property
     def image_sizes(self) -> dict[str, tuple[int, int]]:
         """Width and height by role or name of the camera that images are resized to here [px], so
         that a robot may do it before it sends them; none where another size is refused or taken as

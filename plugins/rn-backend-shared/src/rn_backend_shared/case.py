@@ -34,6 +34,7 @@ class Options(BaseModel):
     rows: int = 1
     shrinks_to: list[int] | None = None
     gain: float = 0.01
+    continues: bool = True
 
 
 class Reflex:
@@ -47,6 +48,10 @@ class Reflex:
             raise CheckpointError("There are no weights.", hint="Copy some.")
         self._weights = np.random.default_rng(0).standard_normal((12, 7))
         self._asked = 0
+
+    @property
+    def continues_rows(self):
+        return self._options.continues
 
     @property
     def image_sizes(self):

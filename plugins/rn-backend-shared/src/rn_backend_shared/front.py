@@ -48,6 +48,8 @@ _GRACE_S = 0.1
 """So much later than its deadline an answer of the model is passed on, for the robot to count."""
 _LOOK_S = 0.1
 _KEYS_LOOK_S = 0.5
+_TELL_S = 10.0
+"""How often the log tells of connections that were refused: strangers must not fill it."""
 _NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _NO_HANDLES_S = 1.0
 
@@ -74,6 +76,7 @@ class PolicyServer:
         self._unknown: dict[_Visitor, float] = {}
         self._robots: set[_Visitor] = set()
         self._counts: Counter[str] = Counter()
+        self._newest_refusal = ""
         self.has_begun = threading.Event()
         self.port = 0
 
@@ -162,12 +165,17 @@ class PolicyServer:
             self._robots.add(visitor)
         return self.processes[name]
 
-    def leave(self, visitor: _Visitor, *, is_refused: bool) -> None:
+    def leave(self, visitor: _Visitor, why: str) -> None:
         """It is gone."""
         with self._lock:
             self._unknown.pop(visitor, None)
+            is_robot = visitor in self._robots
             self._robots.discard(visitor)
-            self._counts["refused"] += is_refused
+            if not is_robot:
+                self._counts["refused"] += 1
+                self._newest_refusal = f"{visitor.address}: {why}"
+        if is_robot:
+            log.info("A robot at %s is gone: %s", visitor.address, why)
 
     def note_lost(self, model: str) -> None:
         """An observation whose model was not there."""
@@ -176,7 +184,8 @@ class PolicyServer:
 
     def _watch(self) -> None:
         """Until the end: hang up on those that have taken too long, and on all when keys change."""
-        looked_s = 0.0
+        looked_s = told_s = 0.0
+        told = 0
         while not self._end.wait(_LOOK_S):
             now_s = time.monotonic()
             with self._lock:
@@ -187,6 +196,14 @@ class PolicyServer:
                 ]
             for visitor in late:
                 visitor.interrupt()
+            if self._counts["refused"] > told and now_s - told_s > _TELL_S:
+                count, told_s = self._counts["refused"], now_s
+                log.warning(
+                    "%d connections were refused, the newest from %s",
+                    count - told,
+                    self._newest_refusal,
+                )
+                told = count
             if now_s - looked_s > _KEYS_LOOK_S:
                 looked_s = now_s
                 if self._guard.has_changed():
@@ -218,8 +235,10 @@ class PolicyServer:
             try:
                 visitor = _Visitor(self, self._guard, connected, str(address[0]))
             except OSError as error:
-                log.info("A connection from %s was refused: %s", address[0], error)
                 connected.close()
+                with self._lock:
+                    self._counts["refused"] += 1
+                    self._newest_refusal = f"{address[0]}: {error}"
                 continue
             with self._lock:
                 self._unknown[visitor] = time.monotonic()
@@ -277,7 +296,7 @@ class _Visitor:
 
     def serve(self) -> None:
         """Until it is gone."""
-        is_admitted = False
+        why = "it was refused"
         try:
             if isinstance(self._connected, ssl.SSLSocket):
                 self._connected.do_handshake()
@@ -292,19 +311,18 @@ class _Visitor:
                 refusal = {"state": FAILED, "pid": 0, **wire.from_answer(error)}
                 channel.send(Header(Kind.WELCOME), refusal, _SEND_S)
                 raise FrameError(str(error)) from error
-            is_admitted = True
             channel.most_bytes = _REQUEST_BYTES
             log.info("A robot at %s uses the model %s.", self.address, process.name)
             self._welcome(channel, process)
             while True:
                 self._take(channel, process, self._next(channel))
         except VersionError as error:
-            log.warning("A robot at %s was refused: %s", self.address, error)
+            why = str(error)
             self._refuse_version(error)
         except (OSError, FrameError) as error:
-            log.info("A connection from %s has ended: %s", self.address, error)
+            why = str(error)
         finally:
-            self._server.leave(self, is_refused=not is_admitted)
+            self._server.leave(self, why)
             if self._model is not None:
                 self._model.close()
             if self._channel is not None:

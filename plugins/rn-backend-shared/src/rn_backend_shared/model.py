@@ -28,6 +28,10 @@ one forward. Offering it says that predictions depend on the observation alone.
 """
 
 SIZES = "image_sizes"
+CONTINUES = "continues_rows"
+"""What a backend may say beside its descriptor's `conditions_on_rows` once it is loaded: whether
+this checkpoint continues rows.
+"""
 
 
 class SharedModel:
@@ -93,13 +97,27 @@ class SharedModel:
     def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
         """One answer for each; what one observation lacks is an error of that one only.
 
-        A model that continues rows is asked one by one where rows are ahead: its forward over
+        Where rows are ahead that the model continues it is asked one by one: its forward over
         several observations continues none.
         """
-        continues = self.spec.conditions_on_rows and any(
-            one.ahead is not None and len(one.ahead.rows) for one in observations
-        )
-        if self._many is not None and len(observations) > 1 and not continues:
+        answers: dict[int, Answer] = {}
+        together: list[int] = []
+        for place, observation in enumerate(observations):
+            if self._continues(observation):
+                answers[place] = self._alone(observation)
+            else:
+                together.append(place)
+        found = self._together([observations[place] for place in together])
+        answers |= dict(zip(together, found, strict=True))
+        return [answers[place] for place in range(len(observations))]
+
+    def _continues(self, observation: Observation) -> bool:
+        ahead = observation.ahead
+        can = getattr(self._backend, CONTINUES, self.spec.conditions_on_rows)
+        return bool(can) and ahead is not None and len(ahead.rows) > 0
+
+    def _together(self, observations: Sequence[Observation]) -> Sequence[Answer]:
+        if self._many is not None and len(observations) > 1:
             try:
                 return list(self._many(observations))
             except RoboNeuronError:

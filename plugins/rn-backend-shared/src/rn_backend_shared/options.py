@@ -174,7 +174,7 @@ class ListenOptions(BaseModel):
     """With `token`: the server's certificate chain (PEM), a must where it is not loopback."""
     key: Path | None = None
     """Its key (PEM)."""
-    robots: Annotated[int, Field(ge=1, le=1024)] = 64
+    robots: Annotated[int, Field(ge=1, le=100)] = 64
     """Most robots that are connected."""
     directory: Path | None = None
     """Where sockets and logs are; by default in the user's run-time directory."""
