@@ -157,6 +157,9 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 test-link: $(VENV)/.develop ## an encrypted link between two network namespaces: strangers, cut cables (needs root)
 	$(BIN)/python -m pytest plugins/rn-link/tests -m "ros" $(ARGS)
 
+test-serve: $(VENV)/.develop ## robots and policy servers: cables cut between network namespaces, ten thousand connections (needs root)
+	$(BIN)/python -m pytest plugins/rn-backend-shared/tests -m "not ros" $(ARGS)
+
 # Kilted is for Python 3.12, as what its packages for Ubuntu are.
 KILTED_PYTHON ?= python3.12
 
@@ -392,6 +395,9 @@ bench-fleet: $(VENV)/.develop ## 16 light bases behind one server: lost commands
 
 bench-shared: $(VENV)/.develop ## eight robots on one shared model: in batches against one at a time
 	$(BIN)/python benchmarks/bench_shared_inference.py $(ARGS)
+
+bench-serve: $(VENV)/.develop ## what a model on another machine costs, beside an echo of the same bytes over TLS
+	$(BIN)/python benchmarks/bench_serve_policy.py $(ARGS)
 
 bench-vla: $(VENV)/.develop ## backends and acceleration presets beside a plain transformers loop
 	$(BIN)/python benchmarks/bench_vla.py $(ARGS)
