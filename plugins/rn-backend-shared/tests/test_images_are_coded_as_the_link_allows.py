@@ -190,7 +190,19 @@ def test_the_coding_follows_what_the_link_carries(rate: float, expected: str) ->
         meter.note(coding, size, coding_s, 0.001 + size / rate)
     meter.settle(0.05, CODINGS)
     assert meter.current == expected
-    assert meter.bytes_per_s == pytest.approx(rate)
+    assert meter.cost_s("raw") == pytest.approx(150_000 / rate)
+
+
+def test_small_images_that_take_one_round_trip_make_no_room_for_large_ones() -> None:
+    meter = LinkMeter(share=0.3)
+    meter.note_base(0.150)
+    for _ in range(20):
+        meter.note("png", 80_000, 0.003, 0.250)
+        meter.assume("raw", 150_000)
+        for _ in range(5):
+            meter.note("jpeg", 12_000, 0.001, 0.150)
+            meter.choose(0.05, CODINGS)
+    assert meter.current == "jpeg"
 
 
 def test_one_hiccup_changes_nothing_and_a_slower_link_does() -> None:
@@ -209,22 +221,27 @@ def test_one_hiccup_changes_nothing_and_a_slower_link_does() -> None:
         ask(one, far)
     assert one.coding == "jpeg"
     far.bytes_per_s = 1000 * MBIT
-    for _ in range(20):
+    for _ in range(250):
         ask(one, far)
-    assert one.coding == "raw", "it comes back"
+    assert one.coding == "raw", "it comes back, by way of PNG"
 
 
-def test_a_link_that_small_images_tell_little_of_is_probed() -> None:
+def test_a_larger_coding_is_tried_now_and_then_where_no_deadline_is_at_risk() -> None:
     meter = LinkMeter(share=0.3)
     meter.note_base(0.001)
     for coding, size in (("raw", 900_000), ("png", 500_000), ("jpeg", 60_000)):
-        meter.assume(coding, size)  # type: ignore[arg-type]
-    meter.current = "jpeg"
-    # 5 ms of jitter look like 12 MB/s, whatever the link carries
-    meter.note("jpeg", 60_000, 0.001, 0.006)
+        meter.note(coding, size, 0.001, size / 30_000)  # type: ignore[arg-type]
+    meter.settle(0.05, CODINGS)
+    assert meter.current == "jpeg"
+    assert meter.probe(CODINGS, 0.375) == "jpeg", "the link is too slow for that"
+    for _ in range(5):
+        meter.note("jpeg", 60_000, 0.001, 0.004)
     assert meter.probe(CODINGS, 0.375) == "png"
-    assert meter.probe(CODINGS, 0.010) == "jpeg", "not where a probe could miss its deadline"
-    assert meter.probe(("raw", "jpeg"), 0.375) == "raw"
+    meter.note("png", 500_000, 0.003, 0.011)
+    for _ in range(5):
+        meter.choose(0.05, CODINGS)
+    assert meter.current == "png", "what was measured before the link became better is forgotten"
+    assert meter.probe(CODINGS, 0.375) == "raw"
 
 
 def test_parity_is_measured_before_the_first_action_and_told() -> None:

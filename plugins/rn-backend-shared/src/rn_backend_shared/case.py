@@ -34,6 +34,7 @@ class Options(BaseModel):
     rows: int = 1
     shrinks_to: list[int] | None = None
     gain: float = 0.01
+    step_s: float = 0.1
     continues: bool = True
 
 
@@ -88,7 +89,7 @@ class Reflex:
         self._asked += len(moves)
         return [
             ActionChunk(actions=np.outer(np.arange(count) + 1.0, row) * [1, 1, 1, 1, 1, 1, 0] + [0, 0, 0, 0, 0, 0, 0.5],
-                        step_s=0.1, context={"row": 100.0 * self._asked})
+                        step_s=self._options.step_s, context={"row": 100.0 * self._asked})
             for row in moves
         ]
 

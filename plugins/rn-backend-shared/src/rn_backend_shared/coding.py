@@ -22,34 +22,32 @@ Ask = Callable[[Document, float], ActionChunk]
 """Sends an observation and returns the answer by a deadline (monotonic [s])."""
 PARITY_S = 5.0
 """Longest wait for each answer of a parity check; nothing is played meanwhile."""
-_SAMPLES = 9
+_SAMPLES = 5
 _AGREEING = 5
 """So many choices in a row must agree on another coding before it is taken."""
 _PROBE = 100
-"""Every so many observations one goes in the next larger coding, if the link can bear that: small
-ones tell little of what it carries.
+"""Every so many observations one goes in the next larger coding, if the link may bear that: what
+was measured long ago may no longer be true.
 """
-_LEAST_S = 1e-5
 _LINK = "shared.link_ms"
 
 
 class LinkMeter:
-    """What a link carries, and which coding that means. Times are in seconds."""
+    """What images cost on a link, and which coding that means. Times are in seconds.
+
+    Each coding is measured by itself: a small image takes one round trip whatever the link carries,
+    and tells nothing of a larger one.
+    """
 
     def __init__(self, share: float) -> None:
         self._share = share
         self._base_s: float | None = None
-        self._rates: deque[float] = deque(maxlen=_SAMPLES)
         self._sizes: dict[Coding, int] = {}
         self._coding_s: dict[Coding, float] = {}
+        self._link_s: dict[Coding, deque[float]] = {}
         self.current: Coding = "raw"
         self._wanted: Coding = "raw"
         self._agreeing = 0
-
-    @property
-    def bytes_per_s(self) -> float | None:
-        """Median of the newest measurements; None before the first."""
-        return statistics.median(self._rates) if self._rates else None
 
     def note_base(self, link_s: float) -> None:
         """A round trip of next to nothing."""
@@ -65,9 +63,8 @@ class LinkMeter:
             link_s: its time on the link, both ways.
         """
         self.note_base(link_s)
-        assert self._base_s is not None
         self._sizes[coding], self._coding_s[coding] = size, coding_s
-        self._rates.append(size / max(link_s - self._base_s, _LEAST_S))
+        self._link_s.setdefault(coding, deque(maxlen=_SAMPLES)).append(link_s)
 
     def assume(self, coding: Coding, size: int) -> None:
         """How large images would be with a coding that takes no time."""
@@ -75,13 +72,24 @@ class LinkMeter:
         self._coding_s.setdefault(coding, 0.0)
 
     def cost_s(self, coding: Coding) -> float | None:
-        """Time that images take with a coding, beyond the latency of the link; None when it is not
-        known.
+        """Time that images take with a coding, beyond a round trip of next to nothing; None when it
+        is not known. One that was not measured costs by its size what the next smaller one does.
         """
-        rate = self.bytes_per_s
-        if rate is None or coding not in self._sizes:
+        if coding not in self._sizes:
             return None
-        return self._coding_s[coding] + self._sizes[coding] / rate
+        if coding in self._link_s:
+            return self._coding_s[coding] + self._transfer_s(coding)
+        for smaller in CODINGS[CODINGS.index(coding) + 1 :]:
+            if smaller in self._link_s:
+                return self._coding_s[coding] + self._scaled_s(coding, smaller)
+        return None
+
+    def _transfer_s(self, coding: Coding) -> float:
+        assert self._base_s is not None
+        return max(statistics.median(self._link_s[coding]) - self._base_s, 0.0)
+
+    def _scaled_s(self, coding: Coding, measured: Coding) -> float:
+        return self._transfer_s(measured) * self._sizes[coding] / self._sizes[measured]
 
     def choose(self, period_s: float, allowed: tuple[Coding, ...]) -> Coding:
         """The coding to use from now on: the first that costs at most the share of a period, or the
@@ -105,13 +113,17 @@ class LinkMeter:
             self.choose(period_s, allowed)
 
     def probe(self, allowed: tuple[Coding, ...], most_s: float) -> Coding:
-        """The next larger coding than the current one, where its images take at most that long."""
+        """The next larger coding than the current one, where its images may take at most that long
+        by what the current ones take; its older measurements are forgotten.
+        """
         larger = [one for one in CODINGS[: CODINGS.index(self.current)] if one in allowed]
-        rate = self.bytes_per_s
-        for coding in reversed(larger):
-            if rate is not None and self._sizes.get(coding, np.inf) / rate <= most_s:
-                return coding
-        return self.current
+        if not larger or larger[-1] not in self._sizes or self.current not in self._link_s:
+            return self.current
+        coding = larger[-1]
+        if self._scaled_s(coding, self.current) > most_s:
+            return self.current
+        self._link_s.pop(coding, None)
+        return coding
 
 
 class Coder:
@@ -168,11 +180,7 @@ class Coder:
         before = self.coding
         now = self._meter.choose(chunk.step_s, self._allowed)
         if now != before:
-            log.info(
-                "Images are sent as %s: the link carries %.2f MB/s.",
-                now,
-                (self._meter.bytes_per_s or 0.0) / 1e6,
-            )
+            log.info("Images are sent as %s from now on, before as %s.", now, before)
 
     def _fitted(self, observation: Observation) -> Observation:
         own = self._options.image_size
