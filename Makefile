@@ -370,7 +370,7 @@ check: $(VENV)/.develop ## lint, format and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(SOURCES)
 	$(BIN)/mypy --allow-subclassing-any plugins/lerobot-robot-roboneuron/src
-	MYPYPATH=benchmarks:plugins/rn-view/tests:plugins/rn-link/tests:examples $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
+	MYPYPATH=benchmarks:plugins/rn-view/tests:plugins/rn-link/tests:plugins/rn-backend-shared/tests:examples $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
 	  --no-explicit-package-bases --allow-subclassing-any --no-warn-return-any benchmarks tools examples
 
 format: $(VENV)/.develop ## put the code into shape
