@@ -197,12 +197,8 @@ def robot(options: str, seconds: float) -> dict[str, Any]:
     thread.start()
     sent_s: list[float] = []
     begun_s, starved = None, 0
-    first_s = time.monotonic() + FIRST_S
-    while (
-        time.monotonic() < first_s
-        if begun_s is None
-        else time.monotonic() < begun_s + WARM_S + seconds
-    ):
+    end_s = time.monotonic() + FIRST_S
+    while time.monotonic() < end_s:
         try:
             row = executor.play(time.monotonic(), time.monotonic_ns())
         except NotReadyError as error:  # its image is too old, as after the parity check
@@ -210,7 +206,8 @@ def robot(options: str, seconds: float) -> dict[str, Any]:
             told["error"] = str(error)
         now_s = time.monotonic()
         if row is not None:
-            begun_s = begun_s or now_s
+            if begun_s is None:
+                begun_s, end_s = now_s, now_s + WARM_S + seconds
             sent_s.append(now_s)
             if now_s < begun_s + WARM_S:
                 starved = int(executor.values()["starved_periods"])
