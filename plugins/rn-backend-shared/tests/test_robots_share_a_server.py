@@ -305,7 +305,8 @@ def test_rows_that_are_played_meanwhile_are_continued_with_the_context_that_the_
     assert told.conditioned_rows == 2
     np.testing.assert_array_equal(told.actions[:2], ahead.rows[:2])
     assert told.metrics["continues"] == 101.0, "the model has got its own context back"
-    # that of another connection is none
+    # that of another connection is none, though one of that number is held for it
+    other.predict(SEEN)
     assert other.predict(replace(seen(3), ahead=ahead)).metrics["continues"] == -1.0
     # as is one that is no longer held
     for _ in range(8):
