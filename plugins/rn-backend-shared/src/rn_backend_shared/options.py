@@ -100,15 +100,15 @@ class SharedOptions(ModelOptions):
     """See `coding`."""
     quality: Annotated[int, Field(ge=1, le=100)] = 90
     """Of JPEG."""
-    image_size: Annotated[tuple[int, int] | None, Field(strict=False)] = None
+    image_size: Annotated[tuple[int, int] | None, ConfigurationOnly(), Field(strict=False)] = None
     """Shrink images to this width and height before they are sent [px], where the model itself
     declares no size.
     """
-    parity_m: Annotated[float, Field(ge=0)] = 0.002
+    parity_m: Annotated[float, ConfigurationOnly(), Field(ge=0)] = 0.002
     """Before the first action it is measured how far JPEG or `image_size` move actions. Where it is
     more, JPEG is not chosen, and what is fixed is refused [m, m/s].
     """
-    parity_rad: Annotated[float, Field(ge=0)] = 0.01
+    parity_rad: Annotated[float, ConfigurationOnly(), Field(ge=0)] = 0.01
     """Likewise [rad, rad/s]."""
     replicas: Annotated[int, Field(ge=1, le=8)] = 1
     """Servers, each with a copy of the model; when one dies, its robots go on with another within
