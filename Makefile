@@ -174,6 +174,9 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 test-link: $(VENV)/.develop ## an encrypted link between two network namespaces: strangers, cut cables (needs root)
 	$(BIN)/python -m pytest plugins/rn-link/tests -m "ros" $(ARGS)
 
+test-serve: $(VENV)/.develop ## robots and policy servers: cables cut between network namespaces, ten thousand connections (needs root)
+	$(BIN)/python -m pytest plugins/rn-backend-shared/tests -m "not ros" $(ARGS)
+
 # Kilted is for Python 3.12, as what its packages for Ubuntu are.
 KILTED_PYTHON ?= python3.12
 
@@ -384,7 +387,7 @@ check: $(VENV)/.develop ## lint, format and types
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(SOURCES)
 	$(BIN)/mypy --allow-subclassing-any plugins/lerobot-robot-roboneuron/src
-	MYPYPATH=benchmarks:plugins/rn-view/tests:plugins/rn-link/tests:examples $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
+	MYPYPATH=benchmarks:plugins/rn-view/tests:plugins/rn-link/tests:plugins/rn-backend-shared/tests:examples $(BIN)/mypy --cache-dir .mypy_cache/benchmarks \
 	  --no-explicit-package-bases --allow-subclassing-any --no-warn-return-any benchmarks tools examples
 
 format: $(VENV)/.develop ## put the code into shape
@@ -409,6 +412,9 @@ bench-fleet: $(VENV)/.develop ## 16 light bases behind one server: lost commands
 
 bench-shared: $(VENV)/.develop ## eight robots on one shared model: in batches against one at a time
 	$(BIN)/python benchmarks/bench_shared_inference.py $(ARGS)
+
+bench-serve: $(VENV)/.develop ## what a model on another machine costs, beside an echo of the same bytes over TLS
+	$(BIN)/python benchmarks/bench_serve_policy.py $(ARGS)
 
 bench-vla: $(VENV)/.develop ## backends and acceleration presets beside a plain transformers loop
 	$(BIN)/python benchmarks/bench_vla.py $(ARGS)

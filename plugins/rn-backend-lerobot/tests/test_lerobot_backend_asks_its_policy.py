@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from lerobot_folders import ARM
+from PIL import Image
 
 from rn_backend_lerobot import engine
 from rn_backend_lerobot.backend import LeRobotBackend
@@ -107,6 +108,35 @@ def test_the_policy_gets_images_state_and_task_by_its_own_names(load: Any) -> No
     np.testing.assert_allclose(seen.state, [*np.linspace(0.0, 0.6, 7), 0.25], rtol=1e-6)
     assert chunk.actions.shape == (8, 8)
     assert chunk.step_s == 0.05
+
+
+def test_a_robot_may_resize_images_before_it_sends_them(load: Any) -> None:
+    backend, fake = load(images="resized")
+    assert backend.image_sizes == {"front": (96, 96), "wrist": (96, 96)}
+    large = see(side=192)
+    noise = np.random.default_rng(0).integers(0, 256, (192, 192, 3), dtype=np.uint8)
+    large = replace(
+        large, frames={role: replace(f, image=noise) for role, f in large.frames.items()}
+    )
+    resized = np.asarray(Image.fromarray(noise).resize((96, 96), Image.Resampling.BILINEAR))
+    small = replace(
+        large, frames={role: replace(f, image=resized) for role, f in large.frames.items()}
+    )
+    for observation in (large, small):
+        backend.predict(observation)
+    here, there = (seen.images["observation.images.front"] for seen in fake.seen)
+    np.testing.assert_array_equal(here, there)
+
+
+def test_whether_rows_are_continued_is_said_by_the_policy(load: Any) -> None:
+    backend, fake = load()
+    assert backend.continues_rows
+    fake.can_continue = False
+    assert not backend.continues_rows
+
+
+def test_images_of_another_size_that_are_refused_are_not_resized_by_a_robot(load: Any) -> None:
+    assert load()[0].image_sizes == {}
 
 
 def test_action_steps_cut_the_chunk(load: Any) -> None:

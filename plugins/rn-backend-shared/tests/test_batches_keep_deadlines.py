@@ -52,6 +52,7 @@ def test_what_waits_is_answered_together_the_earliest_deadline_first() -> None:
     assert chunk.metrics == {
         "own": 1.0,
         "shared.batch": 4.0,
+        "shared.queue_ms": 0.0,
         "shared.model_ms": pytest.approx(100.0),
     }
 

@@ -4,6 +4,7 @@ or hang.
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import resource
@@ -12,7 +13,7 @@ import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -25,13 +26,17 @@ import pytest
 from rn_backend_shared import server as server_module
 from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.case import install, options_in
+from rn_backend_shared.frames import VERSION, Header, Kind
 from rn_backend_shared.links import Links, directory_of
+from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.plugin import BACKEND
 from rn_backend_shared.server import SharedModelServer
 from rn_testing.fakes.backend import make_observation
 from rn_testing.waiting import wait_until
 from roboneuron import (
+    ActionChunk,
+    Ahead,
     CheckpointError,
     ConfigurationError,
     InvalidInputError,
@@ -189,8 +194,8 @@ def test_with_a_replica_the_death_of_a_server_costs_no_more_than_the_chunk_under
     assert told is not None
     used = told._greet(told._paths[0])
     assert used is not None
-    os.kill(used["pid"], signal.SIGKILL)
-    wait_until(lambda: used["pid"] not in servers_in(tmp_path), 90.0, "it is gone")
+    os.kill(used.pid, signal.SIGKILL)
+    wait_until(lambda: used.pid not in servers_in(tmp_path), 90.0, "it is gone")
     lost = 0
     for _ in range(20):
         try:
@@ -242,12 +247,18 @@ def test_a_server_without_robots_ends_and_leaves_no_socket(robot: Robot, tmp_pat
 def test_nonsense_on_the_socket_disturbs_nobody(served: Robot, tmp_path: Path) -> None:
     one = served()
     (path,) = (tmp_path / "run").glob("*.sock")
-    body = json.dumps([{"ask": "predict", "number": 1, "observation": {}}, []]).encode()
+    body = json.dumps([{"observation": {}}, []]).encode()
+    request = Header(Kind.REQUEST, 1, document_bytes=len(body)).pack()
+    deep = b"[" * 100_000
     for nonsense in (
         b"\xff" * 64,
-        b"GET / HTTP/1.1\r\n\r\n",
-        len(body).to_bytes(4, "big") + bytes(4) + body,
-        (1).to_bytes(4, "big") + bytes(4) + b"[",
+        b"GET / HTTP/1.1\r\n\r\n" * 2,
+        request + body,
+        request[:-1],
+        Header(Kind.REQUEST, 1, document_bytes=len(deep)).pack() + deep,
+        2 * (request + body),
+        Header(Kind.REQUEST, 1, array_bytes=1 << 31).pack(),
+        Header(Kind.ANSWER, 1).pack(),
     ):
         with socket.socket(socket.AF_UNIX) as wild:
             wild.settimeout(30.0)
@@ -258,6 +269,147 @@ def test_nonsense_on_the_socket_disturbs_nobody(served: Robot, tmp_path: Path) -
                 pass
     assert answers(one)
     assert threading.active_count() < 50
+
+
+def test_a_server_of_another_version_is_refused_in_words(
+    served: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served()
+    (path,) = (tmp_path / "run").glob("*.sock")
+    with socket.socket(socket.AF_UNIX) as newer:
+        newer.settimeout(30.0)
+        newer.connect(str(path))
+        hello = bytearray(Header(Kind.HELLO).pack())
+        hello[4] = VERSION + 1
+        newer.sendall(hello)
+        told = b""
+        while part := newer.recv(4096):
+            told += part
+    assert f"version {VERSION + 1}".encode() in told
+    assert f"version {VERSION}".encode() in told
+
+
+def test_rows_that_are_played_meanwhile_are_continued_with_the_context_that_the_server_holds(
+    served: Robot,
+) -> None:
+    one, other = (served(options={"rows": 6}) for _ in range(2))
+    first = one.predict(SEEN)
+    ahead = Ahead(
+        rows=first.actions[1:],
+        committed_rows=2,
+        step_s=first.step_s,
+        context=first.context,
+        context_row=1,
+    )
+    told = one.predict(replace(seen(3), ahead=ahead))
+    assert told.conditioned_rows == 2
+    np.testing.assert_array_equal(told.actions[:2], ahead.rows[:2])
+    assert told.metrics["continues"] == 101.0, "the model has got its own context back"
+    # that of another connection is none, though one of that number is held for it
+    other.predict(SEEN)
+    assert other.predict(replace(seen(3), ahead=ahead)).metrics["continues"] == -1.0
+    # as is one that is no longer held
+    for _ in range(8):
+        one.predict(SEEN)
+    assert one.predict(replace(seen(3), ahead=ahead)).metrics["continues"] == -1.0
+
+
+def test_robots_whose_rows_go_on_are_answered_one_by_one(served: Robot) -> None:
+    robots = [served(options={"rows": 6, "took_s": 0.02}, linger_s=0.1) for _ in range(3)]
+    rows = np.tile([0.001, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5], (4, 1))
+
+    def ask(index: int) -> int:
+        ahead = Ahead(rows=rows * [index, 1, 1, 1, 1, 1, 1], committed_rows=3, step_s=0.1)
+        told = robots[index].predict(replace(SEEN, ahead=ahead))
+        np.testing.assert_array_equal(told.actions[:3], ahead.rows[:3])
+        return told.conditioned_rows
+
+    with ThreadPoolExecutor(3) as pool:
+        for _ in range(5):
+            assert list(pool.map(ask, range(3))) == [3, 3, 3]
+
+
+def test_a_batch_holds_those_whose_rows_do_not_go_on(tmp_path: Path) -> None:
+    install(tmp_path)
+    sys.path.insert(0, str(tmp_path / "site"))
+    try:
+        for continues in (True, False):
+            options = options_in(tmp_path, options={"rows": 6, "continues": continues})
+            model = SharedModel(SharedOptions.model_validate(options))
+            model.load()
+            asked: list[int] = []
+            many = model._many
+            assert many is not None
+
+            def counted(
+                observations: Sequence[Observation], many: Any = many, asked: list[int] = asked
+            ) -> Any:
+                asked.append(len(observations))
+                return many(observations)
+
+            model._many = counted
+            ahead = Ahead(rows=np.zeros((4, 7)), committed_rows=3, step_s=0.1)
+            given = [seen(0), replace(seen(1), ahead=ahead), seen(2)]
+            told = [chunk for chunk in model.answer(given) if isinstance(chunk, ActionChunk)]
+            assert [chunk.conditioned_rows for chunk in told] == [0, 3 if continues else 0, 0]
+            assert asked == [2 if continues else 3]
+            alone = [model.answer([one])[0] for one in given]
+            for chunk, single in zip(told, alone, strict=True):
+                assert isinstance(single, ActionChunk)
+                if chunk.conditioned_rows == single.conditioned_rows:
+                    np.testing.assert_allclose(chunk.actions, single.actions, rtol=0, atol=1e-5)
+    finally:
+        sys.path.remove(str(tmp_path / "site"))
+        sys.modules.pop("rn_reflex_plugin", None)
+
+
+def test_raw_answers_equal_those_of_the_same_backend_here_bit_for_bit(
+    served: Robot, tmp_path: Path
+) -> None:
+    robot = served(options={"rows": 6})
+    reflex = importlib.import_module("rn_reflex_plugin")
+    alone = reflex.Reflex(reflex.Options(rows=6))
+    alone.load()
+    drawn = np.random.default_rng(0)
+    assert SEEN.joints is not None
+    assert SEEN.ee_pose is not None
+    for index in range(20):
+        image = drawn.integers(0, 256, (48, 64, 3), dtype=np.uint8)
+        observation = replace(
+            SEEN,
+            frames={"primary": replace(SEEN.frames["primary"], image=image)},
+            joints=replace(SEEN.joints, position=drawn.normal(size=len(SEEN.joints.names))),
+            ee_pose=replace(SEEN.ee_pose, position_m=drawn.normal(size=3)),
+            gripper_open=float(drawn.random()),
+        )
+        here, there = alone.predict(observation), robot.predict(observation)
+        assert here.actions.tobytes() == there.actions.tobytes(), index
+        assert (here.step_s, here.space, here.note) == (there.step_s, there.space, there.note)
+
+
+def test_images_that_the_model_does_not_use_are_not_sent(
+    served: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[list[str]] = []
+    one = served()
+    ask = one._links.ask  # type: ignore[union-attr]
+
+    def watched(observation: Observation, deadline_s: float) -> Any:
+        sent.append(list(observation.frames))
+        return ask(observation, deadline_s)
+
+    monkeypatch.setattr(one._links, "ask", watched)
+    frame = SEEN.frames["primary"]
+    one.predict(replace(SEEN, frames={"primary": frame, "wrist": frame, "top": frame}))
+    assert sent == [["primary", "wrist"]]
+
+
+def test_the_round_trip_is_split_up_by_one_clock(served: Robot) -> None:
+    metrics = served(options={"took_s": 0.05}).predict(SEEN).metrics
+    parts = [metrics[f"shared.{part}_ms"] for part in ("link", "queue", "model")]
+    assert metrics["shared.model_ms"] >= 50.0
+    assert min(parts) >= 0.0
+    assert sum(parts) == pytest.approx(metrics["shared.round_trip_ms"])
 
 
 def test_connections_that_say_nothing_keep_no_robot_out(served: Robot, tmp_path: Path) -> None:

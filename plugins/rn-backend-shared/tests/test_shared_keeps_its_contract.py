@@ -1,5 +1,5 @@
-"""The contract of backends, kept by `shared` in front of a real server process, and that of its
-command.
+"""The contract of backends, kept by `shared` in front of a real server process, and those of its
+commands.
 """
 
 from __future__ import annotations
@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 
 from rn_backend_shared.case import shared_case
-from rn_backend_shared.plugin import COMMAND
+from rn_backend_shared.plugin import COMMAND, SERVE_COMMAND
 from rn_testing import (
     BackendCase,
     BackendContract,
@@ -30,6 +30,12 @@ class TestCommand(CommandContract):
     @pytest.fixture
     def plugin(self) -> CommandCase:
         return CommandCase(spec=COMMAND)
+
+
+class TestServeCommand(CommandContract):
+    @pytest.fixture
+    def plugin(self) -> CommandCase:
+        return CommandCase(spec=SERVE_COMMAND)
 
 
 class TestPackage(PackageContract):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from rn_backend_shared.batching import _with_metrics
+from rn_backend_shared.frames import HEADER_BYTES, Header, Kind, decode, encode, read_header
 from rn_backend_shared.space import shared_space
-from rn_backend_shared.wire import decode, encode, from_answer, to_answer
+from rn_backend_shared.wire import from_answer, to_answer
 from roboneuron import (
     EE_DELTA,
     GRIPPER,
@@ -41,9 +42,8 @@ ROBOT = RobotProfile(
 
 def sent(chunk: ActionChunk) -> ActionChunk:
     """As it arrives at the robot."""
-    frame = encode(from_answer(chunk))
-    head = int.from_bytes(frame[:4], "big")
-    return to_answer(decode(frame[8 : 8 + head], frame[8 + head :]))
+    frame = b"".join(encode(Header(Kind.ANSWER), from_answer(chunk)))
+    return to_answer(decode(read_header(frame[:HEADER_BYTES]), frame[HEADER_BYTES:]))
 
 
 def test_the_space_travels_with_the_chunk() -> None:
@@ -70,6 +70,26 @@ def test_the_backend_that_holds_the_model_says_its_space() -> None:
     assert space.size == 14
     with pytest.raises(ConfigurationError, match="needs the option 'joints'"):
         shared_space({"backend": "oft", "options": {**own, "joints": None}}, ROBOT)
+
+
+def test_the_space_of_a_model_with_an_address_is_said_by_a_person() -> None:
+    given = {"address": "gpu:1", "space": {"kind": "joint_position", "rate_hz": 20.0}}
+    space = shared_space(given, ROBOT)
+    assert (space.kind, space.rate_hz, space.size) == ("joint_position", 20.0, 14)
+    turned = tuple(reversed(space.keys))
+    for kind in ("joint_position", "joint_delta"):
+        own = shared_space({**given, "space": {"kind": kind, "channels": list(turned)}}, ROBOT)
+        assert own.kind == kind
+        assert own.keys == turned
+        assert own.channels[-1] == space.channels[0]
+    for wrong in (
+        {"kind": "joint_position", "channels": ["left0", "elbow"]},
+        {"kind": "joint_position", "channels": ["left/left0", "left/left0"]},
+        {"kind": "sideways"},
+        {"kind": "ee_delta"},
+    ):
+        with pytest.raises(ConfigurationError, match=r"plugins\.shared\.space"):
+            shared_space({**given, "space": wrong}, ROBOT)
 
 
 @pytest.mark.parametrize("options", [{"backend": "elsewhere"}, {"backend": "oft"}, {"no": 1}])

@@ -103,6 +103,29 @@ class LeRobotBackend:
             raise AttributeError("predict_batch")
         return self._predict_batch
 
+    @property
+    def continues_rows(self) -> bool:
+        """Whether this policy continues rows that are played meanwhile; others are worth asking for
+        several robots at once all the same.
+        """
+        _, engine = self._loaded()
+        return engine.can_continue
+
+    @property
+    def image_sizes(self) -> dict[str, tuple[int, int]]:
+        """Width and height by role or name of the camera that images are resized to here [px], so
+        that a robot may do it before it sends them; none where another size is refused or taken as
+        it is.
+        """
+        wiring, _ = self._loaded()
+        if self._options.images != "resized":
+            return {}
+        wanted: dict[str, set[tuple[int, int]]] = {}
+        for feature in wiring.images:
+            role = wiring.roles[feature.key] or feature.short
+            wanted.setdefault(role, set()).add((feature.width, feature.height))
+        return {role: next(iter(sizes)) for role, sizes in wanted.items() if len(sizes) == 1}
+
     def _predict_batch(self, observations: Sequence[Observation]) -> list[ActionChunk]:
         wiring, engine = self._loaded()
         start_s = time.perf_counter()

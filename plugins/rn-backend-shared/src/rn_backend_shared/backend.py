@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from rn_backend_shared import wire
 from rn_backend_shared.links import Links
 from rn_backend_shared.options import SharedOptions
-from roboneuron import ActionChunk, Backend, InvalidInputError, Observation, PluginError, StateError
+from rn_backend_shared.remote import RemoteLink
+from rn_backend_shared.session import Welcome
+from roboneuron import ActionChunk, Backend, InvalidInputError, Observation, StateError
 
 
 class SharedBackend:
@@ -18,11 +20,11 @@ class SharedBackend:
         self, config: SharedOptions, *, runtime: object = None, acceleration: object = None
     ) -> None:
         self._options = config
-        self._links: Links | None = None
-        self._cameras: list[str] = []
+        self._links: Links | RemoteLink | None = None
+        self._welcome: Welcome | None = None
 
     def load(self) -> None:
-        """Reach the server of the model, or start it.
+        """Reach the server of the model; on this machine, start it when there is none.
 
         Raises:
             NotReadyError: it was not ready in time.
@@ -30,9 +32,10 @@ class SharedBackend:
         """
         if self._links is not None:
             raise StateError("Backend 'shared' is loaded already; close it first.")
-        links = Links(self._options)
+        options = self._options
+        links = Links(options) if options.address is None else RemoteLink(options)
         try:
-            self._cameras = links.open()
+            self._welcome = links.open()
         except BaseException:
             links.close()
             raise
@@ -45,33 +48,23 @@ class SharedBackend:
             NotReadyError: no answer in time, or the server is gone; the next observation may be
                 answered again.
             InvalidInputError: a camera that the model needs, or the state, is absent.
+            UnsafeError: the state is not finite.
             RoboNeuronError: what the model says of this observation.
         """
-        if self._links is None:
+        if self._links is None or self._welcome is None:
             raise StateError("Backend 'shared' is not loaded; call load first.")
-        lacking = [role for role in ("primary", *self._cameras) if role not in observation.frames]
+        needed, frames = ("primary", *self._welcome.cameras), observation.frames
+        lacking = [role for role in needed if role not in frames]
         if lacking or observation.joints is None:
             raise InvalidInputError(
                 f"The observation has no {f'image of {lacking[0]!r}' if lacking else 'state'}."
             )
-        began_s = time.monotonic()
-        told = self._links.ask(
-            wire.from_observation(observation), began_s + self._options.timeout_s
-        )
-        try:
-            chunk = wire.to_answer(told)
-        except (KeyError, TypeError, ValueError) as error:
-            raise PluginError(
-                f"The server of the shared model answered what is no chunk: {error!r}."
-            ) from error
-        metrics = {**chunk.metrics, "shared.round_trip_ms": (time.monotonic() - began_s) * 1e3}
-        return ActionChunk(
-            actions=chunk.actions,
-            step_s=chunk.step_s,
-            metrics=metrics,
-            note=chunk.note,
-            space=chunk.space,
-        )
+        used = {*needed, *self._welcome.optional_cameras}
+        if not frames.keys() <= used:
+            seen = {role: frame for role, frame in frames.items() if role in used}
+            observation = replace(observation, frames=seen)
+        deadline_s = time.monotonic() + self._options.timeout_s
+        return self._links.ask(observation, deadline_s)
 
     def reset(self) -> None:
         """Nothing is remembered between observations: only such models can be shared."""

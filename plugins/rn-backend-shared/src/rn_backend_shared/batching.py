@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from roboneuron import ActionChunk, NotReadyError, Observation, PluginError, RoboNeuronError
 
@@ -31,11 +31,13 @@ class Waiting:
         observation: what is seen.
         deadline_s: monotonic time after which nobody wants the answer [s].
         tell: called with the answer, once, on the thread of the model; must not block for long.
+        since_s: monotonic time since which it waits [s]; set by `Batcher.submit`.
     """
 
     observation: Observation
     deadline_s: float
     tell: Callable[[Answer], object]
+    since_s: float = 0.0
 
 
 class Batcher:
@@ -85,7 +87,7 @@ class Batcher:
                     "accepted.",
                     hint="Fewer robots, a faster model, or more replicas.",
                 )
-            self._waiting.append(waiting)
+            self._waiting.append(replace(waiting, since_s=self._clock()))
             self._changed.notify()
 
     def start(self) -> None:
@@ -148,7 +150,8 @@ class Batcher:
         before_s = self._expected_s.get(len(batch), took_s)
         self._expected_s[len(batch)] = before_s + _NEW * (took_s - before_s)
         for waiting, answer in zip(batch, answers, strict=True):
-            waiting.tell(_with_metrics(answer, len(batch), took_s))
+            queued_s = began_s - waiting.since_s
+            waiting.tell(_with_metrics(answer, len(batch), took_s, queued_s))
 
     def _answers(self, observations: list[Observation]) -> Sequence[Answer]:
         try:
@@ -188,13 +191,12 @@ class Batcher:
         return self._is_over or len(self._waiting) >= min(self._most, self._clients())
 
 
-def _with_metrics(answer: Answer, count: int, took_s: float) -> Answer:
+def _with_metrics(answer: Answer, count: int, took_s: float, queued_s: float = 0.0) -> Answer:
     if isinstance(answer, RoboNeuronError):
         return answer
-    return ActionChunk(
-        actions=answer.actions,
-        step_s=answer.step_s,
-        metrics={**answer.metrics, "shared.batch": float(count), "shared.model_ms": took_s * 1e3},
-        note=answer.note,
-        space=answer.space,
-    )
+    own = {
+        "shared.batch": float(count),
+        "shared.queue_ms": queued_s * 1e3,
+        "shared.model_ms": took_s * 1e3,
+    }
+    return replace(answer, metrics={**answer.metrics, **own})

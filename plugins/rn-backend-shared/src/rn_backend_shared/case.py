@@ -18,8 +18,10 @@ SOURCE = '''
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
+from PIL import Image
 
 from roboneuron import ActionChunk, BackendSpec, CheckpointError, InvalidInputError, UnsafeError, hookimpl
 from pydantic import BaseModel, ConfigDict
@@ -29,6 +31,11 @@ class Options(BaseModel):
     model_config = ConfigDict(extra="forbid")
     took_s: float = 0.0
     fails: bool = False
+    rows: int = 1
+    shrinks_to: list[int] | None = None
+    gain: float = 0.01
+    step_s: float = 0.1
+    continues: bool = True
 
 
 class Reflex:
@@ -41,9 +48,25 @@ class Reflex:
         if self._options.fails:
             raise CheckpointError("There are no weights.", hint="Copy some.")
         self._weights = np.random.default_rng(0).standard_normal((12, 7))
+        self._asked = 0
+
+    @property
+    def continues_rows(self):
+        return self._options.continues
+
+    @property
+    def image_sizes(self):
+        return {} if self._options.shrinks_to is None else {"primary": tuple(self._options.shrinks_to)}
 
     def predict(self, observation):
-        return self.predict_batch([observation])[0]
+        chunk = self.predict_batch([observation])[0]
+        ahead = observation.ahead
+        if ahead is None or not len(ahead.rows):
+            return chunk
+        rows, count = chunk.actions.copy(), min(ahead.committed_rows, len(chunk.actions))
+        rows[:count] = ahead.rows[:count]
+        metrics = {"continues": -1.0 if ahead.context is None else ahead.context["row"] + ahead.context_row}
+        return replace(chunk, actions=rows, conditioned_rows=count, metrics=metrics)
 
     def predict_batch(self, observations):
         rows = []
@@ -53,14 +76,22 @@ class Reflex:
             state = [*observation.joints.position[:1], *observation.ee_pose.position_m, observation.gripper_open]
             if not np.isfinite([*observation.joints.position, *state]).all():
                 raise UnsafeError("the state is not finite")
-            image = observation.frames["primary"].image.astype(float)
+            image = observation.frames["primary"].image
+            if self._options.shrinks_to is not None:
+                image = np.asarray(Image.fromarray(image).resize(self._options.shrinks_to, Image.Resampling.BILINEAR))
+            image = image.astype(float)
             half = image.shape[1] // 2
             colours = [*image[:, :half].mean((0, 1)), *image[:, half:].mean((0, 1)), len(observation.instruction)]
             rows.append([*np.array(colours) / 255.0, *state])
         time.sleep(self._options.took_s)
-        moves = 0.01 * np.tanh(np.array(rows) @ self._weights)
-        moves[:, 6] = 0.5
-        return [ActionChunk(actions=row[None], step_s=0.1) for row in moves]
+        moves = self._options.gain * np.tanh(np.array(rows) @ self._weights)
+        count = self._options.rows
+        self._asked += len(moves)
+        return [
+            ActionChunk(actions=np.outer(np.arange(count) + 1.0, row) * [1, 1, 1, 1, 1, 1, 0] + [0, 0, 0, 0, 0, 0, 0.5],
+                        step_s=self._options.step_s, context={"row": 100.0 * self._asked})
+            for row in moves
+        ]
 
     def reset(self):
         pass
@@ -80,7 +111,8 @@ class Rememberer(Reflex):
 def roboneuron_backends():
     common = {"config": __name__ + ":Options", "needs_state": True}
     return [
-        BackendSpec(name="reflex", summary="Small.", target=__name__ + ":Reflex", **common),
+        BackendSpec(name="reflex", summary="Small.", target=__name__ + ":Reflex", conditions_on_rows=True,
+                    optional_cameras=("wrist",), **common),
         BackendSpec(name="rememberer", summary="Not sharable.", target=__name__ + ":Rememberer", **common),
     ]
 '''  # noqa: E501
@@ -88,7 +120,12 @@ def roboneuron_backends():
 
 def shared_case() -> BackendCase:
     """`shared` with the backend `reflex`, which exists in the server's process only."""
-    return BackendCase(spec=BACKEND, options=options_in(_folder(), idle_s=5.0))
+    return BackendCase(
+        spec=BACKEND,
+        options=options_in(_folder(), idle_s=5.0, options={"rows": 6}),
+        row_tolerance=1e-12,
+        rows=6,
+    )
 
 
 def options_in(folder: Path, **options: object) -> dict[str, object]:

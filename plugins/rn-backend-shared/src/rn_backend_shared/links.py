@@ -14,9 +14,12 @@ import time
 from pathlib import Path
 
 from rn_backend_shared import wire
+from rn_backend_shared.channel import Channel
+from rn_backend_shared.frames import FrameError, VersionError
 from rn_backend_shared.options import SharedOptions
-from rn_backend_shared.server import FAILED, READY, peer_user
-from roboneuron import ConfigurationError, NotReadyError
+from rn_backend_shared.server import peer_user
+from rn_backend_shared.session import FAILED, READY, Session, Welcome, check_ready, greet
+from roboneuron import ActionChunk, ConfigurationError, NotReadyError, Observation
 
 log = logging.getLogger(__name__)
 _HELLO_S = 0.5
@@ -27,12 +30,20 @@ _POLL_S = 0.02
 
 
 def directory_of(options: SharedOptions) -> Path:
-    """The folder of sockets and logs, made for this user alone.
+    """The folder of sockets and logs; raises as `private_directory`."""
+    return private_directory(options.directory)
+
+
+def private_directory(chosen: Path | None) -> Path:
+    """A folder for sockets and logs, made for this user alone.
+
+    Args:
+        chosen: None for one in the user's run-time directory.
 
     Raises:
         ConfigurationError: it cannot be made, or belongs to somebody else.
     """
-    path = options.directory
+    path = chosen
     if path is None:
         base = os.environ.get("XDG_RUNTIME_DIR")
         path = Path(base) / "roboneuron" if base else Path(f"/tmp/roboneuron-{os.getuid()}")
@@ -63,15 +74,14 @@ class Links:
         self._paths = [folder / f"{name}-{index}.sock" for index in range(options.replicas)]
         first = os.getpid() % options.replicas  # robots spread over the replicas
         self._paths = self._paths[first:] + self._paths[:first]
-        self._channel: wire.Channel | None = None
-        self._number = 0
+        self._session: Session | None = None
         self._started_s: dict[Path, float] = {}
         self._reviving: threading.Thread | None = None
         self._is_closed = False
 
-    def open(self) -> list[str]:
-        """Start the servers that do not run, and wait for the first that is ready; returns the
-        cameras it needs.
+    def open(self) -> Welcome:
+        """Start the servers that do not run, and wait for the first that is ready; returns what it
+        says of its model.
 
         Raises:
             RoboNeuronError: why it could not load its model.
@@ -83,11 +93,11 @@ class Links:
                 told = self._greet(path)
                 if told is None:
                     self._start(path)
-                elif told["state"] == FAILED:
-                    wire.to_answer(told)
-                elif told["state"] == READY:
+                elif told.state == FAILED:
+                    check_ready(told)
+                elif told.state == READY:
                     self._start_others()
-                    return [str(camera) for camera in told["cameras"]]
+                    return told
             if time.monotonic() > deadline_s:
                 raise NotReadyError(
                     "No server of the shared model was ready within "
@@ -96,31 +106,24 @@ class Links:
                 )
             time.sleep(_POLL_S)
 
-    def ask(self, observation: wire.Document, deadline_s: float) -> wire.Document:
+    def ask(self, observation: Observation, deadline_s: float) -> ActionChunk:
         """The answer to an observation. A server that dies meanwhile is replaced by another one
         that is ready.
 
         Raises:
             NotReadyError: none by the deadline, or no server is ready; another is being started.
+            RoboNeuronError: what the server says instead of a chunk.
         """
+        document = wire.from_observation(observation)
         while True:
-            if self._channel is None and not any(self._is_ready(path) for path in self._paths):
+            if self._session is None and not any(self._is_ready(path) for path in self._paths):
                 self._revive()
                 raise NotReadyError(
                     "The server of the shared model is gone; it is being started again."
                 )
-            assert self._channel is not None
-            self._number += 1
+            assert self._session is not None
             try:
-                left_s = max(deadline_s - time.monotonic(), 1e-3)
-                asked = {
-                    "ask": "predict",
-                    "number": self._number,
-                    "deadline_s": deadline_s,
-                    "observation": observation,
-                }
-                self._channel.send(asked, left_s)
-                return self._receive(deadline_s)
+                return self._session.ask(document, deadline_s)
             except TimeoutError as error:
                 if len(self._paths) > 1:  # it may hang: another one is asked next
                     self._paths.append(self._paths.pop(0))
@@ -128,26 +131,18 @@ class Links:
                 raise NotReadyError(
                     "The shared model did not answer before the deadline."
                 ) from error
-            except (OSError, ValueError, KeyError) as error:
+            except (OSError, FrameError) as error:
                 log.warning("The server of the shared model was lost: %s", error)
                 self._drop()
                 self._revive()
                 if time.monotonic() > deadline_s:
                     raise NotReadyError("The server of the shared model was lost.") from error
 
-    def _receive(self, deadline_s: float) -> wire.Document:
-        """The answer to the newest question; late ones to those before are thrown away."""
-        while True:
-            assert self._channel is not None
-            told = self._channel.receive(deadline_s)
-            if told["number"] == self._number:
-                return told
-
     def _is_ready(self, path: Path) -> bool:
         told = self._greet(path)
-        return told is not None and told["state"] == READY
+        return told is not None and told.state == READY
 
-    def _greet(self, path: Path) -> wire.Document | None:
+    def _greet(self, path: Path) -> Welcome | None:
         """What the server there says of itself; a ready one is connected from now on. None: there
         is none.
         """
@@ -158,22 +153,23 @@ class Links:
         except OSError:
             connected.close()
             return None
-        channel = wire.Channel(connected)
+        channel = Channel(connected)
         is_kept = False
         try:
             if peer_user(connected) != os.getuid():
                 raise ConfigurationError(f"{path} is somebody else's.")
-            channel.send({"ask": "hello"}, _HELLO_S)
-            told = channel.receive(time.monotonic() + _HELLO_S)
-            is_kept = told["state"] == READY and not self._is_closed
-        except (OSError, ValueError, KeyError):
+            told = greet(channel, {}, _HELLO_S)
+            is_kept = told.state == READY and not self._is_closed
+        except VersionError as error:
+            raise ConfigurationError(f"The server at {path} cannot be used: {error}.") from error
+        except (OSError, FrameError):
             return None
         finally:
             if not is_kept:
                 channel.close()
         if is_kept:
             self._drop()
-            self._channel = channel
+            self._session = Session(channel, told)
         return told
 
     def _start_others(self) -> None:
@@ -193,7 +189,7 @@ class Links:
         try:
             subprocess.run(
                 [python, "-P", "-m", "rn_backend_shared.server", str(path)],
-                input=self._options.model_dump_json(),
+                input=self._options.model_dump_json() + "\n",
                 env={**os.environ, **self._options.environment},
                 check=True,
                 capture_output=True,
@@ -233,9 +229,9 @@ class Links:
         self._reviving.start()
 
     def _drop(self) -> None:
-        channel, self._channel = self._channel, None
-        if channel is not None:
-            channel.close()
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()
 
     def close(self) -> None:
         """Hang up; idempotent. The server ends when nobody has asked for a while."""

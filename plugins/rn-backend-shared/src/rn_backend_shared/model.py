@@ -4,7 +4,7 @@ robots at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import cast
 
 from rn_backend_shared.batching import Answer
@@ -25,6 +25,12 @@ Many = Callable[[Sequence[Observation]], Sequence[ActionChunk]]
 METHOD = "predict_batch"
 """What a backend may offer beside `Backend`: one chunk for each observation, in their order, from
 one forward. Offering it says that predictions depend on the observation alone.
+"""
+
+SIZES = "image_sizes"
+CONTINUES = "continues_rows"
+"""What a backend may say beside its descriptor's `conditions_on_rows` once it is loaded: whether
+this checkpoint continues rows.
 """
 
 
@@ -49,6 +55,8 @@ class SharedModel:
             RoboNeuronError: as `Backend.load`.
         """
         options, registry = self._options, discover()
+        if options.backend is None:
+            raise ConfigurationError("No backend is named that holds the shared model.")
         self.spec = spec = registry.get(BackendSpec, options.backend)
         runtime = options.runtime or spec.default_runtime
         parts: dict[str, object] = {"runtime": None, "acceleration": None}
@@ -79,8 +87,36 @@ class SharedModel:
         """
         return self._options.most if self._many is not None else 1
 
+    @property
+    def image_sizes(self) -> Mapping[str, tuple[int, int]]:
+        """What the backend says in an attribute `image_sizes`: width and height by role or name
+        of the camera, to which it shrinks images itself, by Pillow's bilinear filter [px].
+        """
+        return dict(getattr(self._backend, SIZES, {}))
+
     def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
-        """One answer for each; what one observation lacks is an error of that one only."""
+        """One answer for each; what one observation lacks is an error of that one only.
+
+        Where rows are ahead that the model continues it is asked one by one: its forward over
+        several observations continues none.
+        """
+        answers: dict[int, Answer] = {}
+        together: list[int] = []
+        for place, observation in enumerate(observations):
+            if self._continues(observation):
+                answers[place] = self._alone(observation)
+            else:
+                together.append(place)
+        found = self._together([observations[place] for place in together])
+        answers |= dict(zip(together, found, strict=True))
+        return [answers[place] for place in range(len(observations))]
+
+    def _continues(self, observation: Observation) -> bool:
+        ahead = observation.ahead
+        can = getattr(self._backend, CONTINUES, self.spec.conditions_on_rows)
+        return bool(can) and ahead is not None and len(ahead.rows) > 0
+
+    def _together(self, observations: Sequence[Observation]) -> Sequence[Answer]:
         if self._many is not None and len(observations) > 1:
             try:
                 return list(self._many(observations))

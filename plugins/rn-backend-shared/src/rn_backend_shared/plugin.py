@@ -1,5 +1,5 @@
-"""What this package offers: the backend `shared`, and the command that keeps its server in a
-terminal.
+"""What this package offers: the backend `shared`, and the commands that keep servers, for this
+machine or for others.
 """
 
 from __future__ import annotations
@@ -10,23 +10,31 @@ from roboneuron import ActionSpace, BackendSpec, CommandSpec, hookimpl
 
 BACKEND = BackendSpec(
     name="shared",
-    summary="One model for several robots on a machine: another backend in a server process that "
-    "answers in batches.",
+    summary="One model for several robots: another backend in a server process, on this machine or "
+    "another, that answers in batches.",
     target="rn_backend_shared.backend:SharedBackend",
     config="rn_backend_shared.options:SharedOptions",
-    optional_cameras=("wrist",),
+    optional_cameras=("wrist", "left_wrist", "right_wrist", "side", "top", "front"),
     needs_state=True,
     action_space=ActionSpace(horizon=100, step_s=0.0),
+    conditions_on_rows=True,
     case="rn_backend_shared.case:shared_case",
     space="rn_backend_shared.space:shared_space",
 )
-"""Descriptor of the backend. What the model itself needs is checked when its server answers."""
+"""Descriptor of the backend. What the model itself needs is checked when its server answers; one
+that continues no rows says so in each chunk.
+"""
 COMMAND = CommandSpec(
     name="shared-model",
     summary="serve the model of [plugins.shared] until Ctrl-C",
     target="rn_backend_shared.command:SharedModelCommand",
 )
-"""Descriptor of the command."""
+SERVE_COMMAND = CommandSpec(
+    name="serve-policy",
+    summary="serve models to robots on other machines, each in a process of its own",
+    target="rn_backend_shared.serve_command:ServePolicyCommand",
+)
+"""Descriptors of the commands."""
 
 
 @hookimpl
@@ -37,5 +45,5 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
 
 @hookimpl
 def roboneuron_commands() -> Sequence[CommandSpec]:
-    """The command."""
-    return (COMMAND,)
+    """The commands."""
+    return (COMMAND, SERVE_COMMAND)

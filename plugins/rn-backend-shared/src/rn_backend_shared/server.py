@@ -8,29 +8,46 @@ import errno
 import fcntl
 import logging
 import os
+import secrets
 import signal
 import socket
 import struct
 import sys
 import threading
 import time
+from collections import OrderedDict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
 
 from rn_backend_shared import wire
 from rn_backend_shared.batching import Answer, Batcher, Waiting
+from rn_backend_shared.channel import Channel, Received
+from rn_backend_shared.fields import field
+from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
 from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
-from roboneuron import InvalidInputError, NotReadyError, RoboNeuronError
+from rn_backend_shared.session import FAILED, LOADING, READY
+from rn_backend_shared.statistics import Statistics
+from roboneuron import (
+    ActionChunk,
+    ConfigurationError,
+    InvalidInputError,
+    NotReadyError,
+    PluginError,
+    RoboNeuronError,
+)
 
 log = logging.getLogger(__name__)
-LOADING, READY, FAILED = "loading", "ready", "failed"
 _SEND_S = 0.5
 """A robot that does not read for so long has lost its connection; nobody else waits for it."""
 _FAILED_S = 3.0
 """A server that could not load tells so for this long, then ends."""
 _LOOK_S = 0.1
+STAY = "--stay"
 _BACKLOG = 1024
+_MOST_HELD = 8
+"""Contexts of chunks that are kept for a robot: of the running one, and of answers on their way."""
 _MOST_ROBOTS = 128
 """Connections; each has a thread and two handles."""
 _FIRST_S = 5.0
@@ -57,8 +74,10 @@ class SharedModelServer:
         self._robots: dict[_Robot, None] = {}
         self._end = threading.Event()
         self._state = LOADING
+        self._image_sizes: Mapping[str, tuple[int, int]] = {}
         self._failure: RoboNeuronError | None = None
         self._used_s = time.monotonic()
+        self._statistics = Statistics()
 
     def run(self) -> int:
         """Serve until `stop`, or idle; returns the exit status. One server of a path at a time:
@@ -102,13 +121,14 @@ class SharedModelServer:
             return self._fail(NotReadyError(f"The shared model cannot be loaded: {error!r}."))
         options = self._options
         batcher = self._batcher = Batcher(
-            self._model.answer,
+            self._statistics.timed(self._model.answer),
             most=self._model.most,
             waiting=options.waiting,
             linger_s=options.linger_s,
             clients=lambda: sum(robot.has_asked for robot in list(self._robots)),
         )
         batcher.start()
+        self._image_sizes = self._model.image_sizes
         self._state = READY
         log.info("The model %s is ready.", self._options.backend)
         self._used_s = time.monotonic()
@@ -129,20 +149,36 @@ class SharedModelServer:
         self._end.wait(_FAILED_S)
         return 1
 
-    def hello(self) -> wire.Document:
+    def hello(self) -> Document:
         """What a robot is told first, and whenever it asks again while the model loads."""
-        told: wire.Document = {"state": self._state, "pid": os.getpid()}
+        told: Document = {"state": self._state, "pid": os.getpid()}
         if self._failure is not None:
             return told | wire.from_answer(self._failure)
         if self._state == READY:
             told["cameras"] = list(self._model.spec.cameras)
+            told["optional_cameras"] = list(self._model.spec.optional_cameras)
+            told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
         return told
+
+    def status(self) -> Document:
+        """Numbers of this server."""
+        asking = sum(robot.has_asked for robot in list(self._robots))
+        return {
+            "state": self._state,
+            "pid": os.getpid(),
+            "clients": asking,
+            **self._statistics.values(),
+        }
 
     def submit(self, waiting: Waiting) -> None:
         """See `Batcher`."""
         if self._batcher is None:
             raise NotReadyError("The shared model is being loaded.")
         self._batcher.submit(waiting)
+
+    def note(self, answer: Answer) -> None:
+        """Count what a robot is told."""
+        self._statistics.note(answer)
 
     def leave(self, robot: _Robot) -> None:
         """It is gone."""
@@ -186,10 +222,13 @@ class SharedModelServer:
 class _Robot:
     """One connection."""
 
-    def __init__(self, channel: wire.Channel, server: SharedModelServer) -> None:
+    def __init__(self, channel: Channel, server: SharedModelServer) -> None:
         self._channel = channel
         self._server = server
         self._sending = threading.Lock()
+        self._session = secrets.randbits(62)
+        self._held: OrderedDict[int, object] = OrderedDict()
+        self._last = 0
         self.has_asked = False
 
     def serve(self) -> None:
@@ -202,35 +241,68 @@ class _Robot:
                 self._take(self._channel.receive(None))
         except OSError:
             pass
-        except (KeyError, TypeError, ValueError) as error:
-            log.warning("A client sent what is no request: %r", error)
+        except VersionError as error:
+            log.warning("A client was refused: %s", error)
+            refusal = ConfigurationError(f"The server of the shared model refuses: {error}.")
+            self._send(Header(Kind.ANSWER), wire.from_answer(refusal))
+        except FrameError as error:
+            log.warning("A client sent what is no request: %s", error)
         finally:
             self._server.leave(self)
             self.close()
 
-    def _take(self, asked: wire.Document) -> None:
-        if asked["ask"] == "hello":
-            self._send(self._server.hello())
+    def _take(self, received: Received) -> None:
+        header = received.header
+        if header.kind is Kind.HELLO:
+            self._send(Header(Kind.WELCOME), self._server.hello())
             return
-        number = asked["number"]
+        if header.kind is Kind.STATUS:
+            self._send(Header(Kind.STATUS), self._server.status())
+            return
+        if header.kind is not Kind.REQUEST or header.number <= self._last:
+            raise FrameError(f"frame {header.number} of kind {header.kind} was not expected")
+        self._last = header.number
+        answer_header = Header(Kind.ANSWER, header.number, header.clock_ns)
 
         def tell(answer: Answer) -> None:
-            self._send({"number": number, **wire.from_answer(answer)})
+            self._server.note(answer)
+            try:
+                held = self._hold(answer, header.number)
+                self._send(answer_header, wire.from_answer(answer, held))
+            except (TypeError, ValueError) as error:
+                refusal = PluginError(f"The answer of the shared model cannot be sent: {error}.")
+                self._send(answer_header, wire.from_answer(refusal))
 
         try:
-            observation = wire.to_observation(asked["observation"])
-            self._server.submit(
-                Waiting(observation=observation, deadline_s=float(asked["deadline_s"]), tell=tell)
+            observation = wire.to_observation(
+                field(received.document(), "observation"), self._recall
             )
+            deadline_s = time.monotonic() + header.left_s
+            self._server.submit(Waiting(observation=observation, deadline_s=deadline_s, tell=tell))
         except RoboNeuronError as error:
             tell(error)
-        except (KeyError, TypeError, ValueError) as error:
-            tell(InvalidInputError(f"The observation cannot be read: {error!r}."))
+        except FrameError as error:
+            tell(InvalidInputError(f"The observation cannot be read: {error}."))
 
-    def _send(self, document: wire.Document) -> None:
+    def _hold(self, answer: Answer, number: int) -> wire.HeldContext | None:
+        """Keep the context of a chunk; on the thread of the model, so that it is there before the
+        robot can name it.
+        """
+        if not isinstance(answer, ActionChunk) or answer.context is None:
+            return None
+        self._held[number] = answer.context
+        while len(self._held) > _MOST_HELD:
+            self._held.popitem(last=False)
+        return wire.HeldContext(self._session, number)
+
+    def _recall(self, named: wire.HeldContext) -> object:
+        """A context that is still held; None for those of another connection."""
+        return self._held.get(named.number) if named.session == self._session else None
+
+    def _send(self, header: Header, document: Document) -> None:
         try:
             with self._sending:
-                self._channel.send(document, _SEND_S)
+                self._channel.send(header, document, _SEND_S)
         except OSError:
             self.close()  # `serve` ends by that
 
@@ -239,10 +311,10 @@ class _Robot:
         self._channel.close()
 
 
-def _channel_of(connected: socket.socket) -> wire.Channel:
+def _channel_of(connected: socket.socket) -> Channel:
     """Raises OSError, with the connection closed, when no second handle is left for it."""
     try:
-        return wire.Channel(connected)
+        return Channel(connected)
     except OSError:
         connected.close()
         raise
@@ -265,12 +337,15 @@ def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
 
 
 def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
-    """A server in the background: options as JSON on stdin, path of the socket as argument.
+    """A server in the background: options as JSON in the first line of stdin, path of the socket as
+    argument.
 
     Returns at once in the process that was started, which leaves one behind that belongs to
-    nobody's group.
+    nobody's group. With `--stay` it serves in the process itself, until stdin ends.
     """
-    options, path = SharedOptions.model_validate_json(source.read()), Path(arguments[0])
+    options, path = SharedOptions.model_validate_json(source.readline()), Path(arguments[-1])
+    if arguments[0] == STAY:
+        return _stay(options, path, source)
     if os.fork():
         return 0
     os.setsid()
@@ -278,7 +353,7 @@ def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> in
         os.dup2(nothing.fileno(), 0)
         for number in (1, 2):
             os.dup2(output.fileno(), number)
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+    _log()
     code = 1
     try:
         code = serve(options, path, options.idle_s)
@@ -286,6 +361,29 @@ def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> in
         logging.shutdown()
         # threads of robots may be in the middle of something, and hold nothing that must be saved
         os._exit(code)
+
+
+def _stay(options: SharedOptions, path: Path, source: IO[str]) -> int:
+    _log()
+    server = SharedModelServer(options, path, None)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: server.stop())
+
+    def watch() -> None:
+        source.read()  # its other end closes with the process that started this one
+        server.stop()
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+    code = 1
+    try:
+        code = server.run()
+    finally:
+        logging.shutdown()
+        os._exit(code)
+
+
+def _log() -> None:
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
 
 
 if __name__ == "__main__":

@@ -7,19 +7,22 @@ from typing import cast
 
 from pydantic import ValidationError
 
-from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.options import SharedOptions, SpaceOptions
 from roboneuron import (
     EE_DELTA,
     BackendSpec,
     ConfigurationError,
     ControlSpace,
+    InvalidInputError,
     RobotProfile,
+    robot_space,
 )
 from roboneuron.command import discover, loading
 
 
 def shared_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
-    """What the backend that holds the model says of its own options.
+    """What the backend that holds the model says of its own options; of a model with an address
+    what a person says.
 
     A backend that is installed in the server's interpreter only is taken to move the TCP; chunks
     in another space are then refused. Options that are wrong are told when the backend loads.
@@ -29,8 +32,15 @@ def shared_space(options: Mapping[str, object], profile: RobotProfile) -> Contro
     """
     try:
         given = SharedOptions.model_validate(dict(options))
+    except ValidationError:
+        return EE_DELTA
+    if given.space is not None:
+        return _declared(given.space, profile)
+    if given.backend is None:
+        return EE_DELTA
+    try:
         spec = discover().get(BackendSpec, given.backend, elsewhere=True)
-    except (ValidationError, ConfigurationError):
+    except ConfigurationError:
         return EE_DELTA
     if spec.space is None:
         return EE_DELTA
@@ -42,3 +52,30 @@ def shared_space(options: Mapping[str, object], profile: RobotProfile) -> Contro
         loading.load_attribute(spec.space, f"`space` of {spec.name!r}"),
     )
     return declare(own, profile)
+
+
+def _declared(options: SpaceOptions, profile: RobotProfile) -> ControlSpace:
+    """The space that a person declares, with the units and frames of the robot.
+
+    Raises:
+        ConfigurationError: there is no such kind or channel.
+    """
+    # a delta has the channels of the position that it is added to
+    kind = "joint_position" if options.kind == "joint_delta" else options.kind
+    try:
+        own = robot_space(kind, profile, options.rate_hz)
+    except InvalidInputError as error:
+        raise ConfigurationError(f"plugins.shared.space does not fit: {error.message}") from error
+    known = {channel.key: channel for channel in own.channels}
+    names = options.channels or tuple(known)
+    unknown = [name for name in names if name not in known]
+    if unknown or len(set(names)) != len(names):
+        raise ConfigurationError(
+            f"plugins.shared.space names {', '.join(unknown or names)}; each of the robot's "
+            f"channels can stand there once: {', '.join(known)}."
+        )
+    return ControlSpace(
+        kind=options.kind,
+        channels=tuple(known[name] for name in names),
+        rate_hz=options.rate_hz,
+    )

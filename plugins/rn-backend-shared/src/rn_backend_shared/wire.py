@@ -1,25 +1,34 @@
-"""Messages between robots and server: a JSON document and the arrays it refers to, in one frame of
-bounded size.
+"""What robots and servers say to each other: observations, chunks and errors as documents of
+frames, and back again, with every field checked.
 """
 
 from __future__ import annotations
 
-import json
-import math
-import socket
-import struct
-import time
-from collections.abc import Mapping
-from contextlib import suppress
-from typing import Any
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 import roboneuron
+from rn_backend_shared.fields import (
+    MOST_TEXT,
+    array,
+    field,
+    integer,
+    items,
+    number,
+    numbers,
+    optional_number,
+    table,
+    text,
+)
+from rn_backend_shared.frames import Document
+from rn_backend_shared.images import decode_image
 from roboneuron import (
     EE_DELTA,
     ActionChunk,
+    Ahead,
+    ArmState,
     CameraCalibration,
     CheckpointError,
     ConfigurationError,
@@ -38,14 +47,11 @@ from roboneuron import (
     UnsafeError,
 )
 
-Document = dict[str, Any]
-_HEAD = struct.Struct("!II")
-"""Bytes of the document, and of everything behind it."""
-_LONG_S = 1e6
-_LEAST_S = 1e-3
-_MOST_BYTES = 1 << 26
-_DTYPES = ("|u1", "<f8", "<i8", "<f4")
-_ARRAY = "$array"
+_MOST_CAMERAS = 16
+_MOST_ARMS = 8
+_MOST_NAMES = 256
+_MOST_ROWS = 4096
+_MOST_METRICS = 128
 _ERRORS: dict[str, type[RoboNeuronError]] = {
     kind.code: kind
     for kind in (
@@ -62,132 +68,76 @@ _ERRORS: dict[str, type[RoboNeuronError]] = {
 }
 
 
-def encode(document: Mapping[str, object]) -> bytes:
-    """One frame of a document that may hold arrays anywhere."""
-    return b"".join(_buffers(document))
+@dataclass(frozen=True, slots=True)
+class HeldContext:
+    """The context of a chunk (see `ActionChunk.context`), which stays in the server.
 
-
-def _buffers(document: Mapping[str, object]) -> list[bytes | memoryview]:
-    """The frame in parts; arrays are not copied."""
-    parts: list[NDArray[Any]] = []
-
-    def default(value: object) -> object:
-        if not isinstance(value, np.ndarray):
-            raise TypeError(f"{type(value).__name__} cannot be sent")
-        parts.append(np.ascontiguousarray(value))
-        return {_ARRAY: len(parts) - 1}
-
-    text = json.dumps(document, default=default)
-    heads = [[part.dtype.str, part.shape] for part in parts]
-    head = f"[{text}, {json.dumps(heads)}]".encode()
-    size = sum(part.nbytes for part in parts)
-    tails = [part.reshape(-1).view(np.uint8).data for part in parts if part.size]
-    return [_HEAD.pack(len(head), size) + head, *tails]
-
-
-def decode(head: bytes | memoryview, tail: bytes | memoryview) -> Document:
-    """The document of a frame, whose arrays keep its memory. Raises ValueError for what is none."""
-    document, heads = json.loads(bytes(head))
-    arrays: list[NDArray[Any]] = []
-    offset = 0
-    for dtype, shape in heads:
-        if dtype not in _DTYPES or any(not isinstance(n, int) or n < 0 for n in shape):
-            raise ValueError(f"an array {dtype} {shape} is not expected")
-        count = math.prod(shape)
-        size = count * np.dtype(dtype).itemsize
-        if offset + size > len(tail):
-            raise ValueError("the frame ends within an array")
-        arrays.append(np.frombuffer(tail, dtype, count, offset).reshape(shape))
-        offset += size
-    found = _filled(document, arrays)
-    if not isinstance(found, dict) or offset != len(tail):
-        raise ValueError("the frame is no document")
-    return found
-
-
-def _filled(value: object, arrays: list[NDArray[Any]]) -> object:
-    if isinstance(value, dict):
-        if value.keys() == {_ARRAY}:
-            return arrays[value[_ARRAY]]
-        return {key: _filled(inner, arrays) for key, inner in value.items()}
-    return [_filled(inner, arrays) for inner in value] if isinstance(value, list) else value
-
-
-class Channel:
-    """Frames over a connected socket. One thread reads; `send` from any thread that holds no other
-    `send`.
+    Attributes:
+        session: of the connection that holds it.
+        number: of the request that was answered with it.
     """
 
-    def __init__(self, connected: socket.socket) -> None:
-        self._in, self._out = connected, connected.dup()  # each with a time limit of its own
-        self._buffer, self._filled = bytearray(_HEAD.size), 0
-        self._head_size: int | None = None  # of the frame that is being received
+    session: int
+    number: int
 
-    def send(self, document: Mapping[str, object], timeout_s: float) -> None:
-        """Raises OSError when the other side is gone, or does not read in time."""
-        end_s = time.monotonic() + timeout_s
-        for part in _buffers(document):
-            self._out.settimeout(max(end_s - time.monotonic(), _LEAST_S))
-            self._out.sendall(part)
 
-    def receive(self, deadline_s: float | None) -> Document:
-        """The next document; what has come of a frame by the deadline (monotonic [s]) is kept for
-        the next call.
-
-        Raises:
-            TimeoutError: none by then.
-            OSError: the other side is gone.
-            ValueError: it sent something else.
-        """
-        if self._head_size is None:
-            self._fill(deadline_s)
-            head_size, tail_size = _HEAD.unpack(self._buffer)
-            if head_size + tail_size > _MOST_BYTES:
-                with suppress(OSError):  # unread bytes would reset the connection at its end
-                    self._in.recv(1 << 20, socket.MSG_DONTWAIT)
-                raise ValueError(f"a frame of {head_size + tail_size} bytes is more than expected")
-            self._head_size = head_size
-            self._buffer, self._filled = bytearray(head_size + tail_size), 0
-        self._fill(deadline_s)
-        frame, end = memoryview(self._buffer), self._head_size
-        self._buffer, self._filled, self._head_size = bytearray(_HEAD.size), 0, None
-        return decode(frame[:end], frame[end:])
-
-    def _fill(self, deadline_s: float | None) -> None:
-        """Receive until the buffer is full."""
-        rest = memoryview(self._buffer)
-        while self._filled < len(rest):
-            left_s = _LONG_S if deadline_s is None else deadline_s - time.monotonic()
-            if left_s <= 0:
-                raise TimeoutError("no answer in time")
-            self._in.settimeout(left_s)  # never None: it would make the other half blocking too
-            count = self._in.recv_into(rest[self._filled :])
-            if not count:
-                raise ConnectionError("the other side has closed the connection")
-            self._filled += count
-
-    def close(self) -> None:
-        """Hang up, also for a thread that reads; idempotent."""
-        with suppress(OSError):
-            self._in.shutdown(socket.SHUT_RDWR)
-        self._in.close()
-        self._out.close()
+Held = Callable[[HeldContext], object]
+"""What a server holds under that name; None when it holds nothing more."""
 
 
 def from_observation(observation: Observation) -> Document:
-    """What is sent of an observation; rows ahead stay at home, since no shared backend continues
-    them.
+    """What is sent of an observation; a context only by the name that the server gave it.
+
+    Raises:
+        UnsafeError: a number of its state is not finite.
     """
-    joints, pose = observation.joints, observation.ee_pose
+    joints, pose, ahead = observation.joints, observation.ee_pose, observation.ahead
+    _check_finite(observation)
     return {
         "frames": {role: _from_frame(frame) for role, frame in observation.frames.items()},
         "instruction": observation.instruction,
         "joints": None
         if joints is None
         else [list(joints.names), joints.position, joints.velocity, joints.stamp_ns],
-        "ee_pose": None if pose is None else [pose.position_m, pose.quaternion_xyzw, pose.stamp_ns],
+        "ee_pose": None if pose is None else _from_pose(pose),
         "gripper_open": observation.gripper_open,
+        "arms": {
+            name: [_from_pose(arm.ee_pose), arm.gripper_open]
+            for name, arm in observation.arms.items()
+        },
+        "ahead": None if ahead is None else _from_ahead(ahead),
         "stamp_ns": observation.stamp_ns,
+    }
+
+
+def _check_finite(observation: Observation) -> None:
+    joints, poses = observation.joints, [arm.ee_pose for arm in observation.arms.values()]
+    openings = [observation.gripper_open, *(arm.gripper_open for arm in observation.arms.values())]
+    if observation.ee_pose is not None:
+        poses.append(observation.ee_pose)
+    arrays = [part for pose in poses for part in (pose.position_m, pose.quaternion_xyzw)]
+    if joints is not None:
+        arrays += (
+            [joints.position] if joints.velocity is None else [joints.position, joints.velocity]
+        )
+    arrays.append(np.array([opening for opening in openings if opening is not None]))
+    if not all(np.isfinite(part).all() for part in arrays):
+        raise UnsafeError("The observation's state is not finite; it is not sent.")
+
+
+def _from_pose(pose: Pose) -> list[object]:
+    return [pose.position_m, pose.quaternion_xyzw, pose.stamp_ns]
+
+
+def _from_ahead(ahead: Ahead) -> Document:
+    held = ahead.context
+    return {
+        "rows": ahead.rows,
+        "committed_rows": ahead.committed_rows,
+        "step_s": ahead.step_s,
+        "context": [held.session, held.number] if isinstance(held, HeldContext) else None,
+        "context_row": ahead.context_row,
+        "state_ahead_s": ahead.state_ahead_s,
     }
 
 
@@ -204,87 +154,168 @@ def _from_frame(frame: Frame) -> Document:
     }
 
 
-def to_observation(document: Document) -> Observation:
-    """The observation that was sent. Raises KeyError, TypeError, ValueError or RoboNeuronError for
-    anything else.
+def to_observation(document: object, held: Held = lambda context: None) -> Observation:
+    """The observation that was sent.
+
+    Raises:
+        FrameError: a field is missing, or not of the type and range of the contract.
+        RoboNeuronError: as the contract's own types.
     """
-    joints, pose = document["joints"], document["ee_pose"]
+    frames = table(field(document, "frames"), "frames", _MOST_CAMERAS)
+    arms = table(field(document, "arms"), "arms", _MOST_ARMS)
+    joints, pose, ahead = (field(document, name) for name in ("joints", "ee_pose", "ahead"))
     return Observation(
-        frames={role: _to_frame(frame) for role, frame in document["frames"].items()},
-        instruction=document["instruction"],
-        joints=None
-        if joints is None
-        else JointSample(
-            names=tuple(joints[0]), position=joints[1], velocity=joints[2], stamp_ns=joints[3]
-        ),
-        ee_pose=None
-        if pose is None
-        else Pose(position_m=pose[0], quaternion_xyzw=pose[1], stamp_ns=pose[2]),
-        gripper_open=document["gripper_open"],
-        stamp_ns=document["stamp_ns"],
+        frames={text(role, "a role", 64): _to_frame(frame) for role, frame in frames.items()},
+        instruction=text(field(document, "instruction"), "instruction", MOST_TEXT),
+        joints=None if joints is None else _to_joints(joints),
+        ee_pose=None if pose is None else _to_pose(pose),
+        gripper_open=optional_number(field(document, "gripper_open"), "gripper_open"),
+        arms={text(name, "an arm", 64): _to_arm(arm) for name, arm in arms.items()},
+        ahead=None if ahead is None else _to_ahead(ahead, held),
+        stamp_ns=integer(field(document, "stamp_ns"), "stamp_ns"),
     )
 
 
-def _to_frame(document: Document) -> Frame:
-    known = document["calibration"]
-    calibration = None
-    if known is not None:
-        calibration = CameraCalibration(
-            intrinsics=known[0], mount=known[1], T_mount_camera=known[2]
-        )
+def _to_joints(value: object) -> JointSample:
+    names, position, velocity, stamp_ns = items(value, "joints", most=4, least=4)
+    names = [text(name, "a joint") for name in items(names, "joint names", most=_MOST_NAMES)]
+    shape = (len(names),)
+    return JointSample(
+        names=tuple(names),
+        position=numbers(position, "joint positions", shape),
+        velocity=None if velocity is None else numbers(velocity, "joint velocities", shape),
+        stamp_ns=integer(stamp_ns, "stamp of the joints"),
+    )
+
+
+def _to_pose(value: object) -> Pose:
+    position_m, quaternion, stamp_ns = items(value, "a pose", most=3, least=3)
+    return Pose(
+        position_m=numbers(position_m, "a position", (3,)),
+        quaternion_xyzw=numbers(quaternion, "a quaternion", (4,)),
+        stamp_ns=integer(stamp_ns, "stamp of a pose"),
+    )
+
+
+def _to_arm(value: object) -> ArmState:
+    pose, opening = items(value, "an arm", most=2, least=2)
+    return ArmState(ee_pose=_to_pose(pose), gripper_open=optional_number(opening, "an opening"))
+
+
+def _to_ahead(value: object, held: Held) -> Ahead:
+    rows = numbers(field(value, "rows"), "rows ahead", (None, None))
+    if len(rows) > _MOST_ROWS:
+        raise InvalidInputError(f"{len(rows)} rows ahead are more than {_MOST_ROWS}.")
+    named = field(value, "context")
+    context = None
+    if named is not None:
+        session, count = items(named, "a context", most=2, least=2)
+        context = held(HeldContext(integer(session, "a context"), integer(count, "a context")))
+    return Ahead(
+        rows=rows,
+        committed_rows=integer(field(value, "committed_rows"), "committed_rows"),
+        step_s=number(field(value, "step_s"), "step_s"),
+        context=context,
+        context_row=integer(field(value, "context_row"), "context_row"),
+        state_ahead_s=number(field(value, "state_ahead_s"), "state_ahead_s"),
+    )
+
+
+def _to_frame(value: object) -> Frame:
+    known = field(value, "calibration")
     return Frame(
-        camera=document["camera"],
-        image=document["image"],
-        stamp_ns=document["stamp_ns"],
-        frame_id=document["frame_id"],
-        calibration=calibration,
+        camera=text(field(value, "camera"), "camera"),
+        image=decode_image(field(value, "image")),
+        stamp_ns=integer(field(value, "stamp_ns"), "stamp of an image"),
+        frame_id=text(field(value, "frame_id"), "frame_id"),
+        calibration=None if known is None else _to_calibration(known),
     )
 
 
-def from_answer(answer: ActionChunk | RoboNeuronError) -> Document:
-    """What is sent of a chunk, or of an error."""
+def _to_calibration(value: object) -> CameraCalibration:
+    intrinsics, mount, pose = items(value, "a calibration", most=3, least=3)
+    return CameraCalibration(
+        intrinsics=numbers(intrinsics, "intrinsics", (3, 3)),
+        mount=text(mount, "mount"),
+        T_mount_camera=numbers(pose, "T_mount_camera", (4, 4)),
+    )
+
+
+def from_answer(
+    answer: ActionChunk | RoboNeuronError, context: HeldContext | None = None
+) -> Document:
+    """What is sent of a chunk, or of an error.
+
+    Args:
+        answer: of the model.
+        context: how the server calls the context of the chunk, which it keeps.
+    """
     if isinstance(answer, RoboNeuronError):
-        return {"error": answer.code, "message": answer.message, "hint": answer.hint}
-    metrics = {name: float(value) for name, value in answer.metrics.items()}
+        return {
+            "error": answer.code,
+            "message": answer.message[:MOST_TEXT],
+            "hint": answer.hint[:MOST_TEXT],
+        }
     space = answer.space
     channels = [[c.name, c.unit, c.frame, c.arm] for c in space.channels]
     return {
         "actions": answer.actions,
         "space": [space.kind, space.rate_hz, channels],
         "step_s": answer.step_s,
-        "metrics": metrics,
+        "metrics": [
+            list(answer.metrics),
+            np.array(list(answer.metrics.values()), dtype=np.float64),
+        ],
         "note": answer.note,
+        "context": None if context is None else [context.session, context.number],
+        "conditioned_rows": answer.conditioned_rows,
     }
 
 
-def to_answer(document: Document) -> ActionChunk:
+def to_answer(document: Mapping[str, object]) -> ActionChunk:
     """The chunk that was sent.
 
     Raises:
         RoboNeuronError: the error that was sent instead.
-        KeyError, TypeError, ValueError: neither.
+        FrameError: it is neither.
     """
     if "error" in document:
-        raise _ERRORS.get(document["error"], PluginError)(
-            str(document["message"]), hint=str(document["hint"])
-        )
+        kind = _ERRORS.get(text(document["error"], "an error"), PluginError)
+        message = text(field(document, "message"), "a message", MOST_TEXT)
+        raise kind(message, hint=text(field(document, "hint"), "a hint", MOST_TEXT))
+    names, values = items(field(document, "metrics"), "metrics", most=2, least=2)
+    names = [text(name, "a metric", 64) for name in items(names, "metrics", most=_MOST_METRICS)]
+    values = array(values, "metrics", "<f8", (len(names),))
+    context = field(document, "context")
     return ActionChunk(
-        actions=document["actions"],
-        step_s=document["step_s"],
-        metrics=document["metrics"],
-        note=document["note"],
-        space=_to_space(*document["space"]),
+        actions=numbers(field(document, "actions"), "actions", (None, None)),
+        step_s=number(field(document, "step_s"), "step_s"),
+        metrics=dict(zip(names, values.tolist(), strict=True)),
+        note=text(field(document, "note"), "a note", MOST_TEXT),
+        context=None if context is None else _to_context(context),
+        conditioned_rows=integer(field(document, "conditioned_rows"), "conditioned_rows"),
+        space=_to_space(field(document, "space")),
     )
 
 
-def _to_space(kind: str, rate_hz: float, channels: list[list[str]]) -> ControlSpace:
+def _to_context(value: object) -> HeldContext:
+    session, count = items(value, "a context", most=2, least=2)
+    return HeldContext(integer(session, "a context"), integer(count, "a context"))
+
+
+def _to_space(value: object) -> ControlSpace:
     """The space that was sent; the default is the contract's own object."""
+    kind, rate_hz, channels = items(value, "a space", most=3, least=3)
+    named = [
+        [text(word, "a channel") for word in items(channel, "a channel", most=4, least=4)]
+        for channel in items(channels, "channels", most=_MOST_NAMES)
+    ]
     space = ControlSpace(
-        kind=kind,
+        kind=text(kind, "kind of a space"),
         channels=tuple(
             roboneuron.Channel(name=name, unit=unit, frame=frame, arm=arm)
-            for name, unit, frame, arm in channels
+            for name, unit, frame, arm in named
         ),
-        rate_hz=rate_hz,
+        rate_hz=number(rate_hz, "rate_hz"),
     )
     return EE_DELTA if space == EE_DELTA else space

@@ -1,0 +1,148 @@
+"""Frames over a connected socket, each sent and received within a time limit."""
+
+from __future__ import annotations
+
+import socket
+import ssl
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import NamedTuple
+
+from rn_backend_shared.frames import (
+    HEADER_BYTES,
+    Document,
+    FrameError,
+    Header,
+    decode,
+    encode,
+    read_header,
+)
+
+Buffer = bytes | bytearray | memoryview
+_LONG_S = 1e6
+_LEAST_S = 1e-3
+
+
+class Received(NamedTuple):
+    """One frame.
+
+    Attributes:
+        header: of it.
+        body: document and arrays, as they came.
+    """
+
+    header: Header
+    body: bytearray
+
+    def document(self) -> Document:
+        """What it says; raises FrameError."""
+        return decode(self.header, self.body)
+
+
+class Channel:
+    """Frames over a connected socket. One thread reads; `send` from any thread that holds no other
+    `send`, over TLS from the reading thread alone.
+
+    Args:
+        connected: its owner from now on.
+        most_bytes: longest body that is taken, until it is set otherwise.
+    """
+
+    def __init__(self, connected: socket.socket, most_bytes: int | None = None) -> None:
+        self._in = connected
+        self._is_tls = isinstance(connected, ssl.SSLSocket)
+        # each half with a time limit of its own; TLS has one state for both
+        self._out = connected if self._is_tls else connected.dup()
+        self._buffer, self._filled = bytearray(HEADER_BYTES), 0
+        self._header: Header | None = None  # of the frame that is being received
+        self._begun_s: float | None = None
+        self._is_cut = False
+        self.most_bytes = most_bytes
+
+    @property
+    def begun_s(self) -> float | None:
+        """Monotonic time since which a frame is being received; None between frames."""
+        return self._begun_s
+
+    @property
+    def is_cut(self) -> bool:
+        """A frame was sent in part: nothing more can be sent."""
+        return self._is_cut
+
+    def send(self, header: Header, document: Mapping[str, object], timeout_s: float) -> None:
+        """Send a document.
+
+        Raises:
+            OSError: the other side is gone, or does not read in time.
+            ValueError: it cannot be sent.
+        """
+        self.send_parts(encode(header, document), timeout_s)
+
+    def send_parts(self, parts: Sequence[Buffer], timeout_s: float) -> None:
+        """Send a frame that is encoded already; raises OSError as `send`."""
+        if self._is_cut:
+            raise ConnectionError("a frame before was sent in part")
+        end_s = time.monotonic() + timeout_s
+        self._is_cut = True
+        for part in parts:
+            rest = memoryview(part)
+            while rest:
+                self._out.settimeout(max(end_s - time.monotonic(), _LEAST_S))
+                rest = rest[self._out.send(rest) :]
+        self._is_cut = False
+
+    def receive(self, deadline_s: float | None) -> Received:
+        """The next frame; what has come of one by the deadline (monotonic [s]) is kept for the
+        next call.
+
+        Raises:
+            TimeoutError: none by then.
+            OSError: the other side is gone.
+            FrameError: it sent something else.
+        """
+        if self._header is None:
+            self._fill(deadline_s)
+            try:
+                header = read_header(self._buffer)
+                if self.most_bytes is not None and header.body_bytes > self.most_bytes:
+                    raise FrameError(f"a frame of {header.body_bytes} bytes is more than expected")
+            except FrameError:
+                if not self._is_tls:
+                    with suppress(OSError):  # unread bytes would reset the connection at its end
+                        self._in.recv(1 << 20, socket.MSG_DONTWAIT)
+                raise
+            self._header = header
+            self._buffer, self._filled = bytearray(header.body_bytes), 0
+        self._fill(deadline_s)
+        received = Received(self._header, self._buffer)
+        self._buffer, self._filled, self._header = bytearray(HEADER_BYTES), 0, None
+        self._begun_s = None
+        return received
+
+    def _fill(self, deadline_s: float | None) -> None:
+        """Receive until the buffer is full."""
+        rest = memoryview(self._buffer)
+        while self._filled < len(rest):
+            left_s = _LONG_S if deadline_s is None else deadline_s - time.monotonic()
+            if left_s <= 0:
+                raise TimeoutError("nothing came in time")
+            self._in.settimeout(left_s)  # never None: it would make the other half blocking too
+            count = self._in.recv_into(rest[self._filled :])
+            if not count:
+                raise ConnectionError("the other side has closed the connection")
+            if self._begun_s is None:
+                self._begun_s = time.monotonic()
+            self._filled += count
+
+    def interrupt(self) -> None:
+        """End what any thread waits for here; idempotent."""
+        with suppress(OSError):
+            # the method of SSLSocket would go on in clear
+            socket.socket.shutdown(self._in, socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Hang up, also for a thread that reads; idempotent."""
+        self.interrupt()
+        self._in.close()
+        self._out.close()

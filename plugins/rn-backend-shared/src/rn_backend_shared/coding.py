@@ -1,0 +1,269 @@
+"""How images are sent: chosen by what the link carries, and checked by how far actions move."""
+
+from __future__ import annotations
+
+import logging
+import statistics
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from rn_backend_shared import wire
+from rn_backend_shared.frames import Document
+from rn_backend_shared.images import CODINGS, Coding, Size, encode_image, fit, image_bytes
+from rn_backend_shared.options import SharedOptions
+from roboneuron import ActionChunk, ConfigurationError, Frame, Observation
+
+log = logging.getLogger(__name__)
+Ask = Callable[[Document, float], ActionChunk]
+"""Sends an observation and returns the answer by a deadline (monotonic [s])."""
+PARITY_S = 5.0
+"""Longest wait for each answer of a parity check; nothing is played meanwhile."""
+_SAMPLES = 5
+_AGREEING = 5
+"""So many choices in a row must agree on another coding before it is taken."""
+_PROBE = 100
+"""Every so many observations one goes in the next larger coding, if the link may bear that: what
+was measured long ago may no longer be true.
+"""
+_LINK = "shared.link_ms"
+
+
+class LinkMeter:
+    """What images cost on a link, and which coding that means. Times are in seconds.
+
+    Each coding is measured by itself: a small image takes one round trip whatever the link carries,
+    and tells nothing of a larger one.
+    """
+
+    def __init__(self, share: float) -> None:
+        self._share = share
+        self._base_s: float | None = None
+        self._sizes: dict[Coding, int] = {}
+        self._coding_s: dict[Coding, float] = {}
+        self._link_s: dict[Coding, deque[float]] = {}
+        self.current: Coding = "raw"
+        self._wanted: Coding = "raw"
+        self._agreeing = 0
+
+    def note_base(self, link_s: float) -> None:
+        """A round trip of next to nothing."""
+        self._base_s = link_s if self._base_s is None else min(self._base_s, link_s)
+
+    def note(self, coding: Coding, size: int, coding_s: float, link_s: float) -> None:
+        """An observation that was answered.
+
+        Args:
+            coding: of its images.
+            size: bytes of its images.
+            coding_s: time that coding took.
+            link_s: its time on the link, both ways.
+        """
+        self.note_base(link_s)
+        self._sizes[coding], self._coding_s[coding] = size, coding_s
+        self._link_s.setdefault(coding, deque(maxlen=_SAMPLES)).append(link_s)
+
+    def assume(self, coding: Coding, size: int) -> None:
+        """How large images would be with a coding that takes no time."""
+        self._sizes.setdefault(coding, size)
+        self._coding_s.setdefault(coding, 0.0)
+
+    def cost_s(self, coding: Coding) -> float | None:
+        """Time that images take with a coding, beyond a round trip of next to nothing; None when it
+        is not known. One that was not measured costs by its size what the next smaller one does.
+        """
+        if coding not in self._sizes:
+            return None
+        if coding in self._link_s:
+            return self._coding_s[coding] + self._transfer_s(coding)
+        for smaller in CODINGS[CODINGS.index(coding) + 1 :]:
+            if smaller in self._link_s:
+                return self._coding_s[coding] + self._scaled_s(coding, smaller)
+        return None
+
+    def _transfer_s(self, coding: Coding) -> float:
+        assert self._base_s is not None
+        return max(statistics.median(self._link_s[coding]) - self._base_s, 0.0)
+
+    def _scaled_s(self, coding: Coding, measured: Coding) -> float:
+        return self._transfer_s(measured) * self._sizes[coding] / self._sizes[measured]
+
+    def choose(self, period_s: float, allowed: tuple[Coding, ...]) -> Coding:
+        """The coding to use from now on: the first that costs at most the share of a period, or the
+        one that costs least.
+        """
+        known: dict[Coding, float | None] = {coding: self.cost_s(coding) for coding in allowed}
+        costs = {coding: cost for coding, cost in known.items() if cost is not None}
+        most_s = self._share * period_s
+        fitting = [coding for coding, cost in costs.items() if cost <= most_s]
+        least = min(costs, key=lambda coding: costs[coding], default=allowed[0])
+        wanted = fitting[0] if fitting else least
+        self._agreeing = self._agreeing + 1 if wanted == self._wanted else 1
+        self._wanted = wanted
+        if self.current not in allowed or self._agreeing >= _AGREEING:
+            self.current = wanted
+        return self.current
+
+    def settle(self, period_s: float, allowed: tuple[Coding, ...]) -> None:
+        """Choose at once."""
+        for _ in range(_AGREEING):
+            self.choose(period_s, allowed)
+
+    def probe(self, allowed: tuple[Coding, ...], most_s: float) -> Coding:
+        """The next larger coding than the current one, where its images may take at most that long
+        by what the current ones take; its older measurements are forgotten.
+        """
+        larger = [one for one in CODINGS[: CODINGS.index(self.current)] if one in allowed]
+        if not larger or larger[-1] not in self._sizes or self.current not in self._link_s:
+            return self.current
+        coding = larger[-1]
+        if self._scaled_s(coding, self.current) > most_s:
+            return self.current
+        self._link_s.pop(coding, None)
+        return coding
+
+
+class Coder:
+    """Asks a server with images shrunk and coded as the options say.
+
+    Args:
+        options: of the backend.
+        sizes: to which the model itself shrinks images, by role or by name of the camera.
+        base_s: a round trip of next to nothing [s].
+    """
+
+    def __init__(self, options: SharedOptions, sizes: Mapping[str, Size], base_s: float) -> None:
+        self._options = options
+        self._sizes = dict(sizes)
+        self._meter = LinkMeter(options.link_share)
+        self._meter.note_base(base_s)
+        self._allowed: tuple[Coding, ...] = (
+            CODINGS if options.coding == "auto" else (options.coding,)
+        )
+        self._meter.current = self._allowed[0]
+        self._parity: dict[str, float] | None = None
+        self._count = 0
+
+    @property
+    def coding(self) -> Coding:
+        """How images are sent now."""
+        return self._meter.current
+
+    def ask(self, observation: Observation, ask: Ask, deadline_s: float) -> ActionChunk:
+        """The answer to an observation. The first one is also asked with the images as they are,
+        when coding or size may change what the model answers.
+
+        Raises:
+            ConfigurationError: actions move further by it than the options allow.
+            RoboNeuronError: as `ask`.
+        """
+        fitted = self._fitted(observation)
+        if self._parity is None:
+            self._parity = self._check(observation, fitted, ask)
+            deadline_s = time.monotonic() + self._options.timeout_s
+        coding = self._next()
+        chunk = self._timed(fitted, coding, ask, deadline_s)
+        if self._options.coding == "auto":
+            self._choose(chunk)
+        return replace(chunk, metrics={**chunk.metrics, **self._parity})
+
+    def _next(self) -> Coding:
+        self._count += 1
+        if self._options.coding == "auto" and self._count % _PROBE == 0:
+            return self._meter.probe(self._allowed, self._options.timeout_s / 4)
+        return self.coding
+
+    def _choose(self, chunk: ActionChunk) -> None:
+        before = self.coding
+        now = self._meter.choose(chunk.step_s, self._allowed)
+        if now != before:
+            log.info("Images are sent as %s from now on, before as %s.", now, before)
+
+    def _fitted(self, observation: Observation) -> Observation:
+        own = self._options.image_size
+        frames = {}
+        for role, frame in observation.frames.items():
+            size = self._declared(role, frame) or own
+            frames[role] = frame if size is None else fit(frame, size)
+        return replace(observation, frames=frames)
+
+    def _declared(self, role: str, frame: Frame) -> Size | None:
+        return self._sizes.get(role, self._sizes.get(frame.camera))
+
+    def _timed(
+        self, observation: Observation, coding: Coding, ask: Ask, deadline_s: float
+    ) -> ActionChunk:
+        begun_s = time.monotonic()
+        document = wire.from_observation(observation)
+        for role, frame in observation.frames.items():
+            coded = encode_image(frame.image, coding, self._options.quality)
+            document["frames"][role]["image"] = coded
+        coding_s, size = time.monotonic() - begun_s, image_bytes(document)
+        chunk = ask(document, deadline_s)
+        self._meter.note(coding, size, coding_s, chunk.metrics[_LINK] / 1e3)
+        own = {
+            "shared.coding_ms": coding_s * 1e3,
+            "shared.coding": float(CODINGS.index(coding)),
+            "shared.image_kb": size / 1e3,
+        }
+        return replace(chunk, metrics={**chunk.metrics, **own})
+
+    def _check(self, whole: Observation, fitted: Observation, ask: Ask) -> dict[str, float]:
+        """How far actions move by coding and shrinking, beyond what they move by themselves."""
+        options = self._options
+        shrinks = any(
+            self._declared(role, frame) is None
+            and frame.image.shape != fitted.frames[role].image.shape
+            for role, frame in whole.frames.items()
+        )
+        loses = "jpeg" in self._allowed
+        if not loses and not shrinks:
+            return {}
+
+        def asked(observation: Observation, coding: Coding) -> ActionChunk:
+            return self._timed(observation, coding, ask, time.monotonic() + PARITY_S)
+
+        # twice: what a model draws at random is no fault of the coding
+        as_is = [asked(whole if shrinks else fitted, "png") for _ in range(2)]
+        coded = asked(fitted, "jpeg" if loses else "png")
+        self._meter.assume("raw", sum(frame.image.nbytes for frame in fitted.frames.values()))
+        itself, moved = distances(*as_is), distances(as_is[0], coded)
+        beyond = {unit: max(moved[unit] - itself[unit], 0.0) for unit in moved}
+        log.info(
+            "Coded images move actions by %.2g m and %.2g rad; the same images by %.2g m and %.2g "
+            "rad.",
+            *(moved["m"], moved["rad"], itself["m"], itself["rad"]),
+        )
+        limits = {"m": options.parity_m, "rad": options.parity_rad}
+        excess = [unit for unit in limits if beyond[unit] > limits[unit]]
+        if excess and (shrinks or options.coding == "jpeg"):
+            unit = excess[0]
+            raise ConfigurationError(
+                f"Actions move by {beyond[unit]:.3g} {unit} when images are coded as configured; "
+                f"parity_{unit} = {limits[unit]:g} are allowed.",
+                hint="Raise quality or image_size, use coding = 'png', or allow more.",
+            )
+        if excess:
+            log.warning("JPEG is not used: it moves actions by more than is allowed.")
+            self._allowed = CODINGS[:2]
+        if options.coding == "auto":
+            self._meter.settle(coded.step_s, self._allowed)
+            log.info("Images are sent as %s.", self.coding)
+        return {f"shared.parity_{unit}": beyond[unit] for unit in limits}
+
+
+def distances(one: ActionChunk, other: ActionChunk) -> dict[str, float]:
+    """Greatest difference of two chunks by unit, [m] and [rad] and their rates; infinite for chunks
+    that cannot be compared.
+    """
+    if one.actions.shape != other.actions.shape or one.space != other.space:
+        return {"m": np.inf, "rad": np.inf}
+    apart = np.abs(one.actions - other.actions).max(axis=0)
+    units = [channel.unit.removesuffix("/s") for channel in one.space.channels]
+    return {
+        unit: max((float(d) for d, u in zip(apart, units, strict=True) if u == unit), default=0.0)
+        for unit in ("m", "rad")
+    }

@@ -1,0 +1,217 @@
+"""Frames between robots and servers: a header of fixed size, a JSON document and the arrays it
+refers to, each bounded before memory is taken for it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any, NamedTuple, Never
+
+import numpy as np
+from numpy.typing import NDArray
+
+Document = dict[str, Any]
+MAGIC = b"RNPI"
+VERSION = 4
+"""Of everything that is sent. The first five bytes of a frame, magic and version, never change."""
+MOST_DOCUMENT_BYTES = 1 << 18
+MOST_ARRAY_BYTES = 1 << 26
+MOST_LEFT_S = 3600.0
+_MOST_ARRAYS = 64
+_MOST_DIMENSIONS = 4
+_HEADER = struct.Struct("!4sBBHQQIII")
+HEADER_BYTES = _HEADER.size
+_DTYPES = ("|u1", "<f8", "<i8", "<f4")
+_ARRAY = "$array"
+_MICRO = 1e6
+
+
+class FrameError(ValueError):
+    """What came is no frame, or not the one that was expected."""
+
+
+class VersionError(FrameError):
+    """The other side speaks another version.
+
+    Attributes:
+        version: of the other side.
+    """
+
+    def __init__(self, version: int) -> None:
+        super().__init__(
+            f"the other side speaks version {version} of the protocol of shared models, this side "
+            f"version {VERSION}: install the same release of rn-backend-shared on both"
+        )
+        self.version = version
+
+
+class Kind(IntEnum):
+    """What a frame is."""
+
+    HELLO = 1
+    """A robot introduces itself."""
+    WELCOME = 2
+    """What the server says of itself and its model."""
+    REQUEST = 3
+    """An observation."""
+    ANSWER = 4
+    """A chunk, or an error."""
+    STATUS = 5
+    """Numbers of a server, asked for and told; on local sockets only."""
+
+
+class Header(NamedTuple):
+    """The first bytes of a frame.
+
+    Attributes:
+        kind: what it is.
+        number: of the request, rising on a connection; an answer repeats it.
+        clock_ns: the robot's monotonic clock when it asked; an answer repeats it [ns].
+        left_s: of a request, time until nobody wants the answer [s]. A duration, because the clocks
+            of two machines differ.
+        document_bytes: of the JSON document.
+        array_bytes: of the arrays behind it.
+    """
+
+    kind: Kind
+    number: int = 0
+    clock_ns: int = 0
+    left_s: float = 0.0
+    document_bytes: int = 0
+    array_bytes: int = 0
+
+    @property
+    def body_bytes(self) -> int:
+        """Everything behind the header."""
+        return self.document_bytes + self.array_bytes
+
+    def pack(self) -> bytes:
+        """As it is sent."""
+        left_us = round(min(max(self.left_s, 0.0), MOST_LEFT_S) * _MICRO)
+        return _HEADER.pack(
+            MAGIC,
+            VERSION,
+            self.kind,
+            0,
+            self.number,
+            self.clock_ns,
+            left_us,
+            self.document_bytes,
+            self.array_bytes,
+        )
+
+
+def read_header(data: bytes | bytearray) -> Header:
+    """The header in `HEADER_BYTES` bytes.
+
+    Raises:
+        VersionError: it is of another version.
+        FrameError: it is none, or announces more than is allowed.
+    """
+    magic, version, kind, reserved, number, clock_ns, left_us, document, arrays = _HEADER.unpack(
+        data
+    )
+    if magic != MAGIC:
+        raise FrameError("that is not the protocol of shared models")
+    if version != VERSION:
+        raise VersionError(version)
+    if document > MOST_DOCUMENT_BYTES or arrays > MOST_ARRAY_BYTES:
+        raise FrameError(f"a frame of {document} and {arrays} bytes is more than allowed")
+    if reserved or kind not in Kind.__members__.values() or left_us > MOST_LEFT_S * _MICRO:
+        raise FrameError("the header of a frame is damaged")
+    return Header(Kind(kind), number, clock_ns, left_us / _MICRO, document, arrays)
+
+
+def encode(header: Header, document: Mapping[str, object]) -> list[bytes | memoryview]:
+    """The frame of a document that may hold arrays anywhere, in parts; arrays are not copied.
+
+    Args:
+        header: its sizes are filled in.
+
+    Raises:
+        ValueError: it is larger than allowed, or holds a number that is not finite outside arrays.
+    """
+    parts: list[NDArray[Any]] = []
+
+    def default(value: object) -> object:
+        if not isinstance(value, np.ndarray):
+            raise TypeError(f"{type(value).__name__} cannot be sent")
+        parts.append(np.ascontiguousarray(value))
+        return {_ARRAY: len(parts) - 1}
+
+    text = json.dumps(document, default=default, allow_nan=False)
+    heads = [[part.dtype.str, part.shape] for part in parts]
+    body = f"[{text}, {json.dumps(heads)}]".encode()
+    size = sum(part.nbytes for part in parts)
+    if len(body) > MOST_DOCUMENT_BYTES or size > MOST_ARRAY_BYTES or len(parts) > _MOST_ARRAYS:
+        raise ValueError(
+            f"a document of {len(body)} bytes with {len(parts)} arrays of {size} bytes is more "
+            "than can be sent"
+        )
+    filled = header._replace(document_bytes=len(body), array_bytes=size)
+    tails = [part.reshape(-1).view(np.uint8).data for part in parts if part.size]
+    return [filled.pack() + body, *tails]
+
+
+def decode(header: Header, body: bytes | bytearray | memoryview) -> Document:
+    """The document of a frame, whose arrays share the memory of `body`.
+
+    Raises:
+        FrameError: there is none.
+    """
+    view = memoryview(body)
+    try:
+        document, heads = json.loads(
+            bytes(view[: header.document_bytes]), parse_constant=_refuse_constant
+        )
+        found = _filled(document, _arrays(heads, view[header.document_bytes :]))
+    except FrameError:
+        raise
+    except (ValueError, TypeError, RecursionError) as error:
+        raise FrameError(f"the document of a frame cannot be read: {error}") from error
+    if not isinstance(found, dict):
+        raise FrameError("the frame holds no document")
+    return found
+
+
+def _refuse_constant(name: str) -> Never:
+    raise FrameError(f"{name} is no number")
+
+
+def _arrays(heads: object, data: memoryview) -> list[NDArray[Any]]:
+    if not isinstance(heads, list) or len(heads) > _MOST_ARRAYS:
+        raise FrameError("the arrays of a frame are not described")
+    arrays: list[NDArray[Any]] = []
+    offset = 0
+    for dtype, shape in heads:
+        if (
+            dtype not in _DTYPES
+            or not isinstance(shape, list)
+            or len(shape) > _MOST_DIMENSIONS
+            or any(type(n) is not int or not 0 <= n <= MOST_ARRAY_BYTES for n in shape)
+        ):
+            raise FrameError(f"an array {dtype!r:.20} {shape!r:.60} is not expected")
+        count = math.prod(shape)
+        size = count * np.dtype(dtype).itemsize
+        if offset + size > len(data):
+            raise FrameError("the frame ends within an array")
+        arrays.append(np.frombuffer(data, dtype, count, offset).reshape(shape))
+        offset += size
+    if offset != len(data):
+        raise FrameError("bytes follow the arrays of a frame")
+    return arrays
+
+
+def _filled(value: object, arrays: list[NDArray[Any]]) -> object:
+    if isinstance(value, dict):
+        if value.keys() == {_ARRAY}:
+            place = value[_ARRAY]
+            if type(place) is not int or not 0 <= place < len(arrays):
+                raise FrameError("a document refers to an array that is not there")
+            return arrays[place]
+        return {key: _filled(inner, arrays) for key, inner in value.items()}
+    return [_filled(inner, arrays) for inner in value] if isinstance(value, list) else value

@@ -1,0 +1,269 @@
+"""The process of one model, kept alive: started again with growing pauses when it dies or hangs."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+from rn_backend_shared import wire
+from rn_backend_shared.channel import Channel
+from rn_backend_shared.fields import field
+from rn_backend_shared.frames import Document, FrameError, Header, Kind
+from rn_backend_shared.options import ServedModelOptions
+from rn_backend_shared.server import STAY
+from rn_backend_shared.session import FAILED, LOADING, READY, Welcome, greet
+from roboneuron import NotReadyError, RoboNeuronError
+
+log = logging.getLogger(__name__)
+DEAD = "dead"
+"""State of a process that is not there, in a pause before its next start."""
+_GREET_S = 1.0
+_LOOK_S, _READY_LOOK_S = 0.1, 1.0
+_HANGS_S = 15.0
+"""A process that does not introduce itself for so long is killed."""
+_FIRST_PAUSE_S, _LAST_PAUSE_S = 0.5, 30.0
+_WELL_S = 60.0
+"""After so long without a fault the pauses begin anew."""
+_END_S = 20.0
+_MOST_LOG_BYTES = 10_000_000
+
+
+class ModelProcess:
+    """Holds one model in a process of its own, from `start` to `close`.
+
+    Args:
+        name: of the model.
+        options: which.
+        path: of the socket of its process; the log lies beside it.
+    """
+
+    def __init__(self, name: str, options: ServedModelOptions, path: Path) -> None:
+        self.name = name
+        self.path = path
+        self.log_path = path.with_suffix(".log")
+        self._options = options
+        self._end = threading.Event()
+        self._process: subprocess.Popen[str] | None = None
+        self._state = LOADING
+        self._failure: Document | None = None
+        self._restarts = 0
+        self._thread = threading.Thread(target=self._keep, name=f"model {name}", daemon=True)
+
+    @property
+    def state(self) -> str:
+        """`LOADING`, `READY`, `FAILED` or `DEAD`."""
+        return self._state
+
+    def start(self) -> None:
+        """Start it, and keep it alive."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Begin to end it."""
+        self._end.set()
+
+    def close(self) -> None:
+        """End it, and wait for that; idempotent."""
+        self.stop()
+        if self._thread.ident is not None:
+            self._thread.join(2 * _END_S)
+
+    def welcome(self) -> Document:
+        """What robots are told while it is not ready."""
+        if self._failure is not None:
+            return {"state": FAILED, "pid": 0, **self._failure}
+        return {"state": LOADING, "pid": 0}
+
+    def connect(self) -> tuple[Channel, Welcome]:
+        """A connection to its process, when it is ready.
+
+        Raises:
+            NotReadyError: it is not.
+        """
+        try:
+            channel, welcome = _connect(self.path)
+        except (OSError, FrameError) as error:
+            raise NotReadyError(
+                f"The model {self.name!r} has died, or is being started; it comes back by itself."
+            ) from error
+        if welcome.state != READY:
+            channel.close()
+            raise NotReadyError(f"The model {self.name!r} is being loaded.")
+        return channel, welcome
+
+    def status(self) -> Document:
+        """Its numbers; those of its process where it answers."""
+        process = self._process
+        own: Document = {
+            "state": self._state,
+            "pid": None if process is None else process.pid,
+            "restarts": self._restarts,
+            "log": str(self.log_path),
+        }
+        if self._failure is not None:
+            own["failure"] = self._failure["message"]
+        try:
+            channel, _ = _connect(self.path)
+        except (OSError, FrameError):
+            return own
+        try:
+            channel.send(Header(Kind.STATUS), {}, _GREET_S)
+            told = channel.receive(time.monotonic() + _GREET_S).document()
+        except (OSError, FrameError):
+            return own
+        finally:
+            channel.close()
+        # the connection that asks is none of a robot
+        return {**own, **told, "state": self._state, "clients": max(int(told["clients"]) - 1, 0)}
+
+    def _keep(self) -> None:
+        pause_s = _FIRST_PAUSE_S
+        while not self._end.is_set():
+            begun_s = time.monotonic()
+            self._state = LOADING
+            try:
+                self._process = self._spawn()
+            except OSError as error:
+                log.error("The model %s cannot be started: %s", self.name, error)
+                refusal = NotReadyError(f"The model {self.name!r} cannot be started: {error}.")
+                self._failure = wire.from_answer(refusal)
+            else:
+                self._watch(self._process)
+            if self._end.is_set():
+                break
+            if self._state != FAILED:
+                self._state = DEAD
+            if time.monotonic() - begun_s > _WELL_S:
+                pause_s = _FIRST_PAUSE_S
+            log.warning("The model %s is started again in %g s.", self.name, pause_s)
+            self._end.wait(pause_s)
+            pause_s = min(2 * pause_s, _LAST_PAUSE_S)
+            self._restarts += 1
+
+    def _spawn(self) -> subprocess.Popen[str]:
+        if self.log_path.exists() and self.log_path.stat().st_size > _MOST_LOG_BYTES:
+            self.log_path.replace(self.log_path.with_suffix(".log.1"))
+        words = [
+            str(self._options.python or sys.executable),
+            "-P",
+            "-m",
+            "rn_backend_shared.server",
+            STAY,
+            str(self.path),
+        ]
+        with self.log_path.open("a") as output:
+            process = subprocess.Popen(
+                words,
+                stdin=subprocess.PIPE,
+                stdout=output,
+                stderr=output,
+                text=True,
+                env={**os.environ, **self._options.environment},
+                start_new_session=True,  # Ctrl-C ends the supervisor, which ends this
+            )
+        assert process.stdin is not None
+        try:
+            process.stdin.write(self._options.shared().model_dump_json() + "\n")
+            process.stdin.flush()
+        except BrokenPipeError:
+            pass  # it has died already, which is seen next
+        log.info("The model %s is process %d.", self.name, process.pid)
+        return process
+
+    def _watch(self, process: subprocess.Popen[str]) -> None:
+        """Follow a process until it is gone, or everything ends."""
+        heard_s = looked_s = time.monotonic()
+        while process.poll() is None and not self._end.wait(_LOOK_S):
+            now_s = time.monotonic()
+            if self._state == READY and now_s - looked_s < _READY_LOOK_S:
+                continue
+            looked_s = now_s
+            if self._look(process):
+                heard_s = now_s
+            elif self._state == READY and now_s - heard_s > _HANGS_S:
+                log.error("The model %s hangs and is killed.", self.name)
+                process.kill()
+        assert process.stdin is not None
+        process.stdin.close()
+        try:
+            process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if not self._end.is_set():
+            log.warning("The model %s has ended with %s.", self.name, process.returncode)
+
+    def _look(self, process: subprocess.Popen[str]) -> bool:
+        """Whether the process introduces itself."""
+        try:
+            channel, welcome = _connect(self.path)
+            channel.close()
+        except (OSError, FrameError):
+            return False
+        if welcome.pid != process.pid:  # one that was left behind; this one ends at once
+            return False
+        if welcome.state != self._state:
+            log.info("The model %s is %s.", self.name, welcome.state)
+        self._state = welcome.state
+        self._failure = _failure(welcome)
+        return True
+
+
+def _failure(welcome: Welcome) -> Document | None:
+    if welcome.failure is None:
+        return None
+    try:
+        wire.to_answer(welcome.failure)
+    except RoboNeuronError as error:
+        return wire.from_answer(error)
+    raise FrameError("a failure without an error")
+
+
+def _connect(path: Path) -> tuple[Channel, Welcome]:
+    """Greet the server at a local socket; raises OSError or FrameError."""
+    connected = socket.socket(socket.AF_UNIX)
+    try:
+        connected.settimeout(_GREET_S)
+        connected.connect(str(path))
+        channel = Channel(connected)
+    except OSError:
+        connected.close()
+        raise
+    try:
+        return channel, greet(channel, {}, _GREET_S)
+    except BaseException:
+        channel.close()
+        raise
+
+
+def ask_status(path: Path) -> Document:
+    """What the server at a local socket says of itself.
+
+    Raises:
+        NotReadyError: there is none.
+    """
+    with socket.socket(socket.AF_UNIX) as connected:
+        connected.settimeout(_END_S)
+        try:
+            connected.connect(str(path))
+            channel = Channel(connected)
+        except OSError as error:
+            raise NotReadyError(
+                "No policy server of this file runs here as this user.",
+                hint="Start it with `roboneuron serve-policy`.",
+            ) from error
+        try:
+            channel.send(Header(Kind.STATUS), {}, _GREET_S)
+            document = channel.receive(time.monotonic() + _END_S).document()
+            field(document, "models")
+        except (OSError, FrameError) as error:
+            raise NotReadyError(f"The policy server does not answer: {error}.") from error
+        finally:
+            channel.close()
+    return document

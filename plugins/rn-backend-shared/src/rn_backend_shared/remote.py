@@ -1,0 +1,250 @@
+"""A robot's connection to a server on another machine, which comes back by itself."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import ssl
+import threading
+import time
+from collections.abc import Sequence
+
+from rn_backend_shared.channel import Channel
+from rn_backend_shared.coding import Coder
+from rn_backend_shared.frames import Document, FrameError, VersionError
+from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.security import Place, link_stamps, place_of, tune
+from rn_backend_shared.session import Session, Welcome, check_ready, greet
+from roboneuron import (
+    ActionChunk,
+    ConfigurationError,
+    NotReadyError,
+    Observation,
+    RoboNeuronError,
+)
+
+log = logging.getLogger(__name__)
+_CONNECT_S = 3.0
+_GREET_S = 2.0
+_REACH_S = 10.0
+"""So long a server is looked for at the start; one that loads is waited for longer."""
+_LOOK_S = 0.2
+_FIRST_PAUSE_S, _LAST_PAUSE_S = 0.1, 2.0
+_SILENT = 3
+"""Deadlines in a row without an answer, after which the connection is made anew."""
+_LEAST_SILENT_S = 1.0
+_KEYS_S = 1.0
+"""How often the keys are looked at."""
+
+
+class RemoteLink:
+    """Asks a server by its address; used from one thread, except `close`.
+
+    Nothing here makes a robot wait beyond the deadline of its observation: connections are made
+    beside it.
+
+    Args:
+        options: with an address.
+    """
+
+    def __init__(self, options: SharedOptions) -> None:
+        assert options.address is not None
+        self._options = options
+        self._address: str = options.address
+        self._lock = threading.Lock()
+        self._session: Session | None = None
+        self._connecting: threading.Thread | None = None
+        self._coder: Coder | None = None
+        self._reason = ""
+        self._end = threading.Event()
+        self._silent = 0
+        self._stamps: Sequence[object] = ()
+        self._looked_s = 0.0
+
+    def open(self) -> Welcome:
+        """Reach the server, and wait until its model is ready; returns what it says of it.
+
+        Raises:
+            ConfigurationError: keys, token, version or model are not those of the server.
+            NotReadyError: it cannot be reached, or was not ready in time.
+            RoboNeuronError: why it could not load its model.
+        """
+        begun_s = time.monotonic()
+        while True:
+            try:
+                session = self._connect()
+            except (OSError, NotReadyError) as error:
+                is_reached = isinstance(error, NotReadyError)
+                most_s = self._options.start_timeout_s if is_reached else _REACH_S
+                if time.monotonic() - begun_s > min(most_s, self._options.start_timeout_s):
+                    raise NotReadyError(
+                        f"The server {self._address} of the shared model "
+                        + ("was not ready" if is_reached else "cannot be reached")
+                        + f" within {most_s:g} s: {error}",
+                        hint="Does `roboneuron serve-policy` run there?",
+                    ) from error
+                self._end.wait(_LOOK_S)
+                continue
+            with self._lock:
+                self._session = session
+            sizes = session.welcome.image_sizes
+            self._coder = Coder(self._options, sizes, session.base_s)
+            return session.welcome
+
+    def ask(self, observation: Observation, deadline_s: float) -> ActionChunk:
+        """The answer to an observation; before the first one it is measured what coded images
+        change, see `Coder`.
+
+        Raises:
+            ConfigurationError: they change too much.
+            RoboNeuronError: as `exchange`.
+        """
+        if self._coder is None:
+            raise NotReadyError("The server of the shared model was not reached yet.")
+        return self._coder.ask(observation, self.exchange, deadline_s)
+
+    def exchange(self, observation: Document, deadline_s: float) -> ActionChunk:
+        """The answer to an observation that is a document.
+
+        Raises:
+            NotReadyError: none by the deadline (monotonic [s]), or there is no connection; another
+                one is being made.
+            RoboNeuronError: what the server says instead of a chunk.
+        """
+        self._leave_for_other_keys()
+        with self._lock:
+            session = self._session
+        if session is None:
+            self._begin_connecting()
+            raise NotReadyError(
+                f"There is no connection to the server {self._address} of the shared model; it is "
+                f"being made. {self._reason}".rstrip()
+            )
+        try:
+            chunk = session.ask(observation, deadline_s)
+        except TimeoutError as error:
+            self._silent += 1
+            if self._silent >= _SILENT:
+                self._lose("it did not answer")
+            raise NotReadyError(
+                f"The server {self._address} of the shared model did not answer before the "
+                "deadline."
+            ) from error
+        except (OSError, FrameError) as error:
+            self._lose(str(error))
+            raise NotReadyError(
+                f"The connection to the server {self._address} of the shared model is lost: "
+                f"{error}."
+            ) from error
+        self._silent = 0
+        return chunk
+
+    def _lose(self, reason: str) -> None:
+        log.warning("The server %s of the shared model is lost: %s", self._address, reason)
+        self._drop()
+        self._begin_connecting()
+
+    def _leave_for_other_keys(self) -> None:
+        """Let go of a machine that `roboneuron link` may have removed."""
+        now_s = time.monotonic()
+        if self._options.token_file is not None or now_s - self._looked_s < _KEYS_S:
+            return
+        self._looked_s = now_s
+        if link_stamps() != self._stamps:
+            self._drop()
+
+    def _begin_connecting(self) -> None:
+        if self._connecting is not None and self._connecting.is_alive():
+            return
+        self._connecting = threading.Thread(
+            target=self._keep_connecting, name="connect", daemon=True
+        )
+        self._connecting.start()
+
+    def _keep_connecting(self) -> None:
+        pause_s = _FIRST_PAUSE_S
+        while not self._end.is_set():
+            try:
+                session = self._connect()
+            except (OSError, RoboNeuronError) as error:
+                if str(error) != self._reason:
+                    self._reason = str(error)
+                    log.warning("No connection to %s: %s", self._address, error)
+            else:
+                with self._lock:
+                    is_wanted = not self._end.is_set()
+                    self._session = session if is_wanted else None
+                if not is_wanted:
+                    session.close()
+                self._reason, self._silent = "", 0
+                return
+            self._end.wait(pause_s)
+            pause_s = min(2 * pause_s, _LAST_PAUSE_S)
+
+    def _connect(self) -> Session:
+        """A conversation with a server that is ready.
+
+        Raises:
+            OSError: it cannot be reached.
+            ConfigurationError: it cannot be used.
+            NotReadyError: it is not ready.
+            RoboNeuronError: why it has failed.
+        """
+        self._stamps = () if self._options.token_file is not None else link_stamps()
+        place = place_of(self._options)
+        connected = socket.create_connection((place.host, place.port), _CONNECT_S)
+        try:
+            channel = Channel(self._secured(connected, place))
+        except BaseException:
+            connected.close()
+            raise
+        try:
+            begun_s = time.monotonic()
+            welcome = self._greet(channel, place)
+            base_s = time.monotonic() - begun_s
+            check_ready(welcome)
+            return Session(channel, welcome, base_s)
+        except BaseException:
+            channel.close()
+            raise
+
+    def _secured(self, connected: socket.socket, place: Place) -> socket.socket:
+        tune(connected, max(self._options.timeout_s, _LEAST_SILENT_S))
+        connected.settimeout(_CONNECT_S)
+        if place.context is None:
+            return connected
+        try:
+            return place.context.wrap_socket(connected)
+        except ssl.SSLCertVerificationError as error:
+            raise ConfigurationError(
+                f"The server {self._address} has shown a certificate that is not trusted: "
+                f"{error.verify_message}.",
+                hint="Is it the machine that was paired? Pair it again with `roboneuron link`.",
+            ) from error
+
+    def _greet(self, channel: Channel, place: Place) -> Welcome:
+        hello: Document = {"model": self._options.model, "token": place.token}
+        try:
+            return greet(channel, hello, _GREET_S)
+        except TimeoutError:
+            raise
+        except VersionError as error:
+            raise ConfigurationError(f"The server {self._address}: {error}.") from error
+        except (OSError, FrameError) as error:
+            raise ConnectionError(
+                "it has closed the connection without a word. Are the keys or the token those of "
+                f"the server, and is rn-backend-shared of the same release there? ({error})"
+            ) from error
+
+    def _drop(self) -> None:
+        with self._lock:
+            session, self._session = self._session, None
+        if session is not None:
+            session.close()
+
+    def close(self) -> None:
+        """Hang up; idempotent."""
+        self._end.set()
+        self._drop()
+        if self._connecting is not None:
+            self._connecting.join(_CONNECT_S + _GREET_S)

@@ -1,0 +1,154 @@
+"""Policy servers of tests: real processes, whose models are small."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from rn_backend_shared.backend import SharedBackend
+from rn_backend_shared.case import install, options_in
+from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.processes import ask_status
+from rn_backend_shared.serve_command import name_of
+from rn_link.certificates import new_key, read_certificate
+from rn_link.machine import PORT, Machine, Peer
+from rn_link_pairing.keeping import add_member, become_hub, become_member
+from rn_testing.waiting import wait_until
+from roboneuron import NotReadyError
+
+WORDS = (sys.executable, "-m", "roboneuron.cli.main", "serve-policy")
+
+
+def link_of(state: Path) -> Path:
+    """Folder of the link in a state directory."""
+    return state / "roboneuron" / "link"
+
+
+def pair(hub: Path, member: Path, *, name: str = "gpu", address: str = "127.0.0.1") -> None:
+    """Pair two state directories."""
+    folder = link_of(hub)
+    if not (folder / "link.json").exists():
+        become_hub(folder, "robot", datetime.now(UTC), 365)
+    key = new_key()
+    shown = add_member(folder, name, Peer(address), key.public_key(), datetime.now(UTC), 365)
+    machine = Machine(name=name, role="member", peers={"robot": Peer(address, PORT)})
+    become_member(link_of(member), machine, key, shown, read_certificate(folder / "ca.pem"))
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + "}"
+    return json.dumps(value)
+
+
+class RunningServer:
+    """`roboneuron serve-policy` in a folder of its own, with `reflex` by the names of models.
+
+    Args:
+        folder: for all its files; the small model is installed there.
+        models: options of `[models.<name>]`.
+        listen: of `[listen]`.
+        state: its state directory, where its link is.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        models: dict[str, dict[str, Any]],
+        listen: dict[str, Any],
+        state: Path | None = None,
+    ) -> None:
+        if not (folder / "site").exists():
+            install(folder)
+        self.folder = folder
+        self.config = folder / "policies.toml"
+        self._environment = {**os.environ, "XDG_STATE_HOME": str(state or folder / "state")}
+        site = options_in(folder)["environment"]
+        assert isinstance(site, dict)
+        self._environment |= site
+        tables: dict[str, Any] = {
+            "listen": {"port": 0, "directory": str(folder / "run"), **listen},
+            "models": {name: {"backend": "reflex", **given} for name, given in models.items()},
+        }
+        self.config.write_text("".join(f"{key} = {_toml(tables[key])}\n" for key in tables))
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def pid(self) -> int:
+        """Of the process that robots connect to."""
+        assert self._process is not None
+        return self._process.pid
+
+    def words(self) -> list[str]:
+        """Its command line."""
+        return [*WORDS, "--config", str(self.config)]
+
+    def start(self, *words: str, is_ready: bool = True) -> RunningServer:
+        """Start it, and wait until it listens; `is_ready`: until all its models are ready."""
+        with (self.folder / "server.log").open("ab") as log:
+            self._process = subprocess.Popen(
+                [*self.words(), *words],
+                env=self._environment,
+                stdout=log,
+                stderr=log,
+            )
+        wait_until(self._listens, 90.0, "the server listens")
+        if is_ready:
+            wait_until(self.is_ready, 90.0, "its models are ready")
+        return self
+
+    def _listens(self) -> bool:
+        assert self._process is not None
+        assert self._process.poll() is None, (self.folder / "server.log").read_text()
+        try:
+            return bool(self.status())
+        except NotReadyError:
+            return False
+
+    def is_ready(self) -> bool:
+        """All models are ready."""
+        return all(model["state"] == "ready" for model in self.status()["models"].values())
+
+    def status(self) -> dict[str, Any]:
+        """What it says of itself."""
+        return ask_status(self.folder / "run" / f"{name_of(self.config)}.sock")
+
+    @property
+    def address(self) -> str:
+        """Where robots reach it."""
+        return f"127.0.0.1:{self.port}"
+
+    @property
+    def port(self) -> int:
+        """TCP port."""
+        return int(self.status()["address"].rpartition(":")[2])
+
+    def kill(self) -> None:
+        """Let it die without a word; its models end by themselves."""
+        assert self._process is not None
+        self._process.kill()
+        self._process.wait(30.0)
+
+    def end(self) -> int:
+        """End it, and return its exit status."""
+        if self._process is None:
+            return 0
+        self._process.send_signal(signal.SIGCONT)
+        self._process.send_signal(signal.SIGTERM)
+        try:
+            return self._process.wait(60.0)
+        finally:
+            self._process.kill()
+            self._process.wait(30.0)
+
+
+def robot_of(address: str, **options: Any) -> SharedBackend:
+    """A robot's backend for a server, not loaded."""
+    given = {"address": address, "timeout_s": 10.0, "start_timeout_s": 60.0, **options}
+    return SharedBackend(SharedOptions.model_validate(given))
