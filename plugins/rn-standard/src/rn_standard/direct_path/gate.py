@@ -1,8 +1,8 @@
 """The one gate: everything an agent sends passes it, and every decision is written down.
 
-Order: allow list, role, type, finiteness, bounds, steering, places, joint limits, path, emergency
-stop, rate, audit. The first rule that does not hold refuses and does not count against the rate.
-Refuse by default, clamp only where configured.
+Order: allow list, role, type, finiteness, bounds, steering, places, goals of a planner, joint
+limits, path, emergency stop, rate, audit. The first rule that does not hold refuses and does not
+count against the rate. Refuse by default, clamp only where configured.
 """
 
 from __future__ import annotations
@@ -11,14 +11,23 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 from rn_standard.direct_path.joints import check_joints, joint_commands
 from rn_standard.direct_path.limits import MessageChecks, check_endpoint, check_steering
 from rn_standard.direct_path.path_limits import Leg, LimitError
 from rn_standard.direct_path.places import check_places
+from rn_standard.direct_path.plans import (
+    PlanJudge,
+    WayWatch,
+    check_bodies,
+    check_options,
+    is_plan_only,
+    plans_in,
+)
 from rn_standard.direct_path.rate import RateLimit
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
-from roboneuron import RefusedError, RoboNeuronError
+from roboneuron import JointSample, RefusedError, RoboNeuronError
 from roboneuron.feature import (
     AuditLog,
     AuditRecord,
@@ -156,6 +165,24 @@ class Gate:
         with _judging():
             return found.allowed.path().slowdown(_legs(found.allowed, request), request.joints)
 
+    def way_watch(
+        self, request: GateRequest, joints: Callable[[], JointSample | None]
+    ) -> WayWatch | None:
+        """What has to be asked while a goal runs whose way a planner has chosen; None where the
+        request has none that moves an arm.
+
+        Args:
+            request: was allowed.
+            joints: the newest measured joints.
+        """
+        found = self._entries.get((request.robot, request.endpoint))
+        if found is None or found.allowed.path is None or not found.checks.has_plans:
+            return None
+        moving = [m for m in request.messages if plans_in(m) and not is_plan_only(m)]
+        if not moving:
+            return None
+        return WayWatch(found.allowed.path(), found.allowed.endpoint.zones, joints)
+
     def release(self, request: GateRequest) -> None:
         """Messages of the request that were to be sent later will not be; they no longer count
         against the rate.
@@ -209,7 +236,11 @@ class Gate:
         yield "place"
         for message in request.messages:
             check_places(endpoint, message)
-        if endpoint.joint_limited:
+        is_planned = endpoint.joint_limited and checks.has_plans
+        if is_planned:
+            yield "goal"
+            is_planned = _check_plans(entry, request)
+        if endpoint.joint_limited and not (is_planned and not _commands(request)):
             yield "joints"
             legs = _legs(entry, request)
             yield "kinematics"
@@ -268,9 +299,26 @@ class Gate:
                 raise
 
 
+def _check_plans(entry: AllowedEndpoint, request: GateRequest) -> bool:
+    """Whether a planner is asked for a way; raises RefusedError for what it may not be asked."""
+    plans = [found for message in request.messages for found in plans_in(message)]
+    for message in request.messages:
+        check_bodies(message)
+        check_options(message)
+    with _judging():
+        judge = PlanJudge(entry, request.joints)
+        for path, plan in plans:
+            judge.check(plan, path)
+    return bool(plans)
+
+
+def _commands(request: GateRequest) -> list[Any]:
+    return [command for message in request.messages for command in joint_commands(message)]
+
+
 def _legs(entry: AllowedEndpoint, request: GateRequest) -> list[Leg]:
     """The path of the joints that a request asks for; raises RefusedError as `check_joints`."""
-    commands = [command for message in request.messages for command in joint_commands(message)]
+    commands = _commands(request)
     if entry.profile is None or not commands:
         raise RefusedError(
             f"The joint limits of {entry.endpoint.name!r} cannot be checked for "

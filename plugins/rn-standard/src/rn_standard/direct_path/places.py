@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rn_standard.direct_path.fields import is_message, type_name_of
+from rn_standard.direct_path.fields import nested
 from rn_standard.direct_path.path_limits import LimitError
 from roboneuron import Endpoint, RefusedError
 
@@ -32,7 +32,7 @@ def check_places(endpoint: Endpoint, message: Any) -> None:
     """
     if not endpoint.frame:
         return
-    for path, place in _places(message):
+    for path, place in nested(message, PLACE_TYPES):
         frame_id = place.header.frame_id
         if frame_id != endpoint.frame:
             raise LimitError(
@@ -41,7 +41,7 @@ def check_places(endpoint: Endpoint, message: Any) -> None:
                 "which the limits of place are.",
             )
         if hasattr(place, "pose"):
-            _check_rotation(f"{path}pose.orientation", place.pose.orientation)
+            check_rotation(f"{path}pose.orientation", place.pose.orientation)
         for name in zones_at(endpoint, place):
             x, y, z = _position(place)
             raise LimitError(
@@ -55,7 +55,7 @@ def check_way(endpoint: Endpoint, feedback: Any) -> None:
     """Raise RefusedError when a place in the feedback of a goal is in a zone of its endpoint.
     Places in other frames are not judged.
     """
-    for path, place in _places(feedback):
+    for path, place in nested(feedback, PLACE_TYPES):
         if place.header.frame_id != endpoint.frame:
             continue
         for name in zones_at(endpoint, place):
@@ -75,7 +75,8 @@ def _position(place: Any) -> tuple[float, float, float]:
     return float(point.x), float(point.y), float(point.z)
 
 
-def _check_rotation(path: str, rotation: Any) -> None:
+def check_rotation(path: str, rotation: Any) -> None:
+    """Raise LimitError unless a quaternion is a rotation; `path` leads to it."""
     norm = math.hypot(rotation.x, rotation.y, rotation.z, rotation.w)
     if not _LEAST_NORM <= norm <= _GREATEST_NORM:
         raise LimitError(
@@ -83,18 +84,3 @@ def _check_rotation(path: str, rotation: Any) -> None:
             f"{path} has the length {norm:.3g}, expected 1.",
             hint="For a heading of a radians give z = sin(a / 2), w = cos(a / 2).",
         )
-
-
-def _places(message: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Each place in a message, with the path that leads to its fields: "pose.", "poses[2]."."""
-    if type_name_of(message) in PLACE_TYPES:
-        yield path, message
-        return
-    for name in message.get_fields_and_field_types():
-        value = getattr(message, name)
-        if is_message(value):
-            yield from _places(value, f"{path}{name}.")
-        elif isinstance(value, list | tuple):
-            for index, item in enumerate(value):
-                if is_message(item):
-                    yield from _places(item, f"{path}{name}[{index}].")
