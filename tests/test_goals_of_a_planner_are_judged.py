@@ -22,8 +22,9 @@ from rn_standard.direct_path.fields import filled, load_type
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.joints import joint_commands
 from rn_standard.direct_path.path_limits import PathLimiter
-from rn_standard.direct_path.plans import WayWatch, check_plan_frame
+from rn_standard.direct_path.plans import check_plan_frame
 from rn_standard.direct_path.request import AllowedEndpoint
+from rn_standard.direct_path.way_watch import WayWatch
 from roboneuron import ConfigurationError, Endpoint, JointSample, Obstacle, RefusedError
 from roboneuron.config import LimitsConfig
 from roboneuron.feature import GateRequest, motion_rules

@@ -1,8 +1,8 @@
 """The one gate: everything an agent sends passes it, and every decision is written down.
 
-Order: allow list, role, type, finiteness, bounds, steering, places, goals of a planner, joint
-limits, path, emergency stop, rate, audit. The first rule that does not hold refuses and does not
-count against the rate. Refuse by default, clamp only where configured.
+Order: allow list, role, type, finiteness, frame, bounds, steering, places, goals of a planner,
+joint limits, path, emergency stop, rate, audit. The first rule that does not hold refuses and does
+not count against the rate. Refuse by default, clamp only where configured.
 """
 
 from __future__ import annotations
@@ -16,18 +16,13 @@ from typing import Any
 from rn_standard.direct_path.joints import check_joints, joint_commands
 from rn_standard.direct_path.limits import MessageChecks, check_endpoint, check_steering
 from rn_standard.direct_path.path_limits import Leg, LimitError
-from rn_standard.direct_path.places import check_places
-from rn_standard.direct_path.plans import (
-    PlanJudge,
-    WayWatch,
-    check_bodies,
-    check_options,
-    is_plan_only,
-    plans_in,
-)
+from rn_standard.direct_path.places import FindTransform, check_places, to_frame
+from rn_standard.direct_path.plan_scenes import check_bodies, check_options
+from rn_standard.direct_path.plans import PlanJudge, is_plan_only, plans_in
 from rn_standard.direct_path.rate import RateLimit
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
-from roboneuron import JointSample, RefusedError, RoboNeuronError
+from rn_standard.direct_path.way_watch import WayWatch
+from roboneuron import Endpoint, JointSample, RefusedError, RoboNeuronError
 from roboneuron.feature import (
     AuditLog,
     AuditRecord,
@@ -66,6 +61,7 @@ class Gate:
         audit: AuditLog,
         clock: Callable[[], float],
         dry_run: bool = False,
+        transforms: FindTransform | None = None,
     ) -> None:
         """Args:
         allowed: the allow list; nothing else is reachable.
@@ -73,6 +69,8 @@ class Gate:
         audit: where decisions are written.
         clock: monotonic time [s], for rates.
         dry_run: answer every request, allow none to be sent.
+        transforms: has places in the frame of their endpoint; may block for a second. Without,
+            places in another frame are refused.
 
         Raises:
             ConfigurationError: an endpoint cannot be exposed.
@@ -81,6 +79,7 @@ class Gate:
         self.audit = audit
         self._clock = clock
         self._dry_run = dry_run
+        self._transforms = transforms
         self._entries: dict[_Key, _Entry] = {}
         self._rates: dict[tuple[str, ...], RateLimit] = {}
         self.replace(allowed)
@@ -109,6 +108,10 @@ class Gate:
                 allowed=entry, rate=rates[use], checks=MessageChecks(entry)
             )
         self._entries, self._rates = entries, rates
+
+    def may_block(self, endpoint: Endpoint) -> bool:
+        """Whether a request for an endpoint may have to wait for transforms."""
+        return bool(endpoint.frame) and self._transforms is not None
 
     def allowed(self) -> tuple[AllowedEndpoint, ...]:
         """The allow list."""
@@ -227,6 +230,10 @@ class Gate:
         yield "finite"
         for message in request.messages:
             checks.check_finite(message)
+        if endpoint.frame and self._transforms is not None:
+            yield "frame"
+            for message in request.messages:
+                clamped += to_frame(endpoint, message, self._transforms)
         yield "bounds"
         for message in request.messages:
             clamped += checks.apply_bounds(message)

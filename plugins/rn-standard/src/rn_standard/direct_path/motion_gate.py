@@ -151,6 +151,8 @@ class DirectGate:
         writer = self._traffic.known_writer(exposed)
         if writer is None or request.dry_run or exposed.endpoint.joint_limited or self._is_still():
             return None
+        if self._gate.may_block(exposed.endpoint):
+            return None
         matched = writer.matched()
         if not matched or writer.has_new_misfit:
             return None

@@ -17,3 +17,12 @@ class DirectPathOptions(Section):
     max_duration_s: models.Seconds = Field(
         default=120.0, description="longest direct motion, sequence or goal"
     )
+    transforms: str = Field(
+        default="",
+        max_length=200,
+        description='topic such as "/tf": places in another frame than that of their `[[expose]]` '
+        "entry are transformed into it; empty: they are refused",
+    )
+    transform_age_s: models.Seconds = Field(
+        default=1.0, description="oldest transform that places are moved by"
+    )

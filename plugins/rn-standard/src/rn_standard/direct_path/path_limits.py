@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from roboneuron import F64, JointSample, Posture, RefusedError, RobotProfile, UnsafeError
+from roboneuron import F64, JointSample, Obstacle, Posture, RefusedError, RobotProfile, UnsafeError
 from roboneuron.feature import MotionRules, Reach, task_space
 
 MAX_POSTURES = 20_000
@@ -28,6 +28,13 @@ class LimitError(RefusedError):
     def __init__(self, limit: str, message: str, hint: str = "") -> None:
         super().__init__(message, hint=hint)
         self.limit = limit
+
+
+def check_zones(lower_m: F64, upper_m: F64, zones: Sequence[Obstacle], where: str) -> None:
+    """Raise LimitError when a box reaches into a zone."""
+    for zone in zones:
+        if (lower_m <= zone.upper_m).all() and (upper_m >= zone.lower_m).all():
+            raise LimitError("zone", f"{where}The TCP may come into the zone {zone.name!r}.")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -5,19 +5,63 @@ have to stay out of. For bases, whose goals are poses on a map.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from rn_standard.direct_path.fields import nested
 from rn_standard.direct_path.path_limits import LimitError
-from roboneuron import Endpoint, RefusedError
+from rn_standard.direct_path.transforms import Transform, rotation_of
+from roboneuron import Endpoint, NotReadyError, RefusedError
+from roboneuron.feature import Clamp
 
 PLACE_TYPES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped")
 """Messages that say where, and in which frame."""
+FindTransform = Callable[[str, str], Transform]
+"""Where the second frame is in the first; raises NotReadyError."""
 _LEAST_NORM, _GREATEST_NORM = 0.99, 1.01
 """Length of a quaternion that rounding can explain; nav2 takes any, and turns by what it is not."""
+
+
+def to_frame(endpoint: Endpoint, message: Any, find: FindTransform) -> list[Clamp]:
+    """Have every place in a message, at any depth, in the frame of the endpoint, by what transforms
+    say now; what is judged is then what is sent.
+
+    Returns:
+        The coordinates that were changed [m].
+
+    Raises:
+        LimitError: of the limit "frame": a transform is unknown, old, or none.
+    """
+    changes: list[Clamp] = []
+    for path, place in nested(message, PLACE_TYPES):
+        source = place.header.frame_id
+        if not source or source == endpoint.frame:
+            continue
+        try:
+            found = find(endpoint.frame, source)
+        except NotReadyError as error:
+            raise LimitError("frame", f"{path}header.frame_id: {error.message}") from error
+        is_pose = hasattr(place, "pose")
+        if is_pose:
+            check_rotation(f"{path}pose.orientation", place.pose.orientation)
+            turned = Transform(
+                rotation=found.rotation @ rotation_of(place.pose.orientation),
+                translation_m=found.translation_m,
+            )
+            rotation = place.pose.orientation
+            rotation.x, rotation.y, rotation.z, rotation.w = turned.quaternion_xyzw.tolist()
+        point, before = (place.pose.position if is_pose else place.point), _position(place)
+        now = found.rotation @ np.array(before) + found.translation_m
+        point.x, point.y, point.z = now.tolist()
+        place.header.frame_id = endpoint.frame
+        where = f"{path}{'pose.position' if is_pose else 'point'}"
+        changes += [
+            Clamp(path=f"{where}.{axis}", asked=asked, sent=sent)
+            for axis, asked, sent in zip("xyz", before, now.tolist(), strict=True)
+        ]
+    return changes
 
 
 def check_places(endpoint: Endpoint, message: Any) -> None:

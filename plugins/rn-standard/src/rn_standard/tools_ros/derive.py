@@ -6,8 +6,10 @@ from collections.abc import Callable, Collection, Iterable
 from typing import Any
 
 from rn_standard.direct_path.derived import Derived
+from rn_standard.direct_path.transforms import TYPE
 from rn_standard.tools_ros.action import GoalSending, SendGoal, goal_model
 from rn_standard.tools_ros.exposed_types import action_of, message_of, service_of
+from rn_standard.tools_ros.lookup import FoundTransform, LookingUp, Lookup
 from rn_standard.tools_ros.naming import tool_name
 from rn_standard.tools_ros.publish import Delivery, Publish, Publishing
 from rn_standard.tools_ros.read import Read, Reading, messages_model
@@ -42,6 +44,8 @@ def derive_tools(
     for (kind, label, _), members in groups.items():
         targets = Targets(members)
         uses = ["publish", "sequence"] if kind == "publish" else [kind]
+        if (kind, targets.first.endpoint.type) == ("read", TYPE):
+            uses.append("lookup")
         for use in uses:
             name = tool_name(use, label, targets.first.robot, names)
             names.add(name)
@@ -56,6 +60,7 @@ def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool[
         "read": _read,
         "service": _service,
         "action": _action,
+        "lookup": _lookup,
     }
     return makers[use](name, noun, targets, host)
 
@@ -166,6 +171,26 @@ def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Read]:
         ),
         result=messages_model(targets),
         handler=Reading(host, targets, name),
+        read_only=True,
+        idempotent=True,
+        open_world=True,
+    )
+
+
+def _lookup(name: str, noun: str, targets: Targets, host: Host) -> Tool[Lookup]:
+    properties: dict[str, Schema] = {"target": {}, "source": {}, "max_age_s": {}, "timeout_s": {}}
+    return Tool(
+        name=name,
+        title=f"Look up {noun}",
+        description=f"{targets.describe()} Where the source frame is in the target frame now: its "
+        "pose, by the newest transforms.",
+        arguments=Derived(
+            model=Lookup,
+            properties={**targets.schema(), **properties},
+            required=[*targets.arguments, "target", "source"],
+        ),
+        result=FoundTransform,
+        handler=LookingUp(host, targets, name),
         read_only=True,
         idempotent=True,
         open_world=True,

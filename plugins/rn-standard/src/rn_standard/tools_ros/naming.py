@@ -16,6 +16,7 @@ PATTERNS = {
     "read": "read_{}",
     "service": "call_{}",
     "action": "send_{}_goal",
+    "lookup": "lookup_{}",
 }
 """Tool name by what it does to an endpoint."""
 
