@@ -141,6 +141,9 @@ class FrameTree:
         edges = dict(self._edges)
         known = edges.keys() | {edge.parent for edge in edges.values()}
         for frame in (target, source):
+            if frame in self._faults:
+                raise NotReadyError(self._faults[frame])
+        for frame in (target, source):
             if frame not in known:
                 listed = ", ".join(sorted(known)[:20]) or "none"
                 raise NotReadyError(f"The frame {frame[:60]!r} is unknown; known are: {listed}.")

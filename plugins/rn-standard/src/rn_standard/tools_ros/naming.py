@@ -17,6 +17,8 @@ PATTERNS = {
     "service": "call_{}",
     "action": "send_{}_goal",
     "lookup": "lookup_{}",
+    "battery": "get_{}",
+    "detections": "get_{}",
 }
 """Tool name by what it does to an endpoint."""
 
