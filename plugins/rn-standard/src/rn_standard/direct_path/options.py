@@ -20,9 +20,7 @@ class DirectPathOptions(Section):
     transforms: str = Field(
         default="",
         max_length=200,
-        description='topic such as "/tf": places in another frame than that of their `[[expose]]` '
-        "entry are transformed into it; empty: they are refused",
+        description='such as "/tf": places in another frame than their endpoint\'s are moved into '
+        "it; empty: refused",
     )
-    transform_age_s: models.Seconds = Field(
-        default=1.0, description="oldest transform that places are moved by"
-    )
+    transform_age_s: models.Seconds = Field(default=1.0, description="oldest transform for that")
