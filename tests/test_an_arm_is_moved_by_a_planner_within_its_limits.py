@@ -231,6 +231,7 @@ def test_an_arm_goes_where_it_may_by_goals_and_by_plans(cell: Cell) -> None:
             assert await agent.tcp() == pytest.approx([0.4, -0.1, 0.3], abs=0.01)
             # what the planner cannot do is an error with its code
             await agent.refused(goal(joints(), group="left"), "INVALID_GROUP_NAME")
+            await agent.refused(goal(place(0.74, 0.44, 0.74)), "NO_IK_SOLUTION")
             # planned only: nothing moves, and the plan is judged again when it is to be executed
             succeeded, answer, text = await agent.move(goal(joints(), plan_only=True))
             assert succeeded, text

@@ -286,6 +286,14 @@ def test_a_posture_in_a_zone_is_refused_though_its_joints_are_within_limits(
     ask(goal)
 
 
+def test_a_posture_is_judged_beside_a_place_as_well(ask: Callable[..., None]) -> None:
+    far = joint_goal(fr3_joint2=0.9)
+    with pytest.raises(RefusedError, match=r"workspace|apart"):
+        ask(goal_of({**far, **place_goal(0.4, 0.0, 0.3)}))
+    some = {JOINT: joint_goal()[JOINT][:2]}
+    ask(goal_of({**some, **place_goal(0.4, 0.0, 0.3)}))
+
+
 def test_without_measured_joints_a_posture_cannot_be_judged(ask: Callable[..., None]) -> None:
     with pytest.raises(RefusedError, match="not measured yet"):
         ask(goal_of(joint_goal()), joints=None)

@@ -121,29 +121,28 @@ class PlanJudge:
             self._check_joint(constraint, f"{where}joint_constraints[{index}]")
         for index, constraint in enumerate(goal.position_constraints):
             self._check_position(constraint, f"{where}position_constraints[{index}]")
-        if goal.position_constraints:
-            return
-        if not names:
+        if not (names or goal.position_constraints):
             raise RefusedError(
                 f"{where.rstrip('.')} leaves open where the arm is to stand.",
                 hint="Give position_constraints of the TCP, or joint_constraints of every joint.",
             )
-        self._check_posture(goal.joint_constraints, names, where)
-
-    def _check_posture(self, constraints: Sequence[Any], names: Sequence[str], where: str) -> None:
-        moved = [arm for arm in self._profile.each_arm if not set(names).isdisjoint(arm.joints)]
-        for arm in moved:
-            open_joints = [joint for joint in arm.joints if joint not in names]
-            if open_joints:
+        for arm in self._profile.each_arm:
+            left = [joint for joint in arm.joints if joint not in names]
+            if len(left) == len(arm.joints):
+                continue  # joints of another arm, or of a gripper
+            if not left:
+                self._check_posture(goal.joint_constraints, where)
+            elif not goal.position_constraints:
                 raise RefusedError(
-                    f"{where}joint_constraints leaves open where {', '.join(open_joints)} is to "
-                    "be.",
+                    f"{where}joint_constraints leaves open where {', '.join(left)} is to be.",
                     hint="Name every joint of the arm.",
                 )
-        if not moved or self._allowed.path is None:
+
+    def _check_posture(self, constraints: Sequence[Any], where: str) -> None:
+        if self._allowed.path is None:
             return
         leg = Leg(
-            names=tuple(names),
+            names=tuple(constraint.joint_name for constraint in constraints),
             position=np.array([constraint.position for constraint in constraints]),
             duration_s=None,
             where=f"{where.rstrip('.')}: ",
