@@ -22,10 +22,19 @@ from rn_standard.direct_path.fields import filled, load_type
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.joints import joint_commands
 from rn_standard.direct_path.path_limits import PathLimiter
+from rn_standard.direct_path.places import FindTransform
 from rn_standard.direct_path.plans import check_plan_frame
 from rn_standard.direct_path.request import AllowedEndpoint
+from rn_standard.direct_path.transforms import Transform
 from rn_standard.direct_path.way_watch import WayWatch
-from roboneuron import ConfigurationError, Endpoint, JointSample, Obstacle, RefusedError
+from roboneuron import (
+    ConfigurationError,
+    Endpoint,
+    JointSample,
+    NotReadyError,
+    Obstacle,
+    RefusedError,
+)
 from roboneuron.config import LimitsConfig
 from roboneuron.feature import GateRequest, motion_rules
 
@@ -102,7 +111,7 @@ def goal_of(*constraints: dict[str, Any]) -> dict[str, Any]:
 
 def endpoint(type_name: str = MOVE, **changes: Any) -> Endpoint:
     kept = {"name": "arm", "kind": "action", "topic": "/move", "summary": "", "joint_limited": True}
-    return Endpoint(**kept, type=type_name, **changes)
+    return Endpoint(**{**kept, "type": type_name, **changes})
 
 
 @pytest.fixture(scope="module")
@@ -124,19 +133,21 @@ def ask(latch: Any, audit: Any, clock: Any, limiter: PathLimiter) -> Callable[..
         values: dict[str, Any],
         type_name: str = MOVE,
         joints: JointSample | None = HOME,
+        transforms: FindTransform | None = None,
         **changes: Any,
-    ) -> None:
+    ) -> Any:
         entry = AllowedEndpoint(
             robot="fr3", endpoint=endpoint(type_name, **changes), profile=facts,
             rules=motion_rules(LimitsConfig.model_validate(LIMITS), facts), path=lambda: limiter,
         )  # fmt: skip
-        gate = Gate([entry], latch=latch, audit=audit, clock=clock.monotonic)
+        gate = Gate([entry], latch=latch, audit=audit, clock=clock.monotonic, transforms=transforms)
         goal = filled(load_type(type_name).Goal, values)
         request = GateRequest(
             who="agent", role="operator", tool="send_arm_goal", robot="fr3", endpoint="arm",
             messages=(goal,), arguments={}, joints=joints,
         )  # fmt: skip
         assert gate.check(request).may_send
+        return goal.request if type_name == MOVE else None
 
     return make
 
@@ -286,12 +297,53 @@ def test_a_posture_in_a_zone_is_refused_though_its_joints_are_within_limits(
     ask(goal)
 
 
+def in_camera(constraints: dict[str, Any]) -> dict[str, Any]:
+    """The same numbers, in the frame of a camera."""
+    made = copy.deepcopy(constraints)
+    for kind in (POSITION, TURN):
+        made[kind][0]["header"] = {"frame_id": "camera"}
+    return made
+
+
+def find_camera(target: str, source: str) -> Transform:
+    """The camera is 0.4 m in front of the base, 0.3 m above it, turned by half a turn about z."""
+    if (target, source) != (BASE, "camera"):
+        raise NotReadyError(f"The frame {source!r} is unknown.")
+    return Transform(rotation=np.diag([-1.0, -1.0, 1.0]), translation_m=np.array([0.4, 0.0, 0.3]))
+
+
+def test_constraints_in_another_frame_are_moved_into_that_of_the_limits(
+    ask: Callable[..., Any],
+) -> None:
+    sent = ask(goal_of(in_camera(place_goal(0.1, 0.05, 0.02))), transforms=find_camera)
+    (goal,) = sent.goal_constraints
+    place, tip = goal.position_constraints[0], goal.orientation_constraints[0]
+    centre = place.constraint_region.primitive_poses[0].position
+    assert (centre.x, centre.y, centre.z) == pytest.approx((0.3, -0.05, 0.32))
+    assert (place.header.frame_id, tip.header.frame_id) == (BASE, BASE)
+    # half a turn about x, then half a turn about z: half a turn about y
+    assert abs(tip.orientation.y) == pytest.approx(1.0)
+    with pytest.raises(RefusedError, match="zone 'cup'"):
+        ask(goal_of(in_camera(place_goal(-0.1, -0.2, -0.1))), transforms=find_camera)
+    unknown = goal_of(changed(PLACE, POSITION, header={"frame_id": "lamp"}))
+    with pytest.raises(RefusedError, match="'lamp' is unknown"):
+        ask(unknown, transforms=find_camera)
+
+
 def test_a_posture_is_judged_beside_a_place_as_well(ask: Callable[..., None]) -> None:
     far = joint_goal(fr3_joint2=0.9)
     with pytest.raises(RefusedError, match=r"workspace|apart"):
         ask(goal_of({**far, **place_goal(0.4, 0.0, 0.3)}))
     some = {JOINT: joint_goal()[JOINT][:2]}
     ask(goal_of({**some, **place_goal(0.4, 0.0, 0.3)}))
+
+
+def test_what_moves_nothing_is_only_planned(ask: Callable[..., Any]) -> None:
+    goal = goal_of(joint_goal())
+    with pytest.raises(RefusedError, match="plan_only is false, but the endpoint is said to move"):
+        ask(goal, joint_limited=False)
+    goal["planning_options"]["plan_only"] = True
+    ask(goal, joint_limited=False)
 
 
 def test_without_measured_joints_a_posture_cannot_be_judged(ask: Callable[..., None]) -> None:

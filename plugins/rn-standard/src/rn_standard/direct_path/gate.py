@@ -17,8 +17,9 @@ from rn_standard.direct_path.joints import check_joints, joint_commands
 from rn_standard.direct_path.limits import MessageChecks, check_endpoint, check_steering
 from rn_standard.direct_path.path_limits import Leg, LimitError
 from rn_standard.direct_path.places import FindTransform, check_places, to_frame
+from rn_standard.direct_path.plan_frames import constraints_to_frame
 from rn_standard.direct_path.plan_scenes import check_bodies, check_options
-from rn_standard.direct_path.plans import PlanJudge, is_plan_only, plans_in
+from rn_standard.direct_path.plans import PlanJudge, check_plan_only, is_plan_only, plans_in
 from rn_standard.direct_path.rate import RateLimit
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
 from rn_standard.direct_path.way_watch import WayWatch
@@ -230,10 +231,14 @@ class Gate:
         yield "finite"
         for message in request.messages:
             checks.check_finite(message)
-        if endpoint.frame and self._transforms is not None:
+        if self._transforms is not None and (endpoint.frame or checks.has_plans):
             yield "frame"
             for message in request.messages:
-                clamped += to_frame(endpoint, message, self._transforms)
+                if endpoint.frame:
+                    clamped += to_frame(endpoint, message, self._transforms)
+                if checks.has_plans and entry.profile is not None:
+                    base = entry.profile.base_link
+                    clamped += constraints_to_frame(message, base, self._transforms)
         yield "bounds"
         for message in request.messages:
             clamped += checks.apply_bounds(message)
@@ -247,6 +252,10 @@ class Gate:
         if is_planned:
             yield "goal"
             is_planned = _check_plans(entry, request)
+        elif checks.has_plans and entry.profile is not None and entry.profile.limits is not None:
+            yield "goal"
+            for message in request.messages:
+                check_plan_only(message)
         if endpoint.joint_limited and not (is_planned and not _commands(request)):
             yield "joints"
             legs = _legs(entry, request)

@@ -45,23 +45,30 @@ def to_frame(endpoint: Endpoint, message: Any, find: FindTransform) -> list[Clam
             raise LimitError("frame", f"{path}header.frame_id: {error.message}") from error
         is_pose = hasattr(place, "pose")
         if is_pose:
-            check_rotation(f"{path}pose.orientation", place.pose.orientation)
-            turned = Transform(
-                rotation=found.rotation @ rotation_of(place.pose.orientation),
-                translation_m=found.translation_m,
-            )
-            rotation = place.pose.orientation
-            rotation.x, rotation.y, rotation.z, rotation.w = turned.quaternion_xyzw.tolist()
-        point, before = (place.pose.position if is_pose else place.point), _position(place)
-        now = found.rotation @ np.array(before) + found.translation_m
-        point.x, point.y, point.z = now.tolist()
+            turn(place.pose.orientation, found, f"{path}pose.orientation")
+        point = place.pose.position if is_pose else place.point
+        changes += shift(point, found, f"{path}{'pose.position' if is_pose else 'point'}")
         place.header.frame_id = endpoint.frame
-        where = f"{path}{'pose.position' if is_pose else 'point'}"
-        changes += [
-            Clamp(path=f"{where}.{axis}", asked=asked, sent=sent)
-            for axis, asked, sent in zip("xyz", before, now.tolist(), strict=True)
-        ]
     return changes
+
+
+def turn(rotation: Any, found: Transform, path: str) -> None:
+    """Have a quaternion in the target frame of a transform. Raises as `check_rotation`."""
+    check_rotation(path, rotation)
+    turned = Transform(
+        rotation=found.rotation @ rotation_of(rotation), translation_m=found.translation_m
+    )
+    rotation.x, rotation.y, rotation.z, rotation.w = turned.quaternion_xyzw.tolist()
+
+
+def shift(point: Any, found: Transform, path: str) -> list[Clamp]:
+    """Have a point in the target frame of a transform; returns what has changed."""
+    before = (float(point.x), float(point.y), float(point.z))
+    point.x, point.y, point.z = (found.rotation @ np.array(before) + found.translation_m).tolist()
+    return [
+        Clamp(path=f"{path}.{axis}", asked=asked, sent=getattr(point, axis))
+        for axis, asked in zip("xyz", before, strict=True)
+    ]
 
 
 def check_places(endpoint: Endpoint, message: Any) -> None:

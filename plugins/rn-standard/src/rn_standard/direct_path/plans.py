@@ -45,6 +45,16 @@ def is_plan_only(message: Any) -> bool:
     return any(options.plan_only for _, options in nested(message, (OPTIONS,)))
 
 
+def check_plan_only(message: Any) -> None:
+    """Raise RefusedError for a goal that is to be executed, of an endpoint that moves nothing."""
+    for path, options in nested(message, (OPTIONS,)):
+        if not options.plan_only:
+            raise RefusedError(
+                f"{path}plan_only is false, but the endpoint is said to move nothing.",
+                hint="Set it, or leave moves = false out of the configuration.",
+            )
+
+
 def check_plan_frame(endpoint: Endpoint, base_link: str) -> None:
     """Raise ConfigurationError when an endpoint whose goals are planned has its zones in another
     frame than the limits of the arm.
