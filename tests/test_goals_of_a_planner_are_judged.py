@@ -26,7 +26,7 @@ from rn_standard.direct_path.places import FindTransform
 from rn_standard.direct_path.plans import check_plan_frame
 from rn_standard.direct_path.request import AllowedEndpoint
 from rn_standard.direct_path.transforms import Transform
-from rn_standard.direct_path.way_watch import WayWatch
+from rn_standard.direct_path.way_watch import WayWatch, watch_of
 from roboneuron import (
     ConfigurationError,
     Endpoint,
@@ -434,3 +434,21 @@ def test_an_arm_that_rests_in_a_zone_may_be_led_out_of_it(limiter: PathLimiter) 
         way.see(turned(rad))
     with pytest.raises(RefusedError, match="'lamp'"):
         way.see(turned(0.5))
+
+
+def test_only_what_a_planner_carries_out_is_watched(limiter: PathLimiter) -> None:
+    entry = AllowedEndpoint(
+        robot="fr3", endpoint=endpoint(), profile=profile(), path=lambda: limiter
+    )
+    values = goal_of(joint_goal())
+
+    def watched(allowed: AllowedEndpoint) -> bool:
+        goal = filled(load_type(MOVE).Goal, values)
+        return watch_of(allowed, [goal], lambda: HOME) is not None
+
+    assert watched(entry)
+    assert not watched(AllowedEndpoint(robot="fr3", endpoint=endpoint(), profile=profile()))
+    values["planning_options"]["plan_only"] = True
+    assert not watched(entry)
+    executed = filled(load_type(EXECUTE).Goal, trajectory((0.1, 1.0)))
+    assert watch_of(entry, [executed], lambda: HOME) is None, "it was judged point by point"

@@ -18,11 +18,11 @@ from rn_standard.direct_path.limits import MessageChecks, check_endpoint, check_
 from rn_standard.direct_path.path_limits import Leg, LimitError
 from rn_standard.direct_path.places import FindTransform, check_places, to_frame
 from rn_standard.direct_path.plan_frames import constraints_to_frame
-from rn_standard.direct_path.plan_scenes import check_bodies, check_options
-from rn_standard.direct_path.plans import PlanJudge, check_plan_only, is_plan_only, plans_in
+from rn_standard.direct_path.plan_scenes import check_plans
+from rn_standard.direct_path.plans import check_plan_only
 from rn_standard.direct_path.rate import RateLimit
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
-from rn_standard.direct_path.way_watch import WayWatch
+from rn_standard.direct_path.way_watch import WayWatch, watch_of
 from roboneuron import Endpoint, JointSample, RefusedError, RoboNeuronError
 from roboneuron.feature import (
     AuditLog,
@@ -180,12 +180,9 @@ class Gate:
             joints: the newest measured joints.
         """
         found = self._entries.get((request.robot, request.endpoint))
-        if found is None or found.allowed.path is None or not found.checks.has_plans:
+        if found is None or not found.checks.has_plans:
             return None
-        moving = [m for m in request.messages if plans_in(m) and not is_plan_only(m)]
-        if not moving:
-            return None
-        return WayWatch(found.allowed.path(), found.allowed.endpoint.zones, joints)
+        return watch_of(found.allowed, request.messages, joints)
 
     def release(self, request: GateRequest) -> None:
         """Messages of the request that were to be sent later will not be; they no longer count
@@ -251,7 +248,8 @@ class Gate:
         is_planned = endpoint.joint_limited and checks.has_plans
         if is_planned:
             yield "goal"
-            is_planned = _check_plans(entry, request)
+            with _judging():
+                is_planned = check_plans(entry, request.messages, request.joints)
         elif checks.has_plans and entry.profile is not None and entry.profile.limits is not None:
             yield "goal"
             for message in request.messages:
@@ -313,19 +311,6 @@ class Gate:
         except RefusedError:  # reading goes on and refusals stay refusals when the disk is full
             if found is not None and found.allowed.endpoint.kind != "read" and verdict.may_send:
                 raise
-
-
-def _check_plans(entry: AllowedEndpoint, request: GateRequest) -> bool:
-    """Whether a planner is asked for a way; raises RefusedError for what it may not be asked."""
-    plans = [found for message in request.messages for found in plans_in(message)]
-    for message in request.messages:
-        check_bodies(message)
-        check_options(message)
-    with _judging():
-        judge = PlanJudge(entry, request.joints)
-        for path, plan in plans:
-            judge.check(plan, path)
-    return bool(plans)
 
 
 def _commands(request: GateRequest) -> list[Any]:

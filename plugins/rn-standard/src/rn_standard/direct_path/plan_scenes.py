@@ -1,15 +1,41 @@
-"""What a goal may tell a motion planner (MoveIt) of the world: nothing that hides a part of it."""
+"""What a motion planner (MoveIt) may be asked, and told of the world: nothing that hides a part of
+it.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from rn_standard.direct_path.fields import nested
-from rn_standard.direct_path.plans import BODIES, OPTIONS, REQUEST
-from roboneuron import RefusedError
+from rn_standard.direct_path.plans import BODIES, OPTIONS, REQUEST, PlanJudge, plans_in
+from rn_standard.direct_path.request import AllowedEndpoint
+from roboneuron import JointSample, RefusedError
 
 _ADD = b"\x00"
 """CollisionObject.ADD."""
+
+
+def check_plans(
+    allowed: AllowedEndpoint, messages: Sequence[Any], joints: JointSample | None
+) -> bool:
+    """Whether a planner is asked for a way; raises RefusedError for what it may not be asked.
+
+    Args:
+        allowed: the endpoint, with the limits of its arm.
+        messages: what is to be sent.
+        joints: where the arm is measured.
+    """
+    plans = [found for message in messages for found in plans_in(message)]
+    for message in messages:
+        check_bodies(message)
+        check_options(message)
+    if not plans:
+        return False
+    judge = PlanJudge(allowed, joints)
+    for path, plan in plans:
+        judge.check(plan, path)
+    return True
 
 
 def check_bodies(message: Any) -> None:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from rn_standard.direct_path.path_limits import Leg, LimitError, PathLimiter, check_zones
+from rn_standard.direct_path.plans import is_plan_only, plans_in
+from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron import F64, JointSample, Obstacle, RefusedError
 
 _PERIOD_S = 0.05
@@ -17,6 +20,24 @@ _SILENCE_S = 1.0
 _TREMBLE = 1e-3
 """Change of a joint [rad or m] that is no motion; an arm that rests in a zone has not come into it.
 """
+
+
+def watch_of(
+    allowed: AllowedEndpoint,
+    messages: Sequence[Any],
+    joints: Callable[[], JointSample | None],
+) -> WayWatch | None:
+    """The watch over what a planner is asked to carry out; None where no arm is to be moved.
+
+    Args:
+        allowed: the endpoint, with the limits of its arm.
+        messages: were allowed.
+        joints: the newest measured joints.
+    """
+    is_moving = any(plans_in(message) and not is_plan_only(message) for message in messages)
+    if allowed.path is None or not is_moving:
+        return None
+    return WayWatch(allowed.path(), allowed.endpoint.zones, joints)
 
 
 class WayWatch:
