@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from rn_link.environment import uses_link
 from rn_link.machine import link_folder, read_machine
+from rn_link.state import LOCK, STATE
 from roboneuron import ConfigurationError
 from roboneuron.feature import Periodic
 
@@ -59,9 +60,10 @@ class RelayKeeper(Periodic):
                 return
         except ConfigurationError:  # told by `join_link`
             return
-        lock = os.open(self._folder / "relay.lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        lock = os.open(self._folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            (self._folder / STATE).unlink(missing_ok=True)  # of the relay before
             # the relay inherits the lock, and holds it until it ends
             self._relay = subprocess.Popen(
                 [sys.executable, "-m", "rn_link.relay"],

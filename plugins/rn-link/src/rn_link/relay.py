@@ -15,8 +15,9 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
-from rn_link.machine import Machine, Peer, link_folder, read_machine
+from rn_link.machine import Machine, link_folder, read_machine
 from rn_link.ports import Place, Ports
+from rn_link.state import StateFile, hint_for, waiting_hint
 from rn_link.stream import Stream
 from rn_link.tls import tls_context
 from roboneuron import ConfigurationError
@@ -38,6 +39,7 @@ class Relay:
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._known: dict[str, tuple[object, ...]] = {}
         self._accepted: set[asyncio.Task[None]] = set()
+        self._state = StateFile(folder)
 
     async def run(self, ended: asyncio.Event) -> None:
         """Carry messages until `ended` is set, or this machine has no link any more."""
@@ -66,14 +68,15 @@ class Relay:
             context = tls_context(machine, self._folder, name)
             self._known[name] = found[name]
             self._tasks[name] = asyncio.create_task(
-                self._connect(name, machine.peers[name], context)
+                self._connect(name, machine, context)
                 if machine.role == "hub"
-                else self._listen(name, machine.port, context)
+                else self._listen(name, machine, context)
             )
 
     async def _leave(self, name: str) -> None:
         """End the connection of a machine."""
         del self._known[name]
+        self._state.forget(name)
         task = self._tasks.pop(name)
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
@@ -85,25 +88,29 @@ class Relay:
             if machine in (None, name):
                 stream.send(place, message)
 
-    async def _connect(self, name: str, peer: Peer, context: ssl.SSLContext) -> None:
+    async def _connect(self, name: str, machine: Machine, context: ssl.SSLContext) -> None:
         """Connect to a member, again and again."""
         logged = ""
+        peer = machine.peers[name]
         while True:
             try:
                 async with asyncio.timeout(_ATTEMPT_S):
                     connection = await asyncio.open_connection(*peer, ssl=context)
             except OSError as error:  # of TLS and of time, too
+                told = str(error) or "no answer"
+                self._state.unconnected(name, told, hint_for(machine, name, error))
                 if repr(error) != logged:
                     logged = repr(error)
-                    log.warning("No link to %s: %s", name, str(error) or "no answer")
+                    log.warning("No link to %s: %s", name, told)
             else:
                 logged = ""
-                await self._carry(name, *connection)
+                await self._carry(name, machine, *connection)
             await asyncio.sleep(_PAUSE_S)
 
-    async def _listen(self, name: str, port: int, context: ssl.SSLContext) -> None:
+    async def _listen(self, name: str, machine: Machine, context: ssl.SSLContext) -> None:
         """Listen for the hub."""
         task = asyncio.current_task()
+        self._state.unconnected(name, "it has not connected yet", waiting_hint(machine, name))
 
         async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             if self._tasks.get(name) is not task:  # removed while hands were shaken
@@ -112,16 +119,17 @@ class Relay:
             # the hub connects again when it has lost a connection that looks alive here
             if name in self._streams:
                 self._streams[name].close()
-            carried = asyncio.ensure_future(self._carry(name, reader, writer))
+            carried = asyncio.ensure_future(self._carry(name, machine, reader, writer))
             self._accepted.add(carried)
             carried.add_done_callback(self._accepted.discard)
 
         while True:
             try:
                 server = await asyncio.start_server(
-                    accept, "0.0.0.0", port, ssl=context, ssl_handshake_timeout=_ATTEMPT_S
+                    accept, "0.0.0.0", machine.port, ssl=context, ssl_handshake_timeout=_ATTEMPT_S
                 )
             except OSError as error:
+                self._state.unconnected(name, str(error), "End what uses that port here.")
                 log.warning("The link cannot listen: %s", error)
                 await asyncio.sleep(_PAUSE_S)
                 continue
@@ -131,15 +139,23 @@ class Relay:
                 server.close()
 
     async def _carry(
-        self, name: str, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+        self,
+        name: str,
+        machine: Machine,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
     ) -> None:
         stream = Stream(reader, writer, partial(self._ports.deliver, name))
         self._streams[name] = stream
         log.warning("Linked to %s.", name)
+        self._state.connected(name)
         try:
             await stream.run()
         except (OSError, EOFError) as error:
             log.warning("The link to %s is lost: %s", name, error)
+            if self._streams.get(name) is stream:
+                told = "it ended there" if isinstance(error, EOFError) else str(error)
+                self._state.unconnected(name, f"lost: {told}", hint_for(machine, name, error))
         finally:
             if self._streams.get(name) is stream:
                 del self._streams[name]

@@ -8,6 +8,8 @@ import socket
 import sys
 import threading
 from argparse import ArgumentParser, Namespace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -18,11 +20,13 @@ from rn_link.machine import (
     link_folder,
     read_machine,
 )
+from rn_link.state import Connection, read_connections
 from roboneuron import ConfigurationError
 
 _DAYS = 365
 _PAIRING_PORT = 7410
 _RESTART = "Start the server and its modules again here, if they ran before the first pairing."
+_NO_RELAY = "No relay runs here: start RoboNeuron, or `roboneuron link run`."
 _FOLLOWS = "What runs here follows within two seconds."
 
 
@@ -63,6 +67,28 @@ class LinkCommand:
         chosen = remove.add_mutually_exclusive_group(required=True)
         chosen.add_argument("name", metavar="NAME", nargs="?", help="as `show` names it")
         chosen.add_argument("--all", action="store_true", help="remove keys and authority too")
+
+    def findings(self) -> Sequence[tuple[bool, str, str]]:
+        """For each paired machine whether it is connected now, what is seen, and what to do; asked
+        by `roboneuron doctor`.
+
+        Raises:
+            ConfigurationError: the link's file is damaged.
+        """
+        folder = link_folder()
+        machine = read_machine(folder)
+        if machine is None or not machine.peers:
+            return ()
+        connections = read_connections(folder)
+        if connections is None:
+            others = ", ".join(machine.peers)
+            return [(False, f"The link to {others} is not carried now.", _NO_RELAY)]
+        now, found = datetime.now(UTC), []
+        for name in machine.peers:
+            one = _connection(connections, name)
+            hint = "" if one.is_open else one.hint or "Look again in a moment."
+            found.append((one.is_open, f"The machine {name} is {_spoken(one, now)}.", hint))
+        return found
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron link`."""
@@ -148,20 +174,47 @@ def _show(folder: Path, as_json: bool) -> None:
     from rn_link.certificates import expiries  # heavy
 
     dates = expiries(machine, folder)
+    connections = read_connections(folder)
     if as_json:
         facts = json.loads(machine.to_json())
         facts["expires"] = {name: date.isoformat() for name, date in dates.items()}
+        facts["connections"] = (
+            None
+            if connections is None
+            else {name: asdict(_connection(connections, name)) for name in machine.peers}
+        )
         _say(json.dumps(facts, indent=2))
         return
     now = datetime.now(UTC)
-    rows = [(machine.name, f"{machine.role}, this machine")]
-    rows += [
-        (name, f"{peer.address}, TCP {peer.port}" if machine.role == "hub" else peer.address)
-        for name, peer in machine.peers.items()
-    ]
-    width = max(len(name) for name, _ in rows)
-    for name, text in rows:
-        _say(f"{name:<{width}}  {text}{_validity(dates.get(name), now)}")
+    width = max(len(name) for name in (machine.name, *machine.peers))
+    own = f"{machine.role}, this machine{_validity(dates.get(machine.name), now)}"
+    _say(f"{machine.name:<{width}}  {own}")
+    for name, peer in machine.peers.items():
+        place = f"{peer.address}, TCP {peer.port}" if machine.role == "hub" else peer.address
+        told = f"{place}{_validity(dates.get(name), now)}"
+        if connections is None:
+            _say(f"{name:<{width}}  {told}")
+            continue
+        connection = _connection(connections, name)
+        _say(f"{name:<{width}}  {told}; {_spoken(connection, now)}")
+        if connection.hint:
+            _say(f"{'':<{width}}  {connection.hint}")
+    if connections is None and machine.peers:
+        _say(_NO_RELAY)
+
+
+def _connection(connections: Mapping[str, Connection], name: str) -> Connection:
+    return connections.get(name, Connection(error="it is being connected"))
+
+
+def _spoken(connection: Connection, now: datetime) -> str:
+    """Whether a machine is connected, in words."""
+    if not connection.is_open:
+        return f"NOT connected: {connection.error}"
+    seconds = max(0, int((now - datetime.fromisoformat(connection.since)).total_seconds()))
+    hours, minutes = divmod(seconds // 60, 60)
+    lasted = f"{hours} h {minutes} min" if hours else f"{minutes} min {seconds % 60} s"
+    return f"connected for {lasted}, since {connection.since[:19].replace('T', ' ')} UTC"
 
 
 def _run(folder: Path) -> None:

@@ -193,6 +193,8 @@ class Traffic:
         self.calls: list[tuple[Any, ...]] = []
         self.goals: list[tuple[Any, dict[str, Any]]] = []
         self.served = [True]
+        self.is_on_executor = False
+        self.sent_on_executor: list[bool] = []
 
     def known_writer(self, exposed: ExposedEndpoint) -> Writer | None:
         assert isinstance(exposed, ExposedEndpoint)
@@ -219,13 +221,23 @@ class Traffic:
     def cancel_goal(self, exposed: ExposedEndpoint, goal_id: object) -> None: ...
 
     def link(self) -> Any:
-        return SimpleNamespace(call=lambda *told: self.calls.append(told) or "the call")
+        return SimpleNamespace(
+            call=lambda *told: self.calls.append(told) or "the call", on_executor=self.on_executor
+        )
+
+    def on_executor(self, task: Callable[[], Any]) -> Any:
+        self.is_on_executor = True
+        try:
+            return task()
+        finally:
+            self.is_on_executor = False
 
     def action_client(self, exposed: ExposedEndpoint) -> Any:
         assert isinstance(exposed, ExposedEndpoint)
 
         def send(goal: Any, **options: Any) -> str:
             self.goals.append((goal, options))
+            self.sent_on_executor.append(self.is_on_executor)
             return "the future"
 
         return SimpleNamespace(send_goal_async=send)

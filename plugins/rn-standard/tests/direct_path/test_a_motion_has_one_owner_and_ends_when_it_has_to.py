@@ -409,3 +409,14 @@ def test_a_stop_waits_for_nobody_who_begins_or_ends_a_motion(cell: Cell, place: 
             cell.gate.latch.press(who="a person", reason="a test")
         assert sent == ["stopped"]
         assert cell.halt.is_set()
+
+
+def test_a_watch_ends_the_motion_that_it_was_set_for(cell: Cell, place: Place) -> None:
+    def find_fault() -> None:
+        raise RefusedError("It is where it may not be.")
+
+    with cell.claim(place("arm")) as arm, cell.claim(place("base")) as base:
+        cell.arbiter.watch(place("arm"), find_fault)
+        base.check()
+        with pytest.raises(RefusedError, match="where it may not be"):
+            arm.check()

@@ -96,6 +96,12 @@ def test_a_goal_is_sent_to_its_action_with_its_id(goals: Goals) -> None:
     assert goals.slept_s == []
 
 
+def test_a_goal_is_sent_on_the_thread_that_takes_its_answer(goals: Goals) -> None:
+    """On another, rclpy loses an answer that comes before it has noted what it waits for."""
+    goals.send()
+    assert goals.bench.traffic.sent_on_executor == [True]
+
+
 def test_a_goal_that_is_refused_waits_for_nobody(goals: Goals) -> None:
     goals.bench.traffic.served = [False]
     goals.request = replace(goals.request, role="viewer")

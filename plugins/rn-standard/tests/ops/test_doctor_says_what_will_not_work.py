@@ -18,7 +18,7 @@ from rn_standard.doctor.finding import Finding, Severity, ok
 from rn_standard.doctor.images import ImageTransport
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import Config, parse_config
-from roboneuron.errors import NotReadyError
+from roboneuron.errors import ConfigurationError, NotReadyError
 from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 
 MIB = 1 << 20
@@ -30,6 +30,39 @@ def config_in(state: Path) -> Config:
 
 def find(name: str, config: Config) -> Finding:
     return next(finding for check, finding in checks.run_checks(config) if check.id == name)
+
+
+class Linked:
+    """A command of a plugin that knows something of this machine."""
+
+    def __init__(self, *found: tuple[bool, str, str], error: ConfigurationError | None = None):
+        self._found, self._error = found, error
+
+    def findings(self) -> tuple[tuple[bool, str, str], ...]:
+        if self._error is not None:
+            raise self._error
+        return self._found
+
+
+def of_commands(monkeypatch: pytest.MonkeyPatch, command: object, state: Path) -> list[Finding]:
+    """What the doctor says of a command that a plugin offers."""
+    monkeypatch.setattr(checks, "all_commands", lambda registry: {"link": "pair machines"})
+    monkeypatch.setattr(checks, "load_command", lambda name, registry: command)
+    found = checks.run_checks(config_in(state))
+    return [finding for check, finding in found if check.id == "link"]
+
+
+def test_commands_of_plugins_say_what_they_know_of_this_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    linked = Linked((True, "gpu is connected.", ""), (False, "lab is NOT.", "Is it on?"))
+    well, ill = of_commands(monkeypatch, linked, tmp_path)
+    assert (well.verdict, well.text, well.hint) == (Severity.OK, "gpu is connected.", "")
+    assert (ill.verdict, ill.text, ill.hint) == (Severity.WARNING, "lab is NOT.", "Is it on?")
+    assert of_commands(monkeypatch, object(), tmp_path) == []
+    broken = Linked(error=ConfigurationError("link.json cannot be read.", hint="Pair again."))
+    (failed,) = of_commands(monkeypatch, broken, tmp_path)
+    assert (failed.verdict, failed.hint) == (Severity.FAILED, "Pair again.")
 
 
 @pytest.fixture(autouse=True)

@@ -21,6 +21,7 @@ from rn_standard.direct_path.exposed import (
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.limits import check_endpoint
 from rn_standard.direct_path.path_limits import PathLimiter
+from rn_standard.direct_path.plans import check_plan_frame
 from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron import (
     ConfigurationError,
@@ -213,6 +214,8 @@ class AllowList:
             check_reserved(exposed, robots)
             check_endpoint(exposed.endpoint)
             check_stop(exposed)
+            if exposed.profile is not None and exposed.endpoint.joint_limited:
+                check_plan_frame(exposed.endpoint, exposed.profile.base_link)
             name = exposed.robot, exposed.endpoint.name
             if name in names:
                 raise ConfigurationError(

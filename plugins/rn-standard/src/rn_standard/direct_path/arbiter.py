@@ -96,12 +96,14 @@ class ActiveMotion:
         stop calls it, whether or not the thread that plays this gets to run, and the thread sends
         it again when it does.
         """
+        self.watch: Callable[[], object] = lambda: None
+        """Raises RefusedError once the motion has to end for what is measured."""
 
     def check(self) -> None:
         """Raise when it has to end.
 
         Raises:
-            RefusedError: the emergency stop is latched, or the audit failed.
+            RefusedError: the emergency stop is latched, the audit failed, or as `watch`.
             StateError: the call was cancelled, a policy took over, the robot was stopped or has
                 lost a module since this motion began, or this process was frozen: it is not
                 resumed.
@@ -117,6 +119,7 @@ class ActiveMotion:
             raise StateError(self._end_reason or "The call was cancelled.")
         if reason := self._stopped() or self._policy():
             raise StateError(reason)
+        self.watch()
 
     def sleep_until(self, end_s: float) -> None:
         """Wait until this monotonic time [s]; raises as `check`, within `POLL_S` of the cause."""
@@ -244,6 +247,15 @@ class MotionArbiter:
             with self._idle:
                 del self._moving[key]
                 self._idle.notify_all()
+
+    def watch(self, exposed: ExposedEndpoint, check: Callable[[], object]) -> None:
+        """Ask `check` too whether the motion of an endpoint's robot has to end.
+
+        Args:
+            exposed: has claimed the robot.
+            check: raises RefusedError; called every 10 ms on the thread that plays the motion.
+        """
+        self._moving[exposed.robot].watch = check
 
     def _await_hold(self, motion: ActiveMotion) -> None:
         """Wait for the hold that follows the last action of a policy or of move_ee."""

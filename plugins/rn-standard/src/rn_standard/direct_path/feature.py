@@ -11,17 +11,22 @@ from typing import Any
 
 from rn_standard.direct_path.allow_list import AllowList
 from rn_standard.direct_path.arbiter import MotionArbiter
+from rn_standard.direct_path.fields import load_type
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.health_diagnostics import HealthDiagnostics
 from rn_standard.direct_path.motion_gate import DirectGate
 from rn_standard.direct_path.options import DirectPathOptions
+from rn_standard.direct_path.places import FindTransform
 from rn_standard.direct_path.plugin import FEATURE
 from rn_standard.direct_path.traffic import Traffic
+from rn_standard.direct_path.transforms import TYPE, find_transform
 from roboneuron import Feature, Host, RoboNeuronError, Tool
-from roboneuron.feature import ExposedEndpoint, MotionGate
+from roboneuron.feature import ExposedEndpoint, MotionGate, check_topic
 
 log = logging.getLogger(__name__)
 _CLOSE_S = 2.0
+_TRANSFORM_S = 1.0
+"""Longest wait for a transform that a place needs."""
 _REPORTED_S = 1.5
 """Longest from a hold of control until it is known here, on a busy machine."""
 
@@ -52,7 +57,9 @@ class DirectPath(Feature[DirectPathOptions]):
         return self._gate is not None and self.arbiter.is_moving
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
-        """None; builds the gate, which allows nothing until something is exposed."""
+        """None; builds the gate, which allows nothing until something is exposed. Raises
+        InvalidInputError or ConfigurationError for transforms that cannot be looked up.
+        """
         self._host = host
         self.judge = Gate(
             (),
@@ -60,6 +67,7 @@ class DirectPath(Feature[DirectPathOptions]):
             audit=host.audit,
             clock=time.monotonic,
             dry_run=self.options.dry_run,
+            transforms=self._transforms(host),
         )
         control = host.config.control
         self.arbiter = MotionArbiter(
@@ -81,6 +89,23 @@ class DirectPath(Feature[DirectPathOptions]):
         host.events.change.listen(self._on_module)
         host.events.health.listen(HealthDiagnostics(lambda: host.link(self)).publish)
         return ()
+
+    def _transforms(self, host: Host) -> FindTransform | None:
+        """What looks transforms up; raises as `check_topic` and `load_type`."""
+        topic = self.options.transforms
+        if not topic:
+            return None
+        check_topic(topic)
+        load_type(TYPE)
+        place = topic if topic.startswith("/") else f"/{host.config.namespace}/{topic}"
+        return lambda target, source: find_transform(
+            host,
+            place,
+            target,
+            source,
+            max_age_s=self.options.transform_age_s,
+            timeout_s=_TRANSFORM_S,
+        )
 
     def complete(self, host: Host) -> None:
         """Expose the robot's profile, unless a feature has exposed others instead. Raises as

@@ -9,7 +9,7 @@ import importlib
 import math
 import re
 from array import array
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -72,6 +72,23 @@ def load_type(name: str) -> Any:
             f"No installed interface is called {name!r}.", hint=f"Install the package {package}."
         )
     return found
+
+
+def nested(message: Any, types: Collection[str], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Messages of some types in a message: itself, or those that it holds at any depth, with the
+    path that leads to their fields: "", "pose.", "poses[2].". Nothing within them is looked for.
+    """
+    if type_name_of(message) in types:
+        yield path, message
+        return
+    for name in message.get_fields_and_field_types():
+        value = getattr(message, name)
+        if is_message(value):
+            yield from nested(value, types, f"{path}{name}.")
+        elif isinstance(value, list | tuple):
+            for index, item in enumerate(value):
+                if is_message(item):
+                    yield from nested(item, types, f"{path}{name}[{index}].")
 
 
 def walk_fields(ros_type: Any, path: str = "") -> Iterator[tuple[str, str]]:

@@ -1,8 +1,8 @@
 """The one gate: everything an agent sends passes it, and every decision is written down.
 
-Order: allow list, role, type, finiteness, bounds, steering, places, joint limits, path, emergency
-stop, rate, audit. The first rule that does not hold refuses and does not count against the rate.
-Refuse by default, clamp only where configured.
+Order: allow list, role, type, finiteness, frame, bounds, steering, places, goals of a planner,
+joint limits, path, emergency stop, rate, audit. The first rule that does not hold refuses and does
+not count against the rate. Refuse by default, clamp only where configured.
 """
 
 from __future__ import annotations
@@ -11,14 +11,19 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 from rn_standard.direct_path.joints import check_joints, joint_commands
 from rn_standard.direct_path.limits import MessageChecks, check_endpoint, check_steering
 from rn_standard.direct_path.path_limits import Leg, LimitError
-from rn_standard.direct_path.places import check_places
+from rn_standard.direct_path.places import FindTransform, check_places, to_frame
+from rn_standard.direct_path.plan_frames import constraints_to_frame
+from rn_standard.direct_path.plan_scenes import check_plans
+from rn_standard.direct_path.plans import check_plan_only
 from rn_standard.direct_path.rate import RateLimit
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
-from roboneuron import RefusedError, RoboNeuronError
+from rn_standard.direct_path.way_watch import WayWatch, watch_of
+from roboneuron import Endpoint, JointSample, RefusedError, RoboNeuronError
 from roboneuron.feature import (
     AuditLog,
     AuditRecord,
@@ -57,6 +62,7 @@ class Gate:
         audit: AuditLog,
         clock: Callable[[], float],
         dry_run: bool = False,
+        transforms: FindTransform | None = None,
     ) -> None:
         """Args:
         allowed: the allow list; nothing else is reachable.
@@ -64,6 +70,8 @@ class Gate:
         audit: where decisions are written.
         clock: monotonic time [s], for rates.
         dry_run: answer every request, allow none to be sent.
+        transforms: has places in the frame of their endpoint; may block for a second. Without,
+            places in another frame are refused.
 
         Raises:
             ConfigurationError: an endpoint cannot be exposed.
@@ -72,6 +80,7 @@ class Gate:
         self.audit = audit
         self._clock = clock
         self._dry_run = dry_run
+        self._transforms = transforms
         self._entries: dict[_Key, _Entry] = {}
         self._rates: dict[tuple[str, ...], RateLimit] = {}
         self.replace(allowed)
@@ -100,6 +109,10 @@ class Gate:
                 allowed=entry, rate=rates[use], checks=MessageChecks(entry)
             )
         self._entries, self._rates = entries, rates
+
+    def may_block(self, endpoint: Endpoint) -> bool:
+        """Whether a request for an endpoint may have to wait for transforms."""
+        return bool(endpoint.frame) and self._transforms is not None
 
     def allowed(self) -> tuple[AllowedEndpoint, ...]:
         """The allow list."""
@@ -156,6 +169,21 @@ class Gate:
         with _judging():
             return found.allowed.path().slowdown(_legs(found.allowed, request), request.joints)
 
+    def way_watch(
+        self, request: GateRequest, joints: Callable[[], JointSample | None]
+    ) -> WayWatch | None:
+        """What has to be asked while a goal runs whose way a planner has chosen; None where the
+        request has none that moves an arm.
+
+        Args:
+            request: was allowed.
+            joints: the newest measured joints.
+        """
+        found = self._entries.get((request.robot, request.endpoint))
+        if found is None or not found.checks.has_plans:
+            return None
+        return watch_of(found.allowed, request.messages, joints)
+
     def release(self, request: GateRequest) -> None:
         """Messages of the request that were to be sent later will not be; they no longer count
         against the rate.
@@ -200,6 +228,14 @@ class Gate:
         yield "finite"
         for message in request.messages:
             checks.check_finite(message)
+        if self._transforms is not None and (endpoint.frame or checks.has_plans):
+            yield "frame"
+            for message in request.messages:
+                if endpoint.frame:
+                    clamped += to_frame(endpoint, message, self._transforms)
+                if checks.has_plans and entry.profile is not None:
+                    base = entry.profile.base_link
+                    clamped += constraints_to_frame(message, base, self._transforms)
         yield "bounds"
         for message in request.messages:
             clamped += checks.apply_bounds(message)
@@ -209,7 +245,16 @@ class Gate:
         yield "place"
         for message in request.messages:
             check_places(endpoint, message)
-        if endpoint.joint_limited:
+        is_planned = endpoint.joint_limited and checks.has_plans
+        if is_planned:
+            yield "goal"
+            with _judging():
+                is_planned = check_plans(entry, request.messages, request.joints)
+        elif checks.has_plans and entry.profile is not None and entry.profile.limits is not None:
+            yield "goal"
+            for message in request.messages:
+                check_plan_only(message)
+        if endpoint.joint_limited and not (is_planned and not _commands(request)):
             yield "joints"
             legs = _legs(entry, request)
             yield "kinematics"
@@ -268,9 +313,13 @@ class Gate:
                 raise
 
 
+def _commands(request: GateRequest) -> list[Any]:
+    return [command for message in request.messages for command in joint_commands(message)]
+
+
 def _legs(entry: AllowedEndpoint, request: GateRequest) -> list[Leg]:
     """The path of the joints that a request asks for; raises RefusedError as `check_joints`."""
-    commands = [command for message in request.messages for command in joint_commands(message)]
+    commands = _commands(request)
     if entry.profile is None or not commands:
         raise RefusedError(
             f"The joint limits of {entry.endpoint.name!r} cannot be checked for "

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rn_standard.direct_path.fields import is_message, type_name_of
+from rn_standard.direct_path.fields import nested, type_name_of
 from rn_standard.direct_path.path_limits import Leg
 from rn_standard.direct_path.speeds import Speeds, shortest_s
 from roboneuron import JointSample, RefusedError
@@ -19,6 +19,12 @@ from roboneuron.feature import joint_space
 MAX_POINTS = 2000
 JOINT_TYPES = ("trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState")
 """Messages that can be checked."""
+PLANNER_TYPES = (
+    "moveit_msgs/msg/MotionPlanRequest",
+    "moveit_msgs/msg/PlanningScene",
+    "moveit_msgs/msg/RobotState",
+)
+"""Messages whose joints are where the robot is or is thought to be, not where it is sent."""
 _SAME = 1e-3
 """A first point at time 0 may only repeat where the joints are, within a milliradian or millimetre.
 """
@@ -26,16 +32,11 @@ _SAME = 1e-3
 
 def joint_commands(message: Any) -> Iterator[Any]:
     """The joint commands in a message, goal or request: itself, or those that it holds at any
-    depth.
+    depth. What a planner is told of the robot is none.
     """
-    if type_name_of(message) in JOINT_TYPES:
-        yield message
-        return
-    for name in message.get_fields_and_field_types():
-        value = getattr(message, name)
-        for item in value if isinstance(value, list | tuple) else (value,):
-            if is_message(item):
-                yield from joint_commands(item)
+    for _, found in nested(message, (*JOINT_TYPES, *PLANNER_TYPES)):
+        if type_name_of(found) in JOINT_TYPES:
+            yield found
 
 
 def check_joints(

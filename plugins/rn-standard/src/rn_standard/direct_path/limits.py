@@ -20,6 +20,7 @@ from rn_standard.direct_path.fields import (
     walk_fields,
 )
 from rn_standard.direct_path.places import PLACE_TYPES
+from rn_standard.direct_path.plans import has_plans
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
 from rn_standard.direct_path.twists import TWIST_FIELDS, check_twist
 from roboneuron import ConfigurationError, Endpoint, RefusedError
@@ -122,11 +123,15 @@ class MessageChecks:
 
     Args:
         allowed: passed `check_endpoint`.
+
+    Attributes:
+        has_plans: goals of a planner may be in what is sent.
     """
 
     def __init__(self, allowed: AllowedEndpoint) -> None:
         self._allowed = allowed
         self._type = sent_type(allowed.endpoint)
+        self.has_plans = has_plans(self._type)
         is_plain = not has_arrays(self._type)
         floats = [path for path, name in walk_fields(self._type) if name in FLOATS]
         # of one name alone it would not give a tuple

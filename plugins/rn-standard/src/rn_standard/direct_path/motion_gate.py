@@ -62,6 +62,7 @@ class DirectGate:
             arbiter.claim,
             arbiter.end_all,
         )
+        self._watch = arbiter.watch
         self.newest_joints, self.joints = traffic.newest_joints, traffic.joints
         self.is_served, self.cancel_goal = traffic.is_served, traffic.cancel_goal
 
@@ -125,13 +126,23 @@ class DirectGate:
             joints = self.newest_joints(exposed) if exposed.endpoint.joint_limited else None
             self._gate.check(replace(request, repeated=True, joints=joints))
         self._permit(exposed)
+        if exposed.moves:
+            watch = self._gate.way_watch(request, lambda: self.newest_joints(exposed))
+            if watch is not None:
+                self._watch(exposed, watch.check)
         motion.check()
         client = self._traffic.action_client(exposed)
-        return verdict, client.send_goal_async(
-            request.messages[0],
-            feedback_callback=lambda message: on_feedback(message.feedback),
-            goal_uuid=goal_id,
-        )
+
+        def send() -> Any:
+            return client.send_goal_async(
+                request.messages[0],
+                feedback_callback=lambda message: on_feedback(message.feedback),
+                goal_uuid=goal_id,
+            )
+
+        # rclpy notes what it waits for after it has sent: on another thread than its executor's an
+        # answer may come in between, and is lost
+        return verdict, self._traffic.link().on_executor(send)
 
     def publish_now(
         self, exposed: ExposedEndpoint, request: GateRequest, *, stamped: bool = False
@@ -139,6 +150,8 @@ class DirectGate:
         """As `MotionGate.publish_now`."""
         writer = self._traffic.known_writer(exposed)
         if writer is None or request.dry_run or exposed.endpoint.joint_limited or self._is_still():
+            return None
+        if self._gate.may_block(exposed.endpoint):
             return None
         matched = writer.matched()
         if not matched or writer.has_new_misfit:

@@ -17,3 +17,10 @@ class DirectPathOptions(Section):
     max_duration_s: models.Seconds = Field(
         default=120.0, description="longest direct motion, sequence or goal"
     )
+    transforms: str = Field(
+        default="",
+        max_length=200,
+        description='such as "/tf": places in another frame than their endpoint\'s are moved into '
+        "it; empty: refused",
+    )
+    transform_age_s: models.Seconds = Field(default=1.0, description="oldest transform for that")

@@ -6,14 +6,14 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from roboneuron import F64, JointSample, Posture, RefusedError, RobotProfile, UnsafeError
+from roboneuron import F64, JointSample, Obstacle, Posture, RefusedError, RobotProfile, UnsafeError
 from roboneuron.feature import MotionRules, Reach, task_space
 
 MAX_POSTURES = 20_000
@@ -28,6 +28,13 @@ class LimitError(RefusedError):
     def __init__(self, limit: str, message: str, hint: str = "") -> None:
         super().__init__(message, hint=hint)
         self.limit = limit
+
+
+def check_zones(lower_m: F64, upper_m: F64, zones: Sequence[Obstacle], where: str) -> None:
+    """Raise LimitError when a box reaches into a zone."""
+    for zone in zones:
+        if (lower_m <= zone.upper_m).all() and (upper_m >= zone.lower_m).all():
+            raise LimitError("zone", f"{where}The TCP may come into the zone {zone.name!r}.")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -96,6 +103,29 @@ class PathLimiter:
             times = math.ceil((ratio - _SLACK) * 100.0) / 100.0
             raise LimitError("speed", reason, hint=f"Give it {times:g} times the time.")
 
+    def check_stand(self, leg: Leg, joints: JointSample) -> Posture:
+        """The posture at the end of a leg; raises LimitError unless the arm may stand there,
+        whatever way leads there.
+
+        Args:
+            leg: the joints that go somewhere.
+            joints: where the arm is; every joint of it.
+        """
+        names, here = _finite(joints)
+        with self._judging():
+            target, _ = _target(leg, names, here)
+            there = self._evaluate(names, target)
+        for arm in there.arms:
+            for name, told in self._task.places(arm.pose, arm, partial(_given, arm)):
+                if name != "singularity":
+                    raise LimitError(name, f"{leg.where}{told}", hint="Choose another target.")
+        return there
+
+    def posture(self, joints: JointSample) -> Posture:
+        """What a posture amounts to. Raises LimitError when it cannot be evaluated."""
+        with self._judging():
+            return self._evaluate(*_finite(joints))
+
     def slowdown(self, legs: Iterable[Leg], joints: JointSample) -> float:
         """How many times the legs' durations the TCP needs to stay within its speeds, at least
         1.
@@ -146,11 +176,7 @@ class PathLimiter:
         """Postures that follow each other on the legs, and the time between them [s], 0 when nobody
         knows.
         """
-        finite = np.isfinite(joints.position)
-        names = tuple(
-            name for name, good in zip(joints.names, finite.tolist(), strict=True) if good
-        )
-        here = np.asarray(joints.position, dtype=np.float64)[finite]
+        names, here = _finite(joints)
         velocity, left, start = np.zeros_like(here), MAX_POSTURES, self._evaluate(names, here)
         for leg in legs:
             target, end_velocity = _target(leg, names, here)
@@ -186,6 +212,13 @@ class PathLimiter:
                 "the controller reports no distances between links; see limits.collision"
             )
         return posture
+
+
+def _finite(joints: JointSample) -> tuple[tuple[str, ...], F64]:
+    """The joints that are measured."""
+    finite = np.isfinite(joints.position)
+    names = tuple(name for name, good in zip(joints.names, finite.tolist(), strict=True) if good)
+    return names, np.asarray(joints.position, dtype=np.float64)[finite]
 
 
 def _target(leg: Leg, names: tuple[str, ...], here: F64) -> tuple[F64, F64]:

@@ -5,19 +5,70 @@ have to stay out of. For bases, whose goals are poses on a map.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
-from rn_standard.direct_path.fields import is_message, type_name_of
+from rn_standard.direct_path.fields import nested
 from rn_standard.direct_path.path_limits import LimitError
-from roboneuron import Endpoint, RefusedError
+from rn_standard.direct_path.transforms import Transform, rotation_of
+from roboneuron import Endpoint, NotReadyError, RefusedError
+from roboneuron.feature import Clamp
 
 PLACE_TYPES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped")
 """Messages that say where, and in which frame."""
+FindTransform = Callable[[str, str], Transform]
+"""Where the second frame is in the first; raises NotReadyError."""
 _LEAST_NORM, _GREATEST_NORM = 0.99, 1.01
 """Length of a quaternion that rounding can explain; nav2 takes any, and turns by what it is not."""
+
+
+def to_frame(endpoint: Endpoint, message: Any, find: FindTransform) -> list[Clamp]:
+    """Have every place in a message, at any depth, in the frame of the endpoint, by what transforms
+    say now; what is judged is then what is sent.
+
+    Returns:
+        The coordinates that were changed [m].
+
+    Raises:
+        LimitError: of the limit "frame": a transform is unknown, old, or none.
+    """
+    changes: list[Clamp] = []
+    for path, place in nested(message, PLACE_TYPES):
+        source = place.header.frame_id
+        if not source or source == endpoint.frame:
+            continue
+        try:
+            found = find(endpoint.frame, source)
+        except NotReadyError as error:
+            raise LimitError("frame", f"{path}header.frame_id: {error.message}") from error
+        is_pose = hasattr(place, "pose")
+        if is_pose:
+            turn(place.pose.orientation, found, f"{path}pose.orientation")
+        point = place.pose.position if is_pose else place.point
+        changes += shift(point, found, f"{path}{'pose.position' if is_pose else 'point'}")
+        place.header.frame_id = endpoint.frame
+    return changes
+
+
+def turn(rotation: Any, found: Transform, path: str) -> None:
+    """Have a quaternion in the target frame of a transform. Raises as `check_rotation`."""
+    check_rotation(path, rotation)
+    turned = Transform(
+        rotation=found.rotation @ rotation_of(rotation), translation_m=found.translation_m
+    )
+    rotation.x, rotation.y, rotation.z, rotation.w = turned.quaternion_xyzw.tolist()
+
+
+def shift(point: Any, found: Transform, path: str) -> list[Clamp]:
+    """Have a point in the target frame of a transform; returns what has changed."""
+    before = (float(point.x), float(point.y), float(point.z))
+    point.x, point.y, point.z = (found.rotation @ np.array(before) + found.translation_m).tolist()
+    return [
+        Clamp(path=f"{path}.{axis}", asked=asked, sent=getattr(point, axis))
+        for axis, asked in zip("xyz", before, strict=True)
+    ]
 
 
 def check_places(endpoint: Endpoint, message: Any) -> None:
@@ -32,7 +83,7 @@ def check_places(endpoint: Endpoint, message: Any) -> None:
     """
     if not endpoint.frame:
         return
-    for path, place in _places(message):
+    for path, place in nested(message, PLACE_TYPES):
         frame_id = place.header.frame_id
         if frame_id != endpoint.frame:
             raise LimitError(
@@ -41,7 +92,7 @@ def check_places(endpoint: Endpoint, message: Any) -> None:
                 "which the limits of place are.",
             )
         if hasattr(place, "pose"):
-            _check_rotation(f"{path}pose.orientation", place.pose.orientation)
+            check_rotation(f"{path}pose.orientation", place.pose.orientation)
         for name in zones_at(endpoint, place):
             x, y, z = _position(place)
             raise LimitError(
@@ -55,7 +106,7 @@ def check_way(endpoint: Endpoint, feedback: Any) -> None:
     """Raise RefusedError when a place in the feedback of a goal is in a zone of its endpoint.
     Places in other frames are not judged.
     """
-    for path, place in _places(feedback):
+    for path, place in nested(feedback, PLACE_TYPES):
         if place.header.frame_id != endpoint.frame:
             continue
         for name in zones_at(endpoint, place):
@@ -75,7 +126,8 @@ def _position(place: Any) -> tuple[float, float, float]:
     return float(point.x), float(point.y), float(point.z)
 
 
-def _check_rotation(path: str, rotation: Any) -> None:
+def check_rotation(path: str, rotation: Any) -> None:
+    """Raise LimitError unless a quaternion is a rotation; `path` leads to it."""
     norm = math.hypot(rotation.x, rotation.y, rotation.z, rotation.w)
     if not _LEAST_NORM <= norm <= _GREATEST_NORM:
         raise LimitError(
@@ -83,18 +135,3 @@ def _check_rotation(path: str, rotation: Any) -> None:
             f"{path} has the length {norm:.3g}, expected 1.",
             hint="For a heading of a radians give z = sin(a / 2), w = cos(a / 2).",
         )
-
-
-def _places(message: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """Each place in a message, with the path that leads to its fields: "pose.", "poses[2]."."""
-    if type_name_of(message) in PLACE_TYPES:
-        yield path, message
-        return
-    for name in message.get_fields_and_field_types():
-        value = getattr(message, name)
-        if is_message(value):
-            yield from _places(value, f"{path}{name}.")
-        elif isinstance(value, list | tuple):
-            for index, item in enumerate(value):
-                if is_message(item):
-                    yield from _places(item, f"{path}{name}[{index}].")

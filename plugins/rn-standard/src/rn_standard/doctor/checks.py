@@ -10,13 +10,33 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from rn_standard.doctor import installations, peers
-from rn_standard.doctor.finding import Check, Finding, Severity, failed, ok, warning
+from rn_standard.doctor.finding import (
+    Check,
+    Examining,
+    Finding,
+    Severity,
+    failed,
+    ok,
+    warning,
+)
 from rn_standard.doctor.images import measure_image_transport
 from roboneuron import RoboNeuronError, RobotSpec
-from roboneuron.command import Config, Registry, Status, availability, discover, environment, estop
+from roboneuron.command import (
+    Config,
+    Registry,
+    Status,
+    all_commands,
+    availability,
+    discover,
+    environment,
+    estop,
+    load_command,
+    spoken,
+)
 
 MIN_SHARED_MEMORY_MIB = 256
 """A segment of 32 MiB for each of the five processes, and as much again for a switch and for what
@@ -45,6 +65,32 @@ def run_checks(config: Config) -> Iterator[tuple[Check, Finding]]:
         if finding.verdict is Severity.FAILED:
             lost.add(check.id)
         yield check, finding
+    yield from _of_commands(config)
+
+
+def _of_commands(config: Config) -> Iterator[tuple[Check, Finding]]:
+    """What commands of plugins know of this machine that have a method `findings`; see
+    `Examining`.
+    """
+    registry = discover(config.disabled_plugins)
+    for name in sorted(all_commands(registry)):
+        try:
+            command = load_command(name, registry)
+            if not isinstance(command, Examining):
+                continue
+            found = [
+                ok(text) if is_well else warning(text, hint)
+                for is_well, text, hint in command.findings()
+            ]
+        except RoboNeuronError as error:
+            found = [failed(error.message, error.hint)]
+        for finding in found:
+            question = f"Is all well with `roboneuron {spoken(name)}`?"
+            yield Check(id=name, question=question, answer=partial(_told, finding)), finding
+
+
+def _told(finding: Finding, _: Config) -> Finding:
+    return finding
 
 
 def _answer(check: Check, config: Config) -> Finding:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Protocol, runtime_checkable
 
 from roboneuron.command import Config
 
@@ -47,6 +48,16 @@ class Check:
     question: str
     answer: Callable[[Config], Finding]
     needs: str = ""
+
+
+@runtime_checkable
+class Examining(Protocol):
+    """What a plugin's command may offer so that `roboneuron doctor` asks it too."""
+
+    def findings(self) -> Iterable[tuple[bool, str, str]]:
+        """Whether all is well, what was seen, one sentence, and what to do; none where the plugin
+        has nothing to look at. Raises RoboNeuronError for what is broken.
+        """
 
 
 def ok(text: str) -> Finding:

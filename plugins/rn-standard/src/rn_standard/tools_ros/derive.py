@@ -8,9 +8,14 @@ from typing import Any
 from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.direct_path.derived import Derived
+from rn_standard.direct_path.transforms import TYPE
 from rn_standard.tools_ros.action import GoalSending, SendGoal, goal_model
+from rn_standard.tools_ros.battery import BATTERY, Battery, battery_of
+from rn_standard.tools_ros.detections import FLAT, SPATIAL, Detections, GetDetections, detections_of
 from rn_standard.tools_ros.exposed_types import action_of, message_of, service_of
+from rn_standard.tools_ros.lookup import FoundTransform, LookingUp, Lookup
 from rn_standard.tools_ros.naming import tool_name
+from rn_standard.tools_ros.newest import GetNewest, GettingNewest
 from rn_standard.tools_ros.publish import Delivery, Publish, Publishing
 from rn_standard.tools_ros.read import Read, Reading, messages_model
 from rn_standard.tools_ros.schemas import hull, message_schema
@@ -20,6 +25,8 @@ from rn_standard.tools_ros.targets import Targets
 from roboneuron import Host, Tool
 from roboneuron.feature import ExposedEndpoint
 
+_READ_AS = {TYPE: "lookup", BATTERY: "battery", FLAT: "detections", SPATIAL: "detections"}
+"""Types of topics that are told in plain units as well, with what an agent does with them."""
 _SENT = "Fails without a subscriber."
 
 
@@ -44,6 +51,8 @@ def derive_tools(
     for (kind, label, _), members in groups.items():
         targets = Targets(members)
         uses = ["publish", "sequence"] if kind == "publish" else [kind]
+        if kind == "read" and targets.first.endpoint.type in _READ_AS:
+            uses.append(_READ_AS[targets.first.endpoint.type])
         for use in uses:
             name = tool_name(use, label, targets.first.robot, names)
             names.add(name)
@@ -58,6 +67,9 @@ def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool[
         "read": _read,
         "service": _service,
         "action": _action,
+        "lookup": _lookup,
+        "battery": _battery,
+        "detections": _detections,
     }
     return makers[use](name, noun, targets, host)
 
@@ -168,6 +180,65 @@ def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Read]:
         ),
         result=messages_model(targets),
         handler=Reading(host, targets, name),
+        read_only=True,
+        idempotent=True,
+        open_world=True,
+    )
+
+
+def _lookup(name: str, noun: str, targets: Targets, host: Host) -> Tool[Lookup]:
+    properties: dict[str, Schema] = {"target": {}, "source": {}, "max_age_s": {}, "timeout_s": {}}
+    return Tool(
+        name=name,
+        title=f"Look up {noun}",
+        description=f"{targets.describe()} Where the source frame is in the target frame now: its "
+        "pose, by the newest transforms.",
+        arguments=Derived(
+            model=Lookup,
+            properties={**targets.schema(), **properties},
+            required=[*targets.arguments, "target", "source"],
+        ),
+        result=FoundTransform,
+        handler=LookingUp(host, targets, name),
+        read_only=True,
+        idempotent=True,
+        open_world=True,
+    )
+
+
+def _battery(name: str, noun: str, targets: Targets, host: Host) -> Tool[GetNewest]:
+    return Tool(
+        name=name,
+        title=f"Get {noun}",
+        description=f"{targets.describe()} The charge, 0 .. 1, and state of the battery, in plain "
+        "units; null is what it does not measure.",
+        arguments=Derived(
+            model=GetNewest,
+            properties={**targets.schema(), "timeout_s": {}},
+            required=targets.arguments,
+        ),
+        result=Battery,
+        handler=GettingNewest(host, targets, name, battery_of),
+        read_only=True,
+        idempotent=True,
+        open_world=True,
+    )
+
+
+def _detections(name: str, noun: str, targets: Targets, host: Host) -> Tool[GetDetections]:
+    properties: dict[str, Schema] = {"class_id": {}, "min_score": {}, "entries": {}}
+    return Tool(
+        name=name,
+        title=f"Get {noun}",
+        description=f"{targets.describe()} What the detector sees now: class, score, box, frame "
+        "and age, the surest first.",
+        arguments=Derived(
+            model=GetDetections,
+            properties={**targets.schema(), **properties, "timeout_s": {}},
+            required=targets.arguments,
+        ),
+        result=Detections,
+        handler=GettingNewest(host, targets, name, detections_of),
         read_only=True,
         idempotent=True,
         open_world=True,

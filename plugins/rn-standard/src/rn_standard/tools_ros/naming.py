@@ -16,6 +16,9 @@ PATTERNS = {
     "read": "read_{}",
     "service": "call_{}",
     "action": "send_{}_goal",
+    "lookup": "lookup_{}",
+    "battery": "get_{}",
+    "detections": "get_{}",
 }
 """Tool name by what it does to an endpoint."""
 

@@ -14,10 +14,10 @@ from rn_standard.direct_path.exposed import gate_request
 from rn_standard.tools_ros.calls import RobotCall, Value
 from rn_standard.tools_ros.exposed_types import message_of
 from rn_standard.tools_ros.interfaces.description import Plain
-from rn_standard.tools_ros.reading import read_messages
+from rn_standard.tools_ros.reading import check_heard, read_messages
 from rn_standard.tools_ros.schemas import decoded_schema
 from rn_standard.tools_ros.targets import Targets
-from roboneuron import CallContext, Host, InvalidInputError, NotReadyError, Picture, Reply, Result
+from roboneuron import CallContext, Host, InvalidInputError, Picture, Reply, Result
 from roboneuron.feature import ExposedEndpoint
 
 _PICTURES = 4
@@ -77,16 +77,7 @@ class Reading:
     ) -> Reply:
         part = message_of(exposed)
         got = read_messages(self._host, exposed, count=count, timeout_s=timeout_s, halt=halt)
-        if not got.messages:
-            who = (
-                "Nobody publishes"
-                if not got.publishers
-                else f"{got.publishers} publish, but nothing came on"
-            )
-            raise NotReadyError(
-                f"{who} {exposed.topic} ({exposed.endpoint.type}) within {timeout_s:g} s.",
-                hint="Start what publishes it, or look at list_topics.",
-            )
+        check_heard(got, exposed, timeout_s)
         age_s = time.monotonic() - got.messages[-1][0]
         messages = [message for _, message in got.messages]
         pictures, note = _pictures(exposed, messages[-_PICTURES:])

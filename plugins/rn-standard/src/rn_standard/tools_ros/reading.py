@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from rn_standard.direct_path.fields import load_type
 from rn_standard.direct_path.type_hashes import check_type_hash
-from roboneuron import ConfigurationError, Host, StateError
+from roboneuron import ConfigurationError, Host, NotReadyError, StateError
 from roboneuron.feature import ExposedEndpoint
 
 _POLL_S = 0.02
@@ -89,3 +89,32 @@ def read_messages(
     finally:
         if unsubscribe is not None:
             unsubscribe()
+
+
+def check_heard(heard: Heard, exposed: ExposedEndpoint, timeout_s: float) -> None:
+    """Raise NotReadyError when nothing came."""
+    if heard.messages:
+        return
+    who = (
+        "Nobody publishes"
+        if not heard.publishers
+        else f"{heard.publishers} publish, but nothing came on"
+    )
+    raise NotReadyError(
+        f"{who} {exposed.topic} ({exposed.endpoint.type}) within {timeout_s:g} s.",
+        hint="Start what publishes it, or look at list_topics.",
+    )
+
+
+def read_newest(
+    host: Host, exposed: ExposedEndpoint, timeout_s: float, halt: threading.Event
+) -> tuple[float, object]:
+    """The latched message or the next one, with the monotonic time at which it came; blocks.
+
+    Raises:
+        ConfigurationError, StateError: as `read_messages`.
+        NotReadyError: nothing came.
+    """
+    heard = read_messages(host, exposed, count=1, timeout_s=timeout_s, halt=halt)
+    check_heard(heard, exposed, timeout_s)
+    return heard.messages[-1]

@@ -1,0 +1,128 @@
+"""Which machines are connected now, as the relay says to whoever asks.
+
+Standard library alone, as the relay.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import logging
+import os
+import ssl
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from rn_link.machine import Machine
+
+log = logging.getLogger("rn_link")
+STATE, LOCK = "relay.json", "relay.lock"
+"""Files of the link's folder; the relay that runs holds the lock."""
+_UNREACHABLE = (errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Connection:
+    """The connection to one machine.
+
+    Attributes:
+        since: when it was made, ISO 8601 in UTC; empty while there is none.
+        error: why there is none, or why the one before ended.
+        hint: what to do.
+    """
+
+    since: str = ""
+    error: str = ""
+    hint: str = ""
+
+    @property
+    def is_open(self) -> bool:
+        """The machine is connected."""
+        return bool(self.since)
+
+
+class StateFile:
+    """The connections of this machine, kept in a file from the relay's start on."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / STATE
+        self._peers: dict[str, Connection] = {}
+
+    def connected(self, name: str) -> None:
+        """A connection was made."""
+        self._keep(name, Connection(since=datetime.now(UTC).isoformat(timespec="seconds")))
+
+    def unconnected(self, name: str, error: str, hint: str) -> None:
+        """There is none, or no more."""
+        self._keep(name, Connection(error=error, hint=hint))
+
+    def forget(self, name: str) -> None:
+        """The machine was removed."""
+        if self._peers.pop(name, None) is not None:
+            self._write()
+
+    def _keep(self, name: str, connection: Connection) -> None:
+        if self._peers.get(name) != connection:
+            self._peers[name] = connection
+            self._write()
+
+    def _write(self) -> None:
+        fresh = self._path.with_suffix(".new")
+        text = json.dumps({name: asdict(one) for name, one in self._peers.items()}, indent=1)
+        try:
+            fresh.write_text(text, encoding="utf-8")
+            fresh.replace(self._path)
+        except OSError as error:  # also when the link is being removed
+            log.warning("What is connected cannot be kept: %s", error)
+
+
+def read_connections(folder: Path) -> dict[str, Connection] | None:
+    """The connections by machine, as the relay of this machine says; None when none runs."""
+    try:
+        lock = os.open(folder / LOCK, os.O_RDONLY | os.O_CLOEXEC)
+    except FileNotFoundError:
+        return None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        return None
+    except BlockingIOError:
+        pass  # it runs
+    finally:
+        os.close(lock)
+    try:
+        found = json.loads((folder / STATE).read_text(encoding="utf-8"))
+        return {name: Connection(**facts) for name, facts in found.items()}
+    except FileNotFoundError:  # it is starting
+        return {}
+
+
+def hint_for(machine: Machine, name: str, error: BaseException) -> str:
+    """What a person can do about an attempt that has failed.
+
+    Args:
+        machine: this one.
+        name: the other one.
+        error: of the attempt or of the connection.
+    """
+    peer = machine.peers[name]
+    if isinstance(error, ssl.SSLCertVerificationError) and error.verify_code == 10:
+        return f"A certificate has expired: type `roboneuron link add {name}` on the hub."
+    if isinstance(error, ssl.SSLError):
+        return f"Pair it again: `roboneuron link add {name}` on the hub."
+    if isinstance(error, ConnectionRefusedError):
+        return f"Start RoboNeuron on {name}, or `roboneuron link run`."
+    if isinstance(error, TimeoutError) or (
+        isinstance(error, OSError) and error.errno in _UNREACHABLE
+    ):
+        return f"Is {name} on, {peer.address} its address, and TCP {peer.port} open there?"
+    return f"Look at {name} and at the network between; it is tried again."
+
+
+def waiting_hint(machine: Machine, name: str) -> str:
+    """What a person can do where a member has not been connected to."""
+    return (
+        f"Start RoboNeuron on {name}, or `roboneuron link run`; it has to reach TCP {machine.port} "
+        "here."
+    )

@@ -1,0 +1,169 @@
+"""A second server on the other machine: two robots, two agents, one link. Each moves its own robot
+and sees the other's; a cut cable stops neither, and both machines say that it is cut.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import anyio
+import pytest
+from link_machines import Machine, impossible, machines
+from link_pairs import pair
+from mcp import Client, StdioServerParameters
+from mcp.client.stdio import stdio_client
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.slow,
+    pytest.mark.timeout(300),
+    pytest.mark.skipif(bool(impossible()), reason=impossible() or "possible"),
+]
+ARM = """
+[robot]
+name = "fr3"
+[control]
+controller = "urdf"
+[link]
+required = true
+[[expose]]
+name = "far_odom"
+kind = "read"
+topic = "/diffdrive/odom"
+type = "nav_msgs/msg/Odometry"
+"""
+BASE = """
+[robot]
+name = "diffdrive"
+[link]
+required = true
+[[expose]]
+name = "far_joints"
+kind = "read"
+topic = "/fr3/joint_states"
+type = "sensor_msgs/msg/JointState"
+"""
+PROGRAM = str(Path(sys.executable).with_name("roboneuron"))
+BOUND_S = 40.0
+
+
+class Agent:
+    """A client of one machine's server."""
+
+    def __init__(self, client: Client, machine: Machine) -> None:
+        self._client, self._machine = client, machine
+
+    async def call(self, tool: str, **arguments: Any) -> tuple[bool, dict[str, Any], str]:
+        answer = await self._client.call_tool(tool, arguments)
+        text = answer.content[0].text  # type: ignore[union-attr]
+        return not answer.is_error, dict(answer.structured_content or {}), text
+
+    async def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
+        """The answer of a call that must succeed."""
+        succeeded, answer, text = await self.call(tool, **arguments)
+        assert succeeded, text
+        return answer
+
+    async def connection(self, name: str) -> dict[str, str]:
+        """What `link show` says of another machine."""
+        shown = await anyio.to_thread.run_sync(self._show)
+        found = shown["connections"][name]
+        assert isinstance(found, dict)
+        return found
+
+    def _show(self) -> dict[str, Any]:
+        environment = {**os.environ, "XDG_STATE_HOME": str(self._machine.state)}
+        command = self._machine.inside(PROGRAM, "link", "show", "--json")
+        done = subprocess.run(command, env=environment, capture_output=True, check=True)
+        shown: dict[str, Any] = json.loads(done.stdout)
+        return shown
+
+    async def until_connected(self, name: str, is_open: bool) -> dict[str, str]:
+        """Wait until the machine says that another one is connected, or is not."""
+        with anyio.fail_after(BOUND_S):
+            while bool((found := await self.connection(name))["since"]) is not is_open:
+                await anyio.sleep(0.5)
+        return found
+
+
+@asynccontextmanager
+async def agent_of(machine: Machine, config: str) -> AsyncIterator[Agent]:
+    """A server of that machine, and its client."""
+    path = machine.state / "roboneuron.toml"
+    path.write_text(config)
+    words = ["-m", "roboneuron.cli.main", "serve", "--config", str(path), "--log-level", "error"]
+    command, *arguments = machine.inside(sys.executable, *words)
+    server = StdioServerParameters(
+        command=command,
+        args=arguments,
+        env={**os.environ, "XDG_STATE_HOME": str(machine.state)},
+    )
+    async with Client(stdio_client(server)) as client:
+        yield Agent(client, machine)
+
+
+async def odometry(agent: Agent, tool: str) -> float:
+    """How far the base has come along x, as one of the servers reads it."""
+    read = await agent.do(tool, timeout_s=30.0)
+    x_m = read["messages"][0]["pose"]["pose"]["position"]["x"]
+    assert isinstance(x_m, float)
+    return x_m
+
+
+async def use_both(arm: Agent, base: Agent, gpu: Machine) -> None:
+    """The scenario."""
+    await arm.do("start_robot")
+    await arm.do("start_control")
+    await base.do("start_robot")
+    linked = [await arm.until_connected("gpu", True), await base.until_connected("robot", True)]
+    assert all(one["error"] == "" for one in linked)
+    # each agent sees the other's robot, and moves its own
+    near = await base.do("read_far_joints", timeout_s=30.0)
+    assert "fr3_joint1" in near["messages"][0]["name"]
+    twist = {"linear": {"x": 0.2}}
+    await base.do("publish_velocity", message=twist, duration_s=2.0, timeout_s=30.0)
+    assert await odometry(arm, "read_far_odom") > 0.2
+    await arm.do("move_ee", dz_m=-0.03)
+    status = json.dumps(await base.do("get_status"))
+    assert "fr3_joint1" not in status, "the arm's modules are of the other server"
+    # a stop of one is none of the other
+    await arm.do("emergency_stop")
+    succeeded, _, _ = await arm.call("move_ee", dz_m=0.03)
+    assert not succeeded
+    before_m = await odometry(arm, "read_far_odom")
+    await base.do("publish_velocity", message=twist, duration_s=1.0)
+    assert await odometry(arm, "read_far_odom") > before_m + 0.1
+    # a cut cable stops neither, and is told on both sides
+    gpu.cut()
+    cut = await arm.until_connected("gpu", False)
+    assert "Is gpu on, 10.213.91.2 its address, and TCP 7411 open there?" in cut["hint"], cut
+    assert (await base.until_connected("robot", False))["hint"]
+    await base.do("publish_velocity", message=twist, duration_s=1.0)
+    await arm.do("read_joint_states", timeout_s=10.0)
+    succeeded, _, text = await arm.call("read_far_odom", timeout_s=2.0)
+    assert not succeeded, "the cable is cut"
+    assert "nothing came" in text or "Nobody publishes" in text
+    gpu.plug()
+    await arm.until_connected("gpu", True)
+    await base.until_connected("robot", True)
+    assert await odometry(arm, "read_far_odom") > before_m
+
+
+def test_two_servers_share_a_link(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        with machines(tmp_path, "robot", "gpu") as made:
+            pair(made["robot"], made["gpu"])
+            async with (
+                agent_of(made["robot"], ARM) as arm,
+                agent_of(made["gpu"], BASE) as base,
+            ):
+                await use_both(arm, base, made["gpu"])
+
+    anyio.run(scenario)

@@ -1,0 +1,79 @@
+"""get_<name> of a BatteryState: the charge in plain units; what is not measured is null."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pydantic import Field
+
+from rn_standard.tools_ros.newest import GetNewest
+from roboneuron import Result
+
+BATTERY = "sensor_msgs/msg/BatteryState"
+
+
+class Battery(Result):
+    """The state of a battery; null is what it does not measure."""
+
+    robot: str
+    charge: float | None = Field(description="0 empty .. 1 full")
+    status: str = Field(description="charging, discharging, not_charging, full, unknown")
+    health: str
+    technology: str
+    present: bool
+    voltage_v: float | None
+    current_a: float | None = Field(description="negative when it is discharged")
+    temperature_c: float | None
+    charge_ah: float | None
+    capacity_ah: float | None
+    age_s: float = Field(description="since it arrived")
+    problems: list[str] = Field(description="values that cannot be right")
+
+
+def battery_of(robot: str, message: Any, arguments: GetNewest, age_s: float) -> Battery:
+    """A BatteryState in plain units.
+
+    Args:
+        robot: whose it is.
+        message: as it came.
+        arguments: of the call.
+        age_s: since it came.
+    """
+    problems: list[str] = []
+    charge = _number(message.percentage)
+    if charge is not None and not 0.0 <= charge <= 1.0:
+        problems.append(f"percentage is {charge:g}, the definition says 0 .. 1")
+        charge = None
+    return Battery(
+        robot=robot,
+        charge=charge,
+        status=_name(message, "power_supply_status", problems),
+        health=_name(message, "power_supply_health", problems),
+        technology=_name(message, "power_supply_technology", problems),
+        present=message.present,
+        voltage_v=_number(message.voltage),
+        current_a=_number(message.current),
+        temperature_c=_number(message.temperature),
+        charge_ah=_number(message.charge),
+        capacity_ah=_number(message.capacity),
+        age_s=round(age_s, 3),
+        problems=problems,
+    )
+
+
+def _number(value: float) -> float | None:
+    """The number to five digits; None for NaN, by which a BatteryState says "not measured", and for
+    infinities.
+    """
+    return float(f"{value:.5g}") if math.isfinite(value) else None
+
+
+def _name(message: Any, field: str, problems: list[str]) -> str:
+    """The constant of a field by name: 1 is "charging"."""
+    prefix, value = f"{field.upper()}_", getattr(message, field)
+    for name in dir(type(message)):
+        if name.startswith(prefix) and getattr(type(message), name) == value:
+            return name.removeprefix(prefix).lower()
+    problems.append(f"{field} is {value}, which has no name")
+    return str(value)

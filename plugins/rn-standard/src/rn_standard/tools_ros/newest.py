@@ -1,0 +1,55 @@
+"""Tools that tell the newest message of a topic in plain units."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+from pydantic import Field
+
+from rn_standard.direct_path.exposed import gate_request
+from rn_standard.tools_ros.calls import RobotCall
+from rn_standard.tools_ros.reading import read_newest
+from rn_standard.tools_ros.targets import Targets
+from roboneuron import CallContext, Host, Result
+
+
+class GetNewest(RobotCall):
+    """Arguments of a tool that tells the newest message."""
+
+    timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait [s].")
+
+
+A = TypeVar("A", bound=GetNewest)
+R = TypeVar("R", bound=Result)
+
+
+class GettingNewest(Generic[A, R]):
+    """The handler of one tool.
+
+    Args:
+        host: whose node listens, and whose gate is asked.
+        targets: what the tool is for.
+        tool: its name.
+        tell: makes the result of a robot's name, the message, the arguments and the time since it
+            came [s].
+    """
+
+    def __init__(
+        self, host: Host, targets: Targets, tool: str, tell: Callable[[str, Any, A, float], R]
+    ) -> None:
+        self._host, self._targets, self._tool, self._tell = host, targets, tool, tell
+
+    async def __call__(self, arguments: A, context: CallContext) -> R:
+        """Raises InvalidInputError, RefusedError, NotReadyError, ConfigurationError."""
+        exposed = self._targets.of(arguments.robot)
+        self._host.gate.check(gate_request(context, self._tool, exposed, (), arguments.given()))
+        halt = threading.Event()
+
+        def work() -> R:
+            came_s, message = read_newest(self._host, exposed, arguments.timeout_s, halt)
+            return self._tell(exposed.robot, message, arguments, time.monotonic() - came_s)
+
+        return await context.run(lambda _: work(), on_cancel=halt.set)

@@ -1,0 +1,284 @@
+"""An agent moves a simulated FR3 by MoveIt's actions, through the tools that are made of their
+definitions: to a place, by a plan, never where the limits forbid it, and to rest when it stops.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import anyio
+import numpy as np
+import pytest
+from mcp import Client, StdioServerParameters
+
+from rn_controller_urdf.controller import UrdfController
+from rn_interfaces.finder import PREFIXES
+from rn_interfaces.learning import learn
+from rn_interfaces.sources import definitions
+from rn_interfaces.store import Store
+from rn_robot_fr3.limits import ARM_JOINTS
+from rn_robot_fr3.profile import HOME_RAD, profile
+from rn_testing.domain import free_ros_domain
+from roboneuron import JointSample
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
+EXAMPLES = Path(__file__).parents[1] / "examples"
+CONFIG = """
+[robot]
+name = "fr3"
+[control]
+controller = "urdf"
+[limits]
+velocity_fraction = 0.6
+acceleration_fraction = 0.6
+[[limits.zones]]
+name = "cup"
+lower_m = [0.25, 0.12, 0.0]
+upper_m = [0.35, 0.20, 0.7]
+[supervisor]
+state_directory = "{state}"
+[[expose]]
+name = "arm"
+kind = "action"
+topic = "move_action"
+type = "moveit_msgs/action/MoveGroup"
+[[expose]]
+name = "plan"
+kind = "action"
+topic = "execute_trajectory"
+type = "moveit_msgs/action/ExecuteTrajectory"
+"""
+
+
+def goal(
+    constraints: dict[str, Any], speed: float = 0.5, group: str = "fr3_arm", **options: Any
+) -> dict[str, Any]:
+    """A goal of MoveGroup."""
+    kept = {"is_diff": True, "robot_state": {"is_diff": True}}
+    return {
+        "request": {
+            "group_name": group,
+            "start_state": {"is_diff": True},
+            "goal_constraints": [constraints],
+            "max_velocity_scaling_factor": speed,
+            "max_acceleration_scaling_factor": speed,
+        },
+        "planning_options": {"planning_scene_diff": kept, **options},
+    }
+
+
+def joints(**to: float) -> dict[str, Any]:
+    """Constraints of every joint, from home."""
+    at = dict(zip(ARM_JOINTS, map(float, HOME_RAD), strict=True)) | to
+    return {
+        "joint_constraints": [
+            {
+                "joint_name": name,
+                "position": position,
+                "tolerance_above": 0.01,
+                "tolerance_below": 0.01,
+                "weight": 1.0,
+            }
+            for name, position in at.items()
+        ]
+    }
+
+
+def place(x: float, y: float, z: float) -> dict[str, Any]:
+    """Constraints of the TCP."""
+    region = {
+        "primitives": [{"type": "SPHERE", "dimensions": [0.002]}],
+        "primitive_poses": [{"position": {"x": x, "y": y, "z": z}}],
+    }
+    return {
+        "position_constraints": [
+            {
+                "header": {"frame_id": "fr3_link0"},
+                "link_name": "fr3_hand_tcp",
+                "constraint_region": region,
+                "weight": 1.0,
+            }
+        ]
+    }
+
+
+class Agent:
+    """Calls tools."""
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+        self.told: list[str] = []
+
+    async def call(self, tool: str, **arguments: Any) -> tuple[bool, dict[str, Any], str]:
+        """Whether it succeeded, its answer, and its text."""
+
+        async def note(progress: float, total: float | None, message: str | None) -> None:
+            self.told.append(message or "")
+
+        answer = await self.client.call_tool(tool, arguments, progress_callback=note)
+        text = answer.content[0].text  # type: ignore[union-attr]
+        return not answer.is_error, dict(answer.structured_content or {}), text
+
+    async def move(self, to: dict[str, Any], **more: Any) -> tuple[bool, dict[str, Any], str]:
+        """Send a goal; the first one waits for the discovery of the server."""
+        return await self.call("send_arm_goal", goal=to, server_timeout_s=30.0, **more)
+
+    async def refused(self, to: dict[str, Any], told: str) -> None:
+        """A goal has to end in an error that tells this."""
+        succeeded, _, text = await self.move(to)
+        assert not succeeded
+        assert told in text, text
+
+    async def joints(self) -> dict[str, float]:
+        """Where they are measured."""
+        succeeded, read, text = await self.call("read_joint_states", timeout_s=30.0)
+        assert succeeded, text
+        message = read["messages"][0]
+        return dict(zip(message["name"], message["position"], strict=True))
+
+    async def turn(self) -> float:
+        """Where the first joint is measured."""
+        return (await self.joints())[ARM_JOINTS[0]]
+
+    async def rest(self) -> float:
+        """Where the first joint has come to rest."""
+        before = await self.turn()
+        with anyio.fail_after(30.0):
+            while True:
+                await anyio.sleep(0.3)
+                now = await self.turn()
+                if abs(now - before) < 1e-3:
+                    return now
+                before = now
+
+    async def tcp(self) -> list[float]:
+        """Where the TCP is, by the measured joints [m]."""
+        measured = await self.joints()
+        names, positions = tuple(measured), np.array(list(measured.values()))
+        kinematics = UrdfController(None, profile())
+        kinematics.load()
+        pose = kinematics.forward(JointSample(names=names, position=positions))
+        return [float(value) for value in pose.position_m]
+
+
+class Cell:
+    """A planner, and the environment of a server beside it."""
+
+    def __init__(self, folder: Path, environment: dict[str, str]) -> None:
+        self._folder, self._environment = folder, environment
+        command = [sys.executable, str(EXAMPLES / "moveit_standin.py"), "--namespace", "fr3"]
+        self._planner = subprocess.Popen(
+            command, env=environment, stdout=subprocess.PIPE, text=True
+        )
+        assert self._planner.stdout is not None
+        assert self._planner.stdout.readline() == "move_action is offered\n"
+
+    @asynccontextmanager
+    async def agent(self) -> AsyncIterator[Agent]:
+        """A client of a server whose arm is started."""
+        config = self._folder / "roboneuron.toml"
+        config.write_text(CONFIG.format(state=self._folder / "state"))
+        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
+        server = StdioServerParameters(command=sys.executable, args=command, env=self._environment)
+        async with Client(server) as client:
+            made = Agent(client)
+            started, _, text = await made.call("start_robot")
+            assert started, text
+            yield made
+
+    def close(self) -> None:
+        self._planner.terminate()
+        self._planner.communicate(timeout=30)
+
+
+@pytest.fixture
+def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cell]:
+    monkeypatch.setenv(PREFIXES, sys.prefix)
+    learnt = learn(
+        Store(tmp_path / "data" / "roboneuron" / "interfaces"), definitions(EXAMPLES / "ros")
+    )
+    assert not learnt.refused
+    environment = {
+        **os.environ,
+        "XDG_DATA_HOME": str(tmp_path / "data"),
+        "XDG_CACHE_HOME": str(tmp_path / "cache"),
+        "ROS_DOMAIN_ID": str(free_ros_domain()),
+    }
+    environment.pop(PREFIXES)
+    made = Cell(tmp_path, environment)
+    yield made
+    made.close()
+
+
+def test_an_arm_goes_where_it_may_by_goals_and_by_plans(cell: Cell) -> None:
+    async def scenario() -> None:
+        async with cell.agent() as agent:
+            await agent.refused(goal(joints(), speed=0.7), "at most 0.6")
+            await agent.refused(goal(joints(fr3_joint1=3.0)), "fr3_joint1 may come to")
+            await agent.refused(goal(place(0.3, 0.15, 0.4)), "'cup'")
+            await agent.refused(goal(joints(fr3_joint1=0.5)), "'cup'")
+            assert abs(await agent.turn()) < 1e-3, "a refused goal moved it"
+            succeeded, answer, text = await agent.move(goal(place(0.4, -0.1, 0.3)))
+            assert succeeded, text
+            assert answer["result"]["error_code"]["val"] == "SUCCESS"
+            assert any("MONITOR" in told for told in agent.told)
+            assert await agent.tcp() == pytest.approx([0.4, -0.1, 0.3], abs=0.01)
+            # what the planner cannot do is an error with its code
+            await agent.refused(goal(joints(), group="left"), "INVALID_GROUP_NAME")
+            await agent.refused(goal(place(0.74, 0.44, 0.74)), "NO_IK_SOLUTION")
+            # planned only: nothing moves, and the plan is judged again when it is to be executed
+            succeeded, answer, text = await agent.move(goal(joints(), plan_only=True))
+            assert succeeded, text
+            assert await agent.tcp() == pytest.approx([0.4, -0.1, 0.3], abs=0.01)
+            plan = answer["result"]["planned_trajectory"]["joint_trajectory"]
+            send = {"goal": {"trajectory": {"joint_trajectory": plan}}, "server_timeout_s": 30.0}
+            succeeded, answer, text = await agent.call("send_plan_goal", **send)
+            assert succeeded, text
+            assert await agent.tcp() == pytest.approx([0.307, 0.0, 0.487], abs=0.01)
+            plan["points"] = plan["points"][-1:]
+            plan["points"][0]["positions"][0] = 2.0
+            succeeded, _, text = await agent.call("send_plan_goal", **send)
+            assert not succeeded
+            assert "fr3_joint1 would move at" in text
+
+    anyio.run(scenario)
+
+
+def test_an_arm_stops_where_it_may_not_be_and_when_it_is_told_to(cell: Cell) -> None:
+    async def scenario() -> None:
+        async with cell.agent() as agent:
+            # on the other side of the zone: the planner does not know it
+            succeeded, _, text = await agent.move(goal(joints(fr3_joint1=0.74), speed=0.1))
+            assert not succeeded
+            assert "has left its limits" in text
+            assert "cup" in text
+            assert 0.2 < await agent.turn() < 0.6, "it went on through the zone"
+            succeeded, _, text = await agent.move(goal(joints(), speed=0.1), timeout_s=1.0)
+            assert not succeeded
+            assert "did not end within 1 s" in text
+            assert await agent.rest() > 0.01, "it went on to its goal"
+            answers: list[tuple[bool, dict[str, Any], str]] = []
+
+            async def go() -> None:
+                answers.append(await agent.move(goal(joints(fr3_joint1=-0.6), speed=0.1)))
+
+            agent.told.clear()
+            async with anyio.create_task_group() as group:
+                group.start_soon(go)
+                with anyio.fail_after(30.0):
+                    while not any("MONITOR" in told for told in agent.told):
+                        await anyio.sleep(0.05)
+                await agent.call("emergency_stop")
+            succeeded, _, text = answers[0]
+            assert not succeeded
+            assert "emergency stop" in text.lower()
+            assert await agent.rest() > -0.5, "it went on to its goal"
+            await agent.refused(goal(joints()), "emergency stop")
+
+    anyio.run(scenario)
