@@ -229,13 +229,10 @@ class ModuleNode(ModuleHost):
         """
         try:
             step()
-        except RoboNeuronError as error:
-            log.error("%s: %s", then, error)
-            self.status.set_error(error)
         # the module border: whatever a plugin raises must not end the process silently
         except Exception as error:
-            log.exception("unexpected failure")
-            self.status.set_unexpected(error)
+            log.error("not %s: %s", then, error)
+            self.status.set_error(error)
         else:
             self.status.clear_error()
             self.status.set_state(then)
@@ -355,5 +352,4 @@ def _spin(node: ModuleNode, signals: Signals) -> None:
         try:
             executor.spin_once()
         except Exception as error:  # the module border: a plugin's callback may raise anything
-            log.exception("a callback failed")
-            node.status.set_unexpected(error)
+            node.status.set_error(error)
