@@ -124,8 +124,8 @@ def test_foreign_requests_are_refused_and_reported_by_name(
         path = f"/fake/robot/{name}"
         assert changes.wait_for(lambda: foreign.is_service_ready(service_type, path), 10.0)
         call = foreign.call(service_type, path, request, changes.notify)
-        assert changes.wait_for(lambda: call.done, 10.0), "it is answered"
-        return call.response
+        assert changes.wait_for(call.done, 10.0), "it is answered"
+        return call.result()
 
     def refused() -> int:
         report = supervisor.view("robot").report

@@ -60,22 +60,22 @@ def call(
 
     def is_answered() -> bool:
         _check(halt)
-        return pending.done
+        return bool(pending.done())
 
     remaining_s = max(0.5, timeout_s - (time.monotonic() - started_s))
     try:
         answered = changes.wait_for(is_answered, remaining_s)
     except StateError:
-        pending.abandon()
+        pending.cancel()
         raise
-    if not answered or pending.response is None:
-        pending.abandon()
+    if not answered or pending.result() is None:
+        pending.cancel()
         raise NotReadyError(
             f"{exposed.topic} did not answer within {remaining_s:g} s; the request was sent and "
             "may still be carried "
             "out."
         )
-    return Response(verdict=verdict, message=pending.response, took_s=time.monotonic() - started_s)
+    return Response(verdict=verdict, message=pending.result(), took_s=time.monotonic() - started_s)
 
 
 def _check(halt: threading.Event) -> None:
