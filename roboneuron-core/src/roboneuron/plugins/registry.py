@@ -106,11 +106,6 @@ class Registry:
                     offer.spec.drivers if isinstance(offer.spec, RobotSpec) else (offer.spec,)
                 )
 
-    def absent_packages(self) -> list[str]:
-        """The project's own packages that are not installed, sorted."""
-        known = {package.partition("[")[0] for package in known_names().values()}
-        return sorted(known - {record.distribution for record in self.plugins})
-
     def check_name(self, place: str, name: str) -> None:
         """Check that something that is installed, or left out on purpose, has that name.
 
