@@ -231,7 +231,7 @@ class Host:
         self.parameters[name] = (value, take, refuse)
         return lambda: self.parameters.__delitem__(name)
 
-    def require_start(self, reason: str) -> None:
+    def require_start(self, reason: str, code: str = "needs_new_start") -> None:
         self.needs_start = reason
 
     def drops(self) -> dict[str, int]:

@@ -34,7 +34,6 @@ from roboneuron.modules.settings import (
     FUTURE_S,
     HOLD_DURATION_S,
     NEEDS_NEW_START,
-    SERVER_SILENT,
 )
 from roboneuron.ros.messages import commands_from_message, to_joint_state, to_joint_trajectory
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
@@ -137,16 +136,9 @@ class HoldingModule(Module):
         self.hold("deactivated", "Control was deactivated.")
         self.is_active = False
 
-    def emergency_stop(self, latched: bool) -> None:
-        """Hold as long as the latch is set."""
-        if latched:
-            self.hold("emergency_stop", "The emergency stop is latched.")
-
-    def forget(self) -> None:
-        """Hold; see `Module.forget`. Actions are dropped until somebody asks for motion."""
-        self.hold(
-            NEEDS_NEW_START, f"Motion needs a new start after a stop: {self.node.needs_start}."
-        )
+    def stop(self, code: str) -> None:
+        """Hold; see `Module.stop`. Actions are dropped until somebody asks for motion."""
+        self.hold(code, f"Motion needs a new start after a stop: {self.node.needs_start}.")
 
     def believe(self, joints: JointSample, now_s: float) -> bool:
         """Take a joint state; whether it is a new one that matters. Raises as `JointWatch.accept`.
@@ -281,7 +273,8 @@ class HoldingModule(Module):
         """
         if self.node.stopped:
             return "emergency_stop"
-        if self._is_server_silent():
+        # nobody could stop the arm from outside: the server is frozen
+        if self.node.server_silence_s() > self.section.server_timeout_s:
             return "server_silent"
         if self.node.needs_start:
             return NEEDS_NEW_START
@@ -357,14 +350,7 @@ class HoldingModule(Module):
         """
         if not self.is_active or self.is_holding or not self.handover.is_ours(time.time_ns()):
             return
-        if self._is_server_silent():
-            if not self.node.needs_start:
-                self.node.require_start(SERVER_SILENT)
-            self.hold(
-                "server_silent",
-                f"No sign of life of the server for {self.section.server_timeout_s:g} s.",
-            )
-        elif time.monotonic() - self.action_s > self.section.hold_after_s:
+        if time.monotonic() - self.action_s > self.section.hold_after_s:
             self.hold("no_action", f"No action for {self.section.action_timeout_s:g} s.")
         elif self._are_joints_stale():
             self.hold(
@@ -382,10 +368,6 @@ class HoldingModule(Module):
         command = JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S)
         self._commands.publish(self._to_message(command))
         self._limiter.rest(joints, time.monotonic())
-
-    def _is_server_silent(self) -> bool:
-        """Nobody could stop the arm from outside: the server is frozen."""
-        return self.node.server_silence_s() > self.section.server_timeout_s
 
     def _are_joints_stale(self) -> bool:
         return self.watched.age_s(time.monotonic()) > self.section.state_timeout_s

@@ -253,12 +253,14 @@ class ModuleNode(ModuleHost):
         more.
         """
         silences = self._silences
-        is_silent = self.server_silence_s() > self._silence_s
-        if is_silent and not self._is_server_silent:
-            self.require_start(SERVER_SILENT)
+        was_silent = self._is_server_silent
+        # before the module is stopped, whose robot may refuse to hold: a silence is one stop
+        self._is_server_silent = self.server_silence_s() > self._silence_s
+        if self._is_server_silent and not was_silent:
+            self.require_start(SERVER_SILENT, "server_silent")
         # `silences` was read before the silence was measured: one that ends in between is not taken
         # for seen.
-        self._is_server_silent, self._silences_seen = is_silent, silences
+        self._silences_seen = silences
 
     def _on_emergency_stop(self, message: Bool) -> None:
         """Any node may stop; only the latch's own reset releases what it stopped.
@@ -296,7 +298,7 @@ class ModuleNode(ModuleHost):
             return
         self.stopped = stopped
         if stopped:
-            self.require_start(EMERGENCY_STOP)
+            self.require_start(EMERGENCY_STOP, "emergency_stop")
         if self.module is not None:
             self.module.emergency_stop(self.stopped)
         self.status.announce(emergency_stop=self.stopped)

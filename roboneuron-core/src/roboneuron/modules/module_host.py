@@ -18,6 +18,7 @@ from rclpy.qos import QoSProfile
 from roboneuron.config import ModuleSettings
 from roboneuron.contract import Hold, JointCommand, Pose
 from roboneuron.errors import UnsafeError
+from roboneuron.modules.settings import NEEDS_NEW_START
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
@@ -187,7 +188,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         """Call `callback` once a period [s] until cleanup, on the executor's thread."""
         self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
 
-    def require_start(self, reason: str) -> None:
+    def require_start(self, reason: str, code: str = NEEDS_NEW_START) -> None:
         """A stop has come, such as a recovery: nothing moves before somebody asks for it anew,
         whatever ends the stop; from any thread.
 
@@ -195,6 +196,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
 
         Args:
             reason: in words, for the status and for whoever asks why nothing moves.
+            code: see `Module.stop`.
         """
         if self.settings.kind == "perception":
             return
@@ -202,7 +204,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.stops += 1
         self.status.announce(needs_start=reason, stops=self.stops)
         if self.module is not None:
-            self.module.forget()
+            self.module.stop(code)
 
     def add_parameter(
         self,
@@ -271,10 +273,15 @@ class Module(ABC):
         """Silence; also called before `activate`."""
 
     def emergency_stop(self, latched: bool) -> None:  # noqa: B027
-        """The latch changed; modules that move the robot override this."""
+        """The latch changed; called after `stop` where it was set."""
 
-    def forget(self) -> None:  # noqa: B027
-        """A stop has come: what was asked for before it is not carried out any more."""
+    def stop(self, code: str) -> None:  # noqa: B027
+        """A stop has come: what was asked for before it is not carried out any more.
+
+        Args:
+            code: "emergency_stop" or "server_silent", with which the robot is to hold;
+                `NEEDS_NEW_START` after what has stopped it by itself.
+        """
 
 
 def join(host: ModuleHost, reference: str) -> None:
