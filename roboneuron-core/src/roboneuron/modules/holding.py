@@ -212,7 +212,10 @@ class HoldingModule(Module):
         self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
         message = None
         if isinstance(outcome, JointCommand):
-            message = self._to_message(outcome, self._plan(asked, outcome, joints))
+            planned = self._limiter.plan(
+                outcome, joints, asked.later, asked.step_s, self.section.horizon_s
+            )
+            message = self._to_message(outcome, planned)
         elif outcome is None and self._has_plan:
             # the arm must not go on to rows that were planned before this one was refused
             reason = "A row was refused; what was planned after the one before it is withdrawn."
@@ -255,13 +258,6 @@ class HoldingModule(Module):
         for tell in self.on_limited:
             tell(limited)
         return limited.command
-
-    def _plan(self, asked: Asked, command: JointCommand, joints: JointSample) -> list[JointCommand]:
-        """What goes out with `command`, each limited from where and when the one before ends."""
-        horizon_s = self.section.horizon_s
-        if not (horizon_s and asked.later):
-            return []
-        return self._limiter.plan(command, joints, asked.later, asked.step_s, horizon_s)
 
     @final
     def why_not(self, age_s: float, source_ns: int) -> str | None:

@@ -193,11 +193,11 @@ class MotionLimiter:
             later: each is called with the joints where the command before ends, the time that it
                 has [s], and when that begins [monotonic s].
             step_s: time that each has [s].
-            horizon_s: how long they may last together [s].
+            horizon_s: how long they may last together [s]; 0 for none.
         """
         commands, last = [command], self
         most_s = self._ends_s + horizon_s + _ROUNDING_S
-        for answer in later:
+        for answer in later if horizon_s else ():
             joints = _after(commands[-1], joints)
             begins_s = last._ends_s
             wanted = answer(joints, step_s, begins_s)
