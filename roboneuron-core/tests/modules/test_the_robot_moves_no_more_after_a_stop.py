@@ -46,7 +46,8 @@ def test_a_stop_while_a_command_is_sent_is_followed_by_a_hold(cell: Cell, word: 
     """The hold of the stop itself came before the command."""
     cell.while_sending = lambda: STOPS[word](cell)
     cell.command(0.1, 0.2)
-    cell.play()
+    for _ in range(2):  # what was to come is dropped, though nobody has told the module of the stop
+        cell.play()
     assert [type(one).__name__ for one in cell.told] == ["JointCommand", "str"]
     assert not cell.robot._moving
     assert cell.host.values().get("note", "") == ""

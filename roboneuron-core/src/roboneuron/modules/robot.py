@@ -210,6 +210,7 @@ class RobotModule(Module):
             self.status.set_error(error)
             return
         if self._must_hold():  # since it was taken: the hold of that came before the command
+            self._drop_plan()
             self.driver.hold()
             return
         for note in self.on_sent:
