@@ -23,7 +23,7 @@ from std_msgs.msg import Bool
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
-from roboneuron.modules.module_host import Handover, Module, ModuleHost, join
+from roboneuron.modules.module_host import Handover, Module, ModuleHost
 from roboneuron.modules.parent_watch import Signals, watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import (
@@ -80,9 +80,21 @@ class ModuleNode(ModuleHost):
             self.require_start(settings.needs_start)
         self._requests = RequestGuard(self, self.status)
         for reference in settings.on_join:
-            join(self, reference)
+            self._join(reference)
         self._reporter = StatusReporter(self, self.status)
         self._reporter.start()
+
+    def _join(self, reference: str) -> None:
+        """Call what a feature wants called in every module process; a failure is logged.
+
+        Args:
+            reference: "module:attribute" of a function that takes this node.
+        """
+        try:
+            function = load_attribute(reference, "`on_join` of a feature")
+            cast("Callable[[ModuleHost], None]", function)(self)
+        except Exception:  # a feature's own code; under another interpreter it may not be installed
+            log.exception("%s cannot be used in this module.", reference)
 
     def _why_not_permit(self, stops: int) -> str:
         """Why motion cannot be permitted; empty when it can. For the number see `_permit`."""

@@ -1,12 +1,11 @@
-"""What a module process lends to its module and to features, and how features join it."""
+"""What a module process lends to its module and to features."""
 
 from __future__ import annotations
 
-import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import CallbackGroup
@@ -21,11 +20,9 @@ from roboneuron.errors import UnsafeError
 from roboneuron.modules.settings import NEEDS_NEW_START
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.qos import NEWEST
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_TRAJECTORY
 
-log = logging.getLogger(__name__)
 Value = TypeVar("Value", str, int)
 """Of a ROS parameter."""
 _TO_JOINTS = {JOINT_TRAJECTORY, JOINT_COMMAND}
@@ -282,17 +279,3 @@ class Module(ABC):
             code: "emergency_stop" or "server_silent", with which the robot is to hold;
                 `NEEDS_NEW_START` after what has stopped it by itself.
         """
-
-
-def join(host: ModuleHost, reference: str) -> None:
-    """Call what a feature wants called in every module process; a failure is logged.
-
-    Args:
-        host: the node of this process.
-        reference: "module:attribute" of a function that takes the node.
-    """
-    try:
-        function = load_attribute(reference, "`on_join` of a feature")
-        cast("Callable[[ModuleHost], None]", function)(host)
-    except Exception:  # a feature's own code; under another interpreter it may not be installed
-        log.exception("%s cannot be used in this module.", reference)
