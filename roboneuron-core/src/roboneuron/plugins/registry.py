@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from types import MappingProxyType
 from typing import TypeVar, cast
 
 from roboneuron.errors import ConfigurationError, nearest
@@ -134,8 +133,8 @@ class Registry:
         """
         ready = self._ready.get(of.kind)
         if ready is None:  # kept: answers to calls ask for it, and there are hundreds of offers
-            usable = {o.spec.name: o.spec for o in self.offers(of.kind) if o.status is Status.READY}
-            ready = self._ready[of.kind] = MappingProxyType(usable)
+            ready = {o.spec.name: o.spec for o in self.offers(of.kind) if o.status is Status.READY}
+            self._ready[of.kind] = ready
         return cast("Mapping[str, S]", ready)
 
     def get(self, of: type[S], name: str, *, elsewhere: bool = False) -> S:
