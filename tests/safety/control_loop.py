@@ -59,8 +59,8 @@ class _Host:
     def now_ns(self) -> int:
         return self._clock.time_ns()
 
-    def server_silence_s(self) -> float:
-        return 0.0
+    def is_server_silent(self) -> bool:
+        return False
 
     def advertise(self, message_type: type, topic: str) -> _Publisher:
         return self.publishers.setdefault(topic, _Publisher())

@@ -212,8 +212,9 @@ class Host:
     def now_ns(self) -> int:
         return self.clock.wall_ns
 
-    def server_silence_s(self) -> float:
-        return self.silence_s
+    def is_server_silent(self) -> bool:
+        robot, control = self.settings.config.robot, self.settings.config.control
+        return self.silence_s > min(robot.server_timeout_s, control.server_timeout_s)
 
     def advertise(self, message_type: type, topic: str) -> Publisher:
         publisher = self.publishers[topic] = Publisher(message_type)

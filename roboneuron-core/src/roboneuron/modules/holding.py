@@ -33,7 +33,6 @@ from roboneuron.modules.settings import (
     FOLLOWING_NOTE,
     FUTURE_S,
     HOLD_DURATION_S,
-    NEEDS_NEW_START,
 )
 from roboneuron.ros.messages import commands_from_message, to_joint_state, to_joint_trajectory
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
@@ -267,13 +266,8 @@ class HoldingModule(Module):
             age_s: of the action, since it was sent [s].
             source_ns: when it was sent [ns].
         """
-        if self.node.stopped:
-            return "emergency_stop"
-        # nobody could stop the arm from outside: the server is frozen
-        if self.node.server_silence_s() > self.section.server_timeout_s:
-            return "server_silent"
-        if self.node.needs_start:
-            return NEEDS_NEW_START
+        if word := self.why_stopped():
+            return word
         if age_s > self.section.action_timeout_s:
             return "stale_action"
         if age_s < -FUTURE_S:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import gc
 import logging
-import math
 import sys
 import time
 from collections.abc import Callable
@@ -66,7 +65,7 @@ class ModuleNode(ModuleHost):
         for qos in STOP_REQUESTS:
             self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, qos)
         self._latch = EmergencyStopLatch.in_directory(Path(settings.state_directory))
-        self._stop_requested = self._is_server_silent = False
+        self._stop_requested = self._was_server_silent = False
         self._beat_s: float | None = None
         robot, control = settings.config.robot, settings.config.control
         # the shorter one for every kind of module: all need a new start after the same silence
@@ -159,12 +158,12 @@ class ModuleNode(ModuleHost):
         # pipe.
         self._requests.announcements.feed(data)
 
-    def server_silence_s(self) -> float:
-        """See `ModuleHost.server_silence_s`."""
+    def is_server_silent(self) -> bool:
+        """See `ModuleHost.is_server_silent`."""
         if self._silences != self._silences_seen:
-            return math.inf
+            return True
         beat_s = self._beat_s
-        return 0.0 if beat_s is None else time.monotonic() - beat_s
+        return beat_s is not None and time.monotonic() - beat_s > self._silence_s
 
     def release(self) -> None:
         """Stop reporting and release the module; called once the executor has stopped.
@@ -265,10 +264,10 @@ class ModuleNode(ModuleHost):
         more.
         """
         silences = self._silences
-        was_silent = self._is_server_silent
+        was_silent = self._was_server_silent
         # before the module is stopped, whose robot may refuse to hold: a silence is one stop
-        self._is_server_silent = self.server_silence_s() > self._silence_s
-        if self._is_server_silent and not was_silent:
+        self._was_server_silent = self.is_server_silent()
+        if self._was_server_silent and not was_silent:
             self.require_start(SERVER_SILENT, "server_silent")
         # `silences` was read before the silence was measured: one that ends in between is not taken
         # for seen.

@@ -113,12 +113,12 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.on_configured: list[Callable[[Module], None]] = []
 
     @abstractmethod
-    def server_silence_s(self) -> float:
-        """Time without a sign of life of the server; 0 for a module that was started without one.
+    def is_server_silent(self) -> bool:
+        """Whether the server gave no sign of life for the shorter one of the times that robot and
+        control allow; never for a module that was started without one.
 
-        A silence that has just ended is infinite until the executor has looked at it: when this
-        process itself was frozen, the thread that reads the signs of life may be the first to go
-        on.
+        A silence that has just ended goes on until the executor has looked at it: when this process
+        itself was frozen, the thread that reads the signs of life may be the first to go on.
         """
 
     def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
@@ -271,6 +271,15 @@ class Module(ABC):
 
     def emergency_stop(self, latched: bool) -> None:  # noqa: B027
         """The latch changed; called after `stop` where it was set."""
+
+    def why_stopped(self) -> str:
+        """Word for the stop that forbids every motion now; empty when none does."""
+        if self.node.stopped:
+            return "emergency_stop"
+        # nobody could stop the robot from outside: the server is frozen
+        if self.node.is_server_silent():
+            return "server_silent"
+        return NEEDS_NEW_START if self.node.needs_start else ""
 
     def stop(self, code: str) -> None:  # noqa: B027
         """A stop has come: what was asked for before it is not carried out any more.

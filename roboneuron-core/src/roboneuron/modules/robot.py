@@ -76,7 +76,7 @@ class RobotModule(Module):
         section = self.config.robot
         _, spec = find_robot(self.registry, section.name, section.driver)
         self.profile = load_profile(self.registry, section.name)
-        self._topics = NodeTopics(node, accepts=lambda: self._active and not self._must_hold())
+        self._topics = NodeTopics(node, accepts=lambda: self._active and not self.why_stopped())
         node.resources.callback(self._topics.close)
         options = self.config.options(section.name)
         self.driver = cast("RobotDriver", build(spec, options, self.profile, self._topics))
@@ -129,14 +129,6 @@ class RobotModule(Module):
             self._pending = []
             self._arrived.notify()
 
-    def _must_hold(self) -> str:
-        """Word for what forbids every motion now; empty when nothing does."""
-        if self.node.stopped:
-            return "emergency_stop"
-        if self.node.server_silence_s() > self.config.robot.server_timeout_s:
-            return "server_silent"
-        return NEEDS_NEW_START if self.node.needs_start else ""
-
     def _on_command(self, message: JointTrajectory | JointState, info: dict[str, Any]) -> None:
         if not self._accepts(info):
             return
@@ -158,7 +150,7 @@ class RobotModule(Module):
         """
         if not self._active:
             return False
-        if reason := self._must_hold():
+        if reason := self.why_stopped():
             self.status.drop(reason)
             return False
         age_s = (time.time_ns() - int(info["source_timestamp"])) / 1e9
@@ -173,8 +165,8 @@ class RobotModule(Module):
         one.
 
         A point is taken under the lock, sent without it, and waited for under it again. What comes
-        in between is seen afterwards: a stop by `_must_hold`, another trajectory by its list, which
-        is another object.
+        in between is seen afterwards: a stop by `why_stopped`, another trajectory by its list,
+        which is another object.
         """
         with self._arrived:
             if not self._arrived.wait_for(
@@ -209,7 +201,7 @@ class RobotModule(Module):
             self.status.drop("refused_command")
             self.status.set_error(error)
             return
-        if self._must_hold():  # since it was taken: the hold of that came before the command
+        if self.why_stopped():  # since it was taken: the hold of that came before the command
             self._drop_plan()
             self.driver.hold()
             return
