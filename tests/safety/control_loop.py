@@ -49,7 +49,7 @@ class _Host:
     def __init__(self, settings: ModuleSettings, clock: Clock) -> None:
         self.settings, self._clock = settings, clock
         self.status = StatusWriter(settings.status_name)
-        self.handover = Handover(self.status)
+        self.handover = Handover()
         self.resources = ExitStack()
         self.stopped, self.needs_start = False, ""
         self.publishers: dict[str, _Publisher] = {}

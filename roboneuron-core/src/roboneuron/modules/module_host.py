@@ -38,12 +38,6 @@ class Handover:
     and joints measured. Methods are called from any of the module's threads.
     """
 
-    def __init__(self, status: StatusWriter) -> None:
-        """Args:
-        status: where to report.
-        """
-        self.status = status
-
     def is_shadow(self, stamp_ns: int) -> bool:
         """Whether that input is still the predecessor's: work on it, and send nothing."""
         return False
@@ -108,7 +102,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.outputs: dict[str, Callable[[], int]] = {}
         self.stopped = False
         self.stops, self.needs_start = 0, ""
-        self.handover = Handover(self.status)
+        self.handover = Handover()
         self.lent: dict[str, object] = {}
         self.on_configured: list[Callable[[Module], None]] = []
 

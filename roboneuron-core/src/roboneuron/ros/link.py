@@ -60,7 +60,6 @@ class RosLink:
         self._node: Any = None
         self._executor: Any = None
         self._thread: threading.Thread | None = None
-        self._is_closing = False
         self._clients: dict[tuple[type, str], Client] = {}
         # Guards the clients, also while one is made on the executor's thread: callbacks, which run
         # there, must not ask for a client.
@@ -70,7 +69,6 @@ class RosLink:
         """Join the graph (about 0.4 s); `roboneuron.ros.environment.prepare_environment` must have
         run.
         """
-        self._is_closing = False
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self._node = Node(
@@ -86,12 +84,11 @@ class RosLink:
 
     def close(self) -> None:
         """Leave the graph; idempotent."""
-        if self._thread is None:
+        thread, self._thread = self._thread, None
+        if thread is None:
             return
-        self._is_closing = True
         self._executor.shutdown(timeout_sec=_LEAVE_S)
-        self._thread.join(timeout=_LEAVE_S)
-        self._thread = None
+        thread.join(timeout=_LEAVE_S)
         self._clients.clear()
         # an action client would keep the node on the graph
         for waitable in tuple(self._node.waitables):
@@ -228,6 +225,6 @@ class RosLink:
         except ExternalShutdownException:
             log.debug("The ROS context was shut down.")
         except InvalidHandle:
-            # the executor's own guard condition goes while its last task ends
-            if not self._is_closing:
+            # on closing, the executor's own guard condition goes while its last task ends
+            if self._thread is not None:
                 raise
