@@ -117,7 +117,7 @@ class Setpoint:
     goal_velocity: F64
 
     @classmethod
-    def at_rest(cls, position: F64, now_s: float, *, immediate: bool) -> Self:
+    def at_rest(cls, position: F64, now_s: float) -> Self:
         """An arm that rests at `position`, float64 (n,)."""
         still = np.zeros_like(position)
         return cls(
@@ -125,7 +125,7 @@ class Setpoint:
             displacement=still,
             duration_s=1.0,
             sent_s=now_s,
-            immediate=immediate,
+            immediate=False,
             goal=position,
             goal_velocity=still,
         )

@@ -274,7 +274,7 @@ class MotionLimiter:
             return
         with suppress(UnsafeError):
             measured = pick(joints.names, joints.position, self._names)
-            self._sent = Setpoint.at_rest(measured, now_s, immediate=self._immediate)
+            self._sent = Setpoint.at_rest(measured, now_s)
 
     def _commit(self, step: Step, now_s: float) -> None:
         self._sent = Setpoint(
@@ -307,7 +307,7 @@ class MotionLimiter:
             start, before = last.at(now_s, self._shortener.joints.braking)
             is_lost = bool((np.abs(start - measured) > self._lost).any())
         if last is None or is_lost:
-            last = Setpoint.at_rest(measured, now_s, immediate=self._immediate)
+            last = Setpoint.at_rest(measured, now_s)
             start, before = measured, last.displacement
         duration_s = max(
             _SHORTEST_S, min(command.duration_s, since_s) if self._immediate else command.duration_s
