@@ -243,9 +243,7 @@ class RobotModule(Module):
 
     def _publish_state(self, stop: threading.Event) -> None:
         """Publish one state when it is due; the grid is kept, so that the mean rate is right."""
-        delay_s = self._next_state_s - time.monotonic()
-        if delay_s > 0:
-            stop.wait(delay_s)
+        stop.wait(max(0.0, self._next_state_s - time.monotonic()))
         self._next_state_s = max(
             self._next_state_s + 1.0 / self.config.robot.state_rate_hz,
             time.monotonic() - _MOST_BEHIND_S,
