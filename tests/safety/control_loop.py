@@ -49,7 +49,7 @@ class _Host:
     def __init__(self, settings: ModuleSettings, clock: Clock) -> None:
         self.settings, self._clock = settings, clock
         self.status = StatusWriter(settings.status_name)
-        self.handover = Handover(self.status)
+        self.handover = Handover()
         self.resources = ExitStack()
         self.stopped, self.needs_start = False, ""
         self.publishers: dict[str, _Publisher] = {}
@@ -59,8 +59,8 @@ class _Host:
     def now_ns(self) -> int:
         return self._clock.time_ns()
 
-    def server_silence_s(self) -> float:
-        return 0.0
+    def is_server_silent(self) -> bool:
+        return False
 
     def advertise(self, message_type: type, topic: str) -> _Publisher:
         return self.publishers.setdefault(topic, _Publisher())

@@ -142,7 +142,13 @@ def test_a_setpoint_moves_evenly_and_brakes_at_its_end(
     now_s: float, position: float, velocity: float
 ) -> None:
     setpoint = Setpoint(
-        start=np.ones(1), displacement=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=False
+        start=np.ones(1),
+        displacement=np.ones(1),
+        duration_s=0.5,
+        sent_s=10.0,
+        immediate=False,
+        goal=np.ones(1),
+        goal_velocity=np.ones(1),
     )
     where, speed = setpoint.at(now_s, np.array([4.0]))
     assert where.tolist() == pytest.approx([position])
@@ -156,6 +162,8 @@ def test_a_setpoint_without_a_limit_of_acceleration_rests_at_its_end() -> None:
         duration_s=0.5,
         sent_s=10.0,
         immediate=False,
+        goal=np.zeros(2),
+        goal_velocity=np.zeros(2),
     )
     endless = np.full(2, np.inf)
     assert setpoint.at(10.5, endless)[1].tolist() == [-2.0, 0.0]
@@ -170,7 +178,13 @@ def test_an_immediate_setpoint_is_there_at_once_and_moves_until_the_next_one_is_
     now_s: float, velocity: float
 ) -> None:
     setpoint = Setpoint(
-        start=np.ones(1), displacement=np.ones(1), duration_s=0.5, sent_s=10.0, immediate=True
+        start=np.ones(1),
+        displacement=np.ones(1),
+        duration_s=0.5,
+        sent_s=10.0,
+        immediate=True,
+        goal=np.ones(1),
+        goal_velocity=np.ones(1),
     )
     where, speed = setpoint.at(now_s, np.array([4.0]))
     assert (where.tolist(), speed.tolist()) == ([2.0], [velocity])

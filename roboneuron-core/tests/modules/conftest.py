@@ -212,8 +212,9 @@ class Host:
     def now_ns(self) -> int:
         return self.clock.wall_ns
 
-    def server_silence_s(self) -> float:
-        return self.silence_s
+    def is_server_silent(self) -> bool:
+        robot, control = self.settings.config.robot, self.settings.config.control
+        return self.silence_s > min(robot.server_timeout_s, control.server_timeout_s)
 
     def advertise(self, message_type: type, topic: str) -> Publisher:
         publisher = self.publishers[topic] = Publisher(message_type)
@@ -231,7 +232,7 @@ class Host:
         self.parameters[name] = (value, take, refuse)
         return lambda: self.parameters.__delitem__(name)
 
-    def require_start(self, reason: str) -> None:
+    def require_start(self, reason: str, code: str = "needs_new_start") -> None:
         self.needs_start = reason
 
     def drops(self) -> dict[str, int]:

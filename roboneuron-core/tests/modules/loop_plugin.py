@@ -180,7 +180,7 @@ class Windows(Handover):
     """Moments of a feature that replaces modules."""
 
     def __init__(self, shadow: bool, status: Any) -> None:
-        super().__init__(status)
+        self.status = status
         self.moments = {
             "act_from_ns": 2**62 if shadow else 0,
             "act_until_ns": 0,

@@ -90,9 +90,6 @@ class Cell:
     def play(self) -> None:
         self.player.run()
 
-    def watch(self) -> None:
-        self.host.repeated[0][1]()
-
     @property
     def sent(self) -> list[tuple[float, float]]:
         """Position of the first joint, and duration, of each command to the driver."""

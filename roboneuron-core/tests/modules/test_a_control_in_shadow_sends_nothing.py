@@ -32,7 +32,7 @@ def test_in_shadow_everything_is_worked_out_and_nothing_sent(make_host: MakeHost
     assert withheld == ["Pose", "JointCommand", "Pose", "Pose"], "every state is answered"
     assert (cell.commands, cell.poses, cell.host.handover.sent) == ([], [], [])
     assert cell.host.values()["ready"] == "true"
-    cell.control.emergency_stop(True)
+    cell.control.stop("emergency_stop")
     assert cell.commands == []
     assert cell.code == ""
 

@@ -251,7 +251,7 @@ def test_a_stop_leaves_no_point_to_be_given(cell: Cell, ahead: Ahead) -> None:
     cell.command(0.1, 0.2, 0.3, step_s=0.01)
     cell.play()
     cell.host.stopped = True
-    cell.robot.emergency_stop(True)
+    cell.robot.stop("emergency_stop")
     cell.clock.go(0.01)
     cell.play()
     assert ahead.given == [[0.2, 0.3]]

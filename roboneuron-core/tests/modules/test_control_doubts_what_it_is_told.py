@@ -177,10 +177,10 @@ def test_stamps_of_a_robot_whose_clock_jumps_stop_the_arm_for_one_timeout_only(
     assert holds_within(lambda: len(cell.commands) == before + 1)
 
 
-def test_server_that_is_frozen_stops_the_arm_until_it_asks_for_motion_again(cell: Cell) -> None:
+def test_server_that_is_frozen_stops_the_arm_until_it_asks_for_motion_again(world: Any) -> None:
     """Without a server nobody beats, and nothing is asked for."""
-    limits = cell.control.module.section
-    cell.control.module.section = limits.model_copy(update={"server_timeout_s": 0.3})
+    new = "action_timeout_s = 0.3\nserver_timeout_s = 0.3"
+    cell = Cell(world, replace={"action_timeout_s = 0.3": new})
     policy = cell.world.node.create_timer(0.03, cell.act)
     assert holds_within(lambda: len(cell.commands) > 20)
     for _ in range(2):

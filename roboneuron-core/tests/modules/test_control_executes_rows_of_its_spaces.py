@@ -320,7 +320,7 @@ def test_velocities_count_from_where_the_arm_is_held(cell: SpaceCell) -> None:
     cell.send(VELOCITIES)
     cell.go(0.6 * PERIOD_S)
     cell.host.stopped = True
-    cell.control.emergency_stop(True)
+    cell.control.stop("emergency_stop")
     cell._follow(len(cell.messages) - 1)
     held = cell.place()[0]
     assert held == pytest.approx(0.5 + 0.6 * SPEED * PERIOD_S)

@@ -196,26 +196,13 @@ def test_a_hold_that_is_due_is_forgotten_by_a_newer_action(cell: Cell) -> None:
     assert len(cell.commands) == 1
 
 
-def test_it_holds_when_the_server_falls_silent_and_needs_a_new_start(cell: Cell) -> None:
+def test_it_holds_when_the_server_falls_silent(cell: Cell) -> None:
     cell.act()
-    cell.host.silence_s = SERVER_TIMEOUT_S
-    cell.watch()
-    assert len(cell.commands) == 1
-    cell.host.silence_s = SERVER_TIMEOUT_S + 0.01
-    cell.watch()
+    cell.host.needs_start = SILENT
+    cell.control.stop("server_silent")
     assert cell.code == "server_silent"
-    assert cell.host.needs_start == SILENT
-    assert cell.host.values()["note"] == "holding: No sign of life of the server for 2 s."
+    assert SILENT in cell.host.values()["note"]
     assert len(cell.commands) == 2
-
-
-def test_a_stop_that_is_known_is_not_reported_as_another(cell: Cell) -> None:
-    cell.act()
-    cell.host.needs_start = "the emergency stop"
-    cell.host.silence_s = 9.0
-    cell.watch()
-    assert cell.host.needs_start == "the emergency stop"
-    assert cell.code == "server_silent"
 
 
 def test_nothing_is_watched_before_the_first_action(cell: Cell) -> None:
@@ -250,8 +237,8 @@ def test_deactivating_holds_and_ends_all_commands(cell: Cell) -> None:
 def test_a_control_that_was_never_active_holds_nothing(make_host: MakeHost) -> None:
     cell = Cell(make_host, activate=False)
     cell.control.deactivate()
-    cell.control.emergency_stop(True)
-    cell.control.forget()
+    cell.control.stop("emergency_stop")
+    cell.control.stop("needs_new_start")
     assert cell.code == ""
     assert cell.commands == []
 
@@ -269,16 +256,17 @@ def test_an_emergency_stop_holds_at_once_and_its_release_moves_nothing(cell: Cel
     cell.act()
     cell.control.emergency_stop(False)
     assert len(cell.commands) == 1
-    cell.control.emergency_stop(True)
+    cell.host.needs_start = "the emergency stop"
+    cell.control.stop("emergency_stop")
     assert len(cell.commands) == 2
     assert cell.code == "emergency_stop"
-    assert cell.host.values()["note"] == "holding: The emergency stop is latched."
+    assert "a stop: the emergency stop." in cell.host.values()["note"]
 
 
 def test_what_was_asked_for_before_a_stop_is_forgotten(cell: Cell) -> None:
     cell.act()
     cell.host.needs_start = "the emergency stop"
-    cell.control.forget()
+    cell.control.stop("needs_new_start")
     assert len(cell.commands) == 2
     assert cell.code == "needs_new_start"
     assert (
@@ -290,7 +278,7 @@ def test_a_further_reason_to_hold_is_told_and_moves_nothing(cell: Cell) -> None:
     cell.act()
     cell.control.deactivate()
     cell.control.activate()
-    cell.control.emergency_stop(True)
+    cell.control.stop("emergency_stop")
     assert cell.code == "emergency_stop"
     assert len(cell.commands) == 2
     assert cell.host.drops() == {"holds": 1}
@@ -300,7 +288,7 @@ def test_a_hold_names_the_joints_of_the_arm_only(cell: Cell) -> None:
     cell.act()
     cell.go(0.05, measured=False)
     cell.measure(names=("finger", "b", "a"), position=np.array([0.04, -0.5, 0.51]))
-    cell.control.emergency_stop(True)
+    cell.control.stop("emergency_stop")
     assert cell.commands[1] == pytest.approx([0.51, -0.5])
     assert list(cell.messages[1].joint_names) == list(ARM)
 

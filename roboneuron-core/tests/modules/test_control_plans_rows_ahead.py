@@ -187,7 +187,7 @@ def test_an_emergency_stop_replaces_the_plan_by_the_measured_posture(cell: PlanC
     cell.position = row(1)
     cell.go(PERIOD_S)
     cell.host.stopped = True
-    cell.control.emergency_stop(True)
+    cell.control.stop("emergency_stop")
     assert cell.ends == pytest.approx([0.01])
     cell.host.stopped = False
     cell.go(PERIOD_S)

@@ -166,7 +166,7 @@ def test_after_an_emergency_stop_only_the_hold_leaves(cell: Cell) -> None:
     cell.module.ask([0.505, -0.5])
     assert len(cell.sent) == 1
     cell.host.stopped = True
-    cell.module.emergency_stop(True)
+    cell.module.stop("emergency_stop")
     assert cell.sent[1:] == [list(START)], "held where it is measured"
     for _ in range(3):
         cell.host.clock.go(0.02)

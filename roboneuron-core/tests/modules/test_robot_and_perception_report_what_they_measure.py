@@ -190,19 +190,19 @@ def test_a_trajectory_ends_in_a_hold_when_its_server_falls_silent_and_is_not_tak
             world.permit(robot)
         robot.note_beat()
         sent, holds = len(driver.sent), driver.holds
-        assert holds_within(lambda: not robot.module._is_server_silent)
+        assert holds_within(lambda: not robot._was_server_silent)
         publisher.publish(long_trajectory(40, 0.1))
-        assert holds_within(lambda holds=holds: driver.holds == holds + 1, 2.0), (
+        assert holds_within(lambda holds=holds: driver.holds > holds, 2.0), (
             "held though the trajectory lasts 4 s"
         )
         played = len(driver.sent)
         assert sent < played < sent + 20
         publisher.publish(command(0.9))
         assert holds_within(
-            lambda n=silences: int(status_of(robot)["dropped.server_silent"]) == 2 * n
+            lambda n=silences: status_of(robot).get("dropped.server_silent") == str(n)
         )
         assert not holds_within(lambda played=played: len(driver.sent) > played, 0.3)
-        assert "no sign of life of the server" in status_of(robot)["note"]
+        assert "the server gave no sign of life" in status_of(robot)["note"]
 
     def refuses() -> bool:
         robot.note_beat()
@@ -265,22 +265,22 @@ def test_a_command_that_was_taken_before_a_stop_does_not_outlive_it(
     """The stop comes between taking a command and sending it: its hold reaches the driver before
     the command.
     """
-    driver, events = robot.module.driver, []
+    driver, events, silences = robot.module.driver, [], []
     send, hold = driver.send, driver.hold
 
     def late(command: JointCommand) -> JointCommand:
         if cause == "stop":
             robot.stopped = True
         else:
-            robot.module._is_server_silent = True
-        robot.module._drop_and_hold()
+            silences.append(True)
+        robot.module.stop("server_silent")
         events.append("send")
         return send(command)
 
     monkeypatch.setattr(driver, "send", late)
     monkeypatch.setattr(driver, "hold", lambda: (events.append("hold"), hold()))
     monkeypatch.setattr(robot, "_check_stop", lambda: None)
-    robot.server_silence_s = lambda: 1e9 * robot.module._is_server_silent
+    robot.is_server_silent = lambda: bool(silences)
     world.publisher(JointTrajectory, "joint_trajectory").publish(command(0.5, 5.0))
     assert holds_within(lambda: "send" in events)
     assert holds_within(lambda: events[-1] == "hold", 1.0), events

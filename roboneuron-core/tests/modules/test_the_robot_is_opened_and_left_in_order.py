@@ -96,15 +96,6 @@ def test_it_listens_and_publishes_under_the_names_of_the_contract(cell: Cell) ->
     assert cell.reader.status is cell.player.status is cell.host.status
 
 
-@pytest.mark.parametrize(("timeout_s", "period_s"), [(2.0, 0.1), (0.25, 0.05)])
-def test_it_looks_for_the_server_often_enough(
-    make_host: MakeHost, timeout_s: float, period_s: float
-) -> None:
-    new = f'name = "pair"\nserver_timeout_s = {timeout_s}'
-    cell = Cell(make_host, replace={'name = "pair"': new})
-    assert [one for one, _ in cell.host.repeated] == [pytest.approx(period_s)]
-
-
 def test_a_drivers_own_topics_are_heard_while_the_robot_may_move(make_host: MakeHost) -> None:
     cell = Cell(make_host, activate=False)
     accepts = cell.robot._topics._accepts

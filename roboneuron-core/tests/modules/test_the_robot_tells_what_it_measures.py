@@ -108,7 +108,7 @@ def test_what_was_true_is_forgotten_when_the_robot_cannot_be_read(
 def test_states_are_published_at_the_configured_rate(make_host: MakeHost) -> None:
     cell = Cell(make_host, replace={'name = "pair"': 'name = "pair"\nstate_rate_hz = 100.0'})
     waits: list[float] = []
-    cell.reader.end.wait = waits.append  # type: ignore[assignment]
+    cell.reader.end.wait = lambda s: s and waits.append(s)  # type: ignore[assignment]
     read(cell)
     assert waits == [], "the first one at once"
     cell.clock.go(0.004)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from control_cell import ARM, SERVER_TIMEOUT_S, START, STATE_TIMEOUT_S, TIMEOUT_S, MakeHost
+from control_cell import ARM, START, STATE_TIMEOUT_S, TIMEOUT_S, MakeHost
 from loop_plugin import Adder
 
 from roboneuron.contract import JointCommand, JointSample
@@ -40,9 +40,9 @@ class Cell:
 
 LOST: dict[str, Callable[[Any], object]] = {
     "no_action": lambda cell: cell.host.clock.go(0.8 * TIMEOUT_S),
-    "server_silent": lambda cell: setattr(cell.host, "silence_s", SERVER_TIMEOUT_S + 0.1),
-    "emergency_stop": lambda cell: cell.module.emergency_stop(True),
-    "needs_new_start": lambda cell: cell.module.forget(),
+    "server_silent": lambda cell: cell.module.stop("server_silent"),
+    "emergency_stop": lambda cell: cell.module.stop("emergency_stop"),
+    "needs_new_start": lambda cell: cell.module.stop("needs_new_start"),
     "deactivated": lambda cell: cell.module.deactivate(),
 }
 

@@ -185,15 +185,11 @@ def test_a_command_starts_again_without_the_wheels_of_another_environment(tmp_pa
     assert "sourced" not in ended.stdout
 
 
-def test_folders_of_another_ros_are_named(ros: Path) -> None:
-    modules = f"{ros}/lib/python3.12/site-packages"
-    folders = {"LD_LIBRARY_PATH": f"{ros}/lib:/mine", "PYTHONPATH": f"/my/modules:{modules}"}
-    used = in_use(folders, VENV, "auto")
-    assert used.roots == (Path(VENV),)
-    assert used.foreign == (("LD_LIBRARY_PATH", f"{ros}/lib"), ("PYTHONPATH", modules))
-    assert in_use({**folders, "AMENT_PREFIX_PATH": str(ros)}, VENV, "auto").foreign == ()
+def test_the_installation_in_use_has_its_folders(ros: Path) -> None:
+    assert in_use({}, VENV, "auto").roots == (Path(VENV),)
+    assert in_use({"AMENT_PREFIX_PATH": str(ros)}, VENV, "auto").roots == (ros,)
     with pytest.raises(ConfigurationError, match="no ROS installation is sourced"):
-        in_use(folders, VENV, "sourced")
+        in_use({}, VENV, "sourced")
 
 
 @pytest.mark.parametrize("form", ["--config={}", "--config {}"])

@@ -5,13 +5,14 @@ is reported.
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
+from lifecycle_msgs.srv import ChangeState, GetState
 
 from rn_testing.fakes import fake_plan
 from roboneuron.config import Config
@@ -125,8 +126,8 @@ def test_foreign_requests_are_refused_and_reported_by_name(
         path = f"/fake/robot/{name}"
         assert changes.wait_for(lambda: foreign.is_service_ready(service_type, path), 10.0)
         call = foreign.call(service_type, path, request, changes.notify)
-        assert changes.wait_for(lambda: call.done, 10.0), "it is answered"
-        return call.response
+        assert changes.wait_for(call.done, 10.0), "it is answered"
+        return call.result()
 
     def refused() -> int:
         report = supervisor.view("robot").report
@@ -180,3 +181,16 @@ def test_the_server_s_own_requests_are_followed_beside_foreign_ones(
             5.0,
         )
         assert report, "the server's instruction is set"
+
+
+@pytest.mark.ros
+def test_a_call_that_is_given_up_is_forgotten(foreign: RosLink) -> None:
+    """Otherwise rclpy would keep the request for an answer that never comes."""
+    given_up = threading.Event()
+    call = foreign.call(GetState, "/nobody/get_state", GetState.Request(), given_up.set)
+    client = foreign._client(GetState, "/nobody/get_state")
+    assert len(client._pending_requests) == 1
+    call.cancel()
+    assert given_up.is_set()
+    assert not call.done()
+    assert client._pending_requests == {}

@@ -94,9 +94,9 @@ class NodeGraph:
         answered = threading.Event()
         call = self._link.call(GetTypeDescription, service, request, answered.set)
         if not answered.wait(ANSWER_S):
-            call.abandon()
+            call.cancel()
             return f"{node} did not answer within {ANSWER_S:g} s"
-        response = call.response
+        response = call.result()
         if response is None or not response.successful:
             return f"{node} says: {getattr(response, 'failure_reason', '')[:200]}"
         return response

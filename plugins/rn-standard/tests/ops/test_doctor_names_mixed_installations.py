@@ -47,16 +47,37 @@ def test_libraries_of_two_are_named(paths: tuple[str, ...], words: str) -> None:
     assert words in installations.mixed(libraries(*paths), [ROOT])
 
 
-class Mixed(NamedTuple):
-    """An environment with a variable too many."""
+class Used(NamedTuple):
+    """What is used by an environment with a variable too many."""
 
     choice: tuple[str, str] = ("wheels", "so")
     roots: tuple[Path, ...] = (ROOT,)
-    foreign: tuple[tuple[str, str], ...] = (("LD_LIBRARY_PATH", "/other/lib"),)
 
 
-def test_what_brings_another_ros_is_named_with_what_to_type() -> None:
-    finding = installations.look(Mixed())
+@pytest.fixture
+def other(tmp_path: Path) -> Path:
+    """The folder of another ROS."""
+    package = tmp_path / "modules/rclpy/__init__.py"
+    library = tmp_path / "lib/librcl.so"
+    for file in (package, library):
+        file.parent.mkdir(parents=True)
+        file.touch()
+    return tmp_path
+
+
+def test_what_brings_another_ros_is_named_with_what_to_type(
+    other: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LD_LIBRARY_PATH", f"{other}/lib")
+    monkeypatch.setenv("PYTHONPATH", "")
+    finding = installations.look(Used())
     assert finding.verdict is Severity.FAILED
-    assert f"mixed with that of {ROOT}: /other/lib by LD_LIBRARY_PATH" in finding.text
+    assert f"mixed with that of {ROOT}: {other}/lib by LD_LIBRARY_PATH" in finding.text
     assert finding.hint == "Type: unset LD_LIBRARY_PATH"
+
+
+def test_folders_of_another_ros_are_named(other: Path) -> None:
+    folders = {"LD_LIBRARY_PATH": f"{other}/lib:/mine", "PYTHONPATH": f"/my:{other}/modules"}
+    found = installations.foreign_folders(folders, [ROOT])
+    assert found == (("LD_LIBRARY_PATH", f"{other}/lib"), ("PYTHONPATH", f"{other}/modules"))
+    assert installations.foreign_folders(folders, [ROOT, other]) == ()

@@ -67,6 +67,7 @@ from .space import (
     ACTION_FIELDS as ACTION_FIELDS,
     ACTION_LABEL as ACTION_LABEL,
     EE_DELTA as EE_DELTA,
+    GREATEST_RATE_HZ as GREATEST_RATE_HZ,
     GRIPPER as GRIPPER,
     SPACE_KINDS as SPACE_KINDS,
     Channel as Channel,

@@ -43,8 +43,6 @@ def read_only_view(array: NDArray[Any]) -> NDArray[Any]:
     """A view that cannot be written through; no pixel is copied, so the owner must leave the memory
     alone.
     """
-    if not array.flags.writeable:
-        return array
     view = array.view()
     view.flags.writeable = False
     return view

@@ -218,7 +218,7 @@ class AuditLog:
         for name in record.__dataclass_fields__:
             value = getattr(record, name)
             if value:
-                text = _bounded(value) if name == "arguments" else _STRICT.encode(value)
+                text = _bounded(value) if name == "arguments" else _JSON.encode(value)
                 parts.append(f'"{name}":{text}')
         return f"{{{','.join(parts)}}}\n".encode("ascii")
 
@@ -228,31 +228,20 @@ def _placeholder(value: object) -> str:
 
 
 # made once: to make one costs as much as to write a record
-_STRICT = json.JSONEncoder(separators=(",", ":"), allow_nan=False, default=_placeholder)
-_LENIENT = json.JSONEncoder(separators=(",", ":"), default=_placeholder)
+_JSON = json.JSONEncoder(separators=(",", ":"), default=_placeholder)
 
 
 def _bounded(arguments: Mapping[str, Any]) -> str:
-    """The arguments as JSON, truncated, or the reason why they cannot be serialized."""
-    try:
-        text = _to_json(arguments)
-    except (ValueError, TypeError, RecursionError) as error:
-        return _STRICT.encode({"unwritable": type(error).__name__})
-    if len(text) > _MAX_ARGUMENTS:
-        return _STRICT.encode({"length": len(text), "begins": text[:_MAX_ARGUMENTS]})
-    return text
-
-
-def _to_json(arguments: Mapping[str, Any]) -> str:
-    """JSON that every reader takes.
-
-    Raises:
-        ValueError, TypeError, RecursionError: of an encoder, for a circle or too deep a tree.
+    """The arguments as JSON that every reader takes, truncated, or the reason why they cannot be
+    serialized: a circle, or too deep a tree.
     """
     try:
-        return _STRICT.encode(arguments)
-    except ValueError:  # a NaN, which JSON has not: it becomes text
-        text = _LENIENT.encode(arguments)
-        if len(text) > _MAX_ARGUMENTS:
-            return text
-        return _STRICT.encode(json.loads(text, parse_constant=str))
+        text = _JSON.encode(arguments)
+        # a NaN, which JSON has not, becomes text
+        if len(text) <= _MAX_ARGUMENTS and ("NaN" in text or "Infinity" in text):
+            text = _JSON.encode(json.loads(text, parse_constant=str))
+    except (ValueError, TypeError, RecursionError) as error:
+        return _JSON.encode({"unwritable": type(error).__name__})
+    if len(text) > _MAX_ARGUMENTS:
+        return _JSON.encode({"length": len(text), "begins": text[:_MAX_ARGUMENTS]})
+    return text

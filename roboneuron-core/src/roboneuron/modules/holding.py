@@ -33,8 +33,6 @@ from roboneuron.modules.settings import (
     FOLLOWING_NOTE,
     FUTURE_S,
     HOLD_DURATION_S,
-    NEEDS_NEW_START,
-    SERVER_SILENT,
 )
 from roboneuron.ros.messages import commands_from_message, to_joint_state, to_joint_trajectory
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
@@ -137,16 +135,9 @@ class HoldingModule(Module):
         self.hold("deactivated", "Control was deactivated.")
         self.is_active = False
 
-    def emergency_stop(self, latched: bool) -> None:
-        """Hold as long as the latch is set."""
-        if latched:
-            self.hold("emergency_stop", "The emergency stop is latched.")
-
-    def forget(self) -> None:
-        """Hold; see `Module.forget`. Actions are dropped until somebody asks for motion."""
-        self.hold(
-            NEEDS_NEW_START, f"Motion needs a new start after a stop: {self.node.needs_start}."
-        )
+    def stop(self, code: str) -> None:
+        """Hold; see `Module.stop`. Actions are dropped until somebody asks for motion."""
+        self.hold(code, f"Motion needs a new start after a stop: {self.node.needs_start}.")
 
     def believe(self, joints: JointSample, now_s: float) -> bool:
         """Take a joint state; whether it is a new one that matters. Raises as `JointWatch.accept`.
@@ -220,7 +211,10 @@ class HoldingModule(Module):
         self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
         message = None
         if isinstance(outcome, JointCommand):
-            message = self._to_message(outcome, self._plan(asked, outcome, joints))
+            planned = self._limiter.plan(
+                outcome, joints, asked.later, asked.step_s, self.section.horizon_s
+            )
+            message = self._to_message(outcome, planned)
         elif outcome is None and self._has_plan:
             # the arm must not go on to rows that were planned before this one was refused
             reason = "A row was refused; what was planned after the one before it is withdrawn."
@@ -264,13 +258,6 @@ class HoldingModule(Module):
             tell(limited)
         return limited.command
 
-    def _plan(self, asked: Asked, command: JointCommand, joints: JointSample) -> list[JointCommand]:
-        """What goes out with `command`, each limited from where and when the one before ends."""
-        horizon_s = self.section.horizon_s
-        if not (horizon_s and asked.later):
-            return []
-        return self._limiter.plan(command, joints, asked.later, asked.step_s, horizon_s)
-
     @final
     def why_not(self, age_s: float, source_ns: int) -> str | None:
         """Word for what forbids acting now, or None.
@@ -279,12 +266,8 @@ class HoldingModule(Module):
             age_s: of the action, since it was sent [s].
             source_ns: when it was sent [ns].
         """
-        if self.node.stopped:
-            return "emergency_stop"
-        if self._is_server_silent():
-            return "server_silent"
-        if self.node.needs_start:
-            return NEEDS_NEW_START
+        if word := self.why_stopped():
+            return word
         if age_s > self.section.action_timeout_s:
             return "stale_action"
         if age_s < -FUTURE_S:
@@ -357,14 +340,7 @@ class HoldingModule(Module):
         """
         if not self.is_active or self.is_holding or not self.handover.is_ours(time.time_ns()):
             return
-        if self._is_server_silent():
-            if not self.node.needs_start:
-                self.node.require_start(SERVER_SILENT)
-            self.hold(
-                "server_silent",
-                f"No sign of life of the server for {self.section.server_timeout_s:g} s.",
-            )
-        elif time.monotonic() - self.action_s > self.section.hold_after_s:
+        if time.monotonic() - self.action_s > self.section.hold_after_s:
             self.hold("no_action", f"No action for {self.section.action_timeout_s:g} s.")
         elif self._are_joints_stale():
             self.hold(
@@ -382,10 +358,6 @@ class HoldingModule(Module):
         command = JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S)
         self._commands.publish(self._to_message(command))
         self._limiter.rest(joints, time.monotonic())
-
-    def _is_server_silent(self) -> bool:
-        """Nobody could stop the arm from outside: the server is frozen."""
-        return self.node.server_silence_s() > self.section.server_timeout_s
 
     def _are_joints_stale(self) -> bool:
         return self.watched.age_s(time.monotonic()) > self.section.state_timeout_s

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roboneuron.contract import JointSample, RobotProfile
-from roboneuron.contract.arrays import F64
-from roboneuron.contract.profile import prismatic_joints
+from roboneuron.contract import F64, JointSample, RobotProfile, prismatic_joints
 from roboneuron.errors import InvalidInputError, NotReadyError, UnsafeError
 from roboneuron.gate.motion.command import pick
 

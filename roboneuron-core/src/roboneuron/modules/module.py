@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import gc
 import logging
-import math
 import sys
 import time
 from collections.abc import Callable
@@ -23,7 +22,7 @@ from std_msgs.msg import Bool
 from roboneuron.config import ModuleSettings
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
-from roboneuron.modules.module_host import Handover, Module, ModuleHost, join
+from roboneuron.modules.module_host import Handover, Module, ModuleHost
 from roboneuron.modules.parent_watch import Signals, watch_stdin
 from roboneuron.modules.requests import RequestGuard
 from roboneuron.modules.settings import (
@@ -66,7 +65,7 @@ class ModuleNode(ModuleHost):
         for qos in STOP_REQUESTS:
             self.create_subscription(Bool, EMERGENCY_STOP_TOPIC, self._on_emergency_stop, qos)
         self._latch = EmergencyStopLatch.in_directory(Path(settings.state_directory))
-        self._stop_requested = self._is_server_silent = False
+        self._stop_requested = self._was_server_silent = False
         self._beat_s: float | None = None
         robot, control = settings.config.robot, settings.config.control
         # the shorter one for every kind of module: all need a new start after the same silence
@@ -80,9 +79,21 @@ class ModuleNode(ModuleHost):
             self.require_start(settings.needs_start)
         self._requests = RequestGuard(self, self.status)
         for reference in settings.on_join:
-            join(self, reference)
+            self._join(reference)
         self._reporter = StatusReporter(self, self.status)
         self._reporter.start()
+
+    def _join(self, reference: str) -> None:
+        """Call what a feature wants called in every module process; a failure is logged.
+
+        Args:
+            reference: "module:attribute" of a function that takes this node.
+        """
+        try:
+            function = load_attribute(reference, "`on_join` of a feature")
+            cast("Callable[[ModuleHost], None]", function)(self)
+        except Exception:  # a feature's own code; under another interpreter it may not be installed
+            log.exception("%s cannot be used in this module.", reference)
 
     def _why_not_permit(self, stops: int) -> str:
         """Why motion cannot be permitted; empty when it can. For the number see `_permit`."""
@@ -147,12 +158,12 @@ class ModuleNode(ModuleHost):
         # pipe.
         self._requests.announcements.feed(data)
 
-    def server_silence_s(self) -> float:
-        """See `ModuleHost.server_silence_s`."""
+    def is_server_silent(self) -> bool:
+        """See `ModuleHost.is_server_silent`."""
         if self._silences != self._silences_seen:
-            return math.inf
+            return True
         beat_s = self._beat_s
-        return 0.0 if beat_s is None else time.monotonic() - beat_s
+        return beat_s is not None and time.monotonic() - beat_s > self._silence_s
 
     def release(self) -> None:
         """Stop reporting and release the module; called once the executor has stopped.
@@ -229,13 +240,10 @@ class ModuleNode(ModuleHost):
         """
         try:
             step()
-        except RoboNeuronError as error:
-            log.error("%s: %s", then, error)
-            self.status.set_error(error)
         # the module border: whatever a plugin raises must not end the process silently
         except Exception as error:
-            log.exception("unexpected failure")
-            self.status.set_unexpected(error)
+            log.error("not %s: %s", then, error)
+            self.status.set_error(error)
         else:
             self.status.clear_error()
             self.status.set_state(then)
@@ -256,12 +264,14 @@ class ModuleNode(ModuleHost):
         more.
         """
         silences = self._silences
-        is_silent = self.server_silence_s() > self._silence_s
-        if is_silent and not self._is_server_silent:
-            self.require_start(SERVER_SILENT)
+        was_silent = self._was_server_silent
+        # before the module is stopped, whose robot may refuse to hold: a silence is one stop
+        self._was_server_silent = self.is_server_silent()
+        if self._was_server_silent and not was_silent:
+            self.require_start(SERVER_SILENT, "server_silent")
         # `silences` was read before the silence was measured: one that ends in between is not taken
         # for seen.
-        self._is_server_silent, self._silences_seen = is_silent, silences
+        self._silences_seen = silences
 
     def _on_emergency_stop(self, message: Bool) -> None:
         """Any node may stop; only the latch's own reset releases what it stopped.
@@ -299,7 +309,7 @@ class ModuleNode(ModuleHost):
             return
         self.stopped = stopped
         if stopped:
-            self.require_start(EMERGENCY_STOP)
+            self.require_start(EMERGENCY_STOP, "emergency_stop")
         if self.module is not None:
             self.module.emergency_stop(self.stopped)
         self.status.announce(emergency_stop=self.stopped)
@@ -355,5 +365,4 @@ def _spin(node: ModuleNode, signals: Signals) -> None:
         try:
             executor.spin_once()
         except Exception as error:  # the module border: a plugin's callback may raise anything
-            log.exception("a callback failed")
-            node.status.set_unexpected(error)
+            node.status.set_error(error)

@@ -1,12 +1,11 @@
-"""What a module process lends to its module and to features, and how features join it."""
+"""What a module process lends to its module and to features."""
 
 from __future__ import annotations
 
-import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.callback_groups import CallbackGroup
@@ -18,13 +17,12 @@ from rclpy.qos import QoSProfile
 from roboneuron.config import ModuleSettings
 from roboneuron.contract import Hold, JointCommand, Pose
 from roboneuron.errors import UnsafeError
+from roboneuron.modules.settings import NEEDS_NEW_START
 from roboneuron.modules.status import StatusWriter
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.loading import load_attribute
 from roboneuron.ros.qos import NEWEST
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_TRAJECTORY
 
-log = logging.getLogger(__name__)
 Value = TypeVar("Value", str, int)
 """Of a ROS parameter."""
 _TO_JOINTS = {JOINT_TRAJECTORY, JOINT_COMMAND}
@@ -39,12 +37,6 @@ class Handover:
     by their time stamps [ROS time, ns]: capture times of images, times at which actions were sent
     and joints measured. Methods are called from any of the module's threads.
     """
-
-    def __init__(self, status: StatusWriter) -> None:
-        """Args:
-        status: where to report.
-        """
-        self.status = status
 
     def is_shadow(self, stamp_ns: int) -> bool:
         """Whether that input is still the predecessor's: work on it, and send nothing."""
@@ -110,17 +102,17 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.outputs: dict[str, Callable[[], int]] = {}
         self.stopped = False
         self.stops, self.needs_start = 0, ""
-        self.handover = Handover(self.status)
+        self.handover = Handover()
         self.lent: dict[str, object] = {}
         self.on_configured: list[Callable[[Module], None]] = []
 
     @abstractmethod
-    def server_silence_s(self) -> float:
-        """Time without a sign of life of the server; 0 for a module that was started without one.
+    def is_server_silent(self) -> bool:
+        """Whether the server gave no sign of life for the shorter one of the times that robot and
+        control allow; never for a module that was started without one.
 
-        A silence that has just ended is infinite until the executor has looked at it: when this
-        process itself was frozen, the thread that reads the signs of life may be the first to go
-        on.
+        A silence that has just ended goes on until the executor has looked at it: when this process
+        itself was frozen, the thread that reads the signs of life may be the first to go on.
         """
 
     def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
@@ -187,7 +179,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         """Call `callback` once a period [s] until cleanup, on the executor's thread."""
         self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
 
-    def require_start(self, reason: str) -> None:
+    def require_start(self, reason: str, code: str = NEEDS_NEW_START) -> None:
         """A stop has come, such as a recovery: nothing moves before somebody asks for it anew,
         whatever ends the stop; from any thread.
 
@@ -195,6 +187,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
 
         Args:
             reason: in words, for the status and for whoever asks why nothing moves.
+            code: see `Module.stop`.
         """
         if self.settings.kind == "perception":
             return
@@ -202,7 +195,7 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.stops += 1
         self.status.announce(needs_start=reason, stops=self.stops)
         if self.module is not None:
-            self.module.forget()
+            self.module.stop(code)
 
     def add_parameter(
         self,
@@ -271,21 +264,21 @@ class Module(ABC):
         """Silence; also called before `activate`."""
 
     def emergency_stop(self, latched: bool) -> None:  # noqa: B027
-        """The latch changed; modules that move the robot override this."""
+        """The latch changed; called after `stop` where it was set."""
 
-    def forget(self) -> None:  # noqa: B027
-        """A stop has come: what was asked for before it is not carried out any more."""
+    def why_stopped(self) -> str:
+        """Word for the stop that forbids every motion now; empty when none does."""
+        if self.node.stopped:
+            return "emergency_stop"
+        # nobody could stop the robot from outside: the server is frozen
+        if self.node.is_server_silent():
+            return "server_silent"
+        return NEEDS_NEW_START if self.node.needs_start else ""
 
+    def stop(self, code: str) -> None:  # noqa: B027
+        """A stop has come: what was asked for before it is not carried out any more.
 
-def join(host: ModuleHost, reference: str) -> None:
-    """Call what a feature wants called in every module process; a failure is logged.
-
-    Args:
-        host: the node of this process.
-        reference: "module:attribute" of a function that takes the node.
-    """
-    try:
-        function = load_attribute(reference, "`on_join` of a feature")
-        cast("Callable[[ModuleHost], None]", function)(host)
-    except Exception:  # a feature's own code; under another interpreter it may not be installed
-        log.exception("%s cannot be used in this module.", reference)
+        Args:
+            code: "emergency_stop" or "server_silent", with which the robot is to hold;
+                `NEEDS_NEW_START` after what has stopped it by itself.
+        """

@@ -30,10 +30,6 @@ from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _DETAIL_PERIOD_S = 0.1
 """Facts of the robot are reported this often, not with each of up to 1000 states a second."""
-_WATCH_S = 0.1
-"""Longest period of the watch for a silent server; a fifth of its bound where that is shorter, so
-that the hold comes at most a fifth late.
-"""
 _IDLE_S = 0.05
 """Longest wait for a command; how exactly `command_timeout_s` is kept."""
 _MOST_BEHIND_S = 0.05
@@ -65,7 +61,7 @@ class RobotModule(Module):
         """
         super().__init__(node)
         self._active = False
-        self._is_server_silent = self._has_fault = False
+        self._has_fault = False
         self._next_state_s = 0.0
         self._detail_s = 0.0
         # what is left of the newest trajectory, and when its next point is due [monotonic s]
@@ -80,7 +76,7 @@ class RobotModule(Module):
         section = self.config.robot
         _, spec = find_robot(self.registry, section.name, section.driver)
         self.profile = load_profile(self.registry, section.name)
-        self._topics = NodeTopics(node, accepts=lambda: self._active and not self._must_hold())
+        self._topics = NodeTopics(node, accepts=lambda: self._active and not self.why_stopped())
         node.resources.callback(self._topics.close)
         options = self.config.options(section.name)
         self.driver = cast("RobotDriver", build(spec, options, self.profile, self._topics))
@@ -89,7 +85,6 @@ class RobotModule(Module):
         self._states = node.advertise(JointState, JOINT_STATES)
         node.subscribe(JointTrajectory, JOINT_TRAJECTORY, self._on_command)
         node.subscribe(JointState, JOINT_COMMAND, self._on_command)
-        node.repeat(min(_WATCH_S, self.config.robot.server_timeout_s / 5), self._watch)
         self._reader = Worker("robot-state", self._publish_state, self.status)
         self._player = Worker("robot-command", self._play, self.status)
         node.resources.callback(self._reader.stop)
@@ -111,53 +106,28 @@ class RobotModule(Module):
             NotReadyError: the driver hangs in a call.
         """
         self._active = False
-        self.forget()
+        self._drop_plan()
         # first: a command that is being sent now must not come after the hold
         player_ended = self._player.stop()
         self.driver.hold()
         if not (self._reader.stop() and player_ended):
             raise NotReadyError("The driver hangs; the robot's own safety functions must hold it.")
 
-    def emergency_stop(self, latched: bool) -> None:
-        """Hold at once and drop what was to be executed; refuse commands as long as the latch is
-        set.
+    def stop(self, code: str) -> None:
+        """Drop what was to be executed, and brake unless the robot has stopped by itself; see
+        `Module.stop`. Commands are refused until somebody asks for motion.
         """
-        if latched:
-            self._drop_and_hold()
+        # in this order, because what is pending would follow the hold
+        self._drop_plan()
+        if code != NEEDS_NEW_START:
+            self.status.set(note=f"holding: {self.node.needs_start}")
+            self.driver.hold()
 
-    def forget(self) -> None:
-        """Drop what was to be executed; see `Module.forget`. Commands are refused until somebody
-        asks for motion.
-        """
+    def _drop_plan(self) -> None:
         with self._arrived:
             # another list: the playing thread sees by that that its plan is not in force any more
             self._pending = []
             self._arrived.notify()
-
-    def _watch(self) -> None:
-        """Hold while the server is silent: nobody could stop what is being executed, however long
-        it lasts.
-        """
-        bound_s = self.config.robot.server_timeout_s
-        is_silent = self.node.server_silence_s() > bound_s
-        if is_silent == self._is_server_silent:
-            return
-        self._is_server_silent = is_silent
-        if is_silent and self._active:
-            self.status.drop("server_silent")
-            self.status.set(note=f"holding: no sign of life of the server for {bound_s:g} s")
-            self._drop_and_hold()
-
-    def _must_hold(self) -> str:
-        """Word for what forbids every motion now; empty when nothing does."""
-        if self.node.stopped or self._is_server_silent:
-            return "emergency_stop" if self.node.stopped else "server_silent"
-        return NEEDS_NEW_START if self.node.needs_start else ""
-
-    def _drop_and_hold(self) -> None:
-        """Brake now; in this order, because what is pending would follow the hold."""
-        self.forget()
-        self.driver.hold()
 
     def _on_command(self, message: JointTrajectory | JointState, info: dict[str, Any]) -> None:
         if not self._accepts(info):
@@ -180,7 +150,7 @@ class RobotModule(Module):
         """
         if not self._active:
             return False
-        if reason := self._must_hold():
+        if reason := self.why_stopped():
             self.status.drop(reason)
             return False
         age_s = (time.time_ns() - int(info["source_timestamp"])) / 1e9
@@ -195,8 +165,8 @@ class RobotModule(Module):
         one.
 
         A point is taken under the lock, sent without it, and waited for under it again. What comes
-        in between is seen afterwards: a stop by `_must_hold`, another trajectory by its list, which
-        is another object.
+        in between is seen afterwards: a stop by `why_stopped`, another trajectory by its list,
+        which is another object.
         """
         with self._arrived:
             if not self._arrived.wait_for(
@@ -231,7 +201,8 @@ class RobotModule(Module):
             self.status.drop("refused_command")
             self.status.set_error(error)
             return
-        if self._must_hold():  # since it was taken: the hold of that came before the command
+        if self.why_stopped():  # since it was taken: the hold of that came before the command
+            self._drop_plan()
             self.driver.hold()
             return
         for note in self.on_sent:
@@ -272,9 +243,7 @@ class RobotModule(Module):
 
     def _publish_state(self, stop: threading.Event) -> None:
         """Publish one state when it is due; the grid is kept, so that the mean rate is right."""
-        delay_s = self._next_state_s - time.monotonic()
-        if delay_s > 0:
-            stop.wait(delay_s)
+        stop.wait(max(0.0, self._next_state_s - time.monotonic()))
         self._next_state_s = max(
             self._next_state_s + 1.0 / self.config.robot.state_rate_hz,
             time.monotonic() - _MOST_BEHIND_S,

@@ -7,6 +7,7 @@ hangs, still reports how long its executor has not turned (`loop_age_s`).
 
 from __future__ import annotations
 
+import logging
 import os
 import threading
 import time
@@ -29,6 +30,7 @@ _EVENTS = 4096
 """Three seconds of a robot's states at 1000 Hz, the highest `state_rate_hz`, and some more."""
 _SAMPLES = 256
 """Latencies that a median and a 99th percentile are computed of."""
+log = logging.getLogger(__name__)
 
 
 class RateMeter:
@@ -131,26 +133,21 @@ class StatusWriter:
         """The module has proved that it works."""
         self.announce(ready=True, waiting_for="")
 
-    def set_error(self, error: RoboNeuronError) -> None:
+    def set_error(self, error: Exception) -> None:
         """Remember the newest failure, until `clear_error`.
 
         Args:
             error: counted each time; announced at once unless it is the one that is reported
                 already, so that a step that fails 20 times a second does not flood /diagnostics.
+                What a plugin raised against its contract is told as a defect, with its type; its
+                traceback goes to the log.
         """
+        if not isinstance(error, RoboNeuronError):
+            log.error("unexpected failure", exc_info=error)
+            error = InternalError(f"{type(error).__name__}: {error}", hint="See the module's log.")
         with self._lock:
             self._errors += 1
         self.announce(error_code=error.code, error=error.message, error_hint=error.hint)
-
-    def set_unexpected(self, error: Exception) -> None:
-        """Remember what a plugin raised against its contract.
-
-        Args:
-            error: told as a defect, with its type; the traceback is in the log.
-        """
-        self.set_error(
-            InternalError(f"{type(error).__name__}: {error}", hint="See the module's log.")
-        )
 
     def clear_error(self) -> None:
         """The module works again."""

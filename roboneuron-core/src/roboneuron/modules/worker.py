@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from collections.abc import Callable
 
-from roboneuron.errors import RoboNeuronError
 from roboneuron.modules.status import StatusWriter
 
 _RETRY_S = 0.05
@@ -17,7 +15,6 @@ _GIVE_UP_S = 0.1
 LIMIT_S = 0.4
 """A step that takes longer than this makes the module count as stalled, unless it says otherwise.
 """
-log = logging.getLogger(__name__)
 
 
 class Worker:
@@ -88,12 +85,7 @@ class Worker:
             self.progress()
             try:
                 self._step(stop)
-            except RoboNeuronError as error:
-                self._status.set_error(error)
             except Exception as error:  # the module border: plugins may raise anything
-                log.exception("%s failed", self._name)
-                self._status.set_unexpected(error)
-            else:
-                continue
-            stop.wait(_RETRY_S)
+                self._status.set_error(error)
+                stop.wait(_RETRY_S)
         self._status.end_work(self._name)

@@ -272,20 +272,23 @@ def _offer(spec: Spec, record: PluginRecord) -> Offer:
         INCOMPATIBLE before UNAVAILABLE: to install something does not help a plugin that was
         written for another contract.
     """
-    ready = Offer(
-        spec=spec, plugin=record.name, distribution=record.distribution, status=Status.READY
-    )
+    status, reason = Status.READY, ""
     if spec.contract != CONTRACT_VERSION:
-        newer = spec.contract > CONTRACT_VERSION
-        advice = "upgrade roboneuron-core" if newer else f"upgrade {record.distribution}"
+        older = record.distribution if spec.contract < CONTRACT_VERSION else "roboneuron-core"
+        status = Status.INCOMPATIBLE
         reason = (
-            f"Written for contract {spec.contract}, this core has {CONTRACT_VERSION}; {advice}."
+            f"Written for contract {spec.contract}, this core has {CONTRACT_VERSION}; upgrade "
+            f"{older}."
         )
-        return replace(ready, status=Status.INCOMPATIBLE, reason=reason)
-    absent = availability.missing(spec.requires)
-    if absent:
-        return replace(ready, status=Status.UNAVAILABLE, reason=availability.explain(absent))
-    return ready
+    elif absent := availability.missing(spec.requires):
+        status, reason = Status.UNAVAILABLE, availability.explain(absent)
+    return Offer(
+        spec=spec,
+        plugin=record.name,
+        distribution=record.distribution,
+        status=status,
+        reason=reason,
+    )
 
 
 def _settle(records: Sequence[PluginRecord], hooks: Mapping[str, type[Spec]]) -> Registry:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from types import MappingProxyType
 from typing import TypeVar, cast
 
 from roboneuron.errors import ConfigurationError, nearest
@@ -110,11 +109,6 @@ class Registry:
                     offer.spec.drivers if isinstance(offer.spec, RobotSpec) else (offer.spec,)
                 )
 
-    def absent_packages(self) -> list[str]:
-        """The project's own packages that are not installed, sorted."""
-        known = {package.partition("[")[0] for package in known_names().values()}
-        return sorted(known - {record.distribution for record in self.plugins})
-
     def check_name(self, place: str, name: str) -> None:
         """Check that something that is installed, or left out on purpose, has that name.
 
@@ -148,8 +142,8 @@ class Registry:
         """
         ready = self._ready.get(of.kind)
         if ready is None:  # kept: answers to calls ask for it, and there are hundreds of offers
-            usable = {o.spec.name: o.spec for o in self.offers(of.kind) if o.status is Status.READY}
-            ready = self._ready[of.kind] = MappingProxyType(usable)
+            ready = {o.spec.name: o.spec for o in self.offers(of.kind) if o.status is Status.READY}
+            self._ready[of.kind] = ready
         return cast("Mapping[str, S]", ready)
 
     def get(self, of: type[S], name: str, *, elsewhere: bool = False) -> S:

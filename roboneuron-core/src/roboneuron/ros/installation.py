@@ -196,32 +196,21 @@ class InUse(NamedTuple):
     Attributes:
         choice: with its reason.
         roots: folders of it and of the workspaces over it.
-        foreign: folders with libraries or modules of another ROS, each with the variable that
-            brings it.
     """
 
     choice: Choice
     roots: tuple[Path, ...]
-    foreign: tuple[tuple[str, str], ...]
 
 
 def in_use(environment: Mapping[str, str], prefix: str, wanted: Installation) -> InUse:
-    """Which installation an environment has, and what of others.
+    """Which installation an environment has.
 
     Raises:
         ConfigurationError: as `choose`.
     """
     sourced = find_sourced(environment, prefix)
     choose(wanted, sourced)
-    roots = sourced.prefixes if sourced else (Path(prefix),)
-    marks = {_LIBRARIES: "librcl.so", _MODULES: "rclpy/__init__.py"}
-    foreign = tuple(
-        (name, folder)
-        for name, mark in marks.items()
-        for folder in _split(environment, name)
-        if Path(folder, mark).exists() and not any(Path(folder).is_relative_to(r) for r in roots)
-    )
-    return InUse(chosen(environment), roots, foreign)
+    return InUse(chosen(environment), sourced.prefixes if sourced else (Path(prefix),))
 
 
 def _other_wheels(environment: Mapping[str, str], prefix: str) -> list[Path]:

@@ -8,7 +8,7 @@ import logging
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import rclpy
 from rclpy.action import ActionClient
@@ -19,6 +19,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
+from rclpy.task import Future
 
 from roboneuron.errors import InternalError
 from roboneuron.ros.qos import requested_qos, usual_qos
@@ -26,6 +27,10 @@ from roboneuron.ros.qos import requested_qos, usual_qos
 log = logging.getLogger(__name__)
 M = TypeVar("M")
 T = TypeVar("T")
+Call: TypeAlias = Future
+"""A service call on its way; usable from any thread. `cancel` gives it up: rclpy would keep the
+request for an answer that never comes.
+"""
 _UNSENT = (rclpy_implementation.RCLError, InvalidHandle)
 """What publishing raises when the context is closed."""
 _TASK_TIMEOUT_S = 10.0
@@ -36,37 +41,6 @@ _LEAVE_S = 2.0
 """Bound on the end of the executor and of its thread: a callback that hangs must not keep the
 server from leaving.
 """
-
-
-class Call:
-    """A service call on its way; usable from any thread.
-
-    `response` is None until `done`, and stays None when the call failed.
-    """
-
-    def __init__(self, client: Client, future: Any) -> None:
-        """Args:
-        client: that has sent the request.
-        future: rclpy Future of the answer.
-        """
-        self._client = client
-        self._future = future
-
-    @property
-    def done(self) -> bool:
-        """Whether an answer has come."""
-        return bool(self._future.done())
-
-    @property
-    def response(self) -> Any:
-        """The answer."""
-        return self._future.result() if self._future.done() else None
-
-    def abandon(self) -> None:
-        """Forget the call; a late answer is dropped. Without this, rclpy would keep the request for
-        an answer that never comes.
-        """
-        self._client.remove_pending_request(self._future)
 
 
 class RosLink:
@@ -86,7 +60,6 @@ class RosLink:
         self._node: Any = None
         self._executor: Any = None
         self._thread: threading.Thread | None = None
-        self._is_closing = False
         self._clients: dict[tuple[type, str], Client] = {}
         # Guards the clients, also while one is made on the executor's thread: callbacks, which run
         # there, must not ask for a client.
@@ -96,7 +69,6 @@ class RosLink:
         """Join the graph (about 0.4 s); `roboneuron.ros.environment.prepare_environment` must have
         run.
         """
-        self._is_closing = False
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self._node = Node(
@@ -112,12 +84,11 @@ class RosLink:
 
     def close(self) -> None:
         """Leave the graph; idempotent."""
-        if self._thread is None:
+        thread, self._thread = self._thread, None
+        if thread is None:
             return
-        self._is_closing = True
         self._executor.shutdown(timeout_sec=_LEAVE_S)
-        self._thread.join(timeout=_LEAVE_S)
-        self._thread = None
+        thread.join(timeout=_LEAVE_S)
         self._clients.clear()
         # an action client would keep the node on the graph
         for waitable in tuple(self._node.waitables):
@@ -227,12 +198,12 @@ class RosLink:
             service_type: an ordinary rosidl class.
             name: absolute.
             request: of that type.
-            on_answer: called on the executor's thread when the answer is there.
+            on_answer: called on the executor's thread when the answer is there, or where the call
+                is given up.
         """
-        client = self._client(service_type, name)
-        future = client.call_async(request)
+        future = self._client(service_type, name).call_async(request)
         future.add_done_callback(lambda _: on_answer())
-        return Call(client, future)
+        return future
 
     def is_service_ready(self, service_type: type, name: str) -> bool:
         """Whether somebody serves it, as far as this node has discovered; a server that was killed
@@ -254,6 +225,6 @@ class RosLink:
         except ExternalShutdownException:
             log.debug("The ROS context was shut down.")
         except InvalidHandle:
-            # the executor's own guard condition goes while its last task ends
-            if not self._is_closing:
+            # on closing, the executor's own guard condition goes while its last task ends
+            if self._thread is not None:
                 raise

@@ -19,6 +19,7 @@ from roboneuron.contract import (
     ACTION_LABEL,
     EE_DELTA,
     F64,
+    GREATEST_RATE_HZ,
     STATE_STEP_S,
     ControlSpace,
     Frame,
@@ -26,7 +27,6 @@ from roboneuron.contract import (
     JointSample,
     Pose,
 )
-from roboneuron.contract.space import GREATEST_RATE_HZ
 from roboneuron.errors import InvalidInputError
 
 NS_PER_S = 1_000_000_000

@@ -91,10 +91,10 @@ class NodeClient:
         call = self._link.call(
             GetState, self._name("get_state"), GetState.Request(), self._changes.notify
         )
-        if not self._changes.wait_for(lambda: call.done, timeout_s, self._check):
-            call.abandon()
+        if not self._changes.wait_for(call.done, timeout_s, self._check):
+            call.cancel()
             return None
-        return str(call.response.current_state.label)
+        return str(call.result().current_state.label)
 
     def transition(self, name: str, timeout_s: float) -> bool | None:
         """Request "configure", "activate" or "deactivate".
@@ -134,8 +134,8 @@ class NodeClient:
             )
             made = _made(calls)
         for call in calls:
-            if not call.done:
-                call.abandon()
+            if not call.done():
+                call.cancel()
         return made
 
     def send(self, values: Mapping[str, str | int]) -> Call:
@@ -170,13 +170,13 @@ class NodeClient:
         Raises:
             NotReadyError: no answer in time.
         """
-        if not self._changes.wait_for(lambda: call.done, timeout_s, check):
-            call.abandon()
+        if not self._changes.wait_for(call.done, timeout_s, check):
+            call.cancel()
             raise NotReadyError(
                 f"{self._node} did not take its parameters within {timeout_s:.2g} s.",
                 hint="It may hang: see loop_age_s in get_status.",
             )
-        refused = [result.reason for result in call.response.results if not result.successful]
+        refused = [result.reason for result in call.result().results if not result.successful]
         return "; ".join(refused)
 
     def set(
@@ -209,5 +209,5 @@ def _made(calls: Sequence[Call]) -> bool | None:
     Answers come in the order in which the node follows requests: a refusal comes first only when
     none was followed.
     """
-    answers = [bool(call.response.success) for call in calls if call.done]
+    answers = [bool(call.result().success) for call in calls if call.done()]
     return any(answers) if answers else None

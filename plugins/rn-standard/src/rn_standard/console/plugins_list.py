@@ -132,7 +132,8 @@ def print_short(registry: Registry) -> None:
     disabled = [record.name for record in registry.plugins if record.status is Status.DISABLED]
     if disabled:
         print("\n" + _wrapped(f"disabled by the configuration: {', '.join(disabled)}", 2))
-    absent = registry.absent_packages()
+    known = {package.partition("[")[0] for package in availability.known_names().values()}
+    absent = sorted(known - {record.distribution for record in registry.plugins})
     if absent:
         print(_paint("\nNOT INSTALLED", "bold") + " (what they offer: README.md, Plugins)")
         print(_wrapped(", ".join(absent), 0))

@@ -7,7 +7,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Protocol
 
@@ -26,6 +26,8 @@ print(json.dumps({"module": rclpy.__file__, "libraries": sorted(paths)}))
 """
 _OF_ROS = re.compile(r"lib(fastrtps|fastdds|fastcdr|rcl|rmw|rosidl_typesupport)[a-z_]*\.so")
 _OF_DDS = re.compile(r"lib(fastrtps|fastdds)\.so")
+_MARKS = {"LD_LIBRARY_PATH": "librcl.so", "PYTHONPATH": "rclpy/__init__.py"}
+"""What a folder holds that belongs to a ROS, by the variable that names the folder."""
 
 
 class InUse(Protocol):
@@ -39,17 +41,14 @@ class InUse(Protocol):
     def roots(self) -> tuple[Path, ...]:
         """Its folders."""
 
-    @property
-    def foreign(self) -> tuple[tuple[str, str], ...]:
-        """Variable and folder of what belongs to others."""
-
 
 def look(used: InUse) -> Finding:
     """Which installation this environment has, or what is mixed in it and what to type."""
     roots = used.roots
-    if used.foreign:
-        listed = ", ".join(f"{folder} by {name}" for name, folder in used.foreign)
-        variables = " ".join(sorted({name for name, _ in used.foreign}))
+    foreign = foreign_folders(os.environ, roots)
+    if foreign:
+        listed = ", ".join(f"{folder} by {name}" for name, folder in foreign)
+        variables = " ".join(sorted({name for name, _ in foreign}))
         return failed(
             f"Another ROS would be mixed with that of {roots[0]}: {listed}.",
             f"Type: unset {variables}",
@@ -76,6 +75,26 @@ def look(used: InUse) -> Finding:
     return ok(
         f"rclpy from {module.parent}, domain {domain}, discovery range {reach}; "
         f"{': '.join(used.choice)}."
+    )
+
+
+def foreign_folders(
+    environment: Mapping[str, str], roots: Iterable[Path]
+) -> tuple[tuple[str, str], ...]:
+    """Folders with libraries or modules of another ROS, each after the variable that brings it.
+
+    Args:
+        environment: of the process.
+        roots: of the installation that is used, and of workspaces over it.
+    """
+    own = tuple(roots)
+    return tuple(
+        (name, folder)
+        for name, mark in _MARKS.items()
+        for folder in environment.get(name, "").split(os.pathsep)
+        if folder
+        and Path(folder, mark).exists()
+        and not any(Path(folder).is_relative_to(root) for root in own)
     )
 
 

@@ -190,8 +190,8 @@ class InferenceModule(Module):
         self._not_before_ns = self.node.now_ns()
         self.executor.begin_epoch()
 
-    def forget(self) -> None:
-        """See `Module.forget`: after a stop, the policy waits for a new instruction."""
+    def stop(self, code: str) -> None:
+        """See `Module.stop`: after a stop, the policy waits for a new instruction."""
         self._instruction.forget()
 
     def _give_up(self) -> None:

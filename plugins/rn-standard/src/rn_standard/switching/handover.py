@@ -56,7 +56,7 @@ class TimedHandover(Handover):
         now_ns: Callable[[], int] = time.time_ns,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(status)
+        self.status = status
         self.moments = {
             ACT_FROM: NEVER_NS if shadow else 0,
             ACT_UNTIL: 0,

@@ -187,7 +187,7 @@ def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Read]:
 
 
 def _lookup(name: str, noun: str, targets: Targets, host: Host) -> Tool[Lookup]:
-    properties: dict[str, Schema] = {"target": {}, "source": {}, "max_age_s": {}, "timeout_s": {}}
+    properties: JsonSchemaValue = {"target": {}, "source": {}, "max_age_s": {}, "timeout_s": {}}
     return Tool(
         name=name,
         title=f"Look up {noun}",
@@ -226,7 +226,7 @@ def _battery(name: str, noun: str, targets: Targets, host: Host) -> Tool[GetNewe
 
 
 def _detections(name: str, noun: str, targets: Targets, host: Host) -> Tool[GetDetections]:
-    properties: dict[str, Schema] = {"class_id": {}, "min_score": {}, "entries": {}}
+    properties: JsonSchemaValue = {"class_id": {}, "min_score": {}, "entries": {}}
     return Tool(
         name=name,
         title=f"Get {noun}",

@@ -65,16 +65,16 @@ def call(
         while not answered.wait(_LOOK_S) and time.monotonic() < deadline_s:
             _check(halt)
     except StateError:
-        pending.abandon()
+        pending.cancel()
         raise
-    if not answered.is_set() or pending.response is None:
-        pending.abandon()
+    if not answered.is_set() or pending.result() is None:
+        pending.cancel()
         raise NotReadyError(
             f"{exposed.topic} did not answer within {remaining_s:g} s; the request was sent and "
             "may still be carried "
             "out."
         )
-    return Response(verdict=verdict, message=pending.response, took_s=time.monotonic() - started_s)
+    return Response(verdict=verdict, message=pending.result(), took_s=time.monotonic() - started_s)
 
 
 def _check(halt: threading.Event) -> None:

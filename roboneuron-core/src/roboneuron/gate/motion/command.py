@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
@@ -103,6 +104,8 @@ class Setpoint:
         sent_s: monotonic time.
         immediate: the command carries no time, so that the robot may jump to its end (JointState
             commands).
+        goal: float64 (n,), where it was to end before limits.
+        goal_velocity: float64 (n,), of successive goals.
     """
 
     start: F64
@@ -110,6 +113,22 @@ class Setpoint:
     duration_s: float
     sent_s: float
     immediate: bool
+    goal: F64
+    goal_velocity: F64
+
+    @classmethod
+    def at_rest(cls, position: F64, now_s: float) -> Self:
+        """An arm that rests at `position`, float64 (n,)."""
+        still = np.zeros_like(position)
+        return cls(
+            start=position,
+            displacement=still,
+            duration_s=1.0,
+            sent_s=now_s,
+            immediate=False,
+            goal=position,
+            goal_velocity=still,
+        )
 
     def at(self, now_s: float, braking: F64) -> tuple[F64, F64]:
         """Position and velocity at a monotonic time.
@@ -134,40 +153,24 @@ class Setpoint:
             velocity = np.copysign(left, velocity)
         return position, velocity
 
+    def goal_velocity_to(self, goal: F64, duration_s: float, now_s: float) -> F64:
+        """Velocity of the goals when one comes now that is to be reached in `duration_s`, float64
+        (n,) [rad or m per s].
+        """
+        since_s = now_s - self.sent_s
+        # the first goal, or messages that arrive together: the time says nothing
+        return (goal - self.goal) / (since_s if since_s > _TOGETHER_S else duration_s)
 
-class Goals:
-    """Where successive commands were to end, before limits. Used from one thread.
-
-    A joint has to be slow at a goal that stays, and need not at one that moves on.
-    """
-
-    def __init__(self) -> None:
-        self._goal = self._velocity = np.zeros(0)
-        self._taken_s = 0.0
-
-    def restart(self, position: F64, now_s: float) -> None:
-        """Begin with an arm at rest at `position`, float64 (n,)."""
-        self._goal, self._velocity, self._taken_s = position, np.zeros_like(position), now_s
-
-    def velocity(self, goal: F64, duration_s: float, now_s: float) -> F64:
-        """Velocity of a goal that comes now, float64 (n,) [rad or m per s].
+    def steady_velocity_to(self, goal: F64, duration_s: float, now_s: float) -> F64:
+        """Velocity with which the goals move on: a joint has to be slow at a goal that stays, and
+        need not at one that moves on. Arguments as of `goal_velocity_to`.
 
         A jump is no motion: of the last two velocities the smaller one counts, or zero where their
         signs differ.
         """
-        newest, before = self._newest(goal, duration_s, now_s), self._velocity
+        newest, before = self.goal_velocity_to(goal, duration_s, now_s), self.goal_velocity
         smaller = np.copysign(np.minimum(np.abs(newest), np.abs(before)), newest)
         return np.where(newest * before > 0.0, smaller, 0.0)
-
-    def take(self, goal: F64, duration_s: float, now_s: float) -> None:
-        """Remember a goal that is commanded now, to be reached in `duration_s`."""
-        self._velocity = self._newest(goal, duration_s, now_s)
-        self._goal, self._taken_s = goal, now_s
-
-    def _newest(self, goal: F64, duration_s: float, now_s: float) -> F64:
-        since_s = now_s - self._taken_s
-        # the first goal, or messages that arrive together: the time says nothing
-        return (goal - self._goal) / (since_s if since_s > _TOGETHER_S else duration_s)
 
 
 @dataclass(kw_only=True, slots=True, eq=False)
@@ -177,6 +180,7 @@ class Step:
 
     Attributes:
         measured: joint positions.
+        last: the setpoint that it takes over from.
         start, before: setpoint and commanded velocity when the command takes over.
         target: commanded positions; scaled in place.
         goal: commanded positions; they stay.
@@ -189,6 +193,7 @@ class Step:
     """
 
     measured: F64
+    last: Setpoint
     start: F64
     before: F64
     target: F64

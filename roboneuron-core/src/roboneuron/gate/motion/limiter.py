@@ -26,7 +26,6 @@ from roboneuron.contract import (
 from roboneuron.errors import UnsafeError
 from roboneuron.gate.motion.command import (
     Answer,
-    Goals,
     LimitedCommand,
     Setpoint,
     Step,
@@ -95,7 +94,6 @@ class MotionLimiter:
         self._lost = np.array([LOST_M if name in slides else LOST for name in self._names])
         self._immediate, self._longest_s = immediate, longest_s
         self._sent: Setpoint | None = None
-        self._goals = Goals()
         self._expected: list[MotionLimiter] = []
 
     @classmethod
@@ -194,11 +192,11 @@ class MotionLimiter:
             later: each is called with the joints where the command before ends, the time that it
                 has [s], and when that begins [monotonic s].
             step_s: time that each has [s].
-            horizon_s: how long they may last together [s].
+            horizon_s: how long they may last together [s]; 0 for none.
         """
         commands, last = [command], self
         most_s = self._ends_s + horizon_s + _ROUNDING_S
-        for answer in later:
+        for answer in later if horizon_s else ():
             joints = _after(commands[-1], joints)
             begins_s = last._ends_s
             wanted = answer(joints, step_s, begins_s)
@@ -223,7 +221,6 @@ class MotionLimiter:
         the last one ends.
         """
         other = copy.copy(self)
-        other._goals = copy.copy(self._goals)
         other._expected = []
         return other
 
@@ -231,7 +228,7 @@ class MotionLimiter:
         """Take the planned command that is in progress as the setpoint; none is planned now."""
         for fork in self._expected:
             if fork._sent is not None and fork._sent.sent_s <= now_s:
-                self._sent, self._goals = fork._sent, fork._goals
+                self._sent = fork._sent
         self._expected = []
 
     def follow(self, command: JointCommand, joints: JointSample, sent_s: float) -> None:
@@ -278,23 +275,17 @@ class MotionLimiter:
             return
         with suppress(UnsafeError):
             measured = pick(joints.names, joints.position, self._names)
-            self._goals.restart(measured, now_s)
-            self._sent = Setpoint(
-                start=measured,
-                displacement=np.zeros_like(measured),
-                duration_s=1.0,
-                sent_s=now_s,
-                immediate=self._immediate,
-            )
+            self._sent = Setpoint.at_rest(measured, now_s)
 
     def _commit(self, step: Step, now_s: float) -> None:
-        self._goals.take(step.goal, step.duration_s, now_s)
         self._sent = Setpoint(
             start=step.start,
             displacement=step.target - step.start,
             duration_s=step.duration_s,
             sent_s=now_s,
             immediate=self._immediate,
+            goal=step.goal,
+            goal_velocity=step.last.goal_velocity_to(step.goal, step.duration_s, now_s),
         )
 
     def _step(self, command: JointCommand, joints: JointSample, now_s: float) -> Step:
@@ -311,24 +302,25 @@ class MotionLimiter:
                 f"A command lasts {command.duration_s} s, expected a finite time > 0."
             )
         since_s = math.inf if self._sent is None else now_s - self._sent.sent_s
-        start, before, is_lost = measured, np.zeros_like(measured), False
-        if self._sent is not None and since_s < _MEMORY_S:
-            position, velocity = self._sent.at(now_s, self._shortener.joints.braking)
-            is_lost = bool((np.abs(position - measured) > self._lost).any())
-            if not is_lost:
-                start, before = position, velocity
-        if start is measured:
-            self._goals.restart(measured, now_s)
+        last = self._sent if since_s < _MEMORY_S else None
+        is_lost = False
+        if last is not None:
+            start, before = last.at(now_s, self._shortener.joints.braking)
+            is_lost = bool((np.abs(start - measured) > self._lost).any())
+        if last is None or is_lost:
+            last = Setpoint.at_rest(measured, now_s)
+            start, before = measured, last.displacement
         duration_s = max(
             _SHORTEST_S, min(command.duration_s, since_s) if self._immediate else command.duration_s
         )
         return Step(
             measured=measured,
+            last=last,
             start=start,
             before=before,
             target=target,
             goal=target,
-            goal_velocity=self._goals.velocity(target, duration_s, now_s),
+            goal_velocity=last.steady_velocity_to(target, duration_s, now_s),
             duration_s=duration_s,
             passed_s=max(0.0, min(since_s, duration_s)),
             stamp_ns=joints.stamp_ns,

@@ -68,7 +68,6 @@ class Shortener:
         self._names = profile.arm_joints
         self.use(rules)
         self._reach = Reach(profile)
-        self._checks_path = profile.collision is not None
         self._poses, self._inspect = poses, inspect
         self._arms = [f"{arm.name}: " if arm.name else "" for arm in profile.each_arm]
         self._immediate, self._longest_s = immediate, longest_s
@@ -233,7 +232,7 @@ class Shortener:
         for number, (pose, end) in enumerate(zip(measured, target.arms, strict=True)):
             for name, reason in self._task.places(pose, end, partial(evaluate_start, number)):
                 yield name, reason if name == "collision" else f"{self._arms[number]}{reason}"
-        if not self._checks_path:
+        if self._profile.collision is None:
             return
         displacement = step.target - step.measured
         count = self._reach.count(self._names, np.abs(displacement))
