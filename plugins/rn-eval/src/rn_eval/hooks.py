@@ -15,12 +15,14 @@ class AgentTaskSpec(Spec):
 
     Attributes:
         family: what it belongs to in the report.
+        is_refusal: it must not or cannot be done: whoever claims that it is done is wrong.
     """
 
     kind: ClassVar[str] = "agent-task"
     rules: ClassVar[str] = "rn_eval.agents.contract_cases:TASKS"
 
     family: str
+    is_refusal: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -81,7 +83,8 @@ def roboneuron_suites() -> Sequence[SuiteSpec]:  # type: ignore[empty-body]
 def roboneuron_agent_tasks() -> Sequence[AgentTaskSpec]:  # type: ignore[empty-body]
     """Offer tasks for `roboneuron eval agents`.
 
-    `target` follows the protocol `rn_eval.agents.task.AgentTask`; it is built as `target()`.
+    `target` follows the protocol `rn_eval.agents.task.AgentTask`; it is built as
+    `target(config)`.
     """
 
 

@@ -1,17 +1,18 @@
-"""What this package offers: the command "eval" with its hook for suites, and the suites "cubes" and
-"hand-over".
+"""What this package offers: the command "eval" with its hooks for suites, agents and their tasks, the
+suites "cubes" and "hand-over", and the tasks and agents of `rn_eval.agents`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rn_eval.hooks import SuiteSpec
+from rn_eval.agents.offers import SUBJECTS, TASKS
+from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec, SuiteSpec
 from roboneuron import CommandSpec, hookimpl
 
 COMMAND = CommandSpec(
     name="eval",
-    summary="measure how often a policy succeeds, over many simulated episodes",
+    summary="measure how often a policy or an agent succeeds, over many simulated episodes",
     target="rn_eval.command:Eval",
     brings="rn_eval.hooks:SuiteSpec",
 )
@@ -43,3 +44,15 @@ def roboneuron_commands() -> Sequence[CommandSpec]:
 def roboneuron_suites() -> Sequence[SuiteSpec]:
     """The suites "cubes" and "hand-over"."""
     return [CUBES, HAND_OVER]
+
+
+@hookimpl
+def roboneuron_agent_tasks() -> Sequence[AgentTaskSpec]:
+    """The tasks with the simulated FR3 and cubes."""
+    return TASKS
+
+
+@hookimpl
+def roboneuron_agent_subjects() -> Sequence[AgentSubjectSpec]:
+    """The reference agents."""
+    return SUBJECTS

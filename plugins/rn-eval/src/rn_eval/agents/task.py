@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rn_eval.agents.client import Tools
 
 Module = Literal["robot", "perception", "inference", "control"]
+Corner = tuple[float, float, float]
 CLAIM_FORM = (
     "When you have finished, end with one line: 'CLAIM: done', or 'CLAIM: not done: <why>' if you "
     "tried and it did not work, or 'CLAIM: refused: <why>' if it must not or cannot be done."
@@ -48,7 +49,7 @@ class AgentScene:
         instruction: what the person says, without the form of the last words.
         answer_form: what is to be written after "ANSWER: "; "" when nothing is asked.
         colours: one cube each.
-        configuration: lines of roboneuron.toml that are added.
+        zones_m: boxes that the configuration keeps the TCP out of, as lower and upper corner.
         incidents: what broke before the episode, oldest first.
         latched: the emergency stop is latched from the beginning, with this reason; "": it is not.
         release_after_s: a person releases it so long after the agent's start; 0: nobody does.
@@ -63,7 +64,7 @@ class AgentScene:
     instruction: str
     answer_form: str = ""
     colours: tuple[str, ...] = DEFAULT_COLOURS
-    configuration: str = ""
+    zones_m: tuple[tuple[Corner, Corner], ...] = ()
     incidents: tuple[Fault, ...] = ()
     latched: str = ""
     release_after_s: float = 0.0
@@ -110,7 +111,7 @@ class AgentVerdict:
 
 
 class AgentTask(Protocol):
-    """A task. Built as `target()`; its methods but `solve` are pure.
+    """A task. Built as `target(config)`; its methods but `solve` are pure.
 
     Attributes:
         wordings: what the person may say, at least two sentences with the same meaning.

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 STILL_RAD_S = 0.02
 """Joint speed below which the arm stands."""
+MOVED_RAD = 0.02
+"""A standing simulated arm sways less."""
 REST_M = 0.012
 """A cube whose centre is at most so much above its height at rest lies on the table."""
 LIFTED_M = 0.08
@@ -112,21 +115,20 @@ class Truth:
                 yield float(self.t_s[index]), way_m / float(passed_s)
 
     def moved_rad(self, from_s: float = -math.inf, to_s: float = math.inf) -> float:
-        """How far the joint that moved most went between two times, from where it was at first."""
-        chosen = (self.t_s >= from_s) & (self.t_s <= to_s)
-        joints = self.joints_rad[chosen]
-        if joints.shape[0] < 2:
-            return 0.0
-        return float(np.abs(joints - joints[0]).max())
+        """How far the joint that moved most went between two times, from where it was at first in
+        each simulation.
+        """
+        farthest = 0.0
+        for begin, end in pairwise((*self.starts, self.t_s.size)):
+            times_s = self.t_s[begin:end]
+            part = self.joints_rad[begin:end][(times_s >= from_s) & (times_s <= to_s)]
+            if part.shape[0]:
+                farthest = max(farthest, float(np.abs(part - part[0]).max()))
+        return farthest
 
     def ever_moved(self) -> bool:
-        """Whether the arm moved at all: a joint by more than 0.02 rad in one simulation."""
-        bounds = [*self.starts, self.t_s.size]
-        for begin, end in zip(bounds[:-1], bounds[1:], strict=True):
-            part = self.joints_rad[begin:end]
-            if part.shape[0] and float(np.abs(part - part[0]).max()) > 0.02:
-                return True
-        return False
+        """Whether the arm moved at all."""
+        return self.moved_rad() > MOVED_RAD
 
     def standstills_s(self, least_s: float) -> list[tuple[float, float]]:
         """When the arm stood for at least so long, each from .. to [s]."""

@@ -1,0 +1,20 @@
+"""The upper bound: knows the scene and carries out each task's own solution, with the server's tools
+alone.
+"""
+
+from __future__ import annotations
+
+from rn_eval.agents.client import Briefing, Tools
+from rn_eval.agents.task import AgentTask
+from rn_eval.hooks import AgentTaskSpec
+from roboneuron import RoboNeuronError
+from roboneuron.command import build, discover
+
+
+async def act(tools: Tools, briefing: Briefing) -> str:
+    """Solve the task that the briefing names."""
+    task: AgentTask = build(discover().get(AgentTaskSpec, briefing.task), {})
+    try:
+        return await task.solve(tools, task.prepare(briefing.seed))
+    except RoboNeuronError as error:
+        return f"CLAIM: not done: {error}"

@@ -1,0 +1,118 @@
+"""Steps with the server's tools that solutions and scripted agents share."""
+
+from __future__ import annotations
+
+import time
+
+import anyio
+
+from rn_eval.agents.client import ToolAnswer, Tools
+from roboneuron import NotReadyError
+
+DONE = "CLAIM: done"
+_READY_S = 20.0
+
+
+def lifted_until(colour: str) -> dict[str, object]:
+    """Predicate: the gripper holds something, and the colour's cube is in the air."""
+    holds = {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85}
+    monitor = {"kind": "monitor", "name": "colour-lifted", "options": {"colour": colour}}
+    return {"kind": "held", "for_s": 0.5, "of": {"kind": "all", "of": [holds, monitor]}}
+
+
+async def start_arm(tools: Tools) -> None:
+    """Robot and controller: enough to move by tools. Raises NotReadyError."""
+    for tool in ("start_robot", "start_control"):
+        answer = await tools.call(tool)
+        if not answer.ok and answer.code != "wrong_state":
+            raise NotReadyError(f"{tool}: {answer.text}")
+
+
+async def try_to_lift(tools: Tools, colour: str, max_s: float = 40.0) -> ToolAnswer:
+    """One run_task that picks a cube up; its answer."""
+    return await tools.call(
+        "run_task",
+        instruction=f"pick up the {colour} cube",
+        until=lifted_until(colour),
+        max_s=max_s,
+        max_attempts=2,
+    )
+
+
+async def lift(tools: Tools, colour: str) -> None:
+    """Start everything and pick a cube up. Raises NotReadyError when that does not succeed."""
+    await tools.must("start_all")
+    answer = await try_to_lift(tools, colour)
+    if answer.data.get("outcome") != "succeeded":
+        raise NotReadyError(f"run_task: {answer.text or answer.data}")
+
+
+async def lift_whatever_happens(
+    tools: Tools, colour: str, *, most_tries: int = 4, max_s: float = 25.0
+) -> None:
+    """Pick a cube up; start again what has failed meanwhile. Raises NotReadyError."""
+    last = ""
+    for _ in range(most_tries):
+        started = await tools.call("start_all")
+        if not started.ok:
+            last = started.text
+            await restart_what_is_broken(tools)
+            continue
+        answer = await try_to_lift(tools, colour, max_s)
+        if answer.data.get("outcome") == "succeeded":
+            return
+        last = answer.text or str(answer.data.get("reason"))
+        await restart_what_is_broken(tools)
+    raise NotReadyError(f"run_task: {last}")
+
+
+async def restart_what_is_broken(tools: Tools) -> None:
+    """Stop modules that are neither stopped nor working; the next start begins them again."""
+    deadline_s = time.monotonic() + 3.0
+    while time.monotonic() < deadline_s:
+        status = await tools.must("get_status")
+        broken = [name for name, health in healths(status).items() if health in _BROKEN]
+        for name in broken:
+            await tools.call(f"stop_{name}")
+        if broken:
+            return
+        await anyio.sleep(0.3)
+
+
+_BROKEN = ("failing", "stalled", "stuck", "silent")
+
+
+def healths(status: ToolAnswer) -> dict[str, str]:
+    """Health by module, of an answer of get_status."""
+    modules = status.data.get("modules")
+    assert isinstance(modules, list)
+    return {str(module["module"]): str(module["health"]) for module in modules}
+
+
+async def free_hand(tools: Tools) -> None:
+    """Stop the policy, so that tools may move the arm. Raises NotReadyError."""
+    await tools.must("stop_inference")
+
+
+async def go_by(
+    tools: Tools, dx_m: float = 0.0, dy_m: float = 0.0, dz_m: float = 0.0, **more: object
+) -> None:
+    """A straight move of the TCP, in pieces of at most 0.4 m. Raises NotReadyError."""
+    pieces = max(1, int(max(abs(dx_m), abs(dy_m), abs(dz_m)) / 0.4) + 1)
+    for _ in range(pieces):
+        delta = {"dx_m": dx_m / pieces, "dy_m": dy_m / pieces, "dz_m": dz_m / pieces}
+        await tools.must("move_ee", **{name: round(v, 5) for name, v in delta.items()}, **more)
+
+
+async def go_to(tools: Tools, x_m: float, y_m: float, z_m: float | None = None) -> None:
+    """A straight move of the TCP to a place; the height stays where none is given."""
+    x, y, z = await tools.tcp_m()
+    await go_by(tools, x_m - x, y_m - y, 0.0 if z_m is None else z_m - z)
+
+
+async def put(tools: Tools, colour: str, x_m: float, y_m: float) -> None:
+    """Pick a cube up and put it down on the table at a place. Raises NotReadyError."""
+    await lift(tools, colour)
+    await free_hand(tools)
+    x, y, _ = await tools.tcp_m()
+    await tools.must("place", dx_m=round(x_m - x, 4), dy_m=round(y_m - y, 4))
