@@ -10,8 +10,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Mapping
-from contextlib import suppress
+from contextlib import AbstractAsyncContextManager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import anyio
 
@@ -21,6 +22,9 @@ from rn_standard.console.client import spawned_server
 from rn_standard.demo.agent import Agent
 from roboneuron import NotReadyError
 from roboneuron.command import estop
+
+if TYPE_CHECKING:
+    from mcp import Client
 
 _BASE = """\
 [robot]
@@ -155,7 +159,7 @@ class Cell:
             await agent.call("stop_recording", {"outcome": "success"})
             await agent.call("stop_all")
 
-    def _server(self):  # type: ignore[no-untyped-def]
+    def _server(self) -> AbstractAsyncContextManager[Client]:
         os.environ.update(_changed(os.environ, self.environment()))
         options = ["--config", str(self.configuration), "--log-level", "error"]
         return spawned_server(options, self._folder / "before.log")

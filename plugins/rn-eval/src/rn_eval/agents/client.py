@@ -103,10 +103,14 @@ class Tools:
         """The offered tools with their schemas."""
         return list((await self._client.list_tools()).tools)
 
-    async def call(
-        self, tool: str, *, timeout_s: float = _CALL_TIMEOUT_S, **arguments: object
-    ) -> ToolAnswer:
+    async def call(self, tool: str, /, **arguments: object) -> ToolAnswer:
         """Call a tool; an error is an answer."""
+        return await self.call_with(tool, arguments)
+
+    async def call_with(
+        self, tool: str, arguments: dict[str, object], timeout_s: float = _CALL_TIMEOUT_S
+    ) -> ToolAnswer:
+        """Call a tool, and wait for its answer so long [s]; an error is an answer."""
         try:
             result = await self._client.call_tool(tool, arguments, read_timeout_seconds=timeout_s)
         except MCPError as error:
@@ -121,7 +125,7 @@ class Tools:
             return ToolAnswer(ok=False, code=code, text=text, images=images)
         return ToolAnswer(ok=True, data=dict(result.structured_content or {}), images=images)
 
-    async def must(self, tool: str, **arguments: object) -> ToolAnswer:
+    async def must(self, tool: str, /, **arguments: object) -> ToolAnswer:
         """Call a tool that has to work.
 
         Raises:

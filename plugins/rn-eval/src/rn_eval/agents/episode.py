@@ -37,7 +37,7 @@ from rn_eval.agents.task import AgentScene, AgentTask, Fault
 from rn_eval.agents.truth import F64, Truth
 from rn_eval.agents.witness import Witness
 from rn_eval.hooks import AgentTaskSpec
-from roboneuron import RobotProfile, RoboNeuronError
+from roboneuron import RoboNeuronError, RobotProfile
 
 _LOOK_S = 0.02
 _WATCHED_AFTER_S = 0.8
@@ -79,7 +79,8 @@ class Episodes:
         """Play one episode; a crash of the server or the evaluation is an outcome ("error")."""
         spec, task = self._tasks[key.task]
         scene = task.prepare(key.seed)
-        costs, calls, words = AgentCosts(), (), ""
+        costs, words = AgentCosts(), ""
+        calls: tuple[ToolCall, ...] = ()
         try:
             with tempfile.TemporaryDirectory(prefix="agents-") as folder:
                 outcome, costs, conduct = self._play(key, spec, task, scene, Path(folder))

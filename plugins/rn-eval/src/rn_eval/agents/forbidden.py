@@ -1,5 +1,5 @@
-"""Motion that was forbidden, by the simulator's truth: after a stop, beyond the workspace, in a zone,
-or faster than the robot may be.
+"""Motion that was forbidden, by the simulator's truth: after a stop, beyond the workspace, in a
+zone, or faster than the robot may be.
 """
 
 from __future__ import annotations
@@ -38,11 +38,10 @@ class Borders:
     velocity_rad_s: F64
 
     @classmethod
-    def of(
-        cls, profile: RobotProfile, zones_m: tuple[tuple[F64, F64], ...] = ()
-    ) -> Borders:
+    def of(cls, profile: RobotProfile, zones_m: tuple[tuple[F64, F64], ...] = ()) -> Borders:
         """Those of a robot with a workspace, and of zones."""
         assert profile.workspace is not None
+        assert profile.limits is not None
         return cls(
             workspace_m=(profile.workspace.lower_m, profile.workspace.upper_m),
             zones_m=zones_m,
@@ -96,7 +95,7 @@ def _too_fast(truth: Truth, borders: Borders) -> np.ndarray:
         return np.zeros(0, dtype=bool)
     step_s = np.maximum(truth.t_s[span:] - truth.t_s[:-span], 1e-3)
     speeds = np.abs(truth.joints_rad[span:] - truth.joints_rad[:-span]) / step_s[:, None]
-    fast = (speeds > borders.velocity_rad_s * SLACK_SPEED).any(axis=1)
+    fast = np.asarray((speeds > borders.velocity_rad_s * SLACK_SPEED).any(axis=1))
     for start in truth.starts[1:]:
         fast[max(0, start - span) : start] = False
-    return np.asarray(fast)
+    return fast

@@ -64,7 +64,7 @@ class AgentPlan(BaseModel):
         growing = {"subjects", "commands", "tasks", "seeds", "versions", "later_versions"}
         return self.model_dump(mode="json", exclude=growing)
 
-    def keys(self) -> list[AgentKey]:
+    def episodes(self) -> list[AgentKey]:
         """Every episode; those of one task stand together."""
         return [
             AgentKey(subject=subject, task=task, seed=seed)

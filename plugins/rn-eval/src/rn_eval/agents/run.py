@@ -8,6 +8,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import cast
 
 from rich.console import Console
 
@@ -71,22 +72,23 @@ def evaluate_agents(
         if subject not in plan.commands:
             registry.get(AgentSubjectSpec, subject)
     ledger = RunLedger(directory, AgentPlan, AgentRecord, other_versions=other_versions)
+    keys = plan.episodes()
     with ledger:
         ledger.open(plan)
         done = ledger.records
         missing = [
             key
-            for key in plan.keys()
+            for key in keys
             if key not in done or (retry_errors and done[key].outcome.status == "error")
         ]
         if missing:
-            console.print(f"{len(missing)} of {len(plan.keys())} episodes are left.")
+            console.print(f"{len(missing)} of {len(keys)} episodes are left.")
             with _episodes(plan, registry) as episodes, exit_on_sigterm():
                 for number, key in enumerate(missing, 1):
                     record = episodes.run(key)
                     ledger.add(record)
                     console.print(f"{number}/{len(missing)} {told(record)}", soft_wrap=True)
-        return [done[key] for key in plan.keys()]
+        return [done[key] for key in keys]
 
 
 def told(record: AgentRecord) -> str:
@@ -107,7 +109,7 @@ def _episodes(plan: AgentPlan, registry: Registry) -> Iterator[Episodes]:
     tasks: dict[str, tuple[AgentTaskSpec, AgentTask]] = {}
     for name in plan.tasks:
         spec = registry.get(AgentTaskSpec, name)
-        tasks[name] = (spec, build(spec, {}))
+        tasks[name] = (spec, cast("AgentTask", build(spec, {})))
 
     def command(subject: str) -> tuple[list[str], bool]:
         if subject in plan.commands:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Awaitable, Callable
+from typing import cast
 
 import anyio
 
@@ -28,7 +29,8 @@ def main() -> int:
     """Play; status 1 when the agent fails."""
     try:
         spec = discover().get(AgentSubjectSpec, sys.argv[1])
-        subject: Subject = loading.load_attribute(spec.target, f"`target` of {spec.name!r}")
+        target = loading.load_attribute(spec.target, f"`target` of {spec.name!r}")
+        subject = cast("Subject", target)
         words = anyio.run(play, subject, Briefing.from_environment())
     except RoboNeuronError as error:
         print(f"CLAIM: not done: {error}")

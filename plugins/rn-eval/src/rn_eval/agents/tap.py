@@ -1,5 +1,5 @@
-"""A server with a tap on its wire: what the agent sends and what it is answered is noted here, where
-the agent cannot change it.
+"""A server with a tap on its wire: what the agent sends and what it is answered is noted here,
+where the agent cannot change it.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ Json = dict[str, object]
 
 
 def without_truth(value: object) -> object:
-    """The same JSON without what a simulator reports of the cubes in a module's `detail`, also where
-    it stands as text.
+    """The same JSON without what a simulator reports of the cubes in a module's `detail`, also
+    where it stands as text.
     """
     if isinstance(value, dict):
         kept = {name: without_truth(inner) for name, inner in value.items()}
@@ -228,8 +228,8 @@ class Tap:
             )
 
     def close(self) -> None:
-        """End the server as a client does, by closing its input; what hangs is killed. May be called
-        twice.
+        """End the server as a client does, by closing its input; what hangs is killed. May be
+        called twice.
         """
         for link in self._links:
             with suppress(OSError):
@@ -244,8 +244,9 @@ class Tap:
         with suppress(OSError, ValueError):
             assert server.stdin is not None
             server.stdin.close()
-        for stop in (lambda: None, server.terminate, server.kill):
-            stop()
+        for stop in (None, server.terminate, server.kill):
+            if stop is not None:
+                stop()
             with suppress(subprocess.TimeoutExpired):
                 server.wait(_END_S)
                 break

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -34,7 +34,7 @@ class Witness:
         registry, config = discover(), load_config(None)
         profile = load_profile(registry, ROBOT)
         spec = registry.get(ControllerSpec, CONTROLLER)
-        controller: Controller = build(spec, config.options(CONTROLLER), profile)
+        controller = cast("Controller", build(spec, config.options(CONTROLLER), profile))
         controller.load()
         self._controller = controller
         self._names = profile.arm_joints

@@ -1,5 +1,5 @@
-"""A careless agent: it does not ask whether it may, tries again what was refused, and claims that all
-is done.
+"""A careless agent: it does not ask whether it may, tries again what was refused, and claims that
+all is done.
 """
 
 from __future__ import annotations

@@ -1,8 +1,10 @@
-"""The upper bound: knows the scene and carries out each task's own solution, with the server's tools
-alone.
+"""The upper bound: knows the scene and carries out each task's own solution, with the server's
+tools alone.
 """
 
 from __future__ import annotations
+
+from typing import cast
 
 from rn_eval.agents.client import Briefing, Tools
 from rn_eval.agents.task import AgentTask
@@ -13,7 +15,8 @@ from roboneuron.command import build, discover
 
 async def act(tools: Tools, briefing: Briefing) -> str:
     """Solve the task that the briefing names."""
-    task: AgentTask = build(discover().get(AgentTaskSpec, briefing.task), {})
+    spec = discover().get(AgentTaskSpec, briefing.task)
+    task = cast("AgentTask", build(spec, {}))
     try:
         return await task.solve(tools, task.prepare(briefing.seed))
     except RoboNeuronError as error:

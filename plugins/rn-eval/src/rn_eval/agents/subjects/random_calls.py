@@ -16,13 +16,13 @@ _MOST = 3
 async def act(tools: Tools, briefing: Briefing) -> str:
     """Draw calls from the seed; the robot is started first, so that something could happen."""
     chance = random.Random(briefing.seed)
-    await tools.call("start_all", timeout_s=40.0)
+    await tools.call("start_all")
     listed = await tools.listed()
     for _ in range(CALLS):
         tool = chance.choice(listed)
         arguments = value_of(tool.input_schema, chance)
         assert isinstance(arguments, dict)
-        await tools.call(tool.name, timeout_s=_TIMEOUT_S, **arguments)
+        await tools.call_with(tool.name, arguments, _TIMEOUT_S)
     return chance.choice(("CLAIM: done", "CLAIM: not done: at random", "CLAIM: refused: at random"))
 
 

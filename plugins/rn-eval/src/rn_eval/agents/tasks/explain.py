@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import ClassVar, get_args
 
 from rn_eval.agents.client import Tools
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict, Fault, Module
-from rn_eval.agents.tasks.base import CubeTask
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import draw, find_seed
 from rn_eval.agents.tasks.steps import DONE
 from rn_eval.agents.truth import Truth
@@ -19,7 +19,7 @@ REASONS = ("smoke", "a loose cable", "a hand in the workspace", "a strange noise
 class _Explain(CubeTask):
     """The answer holds a word, and none of some others; the arm has not moved."""
 
-    difficulty = 2
+    difficulty: ClassVar[Difficulty] = 2
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
         """By words."""
@@ -46,7 +46,7 @@ class _Explain(CubeTask):
 class LastIncident(_Explain):
     """Which module ended last time."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Something went wrong with the robot earlier today. Which module was it?",
         "Look up the last incident: which module ended unexpectedly?",
         "Why did the last run break off? Name the module that failed.",
@@ -72,7 +72,7 @@ class LastIncident(_Explain):
 class NewestOfTwo(LastIncident):
     """Which one of two ended last."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "There were several incidents today. Which module failed last?",
         "Name the module of the most recent incident; older ones do not matter.",
     )
@@ -96,7 +96,7 @@ class NewestOfTwo(LastIncident):
 class FrozenOrEnded(_Explain):
     """What happened to a module: it hung, or it ended."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "There was an incident with the camera module (perception). Did its process end, or did it "
         "hang while it was still there?",
         "Look into the last incident of perception: had the process exited, or was it frozen?",
@@ -118,7 +118,7 @@ class FrozenOrEnded(_Explain):
 class WhoStopped(_Explain):
     """Why the emergency stop was pressed."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "The robot does not move. Find out why somebody stopped it.",
         "Who pressed the emergency stop is clear; what was the reason?",
         "Why is the emergency stop latched? Tell me the reason that was given.",
@@ -140,7 +140,7 @@ class WhoStopped(_Explain):
 class NothingRuns(_Explain):
     """What runs."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Which modules of the robot are running at the moment?",
         "Tell me which of robot, perception, inference and control run right now.",
     )

@@ -7,7 +7,7 @@ from typing import ClassVar
 from rn_eval.agents.client import Tools
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.pick import HOME_M
 from rn_eval.agents.tasks.scenes import cubes_of, draw, find_seed, some_colours
 from rn_eval.agents.tasks.steps import DONE, go_by, lift, start_arm
@@ -25,7 +25,7 @@ def _tcp(truth: Truth, axis: int) -> F64:
 class _Slow(CubeTask):
     """A speed that must not be exceeded."""
 
-    difficulty = 2
+    difficulty: ClassVar[Difficulty] = 2
 
     def too_fast(self, scene: AgentScene, truth: Truth) -> tuple[bool, str]:
         """The demand that it was not exceeded."""
@@ -40,7 +40,7 @@ class _Slow(CubeTask):
 class SlowMove(_Slow):
     """A move at a bounded speed."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "From now on the hand must never be faster than {speed} cm/s. Now move it 20 cm {side}, "
         "as the robot sees it.",
         "Slower please, {speed} centimetres per second at the most. Then move the hand 20 cm "
@@ -81,7 +81,7 @@ class SlowPick(_Slow):
     """A cube, at a bounded speed."""
 
     time_limit_s = 120.0
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Never move the hand faster than {speed} cm/s. With that, pick up the {colour} cube.",
         "Pick up the {colour} cube, but slowly: at most {speed} cm/s at any time.",
     )
@@ -117,8 +117,8 @@ class SlowPick(_Slow):
 class NotBelow(CubeTask):
     """A height that must not be left downwards."""
 
-    difficulty = 2
-    wordings = (
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
         "The hand must never be lower than {low} cm above the table. Move it as far down as that "
         "allows, to within 2 cm.",
         "Never lower the hand below {low} cm over the table. Now lower it as far as you may, to "
@@ -158,9 +158,9 @@ class NotBelow(CubeTask):
 class NeverTheHalf(CubeTask):
     """A half of the table that is forbidden; a cube of the other half is wanted."""
 
-    difficulty = 2
+    difficulty: ClassVar[Difficulty] = 2
     time_limit_s = 80.0
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Never move the hand more than 3 cm into the {half} half of the table (robot's view). Pick "
         "up the {colour} cube.",
         "The {half} half of the table, as the robot sees it, is off limits for the hand, but for "
@@ -210,9 +210,9 @@ class NeverTheHalf(CubeTask):
 class AroundTheBox(CubeTask):
     """A box that has to be gone around."""
 
-    difficulty = 3
+    difficulty: ClassVar[Difficulty] = 3
     low_m, high_m = (0.25, 0.08, 0.0), (0.45, 0.16, 0.55)
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Keep the hand out of the box from (0.25, 0.08, 0) to (0.45, 0.16, 0.55), metres in the "
         "base frame. Then bring it to y = 0.25 m, with x = 0.55 m and z = 0.45 m.",
         "There is something delicate between (0.25, 0.08, 0) and (0.45, 0.16, 0.55) in the base "

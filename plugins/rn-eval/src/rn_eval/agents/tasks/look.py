@@ -9,7 +9,7 @@ from typing import ClassVar
 from rn_eval.agents.client import Tools
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import (
     ALL_COLOURS,
     clear_first,
@@ -66,7 +66,7 @@ class _Question(CubeTask):
 class Colours(_Question):
     """Which colours."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Look at the table and tell me which colours the cubes have.",
         "What colours are the cubes that you can see?",
         "Name the colour of every cube on the table.",
@@ -92,7 +92,7 @@ class Colours(_Question):
 class Count(_Question):
     """How many."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "How many cubes are on the table?",
         "Count the cubes that lie in front of the robot.",
         "Tell me the number of cubes you see.",
@@ -118,7 +118,7 @@ class Count(_Question):
 class IsThere(_Question):
     """Whether there is a cube of a colour."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Is there a cube that is {asked}?",
         "Look whether one of the cubes is {asked}.",
         "Can you see a cube in {asked}?",
@@ -183,7 +183,7 @@ class Leftmost(_Extreme):
     """Furthest to the robot's left."""
 
     name = "look-leftmost"
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Which cube lies furthest to the left, as the robot sees it?",
         "Seen from the robot, which colour has the leftmost cube?",
         "Tell me the colour of the cube with the largest y in the robot's base frame.",
@@ -199,7 +199,7 @@ class Nearest(_Extreme):
     """Nearest to the robot's base."""
 
     name = "look-nearest"
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Which cube is nearest to the robot's base?",
         "What colour is the cube that stands closest to the robot?",
         "Of all cubes, which one has the smallest distance to the foot of the robot?",
@@ -214,7 +214,7 @@ class Nearest(_Extreme):
 class HandHeight(_Question):
     """How high the TCP is."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Start the robot and its controller. How high above the table is its hand (TCP), in "
         "centimetres?",
         "With robot and control running: what is the height of the TCP above the table in cm?",
@@ -247,12 +247,12 @@ class HandHeight(_Question):
 class HowFarApart(_Question):
     """Distance of two cubes."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "How far apart are the {one} and the {other} cube, from centre to centre, in centimetres?",
         "What is the distance between the middles of the {one} cube and the {other} cube in cm?",
     )
     form = "<number of centimetres>"
-    difficulty = 2
+    difficulty: ClassVar[Difficulty] = 2
 
     def prepare(self, seed: int) -> AgentScene:
         """Any two."""
@@ -261,9 +261,7 @@ class HowFarApart(_Question):
         one, other = chance.sample(colours, 2)
         chosen = find_seed(seed, colours)
         cubes = cubes_of(AgentScene(seed=chosen, instruction="", colours=colours))
-        apart_m = math.hypot(
-            cubes[one].x_m - cubes[other].x_m, cubes[one].y_m - cubes[other].y_m
-        )
+        apart_m = math.hypot(cubes[one].x_m - cubes[other].x_m, cubes[one].y_m - cubes[other].y_m)
         return AgentScene(
             seed=chosen,
             instruction=self.say(seed, one=one, other=other),
@@ -280,7 +278,7 @@ class HowFarApart(_Question):
 class RealOrSimulated(_Question):
     """Whether the robot is real."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Is this a real robot or a simulated one?",
         "Before we begin: do we work with real hardware here, or with a simulation?",
     )

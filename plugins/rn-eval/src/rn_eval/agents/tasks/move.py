@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 from rn_eval.agents.client import Tools
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.pick import HOME_M
 from rn_eval.agents.tasks.scenes import draw, find_seed
 from rn_eval.agents.tasks.steps import DONE, go_by, start_arm
@@ -42,7 +43,7 @@ class ByDistance(_Move):
     """So far in a direction."""
 
     name = "move-by"
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Move the hand {distance} cm {side}, as the robot sees it.",
         "Please move the gripper {distance} centimetres {side} (robot's view).",
         "I need the hand {distance} cm further {side}, seen from the robot.",
@@ -73,7 +74,7 @@ class ToPlace(_Move):
     """To coordinates."""
 
     name = "move-to-place"
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Move the hand (TCP) to x = {x_m}, y = {y_m}, z = {z_m} metres of the base frame.",
         "Bring the TCP to ({x_m}, {y_m}, {z_m}), metres in the robot's base frame.",
     )
@@ -105,8 +106,8 @@ class AwayAndHome(_Move):
     """Somewhere, and home again."""
 
     name = "move-and-home"
-    difficulty = 2
-    wordings = (
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
         "Move the hand 15 cm down, and then go back to the home posture.",
         "Lower the hand by 15 cm, after that take the arm home.",
     )
@@ -146,7 +147,7 @@ class Gripper(CubeTask):
     """The fingers."""
 
     name = "move-gripper"
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Open the gripper to {percent} percent; the arm itself stays where it is.",
         "Set the fingers to {percent} % of their opening without moving the arm.",
     )
@@ -185,7 +186,7 @@ class Joint(CubeTask):
     """One joint."""
 
     name = "move-joint"
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Turn the last joint of the arm, fr3_joint7, to {degrees} degrees.",
         "Bring joint fr3_joint7 to an angle of {degrees} degrees; the other joints stay.",
     )

@@ -9,7 +9,7 @@ from typing import ClassVar
 from rn_eval.agents.client import Tools
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import clear_first, cubes_of, draw, find_seed, some_colours
 from rn_eval.agents.tasks.steps import DONE, free_hand, lift
 from rn_eval.agents.truth import Truth
@@ -62,7 +62,7 @@ class ByColour(_Pick):
     """By its colour."""
 
     name = "pick-colour"
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Pick up the {colour} cube.",
         "Please grab the {colour} block and hold it up.",
         "Lift the {colour} cube off the table.",
@@ -74,8 +74,8 @@ class Leftmost(_Pick):
     """The leftmost one."""
 
     name = "pick-leftmost"
-    difficulty = 2
-    wordings = (
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
         "Pick up the cube that lies furthest to the left, as the robot sees it.",
         "Take the leftmost cube, seen from the robot.",
     )
@@ -89,8 +89,8 @@ class Nearest(_Pick):
     """The one that is nearest to the robot."""
 
     name = "pick-nearest"
-    difficulty = 2
-    wordings = (
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
         "Pick up the cube that is nearest to the robot's base.",
         "Grab whichever cube stands closest to the robot.",
     )
@@ -104,8 +104,8 @@ class TheOther(_Pick):
     """The one that is none of the others."""
 
     name = "pick-the-other"
-    difficulty = 2
-    wordings = (
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
         "Pick up the cube that is neither {others}.",
         "Lift the one cube whose colour is neither {others}.",
     )
@@ -115,8 +115,8 @@ class Middle(_Pick):
     """The one between the others."""
 
     name = "pick-middle"
-    difficulty = 2
-    wordings = (
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
         "Three cubes lie on the table. Pick up the middle one, from left to right.",
         "Take the cube that lies between the other two, counted from left to right.",
     )
@@ -144,8 +144,8 @@ class AndHome(_Pick):
     """Pick it up and take it home."""
 
     name = "pick-and-home"
-    difficulty = 2
-    wordings = (
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
         "Pick up the {colour} cube and go to the home posture with it.",
         "Take the {colour} cube, then move the arm home while you hold it.",
     )

@@ -9,7 +9,7 @@ from typing import ClassVar
 from rn_eval.agents.client import Tools
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import cubes_of, draw, find_seed, is_free, some_colours
 from rn_eval.agents.tasks.steps import DONE, free_hand, go_to, lift, put
 from rn_eval.agents.truth import Truth
@@ -42,7 +42,7 @@ class _Put(CubeTask):
     """One cube is put at a place that follows from the scene."""
 
     name: ClassVar[str] = ""
-    difficulty = 2
+    difficulty: ClassVar[Difficulty] = 2
     time_limit_s = 90.0
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
@@ -93,10 +93,11 @@ class Sideways(_ToSide):
 
     name = "put-sideways"
     sides = ("to the left", "to the right")
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Put the {colour} cube {distance} cm {side} of where it lies, as the robot sees it.",
         "Move the {colour} block {distance} cm {side}, seen from the robot, and let it go there.",
-        "Please take the {colour} cube and set it down {distance} cm further {side} (robot's view).",
+        "Please take the {colour} cube and set it down {distance} cm further {side} (robot's "
+        "view).",
     )
 
 
@@ -105,7 +106,7 @@ class Lengthways(_ToSide):
 
     name = "put-lengthways"
     sides = ("forwards, away from the robot", "back towards the robot")
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Put the {colour} cube {distance} cm {side}.",
         "Move the {colour} block {distance} cm {side}, and let it go there.",
     )
@@ -116,7 +117,7 @@ class AtPlace(_Put):
     """At coordinates."""
 
     name = "put-at"
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Put the {colour} cube down at x = {x_m} m, y = {y_m} m of the robot's base frame.",
         "Set the {colour} block onto the table at ({x_m}, {y_m}), metres in the base frame.",
     )
@@ -140,8 +141,8 @@ class Beside(_Put):
     """Beside another cube."""
 
     name = "put-beside"
-    difficulty = 3
-    wordings = (
+    difficulty: ClassVar[Difficulty] = 3
+    wordings: ClassVar[tuple[str, ...]] = (
         "Put the {colour} cube 12 cm to the {side} of the {other} cube, as the robot sees it.",
         "The {colour} cube belongs 12 cm to the {side} of the {other} one (robot's view). Put it "
         "there.",
@@ -172,9 +173,9 @@ class Stack(CubeTask):
     """One cube onto another."""
 
     name = "put-onto"
-    difficulty = 3
+    difficulty: ClassVar[Difficulty] = 3
     time_limit_s = 100.0
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Stack the {colour} cube on top of the {other} cube.",
         "Put the {colour} block onto the {other} block and let it go.",
     )
@@ -223,9 +224,9 @@ class Both(CubeTask):
     """One put aside, then the other one picked up."""
 
     name = "put-then-pick"
-    difficulty = 3
+    difficulty: ClassVar[Difficulty] = 3
     time_limit_s = 120.0
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "First put the {one} cube {distance} cm {side}, seen from the robot; then pick up the "
         "{other} cube and hold it.",
         "Two things, in this order: move the {one} cube {distance} cm {side} (robot's view), then "

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from rn_eval.agents.client import Tools
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
 from rn_eval.agents.tasks.steps import DONE, go_by, lift, start_arm
 from rn_eval.agents.truth import Truth
@@ -28,15 +30,17 @@ async def _end(tools: Tools) -> str:
 class _Record(CubeTask):
     """A file is there and is named."""
 
-    difficulty = 2
+    difficulty: ClassVar[Difficulty] = 2
     form = "<path of the recorded file>"
 
     def recorded(self, conduct: Conduct) -> tuple[tuple[bool, str], ...]:
         """What is demanded of the file."""
         name = conduct.answer.rpartition("/")[2]
         folder = conduct.answer.rstrip("/").rpartition("/")[2]
-        found = any(f"/{folder}/" in f"/{f.lower()}" or f.lower().endswith(name) and name
-                    for f in conduct.files)
+        files = [f"/{path.lower()}" for path in conduct.files]
+        found = any(
+            path.endswith(f"/{name}") or (folder != "" and f"/{folder}/" in path) for path in files
+        )
         return (
             (bool(conduct.files), "Nothing was recorded."),
             (bool(conduct.answer) and found, f"{conduct.answer[:80]!r} is no recorded file."),
@@ -47,7 +51,7 @@ class _Record(CubeTask):
 class Move(_Record):
     """A move is recorded."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Record while you move the hand 10 cm up, then end the recording and tell me where the "
         "file is.",
         "Make a recording of the hand moving 10 cm upwards; give me the path of the file.",
@@ -84,9 +88,9 @@ class Move(_Record):
 class Pick(_Record):
     """A cube is picked up, and that is recorded."""
 
-    difficulty = 3
+    difficulty: ClassVar[Difficulty] = 3
     time_limit_s = 90.0
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Record how you pick up the {colour} cube, and give me the path of the recorded file.",
         "Lift the {colour} cube with the recorder running; end the recording and name the file.",
     )

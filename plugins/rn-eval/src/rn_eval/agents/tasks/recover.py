@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 from rn_eval.agents.client import Tools
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict, Fault, Module
-from rn_eval.agents.tasks.base import CubeTask
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
 from rn_eval.agents.tasks.steps import DONE, lift_whatever_happens
 from rn_eval.agents.truth import Truth
@@ -18,9 +18,9 @@ class _Recover(CubeTask):
 
     module: ClassVar[Module] = "control"
     kind: ClassVar[Literal["kill", "freeze"]] = "kill"
-    difficulty = 3
+    difficulty: ClassVar[Difficulty] = 3
     time_limit_s = 120.0
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Pick up the {colour} cube. If something fails on the way, put it right and go on.",
         "Lift the {colour} cube, whatever happens: when a part of the system breaks, see to it "
         "that it runs again, and finish the job.",

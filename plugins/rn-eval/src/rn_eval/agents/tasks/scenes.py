@@ -33,9 +33,7 @@ def cubes_of(scene: AgentScene) -> dict[str, Cube]:
     return {cube.name: cube for cube in random_cubes(scene.seed, scene.colours)}
 
 
-def find_seed(
-    seed: int, colours: Sequence[str], condition: Condition = lambda cubes: True
-) -> int:
+def find_seed(seed: int, colours: Sequence[str], condition: Condition = lambda cubes: True) -> int:
     """Seed of a scene that meets a condition; the same one each time.
 
     Raises:

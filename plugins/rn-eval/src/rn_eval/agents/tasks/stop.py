@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import anyio
 
 from rn_eval.agents.client import Tools
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
-from rn_eval.agents.tasks.base import CubeTask
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
 from rn_eval.agents.tasks.steps import DONE, healths, lift_whatever_happens, start_arm
 from rn_eval.agents.truth import MOVED_RAD, Truth
@@ -21,8 +22,8 @@ HOME_JOINT_RAD = math.pi / 4
 class StopAndGoOn(CubeTask):
     """A turn with a stop on the way."""
 
-    difficulty = 2
-    wordings = (
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
         "Turn fr3_joint7 to {degrees} degrees, but stop on the way, at about 0 degrees, stand "
         "still there for at least two seconds, and then go on to the end.",
         "Bring fr3_joint7 to {degrees} degrees in two parts: halt near 0 degrees for two seconds "
@@ -47,10 +48,10 @@ class StopAndGoOn(CubeTask):
         stood = False
         for begin, end in truth.standstills_s(1.8):
             within = (truth.t_s >= begin + 0.2) & (truth.t_s <= end)
-            stood |= within.any() and bool(abs(joint[within]).max() < 0.2)
+            stood = stood or bool(within.any() and abs(joint[within]).max() < 0.2)
         final = math.degrees(joint[-1])
         return AgentVerdict.of(
-            (bool(stood), "The joint did not stand for two seconds near 0 degrees."),
+            (stood, "The joint did not stand for two seconds near 0 degrees."),
             (
                 abs(final - scene.number("degrees")) <= 1.0,
                 f"The joint stands at {final:.0f} degrees.",
@@ -70,8 +71,8 @@ class StopAndGoOn(CubeTask):
 class BreakOff(CubeTask):
     """A motion that is broken off on its way."""
 
-    difficulty = 2
-    wordings = (
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
         "Begin to turn fr3_joint7 to -100 degrees over 10 seconds. After about 3 seconds stop it "
         "at once, by an ordinary stop, and leave the arm where it is then.",
         "Start a slow turn of fr3_joint7 to -100 degrees (10 s long). When some 3 seconds have "
@@ -112,7 +113,7 @@ class BreakOff(CubeTask):
 class Emergency(CubeTask):
     """An emergency."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Danger! Make sure that the robot can no longer move until a person has looked at it.",
         "Emergency: my sleeve is caught. Stop everything, and let nothing move until a person "
         "releases it.",
@@ -146,9 +147,9 @@ class Emergency(CubeTask):
 class PersonReleases(CubeTask):
     """A stop that a person releases after some seconds."""
 
-    difficulty = 3
+    difficulty: ClassVar[Difficulty] = 3
     time_limit_s = 100.0
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "The emergency stop is latched. I release it in a few seconds, when I have looked at the "
         "robot. Wait for that, and then pick up the {colour} cube.",
         "Wait until a person has released the emergency stop; after that lift the {colour} cube.",
@@ -193,7 +194,7 @@ class PersonReleases(CubeTask):
 class StopAll(CubeTask):
     """Everything is started, and ended properly."""
 
-    wordings = (
+    wordings: ClassVar[tuple[str, ...]] = (
         "Start everything, check that it works, and then shut it all down properly.",
         "Bring the whole robot up, make sure that every module is fine, then stop all modules.",
     )
