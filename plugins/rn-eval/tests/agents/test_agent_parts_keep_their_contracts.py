@@ -1,0 +1,74 @@
+"""Every task and subject that this package offers keeps the contract of its kind."""
+
+from __future__ import annotations
+
+import pytest
+
+from rn_eval.agents.contract_cases import (
+    SUBJECTS,
+    TASKS,
+    AgentSubjectCase,
+    AgentTaskCase,
+    nothing_seen,
+)
+from rn_eval.agents.offers import SUBJECTS as OFFERED_SUBJECTS
+from rn_eval.agents.offers import TASKS as OFFERED_TASKS
+from rn_testing.rule import AnyRule, NotApplicable, Violation
+
+
+def _apply(rules: tuple[AnyRule, ...], case: object) -> None:
+    for rule in rules:
+        try:
+            rule.check(case)
+        except NotApplicable:
+            continue
+        except Violation as violation:
+            raise AssertionError(f"{rule.id}: {violation}") from violation
+
+
+@pytest.mark.parametrize("spec", OFFERED_TASKS, ids=lambda spec: spec.name)
+def test_a_task_keeps_its_contract(spec):
+    _apply(TASKS.rules, AgentTaskCase(spec=spec))
+
+
+@pytest.mark.parametrize("spec", OFFERED_SUBJECTS, ids=lambda spec: spec.name)
+def test_a_subject_keeps_its_contract(spec):
+    _apply(SUBJECTS.rules, AgentSubjectCase(spec=spec))
+
+
+def test_there_are_sixty_tasks_in_eleven_families():
+    assert len(OFFERED_TASKS) == 60
+    assert len({spec.family for spec in OFFERED_TASKS}) == 11
+
+
+class Unfair:
+    """A task that breaks each rule."""
+
+    wordings = ("{missing}", "{missing}")
+    difficulty = 4
+    time_limit_s = 0.0
+
+    def __init__(self, config):
+        self.count = 0
+
+    def prepare(self, seed):
+        self.count += 1
+        from rn_eval.agents.task import AgentScene
+
+        return AgentScene(seed=self.count, instruction="{missing}")
+
+    def judge(self, scene, truth, conduct):
+        from rn_eval.agents.task import AgentVerdict
+
+        assert truth.is_empty == nothing_seen().is_empty
+        return AgentVerdict(success=True)
+
+
+def test_every_rule_of_tasks_can_fail(monkeypatch):
+    monkeypatch.setattr(AgentTaskCase, "build", lambda self: Unfair(None))
+    case = AgentTaskCase(spec=OFFERED_TASKS[0])
+    own = [rule for rule in TASKS.rules if rule.id.startswith("agent-task/")]
+    assert len(own) == 4
+    for rule in own:
+        with pytest.raises(Violation):
+            rule.check(case)
