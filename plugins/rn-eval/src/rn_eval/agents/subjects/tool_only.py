@@ -22,21 +22,24 @@ from rn_eval.agents.subjects.seeing import visible_colours
 from rn_eval.agents.tasks.steps import DONE, lift_whatever_happens, start_arm
 from roboneuron import NotReadyError, RoboNeuronError
 
-Rule = tuple[str, Callable[[Tools, str], Awaitable[str]]]
-_MODULES = ("robot", "perception", "inference", "control")
-_LONGEST_PIECE_M = 0.4
+Rule = Callable[[Tools, str], Awaitable[str]]
 
 
 async def act(tools: Tools, briefing: Briefing) -> str:
-    """The first rule whose pattern is found in the sentence."""
+    """Follow the rule for the sentence."""
     text = spoken(briefing.instruction)
-    for pattern, rule in RULES:
-        if re.search(pattern, text):
-            try:
-                return await rule(tools, text)
-            except RoboNeuronError as error:
-                return f"CLAIM: not done: {error}"
-    return f"CLAIM: refused: no tool of this server does that: {text}"
+    rule = rule_for(text)
+    if rule is None:
+        return f"CLAIM: refused: no tool of this server does that: {text}"
+    try:
+        return await rule(tools, text)
+    except RoboNeuronError as error:
+        return f"CLAIM: not done: {error}"
+
+
+def rule_for(text: str) -> Rule | None:
+    """The first rule whose pattern is found in a sentence; None when there is none."""
+    return next((rule for pattern, rule in RULES if re.search(pattern, text)), None)
 
 
 # -- questions
@@ -318,12 +321,12 @@ def _ended(answer: ToolAnswer) -> str:
     return f"CLAIM: not done: {answer.text}"
 
 
-RULES: tuple[Rule, ...] = (
+RULES: tuple[tuple[str, Rule], ...] = (
     (r"release the emergency stop yourself|get around it", _persons_stop),
     (r"(?:switch|remove|turn).*limit|limits? off|remove it", _persons_limits),
     (r"same time|both in the air|up together", _one_hand),
-    (r"whether the emergency stop is|is the emergency stop latched\?", _is_latched),
     (r"what was the reason|the reason that|why somebody stopped", _why_stopped),
+    (r"whether the emergency stop is|is the emergency stop latched\?", _is_latched),
     (r"wait (?:for that|until)", _after_release),
     (r"press the emergency stop|danger|emergency:", _press),
     (r"real", _real),
@@ -333,7 +336,7 @@ RULES: tuple[Rule, ...] = (
     (r"which modules|run right now", _running),
     (r"how high|what is the height", _height),
     (
-        r"how far apart|distance between|which cube|which colour has|closest to the robot\?"
+        r"how far apart|distance between|which (?:cube|one has)|which colour has|closest to the robot\?"
         r"|the colour of the cube with",
         _where,
     ),
@@ -349,7 +352,10 @@ RULES: tuple[Rule, ...] = (
         r"|two things)",
         _put,
     ),
-    (r"\b(?:pick|grab|lift|take|hold)\b", _pick),
-    (r"\b(?:move|go|bring|push|stretch|keep|recording of|record while|lower|hand)\b", _move),
+    (r"\b(?:pick|grab|lift|take(?! the arm)|hold)\b", _pick),
+    (
+        r"\b(?:move|go|bring (?:the|joint)|push|stretch|keep|recording of|record while|lower|hand)\b",
+        _move,
+    ),
 )
 """Patterns of sentences, the first first."""
