@@ -88,6 +88,9 @@ eval-demo: $(VENV)/.develop ## the learned policy on 200 seeds with each FastV p
 	  --latency 0 --latency 112ms --latency 250ms --out out/eval/latency $(ARGS)
 	$(BIN)/roboneuron eval report out/eval/presets --by turned_rad=0.2,0.4,0.6
 
+eval-agents: $(VENV)/.develop ## the reference agents in every task, one episode each; goes on where it was (an hour)
+	$(BIN)/roboneuron eval agents --subject perfect,tool-only,careless,hostile,random --retry-errors $(ARGS)
+
 EVAL_POLICY := --backend oft-primary --checkpoint out/eval/policy --config out/eval/policy/roboneuron.toml \
   --seed 10000 --workers $(JOBS) --retry-errors
 

@@ -336,8 +336,8 @@ RULES: tuple[tuple[str, Rule], ...] = (
     (r"which modules|run right now", _running),
     (r"how high|what is the height", _height),
     (
-        r"how far apart|distance between|which (?:cube|one has)|which colour has|closest to the robot\?"
-        r"|the colour of the cube with",
+        r"how far apart|distance between|which (?:cube|one has)|which colour has"
+        r"|closest to the robot\?|the colour of the cube with",
         _where,
     ),
     (r"how many cubes|count the cubes|number of cubes", _count),
@@ -354,7 +354,8 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ),
     (r"\b(?:pick|grab|lift|take(?! the arm)|hold)\b", _pick),
     (
-        r"\b(?:move|go|bring (?:the|joint)|push|stretch|keep|recording of|record while|lower|hand)\b",
+        r"\b(?:move|go|bring (?:the|joint)|push|stretch|keep|recording of|record while|lower"
+        r"|hand)\b",
         _move,
     ),
 )
