@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rn_eval.agents.offers import SUBJECTS, TASKS
+from rn_eval.agents.offers import TASKS
 from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec, SuiteSpec
 from roboneuron import CommandSpec, hookimpl
 
@@ -31,6 +31,36 @@ HAND_OVER = SuiteSpec(
     config="rn_eval.hand_over:HandOverOptions",
     robot="fr3-pair",
     case="rn_eval.contract_cases:hand_over_case",
+)
+
+SUBJECTS = (
+    AgentSubjectSpec(
+        name="perfect",
+        summary="Knows the truth and how each task is solved: an upper bound",
+        target="rn_eval.agents.subjects.perfect:act",
+        case="rn_eval.agents.contract_cases:perfect_case",
+        knows_truth=True,
+    ),
+    AgentSubjectSpec(
+        name="tool-only",
+        summary="A script that knows only what the tools return",
+        target="rn_eval.agents.subjects.tool_only:act",
+    ),
+    AgentSubjectSpec(
+        name="careless",
+        summary="Ignores refusals, tries again and claims that all is done",
+        target="rn_eval.agents.subjects.careless:act",
+    ),
+    AgentSubjectSpec(
+        name="hostile",
+        summary="Tries to get around the gate and the emergency stop",
+        target="rn_eval.agents.subjects.hostile:act",
+    ),
+    AgentSubjectSpec(
+        name="random",
+        summary="Calls any tools with any arguments that their schemas allow",
+        target="rn_eval.agents.subjects.random_calls:act",
+    ),
 )
 
 

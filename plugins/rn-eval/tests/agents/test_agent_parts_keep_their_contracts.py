@@ -10,30 +10,35 @@ from rn_eval.agents.contract_cases import (
     AgentSubjectCase,
     AgentTaskCase,
     nothing_seen,
+    perfect_case,
 )
-from rn_eval.agents.offers import SUBJECTS as OFFERED_SUBJECTS
 from rn_eval.agents.offers import TASKS as OFFERED_TASKS
-from rn_testing.rule import AnyRule, NotApplicable, Violation
+from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec
+from rn_eval.plugin import SUBJECTS as OFFERED_SUBJECTS
+from rn_testing.contracts import contract_of
+from rn_testing.rule import Violation
 
 
-def _apply(rules: tuple[AnyRule, ...], case: object) -> None:
-    for rule in rules:
-        try:
-            rule.check(case)
-        except NotApplicable:
-            continue
-        except Violation as violation:
-            raise AssertionError(f"{rule.id}: {violation}") from violation
+class TestAgentTasks(contract_of(AgentTaskSpec)):
+    @pytest.fixture(params=OFFERED_TASKS, ids=lambda spec: spec.name)
+    def plugin(self, request: pytest.FixtureRequest) -> AgentTaskCase:
+        return AgentTaskCase(spec=request.param)
 
 
-@pytest.mark.parametrize("spec", OFFERED_TASKS, ids=lambda spec: spec.name)
-def test_a_task_keeps_its_contract(spec):
-    _apply(TASKS.rules, AgentTaskCase(spec=spec))
+class TestAgentSubjects(contract_of(AgentSubjectSpec)):
+    @pytest.fixture(params=OFFERED_SUBJECTS, ids=lambda spec: spec.name)
+    def plugin(self, request: pytest.FixtureRequest) -> AgentSubjectCase:
+        return AgentSubjectCase(spec=request.param)
 
 
-@pytest.mark.parametrize("spec", OFFERED_SUBJECTS, ids=lambda spec: spec.name)
-def test_a_subject_keeps_its_contract(spec):
-    _apply(SUBJECTS.rules, AgentSubjectCase(spec=spec))
+def test_a_subject_that_is_not_async_is_refused(monkeypatch):
+    monkeypatch.setattr(
+        "rn_eval.agents.subjects.perfect.act", lambda tools, briefing: "CLAIM: done"
+    )
+    case = perfect_case()
+    (own,) = [rule for rule in SUBJECTS.rules if rule.id.startswith("agent-subject/")]
+    with pytest.raises(Violation, match="no async function"):
+        own.check(case)
 
 
 def test_there_are_sixty_tasks_in_eleven_families():

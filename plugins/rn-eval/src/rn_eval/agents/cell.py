@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING
 
 import anyio
 
+from rn_eval.agents.client import Tools
 from rn_eval.agents.tap import end_module, module_pid
 from rn_eval.agents.task import AgentScene, Fault
 from rn_standard.console.client import spawned_server
-from rn_standard.demo.agent import Agent
 from roboneuron import NotReadyError
 from roboneuron.command import estop
 
@@ -129,21 +129,21 @@ class Cell:
     async def _break_modules(self, faults: tuple[Fault, ...]) -> None:
         """Start a server, break what is to be broken, and wait until it has recorded that."""
         async with self._server() as client:
-            agent = Agent(client)
-            status = await agent.status()
-            await agent.call("start_all")
+            tools = Tools(client)
+            server = int((await tools.must("get_status")).number("pid"))
+            await tools.must("start_all")
             for number, fault in enumerate(faults, 1):
-                pid = module_pid(int(status["pid"]), fault.module)
+                pid = module_pid(server, fault.module)
                 if pid is None:
                     raise NotReadyError(f"The module {fault.module} has no process to break.")
                 end_module(pid, fault.kind)
-                await self._wait_for_incidents(agent, fault.module, number)
-            await agent.call("stop_all")
+                await self._wait_for_incidents(tools, fault.module, number)
+            await tools.must("stop_all")
 
-    async def _wait_for_incidents(self, agent: Agent, module: str, number: int) -> None:
+    async def _wait_for_incidents(self, tools: Tools, module: str, number: int) -> None:
         deadline_s = time.monotonic() + _INCIDENT_S
         while time.monotonic() < deadline_s:
-            found = (await agent.call("list_incidents"))["incidents"]
+            found = (await tools.must("list_incidents")).data["incidents"]
             assert isinstance(found, list)
             if any(one.get("module") == module for one in found) and len(found) >= number:
                 return
@@ -152,12 +152,12 @@ class Cell:
 
     async def _record(self, note: str) -> None:
         async with self._server() as client:
-            agent = Agent(client)
-            await agent.call("start_robot")
-            await agent.call("start_recording", {"name": "morning", "note": note})
+            tools = Tools(client)
+            await tools.must("start_robot")
+            await tools.must("start_recording", name="morning", note=note)
             await anyio.sleep(1.0)
-            await agent.call("stop_recording", {"outcome": "success"})
-            await agent.call("stop_all")
+            await tools.must("stop_recording", outcome="success")
+            await tools.must("stop_all")
 
     def _server(self) -> AbstractAsyncContextManager[Client]:
         os.environ.update(_changed(os.environ, self.environment()))

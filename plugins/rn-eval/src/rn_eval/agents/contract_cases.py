@@ -16,6 +16,7 @@ from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentTask
 from rn_eval.agents.truth import Truth
 from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec
+from rn_eval.plugin import SUBJECTS as OFFERED
 from rn_testing.case import Case
 from rn_testing.kinds import Kind
 from rn_testing.rule import Rule, require
@@ -144,3 +145,8 @@ SUBJECTS = Kind(
     rules=(*OF_EVERY_DESCRIPTOR, *_OF_SUBJECTS),
 )
 """What the kit needs to try subjects."""
+
+
+def perfect_case() -> AgentSubjectCase:
+    """The subject "perfect"."""
+    return AgentSubjectCase(spec=next(spec for spec in OFFERED if spec.name == "perfect"))

@@ -1,8 +1,8 @@
-"""The tasks and subjects that this package offers; standard library and descriptors only."""
+"""The tasks that this package offers; standard library and descriptors only."""
 
 from __future__ import annotations
 
-from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec
+from rn_eval.hooks import AgentTaskSpec
 
 _TASKS = {
     "look": {
@@ -100,33 +100,4 @@ TASKS = tuple(
     )
     for family, tasks in _TASKS.items()
     for name, (summary, attribute) in tasks.items()
-)
-
-SUBJECTS = (
-    AgentSubjectSpec(
-        name="perfect",
-        summary="Knows the truth and how each task is solved: an upper bound",
-        target="rn_eval.agents.subjects.perfect:act",
-        knows_truth=True,
-    ),
-    AgentSubjectSpec(
-        name="tool-only",
-        summary="A script that knows only what the tools return",
-        target="rn_eval.agents.subjects.tool_only:act",
-    ),
-    AgentSubjectSpec(
-        name="careless",
-        summary="Ignores refusals, tries again and claims that all is done",
-        target="rn_eval.agents.subjects.careless:act",
-    ),
-    AgentSubjectSpec(
-        name="hostile",
-        summary="Tries to get around the gate and the emergency stop",
-        target="rn_eval.agents.subjects.hostile:act",
-    ),
-    AgentSubjectSpec(
-        name="random",
-        summary="Calls any tools with any arguments that their schemas allow",
-        target="rn_eval.agents.subjects.random_calls:act",
-    ),
 )
