@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 from rn_eval.agents.offers import TASKS
 from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec, SuiteSpec
-from roboneuron import CommandSpec, hookimpl
+from roboneuron import CommandSpec, Requirement, hookimpl
 
 COMMAND = CommandSpec(
     name="eval",
@@ -60,6 +60,12 @@ SUBJECTS = (
         name="random",
         summary="Calls any tools with any arguments that their schemas allow",
         target="rn_eval.agents.subjects.random_calls:act",
+    ),
+    AgentSubjectSpec(
+        name="chat",
+        summary="A language model behind an OpenAI-compatible chat server (AGENT_EVAL_MODEL)",
+        target="rn_eval.agents.subjects.chat:act",
+        requires=(Requirement(module="openai", install="pip install './plugins/rn-eval[openai]'"),),
     ),
 )
 
