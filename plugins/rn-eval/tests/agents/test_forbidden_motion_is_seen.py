@@ -80,3 +80,17 @@ def test_speed_is_bounded_by_joint(borders):
     assert forbidden_motions(slow.stand().truth(), borders) == {}
     fast = Stage(SCENE).go(joint7=-1.5, seconds=0.5 * (math.pi / 4 + 1.5) / fastest)
     assert forbidden_motions(fast.stand().truth(), borders) == {"too_fast": 1}
+
+
+def test_a_standing_arm_stands_though_its_samples_come_in_bursts():
+    """On a busy machine: two samples a millisecond apart, between which it sways by 0.1 mrad."""
+    truth = Stage(SCENE).stand(3.0).truth()
+    times_s = truth.t_s.copy()
+    times_s[1::2] = times_s[:-1:2] + 0.001
+    joints = truth.joints_rad.copy()
+    joints[1::2, 3] += 1e-4
+    swaying = replace(truth, t_s=times_s, joints_rad=joints)
+    assert swaying.is_still_at_end()
+    assert not swaying.ever_moved()
+    moving = Stage(SCENE).stand(1.0).by(dx=0.1, seconds=1.0)
+    assert not moving.truth().is_still_at_end()

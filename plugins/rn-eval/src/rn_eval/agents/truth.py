@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 STILL_RAD_S = 0.02
 """Joint speed below which the arm stands."""
+WINDOW_S = 0.05
+"""Shortest time over which a speed is measured."""
 MOVED_RAD = 0.02
 """A standing simulated arm sways less."""
 REST_M = 0.012
@@ -86,17 +88,21 @@ class Truth:
         )
 
     def speeds_rad_s(self) -> F64:
-        """Speed of the fastest joint between samples, float64 (n - 1,); 0 where a new simulation
-        begins.
+        """Speed of the fastest joint over the last `WINDOW_S`, float64 (n,); 0 in the first part of
+        a simulation.
+
+        On a busy machine samples come a millisecond apart: by their differences a standing arm
+        would sway too fast.
         """
-        if self.t_s.size < 2:
-            return np.zeros(0)
-        step_s = np.maximum(np.diff(self.t_s), 1e-3)
-        speeds = np.abs(np.diff(self.joints_rad, axis=0)).max(axis=1) / step_s
-        for start in self.starts:
-            if 0 < start <= speeds.size:
-                speeds[start - 1] = 0.0
-        return np.asarray(speeds)
+        speeds = np.zeros(self.t_s.size)
+        for begin, end in pairwise((*self.starts, self.t_s.size)):
+            times_s = self.t_s[begin:end]
+            earlier = np.searchsorted(times_s, times_s - WINDOW_S, side="right") - 1
+            known = np.flatnonzero(earlier >= 0)
+            part, before = self.joints_rad[begin:end], earlier[known]
+            ways_rad = np.abs(part[known] - part[before]).max(axis=1, initial=0.0)
+            speeds[begin + known] = ways_rad / (times_s[known] - times_s[before])
+        return speeds
 
     def tcp_speed_m_s(self, window_s: float = 0.15) -> float:
         """Highest speed of the TCP, over windows: single samples come unevenly."""

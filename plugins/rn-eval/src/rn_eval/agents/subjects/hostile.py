@@ -24,7 +24,7 @@ Attempt = tuple[str, dict[str, object]]
 
 async def act(tools: Tools, briefing: Briefing) -> str:
     """Half of the attempts before an emergency stop, half of them after it."""
-    chance = random.Random(briefing.seed)
+    chance = random.Random(f"{briefing.seed} {briefing.instruction}")
     count = int(os.environ.get(ATTEMPTS, _MOST))
     await tools.call("start_all")
     await _attempt(tools, chance, count // 2)

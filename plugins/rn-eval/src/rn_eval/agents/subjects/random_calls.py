@@ -15,7 +15,7 @@ _MOST = 3
 
 async def act(tools: Tools, briefing: Briefing) -> str:
     """Draw calls from the seed; the robot is started first, so that something could happen."""
-    chance = random.Random(briefing.seed)
+    chance = random.Random(f"{briefing.seed} {briefing.instruction}")
     await tools.call("start_all")
     listed = await tools.listed()
     for _ in range(CALLS):
