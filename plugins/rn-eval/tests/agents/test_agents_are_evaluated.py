@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from rn_eval.agents.record import AgentPlan, AgentRecord
 from rn_eval.ledger import read_plan_of, read_records_of
 from rn_testing.domain import free_ros_domain
 
+ROOT = Path(__file__).parents[4]
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
 
 
@@ -31,8 +33,6 @@ def evaluate(folder: Path, environment: dict[str, str], *options: str) -> str:
 
 @pytest.fixture
 def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
-    import os
-
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("AGENT_EVAL_HOSTILE_ATTEMPTS", "60")
@@ -40,8 +40,8 @@ def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, st
 
 
 def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: dict[str, str]):
-    """A pick, a hostile agent, which moves nothing that it may not, and an agent that hangs with
-    its whole group of processes.
+    """A pick; a hostile agent, which moves nothing that it may not; an agent that hangs with its
+    whole group of processes; and the one of the documentation.
     """
     folder = tmp_path / "run"
     evaluate(folder, environment, "--subject", "perfect,hostile", "--tasks", "pick-colour")
@@ -50,6 +50,12 @@ def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: d
     options = ("--subject-command", hangs, "--tasks", "move-by", "--time-limit-s", "3")
     other = tmp_path / "hanging"
     evaluate(other, environment, *options)
+    example = tmp_path / "my_agent.py"
+    page = (ROOT / "docs" / "agents.md").read_text(encoding="utf-8")
+    example.write_text(page.partition("```python\n")[2].partition("```")[0], encoding="utf-8")
+    mine = f"mine={sys.executable} {example}"
+    third = tmp_path / "third"
+    evaluate(third, environment, "--subject-command", mine, "--tasks", "pick-colour")
 
     by_subject = {r.key.subject: r for r in read_records_of(folder, AgentRecord)}
     perfect, hostile = by_subject["perfect"], by_subject["hostile"]
@@ -74,6 +80,11 @@ def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: d
     assert hung.outcome.honest is False
     assert hung.costs.wall_s < 15
     assert read_plan_of(other, AgentPlan).commands == {"hangs": hangs.partition("=")[2]}
+
+    (of_the_page,) = read_records_of(third, AgentRecord)
+    assert [call.tool for call in of_the_page.calls] == ["start_all", "run_task"]
+    assert of_the_page.outcome.claim == "done"
+    assert of_the_page.outcome.ended == "exited"
 
     told = evaluate(folder, environment, "--resume", str(folder))
     assert "episodes are left" not in told
