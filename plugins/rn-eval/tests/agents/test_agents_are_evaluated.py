@@ -77,6 +77,9 @@ def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: d
     assert Path(marker).exists()
     assert hung.outcome.ended == "timed out"
     assert hung.outcome.claim == "done"
+    kept = {path.name for path in (other / "failed" / hung.key.slug).iterdir()}
+    assert {"roboneuron.toml", "server.log", "agent.log", "words.txt"} <= kept
+    assert not (folder / "failed" / perfect.key.slug).exists()
     assert hung.outcome.honest is False
     assert hung.costs.wall_s < 15
     assert read_plan_of(other, AgentPlan).commands == {"hangs": hangs.partition("=")[2]}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import platform
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -44,6 +45,7 @@ _WATCHED_AFTER_S = 0.8
 """The robot is watched so long after the agent's end, with its server still there."""
 _WORDS = 8000
 _TAIL = 65536
+_KEPT = (".toml", ".log", ".txt")
 
 SubjectCommand = Callable[[str], tuple[list[str], bool]]
 """Command of a subject by name, and whether it knows the truth."""
@@ -59,6 +61,8 @@ class Episodes:
         witness: open.
         versions: for the records.
         time_limit_s: of an episode, where its task has a longer one; 0 for the task's own.
+        keep: folder for configuration and logs of each episode that fails or crashes; None keeps
+            nothing.
     """
 
     def __init__(
@@ -69,11 +73,13 @@ class Episodes:
         witness: Witness,
         versions: Mapping[str, str],
         time_limit_s: float = 0.0,
+        keep: Path | None = None,
     ) -> None:
         self._tasks, self._subject = tasks, subject
         self._profile, self._witness = profile, witness
         self._versions = dict(versions)
         self._time_limit_s = time_limit_s
+        self._keep = keep
 
     def run(self, key: AgentKey) -> AgentRecord:
         """Play one episode; a crash of the server or the evaluation is an outcome ("error")."""
@@ -82,8 +88,12 @@ class Episodes:
         costs, words = AgentCosts(), ""
         calls: tuple[ToolCall, ...] = ()
         try:
-            with tempfile.TemporaryDirectory(prefix="agents-") as folder:
+            with (
+                tempfile.TemporaryDirectory(prefix="agents-") as folder,
+                self._kept_unless_solved(key, Path(folder)) as solved,
+            ):
                 outcome, costs, conduct = self._play(key, spec, task, scene, Path(folder))
+                solved(outcome.status == "success")
             calls, words = first_calls(conduct.calls), conduct.words
         except (RoboNeuronError, OSError, subprocess.SubprocessError) as error:
             outcome = AgentOutcome(status="error", reason=f"{type(error).__name__}: {error}"[:500])
@@ -101,6 +111,19 @@ class Episodes:
             ended_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
             versions=self._versions,
         )
+
+    @contextmanager
+    def _kept_unless_solved(self, key: AgentKey, folder: Path) -> Iterator[Callable[[bool], None]]:
+        """Keep what an episode leaves unless it is told that it was solved."""
+        verdicts: list[bool] = []
+        try:
+            yield verdicts.append
+        finally:
+            if self._keep is not None and verdicts != [True]:
+                kept = self._keep / key.slug
+                kept.mkdir(parents=True, exist_ok=True)
+                for path in (p for p in folder.iterdir() if p.suffix in _KEPT):
+                    shutil.copyfile(path, kept / path.name)
 
     def _play(
         self, key: AgentKey, spec: AgentTaskSpec, task: AgentTask, scene: AgentScene, folder: Path

@@ -136,7 +136,6 @@ class AgentRecord(BaseModel):
         outcome, costs: see there.
         calls: the first `_MOST_CALLS` of them.
         words: the agent's last words.
-        strip: unused; ledgers of policies name a film strip here.
         host, pid, ended_at: where it ran, and when it ended (UTC, ISO 8601).
         versions: of the packages in the process that ran it.
     """

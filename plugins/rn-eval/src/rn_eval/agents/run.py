@@ -22,6 +22,8 @@ from rn_eval.ledger import RunLedger
 from roboneuron import ConfigurationError
 from roboneuron.command import Registry, build, discover, environment, load_profile
 
+FAILED = "failed"
+"""Folder of what failed episodes leave, by episode."""
 _DOMAINS = range(30, 101)
 """Domains whose ports stay below Linux' ephemeral ports. Source: docs.ros.org, "The ROS_DOMAIN_ID".
 """
@@ -83,7 +85,7 @@ def evaluate_agents(
         ]
         if missing:
             console.print(f"{len(missing)} of {len(keys)} episodes are left.")
-            with _episodes(plan, registry) as episodes, exit_on_sigterm():
+            with _episodes(plan, registry, directory) as episodes, exit_on_sigterm():
                 for number, key in enumerate(missing, 1):
                     record = episodes.run(key)
                     ledger.add(record)
@@ -102,7 +104,7 @@ def told(record: AgentRecord) -> str:
 
 
 @contextmanager
-def _episodes(plan: AgentPlan, registry: Registry) -> Iterator[Episodes]:
+def _episodes(plan: AgentPlan, registry: Registry, directory: Path) -> Iterator[Episodes]:
     """What runs episodes, with a witness on a ROS domain of this process."""
     os.environ.setdefault("ROS_DOMAIN_ID", str(_DOMAINS[os.getpid() % len(_DOMAINS)]))
     environment.prepare_environment()
@@ -127,6 +129,7 @@ def _episodes(plan: AgentPlan, registry: Registry) -> Iterator[Episodes]:
             witness,
             agent_versions(packages_of(plan, registry)),
             plan.time_limit_s,
+            directory / FAILED,
         )
     finally:
         witness.close()
