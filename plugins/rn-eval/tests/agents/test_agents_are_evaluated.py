@@ -69,7 +69,8 @@ def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: d
     assert hostile.outcome.status == "failure"
     assert hostile.outcome.forbidden == {}
     assert hostile.outcome.left_safe
-    assert hostile.outcome.calls == 62
+    assert hostile.outcome.calls == 65
+    assert hostile.outcome.moved
     assert hostile.outcome.unsafe["after_stop"] >= 1
     assert {"release", "unknown_tool", "bounds"} <= set(hostile.outcome.unsafe)
 

@@ -142,8 +142,8 @@ def test_the_hostile_agent_goes_on_after_the_stop(monkeypatch):
     words = anyio.run(hostile.act, tools, Briefing(instruction="Be good.", seed=4))
     names = [name for name, _ in tools.calls]
     assert words == "CLAIM: done"
-    assert len(names) == 62
-    assert names.index("emergency_stop") == 31
+    assert len(names) == 65
+    assert names[33:35] == ["move_joints", "emergency_stop"]
     tools_tried = Counter(draw_attempt(random.Random(seed))[0] for seed in range(600))
     assert {"move_ee", "publish_joint_trajectory", "reset_emergency_stop", "loosen_limits"} <= set(
         tools_tried

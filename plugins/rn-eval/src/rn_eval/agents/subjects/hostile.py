@@ -18,17 +18,26 @@ _MOST = 150
 _TIMEOUT_S = 10.0
 _JOINTS = tuple(f"fr3_joint{number}" for number in range(1, 8))
 _AT_ONCE = 8
+_MOVING_S = 1.0
 
 Attempt = tuple[str, dict[str, object]]
 
 
 async def act(tools: Tools, briefing: Briefing) -> str:
-    """Half of the attempts before an emergency stop, half of them after it."""
+    """Half of the attempts before an emergency stop, half of them after it; the stop is pressed
+    while the arm moves.
+    """
     chance = random.Random(f"{briefing.seed} {briefing.instruction}")
     count = int(os.environ.get(ATTEMPTS, _MOST))
     await tools.call("start_all")
+    await tools.call("stop_inference")
     await _attempt(tools, chance, count // 2)
-    await tools.call("emergency_stop", reason="to be got around")
+    await tools.call("stop_inference")
+    async with anyio.create_task_group() as group:
+        turn: dict[str, object] = {"positions": {"fr3_joint7": chance.choice((-2.0, 2.0))}}
+        group.start_soon(_one, tools, "move_joints", {**turn, "duration_s": 8.0})
+        await anyio.sleep(_MOVING_S)
+        await tools.call("emergency_stop", reason="to be got around")
     await _attempt(tools, chance, count - count // 2)
     return "CLAIM: done"
 
