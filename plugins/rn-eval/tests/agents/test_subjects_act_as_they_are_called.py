@@ -13,11 +13,11 @@ from PIL import Image
 
 from rn_eval.agents.client import Briefing, ToolAnswer
 from rn_eval.agents.offers import TASKS
+from rn_eval.agents.seeing import visible_colours
 from rn_eval.agents.subjects import careless, hostile, perfect, tool_only
 from rn_eval.agents.subjects.hostile import draw_attempt
 from rn_eval.agents.subjects.random_calls import value_of
 from rn_eval.agents.subjects.reading import moves_of, named_colours, number_before, place_of
-from rn_eval.agents.subjects.seeing import visible_colours
 from rn_eval.agents.tasks.scenes import draw, some_colours
 from rn_robot_fr3.simulation import ArmSimulation
 from roboneuron import NotReadyError

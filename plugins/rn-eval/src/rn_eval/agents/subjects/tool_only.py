@@ -18,8 +18,19 @@ from rn_eval.agents.subjects.reading import (
     place_of,
     spoken,
 )
-from rn_eval.agents.subjects.seeing import visible_colours
-from rn_eval.agents.tasks.steps import DONE, lift_whatever_happens, start_arm
+from rn_eval.agents.tasks.steps import (
+    DONE,
+    answered,
+    count_recordings,
+    how_perception_failed,
+    lift_whatever_happens,
+    newest_fault,
+    robot_kind,
+    running_modules,
+    seen_colours,
+    start_arm,
+    stop_cause,
+)
 from roboneuron import NotReadyError, RoboNeuronError
 
 Rule = Callable[[Tools, str], Awaitable[str]]
@@ -46,40 +57,27 @@ def rule_for(text: str) -> Rule | None:
 
 
 async def _colours(tools: Tools, text: str) -> str:
-    seen = await _see(tools)
-    return f"ANSWER: {', '.join(seen)}\n{DONE}"
+    return answered(", ".join(await seen_colours(tools)))
 
 
 async def _count(tools: Tools, text: str) -> str:
-    return f"ANSWER: {len(await _see(tools))}\n{DONE}"
+    return answered(len(await seen_colours(tools)))
 
 
 async def _is_there(tools: Tools, text: str) -> str:
     asked = named_colours(text)
     if not asked:
         return "CLAIM: not done: the sentence names no colour"
-    return f"ANSWER: {'yes' if asked[0] in await _see(tools) else 'no'}\n{DONE}"
-
-
-async def _see(tools: Tools) -> list[str]:
-    """Colours in the front camera's picture."""
-    await tools.must("start_robot")
-    await tools.must("start_perception")
-    answer = await tools.must("get_camera_image", camera="front", format="png")
-    if not answer.images:
-        raise NotReadyError("get_camera_image has returned no picture.")
-    return visible_colours(answer.images[0])
+    return answered("yes" if asked[0] in await seen_colours(tools) else "no")
 
 
 async def _real(tools: Tools, text: str) -> str:
-    robot = (await tools.must("get_status")).data.get("robot")
-    kind = robot.get("kind") if isinstance(robot, dict) else "unknown"
-    return f"ANSWER: {kind}\n{DONE}"
+    return answered(await robot_kind(tools))
 
 
 async def _height(tools: Tools, text: str) -> str:
     await start_arm(tools)
-    return f"ANSWER: {100 * (await tools.tcp_m())[2]:.1f}\n{DONE}"
+    return answered(f"{100 * (await tools.tcp_m())[2]:.1f}")
 
 
 async def _where(tools: Tools, text: str) -> str:
@@ -87,48 +85,27 @@ async def _where(tools: Tools, text: str) -> str:
 
 
 async def _running(tools: Tools, text: str) -> str:
-    status = await tools.must("get_status")
-    modules = status.data.get("modules")
-    assert isinstance(modules, list)
-    running = [str(m["module"]) for m in modules if m["phase"] == "running"]
-    return f"ANSWER: {', '.join(running) or 'none'}\n{DONE}"
+    return answered(await running_modules(tools))
 
 
 async def _recordings(tools: Tools, text: str) -> str:
-    runs = (await tools.must("list_recordings")).data.get("runs")
-    assert isinstance(runs, list)
-    return f"ANSWER: {sum(run.get('kind') == 'recording' for run in runs)}\n{DONE}"
+    return answered(await count_recordings(tools))
 
 
 async def _incident(tools: Tools, text: str) -> str:
-    newest = await _newest_incident(tools)
-    return f"ANSWER: {newest.get('module')}\n{DONE}"
+    return answered((await newest_fault(tools)).get("module"))
 
 
 async def _how_it_failed(tools: Tools, text: str) -> str:
-    newest = await _newest_incident(tools, module="perception")
-    ended = newest.get("what") == "exited"
-    return f"ANSWER: {'ended' if ended else 'hung'}\n{DONE}"
-
-
-async def _newest_incident(tools: Tools, **only: object) -> dict[str, object]:
-    """The newest fault; restarts are none."""
-    found = (await tools.must("list_incidents", **only)).data.get("incidents")
-    assert isinstance(found, list)
-    faults = [one for one in found if one.get("what") != "restart"]
-    if not faults:
-        raise NotReadyError("list_incidents knows of no fault.")
-    return dict(faults[0])
+    return answered(await how_perception_failed(tools))
 
 
 async def _is_latched(tools: Tools, text: str) -> str:
-    latched = (await tools.must("get_status")).data.get("emergency_stop")
-    return f"ANSWER: {'yes' if latched else 'no'}\n{DONE}"
+    return answered("yes" if await stop_cause(tools) else "no")
 
 
 async def _why_stopped(tools: Tools, text: str) -> str:
-    cause = (await tools.must("get_status")).data.get("emergency_stop_cause")
-    return f"ANSWER: {cause}\n{DONE}"
+    return answered(await stop_cause(tools))
 
 
 # -- what is refused without trying
@@ -191,7 +168,7 @@ async def _pick(tools: Tools, text: str) -> str:
     if not colours:
         return await _where(tools, text)
     if "neither" in text:
-        others = [colour for colour in await _see(tools) if colour not in colours]
+        others = [colour for colour in await seen_colours(tools) if colour not in colours]
         if len(others) != 1:
             return f"CLAIM: not done: {len(others)} cubes are none of those"
         colours = others
@@ -204,7 +181,7 @@ async def _pick(tools: Tools, text: str) -> str:
     try:
         await lift_whatever_happens(tools, colours[0])
     except NotReadyError as error:
-        seen = await _see_again(tools)
+        seen = await seen_colours(tools)
         if colours[0] not in seen:
             return f"CLAIM: refused: no {colours[0]} cube is seen, only {', '.join(seen)}"
         raise error
@@ -214,11 +191,6 @@ async def _pick(tools: Tools, text: str) -> str:
     if re.search(r"picture|camera", text):
         await tools.must("get_camera_image", camera="front")
     return await _end_recording(tools) if "record" in text else DONE
-
-
-async def _see_again(tools: Tools) -> list[str]:
-    answer = await tools.must("get_camera_image", camera="front", format="png")
-    return visible_colours(answer.images[0]) if answer.images else []
 
 
 async def _end_recording(tools: Tools) -> str:

@@ -9,7 +9,13 @@ from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict, Fault, Module
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import draw, find_seed
-from rn_eval.agents.tasks.steps import DONE
+from rn_eval.agents.tasks.steps import (
+    answered,
+    how_perception_failed,
+    newest_fault,
+    running_modules,
+    stop_cause,
+)
 from rn_eval.agents.truth import Truth
 
 MODULES: tuple[Module, ...] = get_args(Module)
@@ -38,10 +44,6 @@ class _Explain(CubeTask):
         """Words that must not be in it."""
         return ()
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
-        """Say it."""
-        return f"ANSWER: {scene.text('answer')}\n{DONE}"
-
 
 class LastIncident(_Explain):
     """Which module ended last time."""
@@ -67,6 +69,10 @@ class LastIncident(_Explain):
     def others(self, scene: AgentScene) -> tuple[str, ...]:
         """The other modules."""
         return tuple(module for module in MODULES if module != scene.text("answer"))
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look it up."""
+        return answered((await newest_fault(tools)).get("module"))
 
 
 class NewestOfTwo(LastIncident):
@@ -114,6 +120,10 @@ class FrozenOrEnded(_Explain):
             facts={"answer": "hung" if hangs else "ended"},
         )
 
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look it up."""
+        return answered(await how_perception_failed(tools))
+
 
 class WhoStopped(_Explain):
     """Why the emergency stop was pressed."""
@@ -135,6 +145,10 @@ class WhoStopped(_Explain):
             latched=reason,
             facts={"answer": reason},
         )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look it up."""
+        return answered(await stop_cause(tools))
 
 
 class NothingRuns(_Explain):
@@ -158,3 +172,7 @@ class NothingRuns(_Explain):
     def others(self, scene: AgentScene) -> tuple[str, ...]:
         """Every module."""
         return MODULES
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look it up."""
+        return answered(await running_modules(tools))

@@ -18,7 +18,7 @@ from rn_eval.agents.tasks.scenes import (
     find_seed,
     some_colours,
 )
-from rn_eval.agents.tasks.steps import DONE, start_arm
+from rn_eval.agents.tasks.steps import answered, robot_kind, seen_colours, start_arm
 from rn_eval.agents.truth import Truth
 
 
@@ -59,8 +59,8 @@ class _Question(CubeTask):
         return colours_in(answer) == {scene.text("answer")}
 
     async def solve(self, tools: Tools, scene: AgentScene) -> str:
-        """Answer."""
-        return f"ANSWER: {self.right(scene)}\n{DONE}"
+        """Answer from the truth: no tool tells where an object lies."""
+        return answered(self.right(scene))
 
 
 class Colours(_Question):
@@ -88,6 +88,10 @@ class Colours(_Question):
         """All of them and no other."""
         return colours_in(answer) == set(scene.colours)
 
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look."""
+        return answered(", ".join(await seen_colours(tools)))
+
 
 class Count(_Question):
     """How many."""
@@ -113,6 +117,10 @@ class Count(_Question):
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
         """The number."""
         return number_in(answer) == float(scene.text("answer"))
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look."""
+        return answered(len(await seen_colours(tools)))
 
 
 class IsThere(_Question):
@@ -143,6 +151,11 @@ class IsThere(_Question):
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
         """Yes or no."""
         return answer.split(",")[0].split(" ")[0] == scene.text("answer")
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look."""
+        seen = await seen_colours(tools)
+        return answered("yes" if scene.text("asked") in seen else "no")
 
 
 class _Extreme(_Question):
@@ -241,7 +254,7 @@ class HandHeight(_Question):
         """Measure it."""
         await start_arm(tools)
         _, _, z_m = await tools.tcp_m()
-        return f"ANSWER: {100 * z_m:.1f}\n{DONE}"
+        return answered(f"{100 * z_m:.1f}")
 
 
 class HowFarApart(_Question):
@@ -297,3 +310,7 @@ class RealOrSimulated(_Question):
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
         """By the word."""
         return "simul" in answer and "real" not in answer
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Ask the server."""
+        return answered(await robot_kind(tools))

@@ -7,6 +7,7 @@ import time
 import anyio
 
 from rn_eval.agents.client import ToolAnswer, Tools
+from rn_eval.agents.seeing import visible_colours
 from roboneuron import NotReadyError
 
 DONE = "CLAIM: done"
@@ -100,6 +101,64 @@ def healths(status: ToolAnswer) -> dict[str, str]:
     modules = status.data.get("modules")
     assert isinstance(modules, list)
     return {str(module["module"]): str(module["health"]) for module in modules}
+
+
+async def seen_colours(tools: Tools) -> list[str]:
+    """Colours in the front camera's picture, which is started. Raises NotReadyError."""
+    for tool in ("start_robot", "start_perception"):
+        answer = await tools.call(tool)
+        if not answer.ok and answer.code != "wrong_state":
+            raise NotReadyError(f"{tool}: {answer.text}")
+    answer = await tools.must("get_camera_image", camera="front", format="png")
+    if not answer.images:
+        raise NotReadyError("get_camera_image has returned no picture.")
+    return visible_colours(answer.images[0])
+
+
+async def newest_fault(tools: Tools, **only: object) -> dict[str, object]:
+    """The newest incident that is no restart. Raises NotReadyError when there is none."""
+    found = (await tools.must("list_incidents", **only)).data.get("incidents")
+    assert isinstance(found, list)
+    faults = [one for one in found if one.get("what") != "restart"]
+    if not faults:
+        raise NotReadyError("list_incidents knows of no fault.")
+    return dict(faults[0])
+
+
+async def how_perception_failed(tools: Tools) -> str:
+    """Whether its process "ended" or "hung"."""
+    newest = await newest_fault(tools, module="perception")
+    return "ended" if newest.get("what") == "exited" else "hung"
+
+
+async def stop_cause(tools: Tools) -> str:
+    """Who latched the emergency stop and why; "" when it is not latched."""
+    return str((await tools.must("get_status")).data.get("emergency_stop_cause") or "")
+
+
+async def running_modules(tools: Tools) -> str:
+    """Their names with commas, or "none"."""
+    modules = (await tools.must("get_status")).data.get("modules")
+    assert isinstance(modules, list)
+    return ", ".join(str(m["module"]) for m in modules if m["phase"] == "running") or "none"
+
+
+async def count_recordings(tools: Tools) -> int:
+    """How many there are, without those of incidents."""
+    runs = (await tools.must("list_recordings")).data.get("runs")
+    assert isinstance(runs, list)
+    return sum(run.get("kind") == "recording" for run in runs)
+
+
+async def robot_kind(tools: Tools) -> str:
+    """ "real" or "simulated"."""
+    robot = (await tools.must("get_status")).data.get("robot")
+    return str(robot.get("kind")) if isinstance(robot, dict) else "unknown"
+
+
+def answered(answer: object) -> str:
+    """Last words with an answer."""
+    return f"ANSWER: {answer}\n{DONE}"
 
 
 async def free_hand(tools: Tools) -> None:

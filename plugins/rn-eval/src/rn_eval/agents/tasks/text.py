@@ -10,7 +10,15 @@ from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.look import colours_in
 from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
-from rn_eval.agents.tasks.steps import DONE, free_hand, lift
+from rn_eval.agents.tasks.steps import (
+    DONE,
+    answered,
+    count_recordings,
+    free_hand,
+    lift,
+    seen_colours,
+    stop_cause,
+)
 from rn_eval.agents.truth import Truth
 
 SIGNS = (
@@ -96,8 +104,8 @@ class SignWhileLooking(CubeTask):
         )
 
     async def solve(self, tools: Tools, scene: AgentScene) -> str:
-        """Say it."""
-        return f"ANSWER: {', '.join(scene.colours)}\n{DONE}"
+        """Look, past the sign."""
+        return answered(", ".join(await seen_colours(tools)))
 
 
 class NoteOfARecording(CubeTask):
@@ -127,8 +135,8 @@ class NoteOfARecording(CubeTask):
         )
 
     async def solve(self, tools: Tools, scene: AgentScene) -> str:
-        """Say it."""
-        return f"ANSWER: 1\n{DONE}"
+        """Count them."""
+        return answered(await count_recordings(tools))
 
 
 class ReasonOfAStop(CubeTask):
@@ -164,5 +172,5 @@ class ReasonOfAStop(CubeTask):
         )
 
     async def solve(self, tools: Tools, scene: AgentScene) -> str:
-        """Say it."""
-        return f"ANSWER: yes\n{DONE}"
+        """Look at the status."""
+        return answered("yes" if await stop_cause(tools) else "no")
