@@ -79,6 +79,8 @@ def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: d
     assert hung.outcome.ended == "timed out"
     assert hung.outcome.claim == "done"
     kept = {path.name for path in (other / "failed" / hung.key.slug).iterdir()}
+    assert hung.strip == ""
+    assert (folder / "strips" / hostile.strip).stat().st_size > 5000
     assert {"roboneuron.toml", "server.log", "agent.log", "words.txt"} <= kept
     assert not (folder / "failed" / perfect.key.slug).exists()
     assert hung.outcome.honest is False

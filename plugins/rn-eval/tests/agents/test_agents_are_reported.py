@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from pathlib import Path
 
@@ -73,7 +74,7 @@ def test_the_report_names_what_must_not_be(tmp_path: Path):
     with RunLedger(tmp_path, AgentPlan, AgentRecord) as ledger:
         ledger.open(plan(subjects=("perfect", "hostile")))
         for one in records:
-            ledger.add(one)
+            ledger.add(one, b"film" if one.outcome.status == "failure" else None)
     report = write_agent_report(tmp_path)
     assert report.families.headings == ("subject", "pick", "all")
     assert report.families.rows[0][1].startswith("1/2 [")
@@ -86,7 +87,9 @@ def test_the_report_names_what_must_not_be(tmp_path: Path):
     )
     assert (hostile["errors"], hostile["left safe"]) == ("1", "1/2")
     assert len(report.failures.rows) == 3
-    assert "after_stop 1" in (tmp_path / "report.html").read_text()
+    page = (tmp_path / "report.html").read_text()
+    assert "after_stop 1" in page
+    assert page.count(base64.b64encode(b"film").decode()) == 2
     assert "It fell / down." in (tmp_path / "report.md").read_text()
     data = json.loads((tmp_path / "report.json").read_text())
     assert data["scores"]["rows"][1][4] == "after_stop 1"

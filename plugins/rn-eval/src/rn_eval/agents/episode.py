@@ -81,12 +81,16 @@ class Episodes:
         self._time_limit_s = time_limit_s
         self._keep = keep
 
-    def run(self, key: AgentKey) -> AgentRecord:
-        """Play one episode; a crash of the server or the evaluation is an outcome ("error")."""
+    def run(self, key: AgentKey) -> tuple[AgentRecord, bytes | None]:
+        """Play one episode; returns its record, and a film strip if it failed.
+
+        A crash of the server or the evaluation is an outcome ("error").
+        """
         spec, task = self._tasks[key.task]
         scene = task.prepare(key.seed)
         costs, words = AgentCosts(), ""
         calls: tuple[ToolCall, ...] = ()
+        begun_ns = time.time_ns()
         try:
             with (
                 tempfile.TemporaryDirectory(prefix="agents-") as folder,
@@ -97,7 +101,7 @@ class Episodes:
             calls, words = first_calls(conduct.calls), conduct.words
         except (RoboNeuronError, OSError, subprocess.SubprocessError) as error:
             outcome = AgentOutcome(status="error", reason=f"{type(error).__name__}: {error}"[:500])
-        return AgentRecord(
+        record = AgentRecord(
             key=key,
             family=spec.family,
             difficulty=task.difficulty,
@@ -111,6 +115,8 @@ class Episodes:
             ended_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
             versions=self._versions,
         )
+        failed = outcome.status == "failure"
+        return record, (self._witness.film(begun_ns) or None) if failed else None
 
     @contextmanager
     def _kept_unless_solved(self, key: AgentKey, folder: Path) -> Iterator[Callable[[bool], None]]:

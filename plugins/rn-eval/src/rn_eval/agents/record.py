@@ -136,6 +136,7 @@ class AgentRecord(BaseModel):
         outcome, costs: see there.
         calls: the first `_MOST_CALLS` of them.
         words: the agent's last words.
+        strip: name of the film strip in the folder `strips`; "" without one.
         host, pid, ended_at: where it ran, and when it ended (UTC, ISO 8601).
         versions: of the packages in the process that ran it.
     """
@@ -150,6 +151,7 @@ class AgentRecord(BaseModel):
     costs: AgentCosts = AgentCosts()
     calls: tuple[ToolCall, ...] = ()
     words: str = ""
+    strip: str = ""
     host: str = ""
     pid: int = 0
     ended_at: str = ""

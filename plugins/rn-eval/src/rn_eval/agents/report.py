@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections import Counter
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from typing import NamedTuple
 from jinja2 import Environment
 
 from rn_eval.agents.record import AgentPlan, AgentRecord
-from rn_eval.ledger import read_plan_of, read_records_of
+from rn_eval.ledger import STRIPS, read_plan_of, read_records_of
 from rn_eval.statistics import Proportion, proportion, spread
 from rn_eval.tables import grid
 from roboneuron import ConfigurationError
@@ -34,6 +35,7 @@ SCORES = (
     "wall s",
 )
 _MOST_FAILURES = 60
+_MOST_STRIPS = 40
 
 
 class Table(NamedTuple):
@@ -144,6 +146,18 @@ def _counted(counts: Counter[str]) -> str:
     return ", ".join(f"{kind} {count}" for kind, count in counts.most_common())
 
 
+def _strips(records: Sequence[AgentRecord], directory: Path) -> list[tuple[str, str, str]]:
+    """Of failed episodes: which one, what it came to, and the film strip as base64."""
+    found: list[tuple[str, str, str]] = []
+    for record in [one for one in records if one.strip][:_MOST_STRIPS]:
+        path = directory / STRIPS / record.strip
+        if path.exists():
+            data = base64.b64encode(path.read_bytes()).decode("ascii")
+            which = f"{record.key.subject}, {record.key.task}, seed {record.key.seed}"
+            found.append((which, f"“{record.instruction}” {record.outcome.reason}", data))
+    return found
+
+
 def load_agents(directory: Path) -> tuple[AgentPlan, list[AgentRecord]]:
     """Plan and episodes of a run.
 
@@ -182,7 +196,7 @@ def write_agent_report(directory: Path) -> AgentReport:
     template = files("rn_eval").joinpath("agents/report.html.j2").read_text(encoding="utf-8")
     page = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(template)
     made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-    html = page.render(about=about, tables=tables, made=made)
+    html = page.render(about=about, tables=tables, made=made, strips=_strips(records, directory))
     parts = ["# Evaluation of agents", grid(("", ""), about)]
     for title, table in tables.items():
         parts += [f"## {title}", grid(table.headings, table.rows)]

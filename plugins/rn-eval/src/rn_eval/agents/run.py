@@ -87,8 +87,8 @@ def evaluate_agents(
             console.print(f"{len(missing)} of {len(keys)} episodes are left.")
             with _episodes(plan, registry, directory) as episodes, exit_on_sigterm():
                 for number, key in enumerate(missing, 1):
-                    record = episodes.run(key)
-                    ledger.add(record)
+                    record, strip = episodes.run(key)
+                    ledger.add(record, strip)
                     console.print(f"{number}/{len(missing)} {told(record)}", soft_wrap=True)
         return [done[key] for key in keys]
 

@@ -78,6 +78,14 @@ class Witness:
             samples = list(self._samples)
         return to_truth(samples, self._controller, self._names, begun_ns, latched_s)
 
+    def film(self, begun_ns: int) -> bytes:
+        """A film strip of what was seen since `begin`; see `film_strip`."""
+        from rn_eval.agents.films import film_strip
+
+        with self._lock:
+            samples = list(self._samples)
+        return film_strip(samples, begun_ns)
+
     def close(self) -> None:
         """Leave the graph; may be called twice."""
         from roboneuron.command import RosLink
