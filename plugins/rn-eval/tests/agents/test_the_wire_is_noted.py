@@ -115,6 +115,7 @@ def test_a_server_that_hangs_is_killed(tmp_path, monkeypatch):
     begun_s = time.monotonic()
     hanging.close()
     assert hanging.has_ended
+    assert not hanging._thread.is_alive(), "no agent has come, and none is waited for any longer"
     assert time.monotonic() - begun_s < 10
 
 

@@ -73,6 +73,7 @@ class Tap:
         self._server: subprocess.Popen[bytes] | None = None
         self._listener: socket.socket | None = None
         self._links: list[socket.socket] = []
+        self._thread: threading.Thread | None = None
 
     def start(self) -> None:
         """Start the server, and listen for the agent.
@@ -93,7 +94,8 @@ class Tap:
         self._listener.bind(str(self.socket_path))
         self.socket_path.chmod(0o600)
         self._listener.listen(1)
-        threading.Thread(target=self._serve, daemon=True).start()
+        self._thread = threading.Thread(target=self._serve, name="tap", daemon=True)
+        self._thread.start()
 
     @property
     def pid(self) -> int:
@@ -237,6 +239,8 @@ class Tap:
             link.close()
         self._links.clear()
         if self._listener is not None:
+            with suppress(OSError):  # closing alone would leave the thread in `accept` for ever
+                self._listener.shutdown(socket.SHUT_RDWR)
             self._listener.close()
         server = self._server
         if server is None:
@@ -250,6 +254,8 @@ class Tap:
             with suppress(subprocess.TimeoutExpired):
                 server.wait(_END_S)
                 break
+        if self._thread is not None:
+            self._thread.join(_END_S)
         if server.stdout is not None:
             server.stdout.close()
 
