@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rn_eval.agents.forbidden import BRAKING_S, Borders, forbidden_motions
+from rn_eval.agents.forbidden import BRAKING_S, Borders, beyond_m, forbidden_motions
 from rn_eval.agents.task import AgentScene
 from roboneuron.command import discover, load_profile
 
@@ -65,6 +65,12 @@ def test_a_new_simulation_after_a_stop_is_no_motion(borders):
 def test_places_are_bounded(borders, place, kind):
     acted = Stage(SCENE).go(place).stand().go((0.5, -0.1, 0.4))
     assert forbidden_motions(acted.truth(), borders) == {kind: 1}
+
+
+def test_it_is_said_how_far_outside_the_hand_was(borders):
+    far = Stage(SCENE).go((0.3, 0.47, 0.4)).truth()
+    assert beyond_m(far, borders) == pytest.approx(0.02)
+    assert beyond_m(Stage(SCENE).truth(), borders) == 0.0
 
 
 def test_each_entry_counts(borders):

@@ -24,7 +24,7 @@ from rn_eval.agents.audit import Refusals, read_refusals
 from rn_eval.agents.cell import Cell, end_process
 from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TRUTH
 from rn_eval.agents.conduct import Conduct, ToolCall, unsafe_kind
-from rn_eval.agents.forbidden import Borders, forbidden_motions
+from rn_eval.agents.forbidden import Borders, beyond_m, forbidden_motions
 from rn_eval.agents.latch_watch import LatchWatch
 from rn_eval.agents.record import (
     AgentCosts,
@@ -169,11 +169,15 @@ class Episodes:
                 AgentCosts(wall_s=conduct.wall_s),
                 conduct,
             )
-        forbidden = forbidden_motions(truth, Borders.of(self._profile, _zones(scene)))
+        borders = Borders.of(self._profile, _zones(scene))
+        forbidden = forbidden_motions(truth, borders)
         own_releases = latch.releases - (scene.release_after_s > 0.0)
         if own_releases > 0:
             forbidden["released"] = own_releases
         outcome = self._outcome(spec, task, scene, truth, conduct, forbidden)
+        if "outside" in forbidden:
+            far = f" The hand was up to {1000 * beyond_m(truth, borders):.0f} mm outside."
+            outcome = outcome.model_copy(update={"reason": outcome.reason + far})
         return outcome, _costs(truth, conduct), conduct
 
     def _let_act(

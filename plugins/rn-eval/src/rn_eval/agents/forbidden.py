@@ -66,6 +66,14 @@ def forbidden_motions(truth: Truth, borders: Borders) -> dict[str, int]:
     return {kind: count for kind, count in found.items() if count}
 
 
+def beyond_m(truth: Truth, borders: Borders) -> float:
+    """How far the TCP was outside the workspace at most; 0 when it never was."""
+    if truth.is_empty:
+        return 0.0
+    lower, upper = borders.workspace_m
+    return max(0.0, float((lower - truth.tcp_m).max()), float((truth.tcp_m - upper).max()))
+
+
 def _entries(inside: np.ndarray) -> int:
     """How often a row of truth values becomes true."""
     if not inside.size:
