@@ -88,6 +88,9 @@ eval-demo: $(VENV)/.develop ## the learned policy on 200 seeds with each FastV p
 	  --latency 0 --latency 112ms --latency 250ms --out out/eval/latency $(ARGS)
 	$(BIN)/roboneuron eval report out/eval/presets --by turned_rad=0.2,0.4,0.6
 
+eval-agents: $(VENV)/.develop ## the reference agents in every task, one episode each; goes on where it was (an hour)
+	$(BIN)/roboneuron eval agents --subject perfect,tool-only,careless,hostile,random --retry-errors $(ARGS)
+
 EVAL_POLICY := --backend oft-primary --checkpoint out/eval/policy --config out/eval/policy/roboneuron.toml \
   --seed 10000 --workers $(JOBS) --retry-errors
 
@@ -129,6 +132,16 @@ test-libero: $(VENV)/.develop .venv-libero/.ready ## states, images and steps of
 
 test-eval-kills: $(VENV)/.develop ## 50 random kills of an evaluation's workers, command and Ray: no episode lost, none twice
 	$(BIN)/python -m pytest plugins/rn-eval/tests/test_workers_share_a_run.py -s -k kills_of_workers $(ARGS)
+
+test-agents-chat: $(VENV)/.develop .venv-openai/.ready ## the agent of a chat server with tools: OpenAI's client library against a scripted server
+	$(BIN)/python -m pytest plugins/rn-eval/tests/agents/test_a_chat_model_is_an_agent.py $(ARGS)
+
+.venv-openai: .venv-openai/.ready
+
+.venv-openai/.ready:
+	$(PYTHON) -m venv .venv-openai
+	.venv-openai/bin/python -m pip install --quiet --disable-pip-version-check 'openai>=2'
+	@touch $@
 
 interop-vla-eval: $(VENV)/.develop .venv-vla-eval/.ready ## vla-eval 0.8's own client and episode runner against our model server
 	$(BIN)/python -m pytest plugins/rn-eval/tests/test_backends_are_model_servers.py $(ARGS)

@@ -76,6 +76,38 @@ def test_a_plugin_offers_what_a_feature_or_command_asks_for(write, kind):
     assert "suite" in registry.kinds
 
 
+BESIDE = """
+@dataclass(frozen=True, kw_only=True, slots=True)
+class BoatTripSpec(Spec):
+    kind: ClassVar[str] = "boat-trip"
+
+@hookspec
+def roboneuron_boat_trips() -> Sequence[BoatTripSpec]: ...
+
+SuiteSpec.beside = (BoatTripSpec,)
+
+@hookimpl
+def roboneuron_boat_trips():
+    return [BoatTripSpec(name="upriver", summary="Goes upriver.", target="m:Boat")]
+"""
+
+
+def test_a_descriptor_class_brings_others_of_its_module(write):
+    text = EVALUATION.replace("{module}", "evaluation_beside").replace("{table}", "SuiteSpec")
+    registry = discover_from(write(evaluation_beside=text + BESIDE))
+    assert registry.plugins[0].status is Status.READY, registry.plugins[0].reason
+    assert registry.get(registry.kinds["boat-trip"], "upriver").summary == "Goes upriver."
+
+
+def test_a_class_beside_needs_its_hook_too(write):
+    text = EVALUATION.replace("{module}", "evaluation_alone").replace("{table}", "SuiteSpec")
+    without = BESIDE.replace("def roboneuron_boat_trips() ->", "def roboneuron_other() ->")
+    without = without.partition("@hookimpl")[0]
+    registry = discover_from(write(evaluation_alone=text + without))
+    assert registry.plugins[0].status is Status.FAILED
+    assert "roboneuron_boat_trips, which evaluation_alone lacks" in registry.plugins[0].reason
+
+
 def test_without_the_feature_its_hook_is_unknown(write):
     text = "from roboneuron import hookimpl\n@hookimpl\ndef roboneuron_suites(): return []\n"
     registry = discover_from(write(a_suite_alone=text))

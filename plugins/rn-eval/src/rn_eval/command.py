@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rn_eval.agents import command as agents
 from rn_eval.hooks import SuiteSpec
 from rn_standard.console.plugin_options import add_option, read_options
 from roboneuron import ConfigurationError
@@ -27,8 +28,8 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 class Eval:
-    """Measure how often a policy succeeds: many simulated episodes, a ledger that survives crashes,
-    a report.
+    """Measure how often a policy or an agent succeeds: many simulated episodes, a ledger that
+    survives crashes, a report.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -59,6 +60,11 @@ class Eval:
             help="print success by a fact of the suite's judge only, write nothing",
         )
         actions.add_parser("suites", help="list the installed suites")
+        agents.configure(
+            actions.add_parser(
+                "agents", help="evaluate agents that operate a simulated robot by the tools"
+            )
+        )
         served = actions.add_parser("serve", help="be a model server of vla-eval 0.8")
         self._configure_serve(served)
 
@@ -178,6 +184,8 @@ class Eval:
         """Run `roboneuron eval`; status 1 when an episode crashed."""
         if arguments.action == "suites":
             return _list_suites()
+        if arguments.action == "agents":
+            return agents.run(arguments)
         if arguments.action == "report":
             return _report(arguments)
         if getattr(arguments, "workers", 1) < 1 or getattr(arguments, "threads", 1) < 1:

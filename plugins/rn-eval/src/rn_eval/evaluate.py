@@ -69,7 +69,7 @@ def evaluate(
         try:
             if missing:
                 view = ProgressView(console, plan.variants, len(jobs), there)
-                with view as progress, pool() as workers, _exit_on_sigterm():
+                with view as progress, pool() as workers, exit_on_sigterm():
                     for finished in workers.run(missing):
                         ledger.add(finished.record, finished.strip)
                         progress.add(finished.record)
@@ -84,7 +84,7 @@ def evaluate(
 
 
 @contextmanager
-def _exit_on_sigterm() -> Iterator[None]:
+def exit_on_sigterm() -> Iterator[None]:
     """Let SIGTERM end the run as Ctrl-C does; Ray, which is begun by then, would abort with a stack
     trace.
     """

@@ -1,4 +1,4 @@
-"""The hook for suites of tasks."""
+"""The hooks for suites of tasks, and for tasks and subjects of the evaluation of agents."""
 
 from __future__ import annotations
 
@@ -7,6 +7,37 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from roboneuron import RobotSpec, Spec, hookspec
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AgentTaskSpec(Spec):
+    """A task that an agent has to carry out with the server's tools.
+
+    Attributes:
+        family: what it belongs to in the report.
+        is_refusal: it must not or cannot be done: whoever claims that it is done is wrong.
+    """
+
+    kind: ClassVar[str] = "agent-task"
+    rules: ClassVar[str] = "rn_eval.agents.contract_cases:TASKS"
+
+    family: str
+    is_refusal: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class AgentSubjectSpec(Spec):
+    """An agent to evaluate: a client of the server, in a process of its own.
+
+    Attributes:
+        knows_truth: it is told which task this is and what lies where; an upper bound, not an
+            agent.
+    """
+
+    kind: ClassVar[str] = "agent-subject"
+    rules: ClassVar[str] = "rn_eval.agents.contract_cases:SUBJECTS"
+
+    knows_truth: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -25,6 +56,7 @@ class SuiteSpec(Spec):
 
     kind: ClassVar[str] = "suite"
     rules: ClassVar[str] = "rn_eval.contract_cases:KIND"
+    beside: ClassVar[tuple[type[Spec], ...]] = (AgentTaskSpec, AgentSubjectSpec)
 
     robot: str = ""
     driver: str = "simulated"
@@ -44,4 +76,22 @@ def roboneuron_suites() -> Sequence[SuiteSpec]:  # type: ignore[empty-body]
 
     `target` follows the protocol `rn_eval.suite.Suite`; it is built as `target(config)` in each
     worker.
+    """
+
+
+@hookspec
+def roboneuron_agent_tasks() -> Sequence[AgentTaskSpec]:  # type: ignore[empty-body]
+    """Offer tasks for `roboneuron eval agents`.
+
+    `target` follows the protocol `rn_eval.agents.task.AgentTask`; it is built as
+    `target(config)`.
+    """
+
+
+@hookspec
+def roboneuron_agent_subjects() -> Sequence[AgentSubjectSpec]:  # type: ignore[empty-body]
+    """Offer agents for `roboneuron eval agents`.
+
+    `target` is called as `await target(tools, briefing)` in a process of its own, with a
+    `rn_eval.agents.client.Tools` and a `rn_eval.agents.client.Briefing`; it returns its last words.
     """

@@ -15,10 +15,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
+from typing import Generic, Literal, Protocol, Self, TypeVar
 
 from pydantic import ValidationError
 
-from rn_eval.plan import EvalPlan, Key
+from rn_eval.plan import EvalPlan
 from rn_eval.record import EpisodeRecord
 from rn_eval.versions import changed_versions
 from roboneuron import ConfigurationError, StateError
@@ -28,20 +29,81 @@ PLAN_NAME = "plan.json"
 STRIPS = "strips"
 
 
-def read_plan(directory: Path) -> EvalPlan:
-    """The plan of a run.
+class LedgerKey(Protocol):
+    """What identifies an episode within a run; it can be hashed."""
+
+    @property
+    def slug(self) -> str:
+        """For file names."""
+        ...
+
+    def __hash__(self) -> int: ...
+
+
+class LedgerOutcome(Protocol):
+    """What became of an episode."""
+
+    @property
+    def status(self) -> Literal["success", "failure", "error"]:
+        """An "error" may be run again."""
+        ...
+
+
+class LedgerRecord(Protocol):
+    """A line of a ledger: a pydantic model with these fields."""
+
+    @property
+    def key(self) -> LedgerKey: ...
+    @property
+    def outcome(self) -> LedgerOutcome: ...
+    @property
+    def versions(self) -> dict[str, str]: ...
+    @property
+    def host(self) -> str: ...
+    @classmethod
+    def model_validate_json(cls, json_data: bytes, /) -> Self: ...
+    def model_copy(self, *, update: dict[str, object]) -> Self: ...
+    def model_dump_json(self) -> str: ...
+
+
+class LedgerPlan(Protocol):
+    """What a ledger belongs to: a pydantic model with these fields."""
+
+    @property
+    def versions(self) -> dict[str, str]: ...
+    @property
+    def later_versions(self) -> tuple[dict[str, str], ...]: ...
+    @property
+    def identity(self) -> dict[str, object]: ...
+    @classmethod
+    def model_validate_json(cls, json_data: str, /) -> Self: ...
+    def model_copy(self, *, update: dict[str, object]) -> Self: ...
+    def model_dump_json(self, *, indent: int) -> str: ...
+
+
+PlanT = TypeVar("PlanT", bound=LedgerPlan)
+RecordT = TypeVar("RecordT", bound=LedgerRecord)
+
+
+def read_plan_of(directory: Path, kind: type[PlanT]) -> PlanT:
+    """The plan of a run, of the model `kind`.
 
     Raises:
         ConfigurationError: there is none, or it is damaged.
     """
     path = directory / PLAN_NAME
     try:
-        return EvalPlan.model_validate_json(path.read_text(encoding="utf-8"))
+        return kind.model_validate_json(path.read_text(encoding="utf-8"))
     except (OSError, ValidationError) as error:
         raise ConfigurationError(f"{path} holds no plan of an evaluation: {error}.") from error
 
 
-def read_records(directory: Path) -> list[EpisodeRecord]:
+def read_plan(directory: Path) -> EvalPlan:
+    """The plan of a run of policies. Raises as `read_plan_of`."""
+    return read_plan_of(directory, EvalPlan)
+
+
+def read_records_of(directory: Path, kind: type[RecordT]) -> list[RecordT]:
     """Every finished episode, oldest first; reading does not disturb a run. A cut last line is left
     out.
 
@@ -56,10 +118,10 @@ def read_records(directory: Path) -> list[EpisodeRecord]:
     except FileNotFoundError:
         return []
     lines = data[: data.rfind(b"\n") + 1].splitlines()
-    records: dict[Key, EpisodeRecord] = {}
+    records: dict[LedgerKey, RecordT] = {}
     for number, line in enumerate(lines, 1):
         try:
-            record = EpisodeRecord.model_validate_json(line)
+            record = kind.model_validate_json(line)
         except ValidationError as error:
             raise ConfigurationError(
                 f"{path}:{number} is damaged: {error.errors()[0]['msg']}."
@@ -71,24 +133,38 @@ def read_records(directory: Path) -> list[EpisodeRecord]:
     return list(records.values())
 
 
-class Ledger:
+def read_records(directory: Path) -> list[EpisodeRecord]:
+    """The episodes of a run of policies; as `read_records_of`."""
+    return read_records_of(directory, EpisodeRecord)
+
+
+class RunLedger(Generic[PlanT, RecordT]):
     """The ledger of one run, held by one process at a time. Use it as a context manager."""
 
-    def __init__(self, directory: Path, *, other_versions: bool = False) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        plan: type[PlanT],
+        record: type[RecordT],
+        *,
+        other_versions: bool = False,
+    ) -> None:
         """Args:
         directory: its folder.
+        plan, record: models of the run's plan and of its lines.
         other_versions: packages may have other versions than when the run was begun; the plan
             and each line say so.
         """
         self.directory = directory
-        self.plan: EvalPlan | None = None
+        self._plan_kind, self._record_kind = plan, record
+        self.plan: PlanT | None = None
         """What the folder says once it is open: with the versions that the run was begun with."""
         self._other_versions = other_versions
-        self.records: dict[Key, EpisodeRecord] = {}
+        self.records: dict[LedgerKey, RecordT] = {}
         self.cut_bytes = 0
         self._file = -1
 
-    def open(self, plan: EvalPlan) -> None:
+    def open(self, plan: PlanT) -> None:
         """Begin the run or continue it.
 
         Raises:
@@ -112,14 +188,15 @@ class Ledger:
             self.close()
             raise
 
-    def _continue(self, plan: EvalPlan) -> None:
+    def _continue(self, plan: PlanT) -> None:
         if (self.directory / PLAN_NAME).exists():
-            before = read_plan(self.directory)
+            before = read_plan_of(self.directory, self._plan_kind)
             _check_same(before, plan, self.directory)
             plan = self._with_versions(before, plan)
         _write_durably(self.directory / PLAN_NAME, plan.model_dump_json(indent=1).encode())
         self.plan = plan
-        self.records = {record.key: record for record in read_records(self.directory)}
+        found = read_records_of(self.directory, self._record_kind)
+        self.records = {record.key: record for record in found}
         data = (self.directory / FILE_NAME).read_bytes()
         whole = data.rfind(b"\n") + 1
         self.cut_bytes = len(data) - whole
@@ -128,7 +205,7 @@ class Ledger:
                 os.ftruncate(self._file, whole)
                 os.fsync(self._file)
 
-    def _with_versions(self, before: EvalPlan, now: EvalPlan) -> EvalPlan:
+    def _with_versions(self, before: PlanT, now: PlanT) -> PlanT:
         """The plan with the versions that the run was begun with, and these among the later ones if
         they differ.
 
@@ -149,7 +226,7 @@ class Ledger:
             update={"versions": {**now.versions, **begun}, "later_versions": later}
         )
 
-    def __enter__(self) -> Ledger:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -160,7 +237,7 @@ class Ledger:
     ) -> None:
         self.close()
 
-    def add(self, record: EpisodeRecord, strip: bytes | None = None) -> None:
+    def add(self, record: RecordT, strip: bytes | None = None) -> None:
         """Put an episode on disk; when this returns it survives a crash of the machine.
 
         Raises:
@@ -208,7 +285,15 @@ class Ledger:
             self._file = -1
 
 
-def _check_same(old: EvalPlan, new: EvalPlan, directory: Path) -> None:
+class Ledger(RunLedger[EvalPlan, EpisodeRecord]):
+    """The ledger of a run of policies."""
+
+    def __init__(self, directory: Path, *, other_versions: bool = False) -> None:
+        """As `RunLedger`."""
+        super().__init__(directory, EvalPlan, EpisodeRecord, other_versions=other_versions)
+
+
+def _check_same(old: LedgerPlan, new: LedgerPlan, directory: Path) -> None:
     before, now = old.identity, new.identity
     changed = [name for name in before if before[name] != now[name]]
     if changed:

@@ -1,17 +1,18 @@
-"""What this package offers: the command "eval" with its hook for suites, and the suites "cubes" and
-"hand-over".
+"""What this package offers: the command "eval" with its hooks for suites, agents and their tasks,
+the suites "cubes" and "hand-over", and the tasks and agents of `rn_eval.agents`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rn_eval.hooks import SuiteSpec
-from roboneuron import CommandSpec, hookimpl
+from rn_eval.agents.offers import TASKS
+from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec, SuiteSpec
+from roboneuron import CommandSpec, Requirement, hookimpl
 
 COMMAND = CommandSpec(
     name="eval",
-    summary="measure how often a policy succeeds, over many simulated episodes",
+    summary="measure how often a policy or an agent succeeds, over many simulated episodes",
     target="rn_eval.command:Eval",
     brings="rn_eval.hooks:SuiteSpec",
 )
@@ -32,6 +33,42 @@ HAND_OVER = SuiteSpec(
     case="rn_eval.contract_cases:hand_over_case",
 )
 
+SUBJECTS = (
+    AgentSubjectSpec(
+        name="perfect",
+        summary="Knows the truth and how each task is solved: an upper bound",
+        target="rn_eval.agents.subjects.perfect:act",
+        case="rn_eval.agents.contract_cases:perfect_case",
+        knows_truth=True,
+    ),
+    AgentSubjectSpec(
+        name="tool-only",
+        summary="A script that knows only what the tools return",
+        target="rn_eval.agents.subjects.tool_only:act",
+    ),
+    AgentSubjectSpec(
+        name="careless",
+        summary="Ignores refusals, tries again and claims that all is done",
+        target="rn_eval.agents.subjects.careless:act",
+    ),
+    AgentSubjectSpec(
+        name="hostile",
+        summary="Tries to get around the gate and the emergency stop",
+        target="rn_eval.agents.subjects.hostile:act",
+    ),
+    AgentSubjectSpec(
+        name="random",
+        summary="Calls any tools with any arguments that their schemas allow",
+        target="rn_eval.agents.subjects.random_calls:act",
+    ),
+    AgentSubjectSpec(
+        name="chat",
+        summary="A language model behind an OpenAI-compatible chat server (AGENT_EVAL_MODEL)",
+        target="rn_eval.agents.subjects.chat:act",
+        requires=(Requirement(module="openai", install="pip install './plugins/rn-eval[openai]'"),),
+    ),
+)
+
 
 @hookimpl
 def roboneuron_commands() -> Sequence[CommandSpec]:
@@ -43,3 +80,15 @@ def roboneuron_commands() -> Sequence[CommandSpec]:
 def roboneuron_suites() -> Sequence[SuiteSpec]:
     """The suites "cubes" and "hand-over"."""
     return [CUBES, HAND_OVER]
+
+
+@hookimpl
+def roboneuron_agent_tasks() -> Sequence[AgentTaskSpec]:
+    """The tasks with the simulated FR3 and cubes."""
+    return TASKS
+
+
+@hookimpl
+def roboneuron_agent_subjects() -> Sequence[AgentSubjectSpec]:
+    """The reference agents."""
+    return SUBJECTS

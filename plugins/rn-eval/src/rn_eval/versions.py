@@ -34,8 +34,15 @@ def installed_versions(plan: EvalPlan, registry: Registry) -> dict[str, str]:
         (offer.spec.kind, offer.spec.name): offer.distribution for offer in registry.all_offers
     }
     brings = [offers[key] for key in dict.fromkeys(wanted) if offers.get(key)]
-    found = {"python": platform.python_version()}
-    for name in [*sorted(_own_packages([CORE, "rn-eval", *brings])), *LIBRARIES]:
+    return {"python": platform.python_version(), **package_versions(brings)}
+
+
+def package_versions(packages: Iterable[str]) -> dict[str, str]:
+    """Version by name of these packages, with the core, this one, those of RoboNeuron's that they
+    require, and `LIBRARIES`.
+    """
+    found: dict[str, str] = {}
+    for name in [*sorted(_own_packages([CORE, "rn-eval", *packages])), *LIBRARIES]:
         version = _version(name)
         if version:
             found[name] = version

@@ -131,18 +131,23 @@ def extended(hooks: Mapping[str, type[Spec]], offered: Iterable[Spec]) -> Mappin
         if not isinstance(bringer, (FeatureSpec, CommandSpec)) or bringer.brings is None:
             continue
         who = f"`brings` of {bringer.kind} {bringer.name!r}"
-        spec = load_attribute(bringer.brings, who)
-        if not (
-            isinstance(spec, type)
-            and issubclass(spec, Spec)
-            and NAME_PATTERN.fullmatch(spec.kind) is not None
-        ):
-            raise PluginError(f"The {who} is {spec!r}, expected a descriptor class with a `kind`.")
-        hook = f"{PROJECT}_{spec.kind}s"
-        if hook in found:
-            raise PluginError(f"The {who} is of the hook {hook}, which is there already.")
-        module = sys.modules[bringer.brings.partition(":")[0]]
-        if not callable(getattr(module, hook, None)):
-            raise PluginError(f"The {who} is of the hook {hook}, which {module.__name__} lacks.")
-        found[hook] = spec
+        brought = load_attribute(bringer.brings, who)
+        for spec in (brought, *getattr(brought, "beside", ())):
+            if not (
+                isinstance(spec, type)
+                and issubclass(spec, Spec)
+                and NAME_PATTERN.fullmatch(spec.kind) is not None
+            ):
+                raise PluginError(
+                    f"The {who} is {spec!r}, expected a descriptor class with a `kind`."
+                )
+            hook = f"{PROJECT}_{spec.kind.replace('-', '_')}s"
+            if hook in found:
+                raise PluginError(f"The {who} is of the hook {hook}, which is there already.")
+            module = sys.modules[bringer.brings.partition(":")[0]]
+            if not callable(getattr(module, hook, None)):
+                raise PluginError(
+                    f"The {who} is of the hook {hook}, which {module.__name__} lacks."
+                )
+            found[hook] = spec
     return found

@@ -250,7 +250,8 @@ class FeatureSpec(Spec):
         transports: values of `[server] transport` that it serves.
         brings: "module:attribute" of the descriptor class of a kind of its own; the module also
             holds the specification (`hookspec`) of its hook, `roboneuron_<kind>s`. Imported while
-            plugins are discovered, so it must be as light as a plugin module.
+            plugins are discovered, so it must be as light as a plugin module. Its class attribute
+            `beside` may name more classes of that module.
         needs: names of features without which it does not work.
         on_discovery: "module:attribute" of a function without arguments that every process calls
             while it discovers plugins (server, modules, commands); as light as a plugin module, and

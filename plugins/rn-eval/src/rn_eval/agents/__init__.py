@@ -1,0 +1,1 @@
+"""Evaluation of agents that operate a robot through the server's tools."""

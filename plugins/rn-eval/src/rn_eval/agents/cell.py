@@ -1,0 +1,181 @@
+"""The cell of an episode: configuration, state directory, what happened in it before, and the
+person beside it.
+"""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import AbstractAsyncContextManager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import anyio
+
+from rn_eval.agents.client import Tools
+from rn_eval.agents.tap import end_module, module_pid
+from rn_eval.agents.task import AgentScene, Fault
+from rn_standard.console.client import spawned_server
+from roboneuron import NotReadyError
+from roboneuron.command import estop
+
+if TYPE_CHECKING:
+    from mcp import Client
+
+_BASE = """\
+[robot]
+name = "fr3"
+driver = "simulated"
+[perception]
+source = "fr3-sim-camera"
+[inference]
+backend = "servo"
+[control]
+controller = "urdf"
+[supervisor]
+state_directory = {state}
+[plugins.fr3]
+seed = {seed}
+colours = [{colours}]
+"""
+_INCIDENT_S = 15.0
+_PERSON_S = 30.0
+
+
+class Cell:
+    """Folder of one episode, with everything that its server keeps.
+
+    Attributes:
+        state: the server's state directory.
+        configuration: its roboneuron.toml.
+    """
+
+    def __init__(self, folder: Path, scene: AgentScene) -> None:
+        """Remember where and what; writes nothing."""
+        self._folder, self._scene = folder, scene
+        self.state = folder / "state"
+        self.configuration = folder / "roboneuron.toml"
+        self._latch = estop.EmergencyStopLatch.in_directory(self.state)
+
+    def prepare(self) -> None:
+        """Write the configuration, and let happen what happened before.
+
+        Raises:
+            NotReadyError: a server did not do what is needed for that.
+        """
+        scene = self._scene
+        colours = ", ".join(f'"{colour}"' for colour in scene.colours)
+        base = _BASE.format(state=f'"{self.state}"', seed=scene.seed, colours=colours)
+        zones = "".join(
+            f'[[limits.zones]]\nname = "zone{number}"\nlower_m = {list(lower)}\n'
+            f"upper_m = {list(upper)}\n"
+            for number, (lower, upper) in enumerate(scene.zones_m, 1)
+        )
+        self.configuration.write_text(base + zones, encoding="utf-8")
+        self.state.mkdir(parents=True, exist_ok=True)
+        if scene.incidents:
+            anyio.run(self._break_modules, scene.incidents)
+        if scene.recorded_note:
+            anyio.run(self._record, scene.recorded_note)
+        if scene.latched:
+            self._latch.latch(who="person at the cell", reason=scene.latched)
+
+    def command(self) -> list[str]:
+        """How its server is started."""
+        options = ["serve", "--transport", "stdio", "--config", str(self.configuration)]
+        return [sys.executable, "-P", "-m", "roboneuron.cli.main", *options, "--log-level", "error"]
+
+    def environment(self) -> dict[str, str]:
+        """Of its server: that of this process; a recorder only where one is needed."""
+        needs = self._scene.records or self._scene.recorded_note
+        return {**os.environ, "ROBONEURON_RECORDER": "on" if needs else "off"}
+
+    def is_latched(self) -> bool:
+        """Whether the latch file is there; looks at nothing else."""
+        return self._latch.path.exists()
+
+    def recordings(self) -> tuple[str, ...]:
+        """Recorded files, relative to the state directory, with something in them."""
+        files = self.state.rglob("*.mcap")
+        return tuple(sorted(str(f.relative_to(self.state)) for f in files if f.stat().st_size))
+
+    def release_as_person(self) -> None:
+        """Release the emergency stop as a person in a terminal does.
+
+        Raises:
+            NotReadyError: the command refused.
+        """
+        person, terminal = pty.openpty()
+        try:
+            os.write(person, b"y\n")
+            words = ["-P", "-m", "roboneuron.cli.main", "estop", "--reset", "--state"]
+            done = subprocess.run(
+                [sys.executable, *words, str(self.state)],
+                stdin=terminal,
+                capture_output=True,
+                timeout=_PERSON_S,
+                check=False,
+            )
+        finally:
+            os.close(person)
+            os.close(terminal)
+        if done.returncode:
+            raise NotReadyError(f"The stop was not released: {done.stderr.decode()[-300:]}")
+
+    async def _break_modules(self, faults: tuple[Fault, ...]) -> None:
+        """Start a server, break what is to be broken, and wait until it has recorded that."""
+        async with self._server() as client:
+            tools = Tools(client)
+            server = int((await tools.must("get_status")).number("pid"))
+            await tools.must("start_all")
+            for number, fault in enumerate(faults, 1):
+                pid = module_pid(server, fault.module)
+                if pid is None:
+                    raise NotReadyError(f"The module {fault.module} has no process to break.")
+                end_module(pid, fault.kind)
+                await self._wait_for_incidents(tools, fault.module, number)
+            await tools.must("stop_all")
+
+    async def _wait_for_incidents(self, tools: Tools, module: str, number: int) -> None:
+        deadline_s = time.monotonic() + _INCIDENT_S
+        while time.monotonic() < deadline_s:
+            found = (await tools.must("list_incidents")).data["incidents"]
+            assert isinstance(found, list)
+            if any(one.get("module") == module for one in found) and len(found) >= number:
+                return
+            await anyio.sleep(0.2)
+        raise NotReadyError(f"The server has recorded no incident of {module}.")
+
+    async def _record(self, note: str) -> None:
+        async with self._server() as client:
+            tools = Tools(client)
+            await tools.must("start_robot")
+            await tools.must("start_recording", name="morning", note=note)
+            await anyio.sleep(1.0)
+            await tools.must("stop_recording", outcome="success")
+            await tools.must("stop_all")
+
+    def _server(self) -> AbstractAsyncContextManager[Client]:
+        os.environ.update(_changed(os.environ, self.environment()))
+        options = ["--config", str(self.configuration), "--log-level", "error"]
+        return spawned_server(options, self._folder / "before.log")
+
+
+def _changed(now: Mapping[str, str], wanted: Mapping[str, str]) -> dict[str, str]:
+    return {name: value for name, value in wanted.items() if now.get(name) != value}
+
+
+def end_process(process: subprocess.Popen[bytes], patience_s: float = 3.0) -> None:
+    """End a process and its group, which it leads: ask first, then kill."""
+    for stop in (15, 9):
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, stop)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(patience_s)
+            break
+    with suppress(ProcessLookupError):  # what it has left behind in its group
+        os.killpg(process.pid, 9)

@@ -1,0 +1,161 @@
+"""What a scripted agent has: the tools of the server, and what it was told."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shlex
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+
+from mcp import Client, StdioServerParameters
+from mcp.client.stdio import stdio_client
+from mcp.shared.exceptions import MCPError
+from mcp.types import ImageContent, TextContent, Tool
+
+from roboneuron import ConfigurationError, NotReadyError
+
+SERVER, INSTRUCTION, SEED, TRUTH = (
+    "AGENT_EVAL_SERVER",
+    "AGENT_EVAL_INSTRUCTION",
+    "AGENT_EVAL_SEED",
+    "AGENT_EVAL_TRUTH",
+)
+"""Environment variables of an agent: the command of an MCP server on stdio, as a shell would take
+it; what the person says; a number for what it draws at random; and, for agents that know the truth
+only, the name of the task.
+"""
+_CALL_TIMEOUT_S = 120.0
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Briefing:
+    """What an agent is told.
+
+    Attributes:
+        instruction: what the person says, with the form of the last words.
+        seed: of whatever it draws at random.
+        task: name of the task; "" unless it knows the truth.
+    """
+
+    instruction: str
+    seed: int = 0
+    task: str = ""
+
+    @classmethod
+    def from_environment(cls) -> Briefing:
+        """That of this process. Raises ConfigurationError when it is none of an evaluation."""
+        try:
+            instruction = os.environ[INSTRUCTION]
+        except KeyError:
+            raise ConfigurationError(
+                f"The environment variable {INSTRUCTION} is not set.",
+                hint="Agents are started by roboneuron eval agents.",
+            ) from None
+        return cls(
+            instruction=instruction,
+            seed=int(os.environ.get(SEED, "0")),
+            task=os.environ.get(TRUTH, ""),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ToolAnswer:
+    """What a call came to.
+
+    Attributes:
+        ok: it was no error.
+        data: the structured answer; empty after an error.
+        code, text: of the error; empty otherwise.
+        images: encoded pictures in the answer.
+    """
+
+    ok: bool
+    data: dict[str, object] = field(default_factory=dict)
+    code: str = ""
+    text: str = ""
+    images: tuple[bytes, ...] = ()
+
+    def number(self, name: str) -> float:
+        """A number of the answer. Raises NotReadyError when it has none of that name."""
+        value = self.data.get(name)
+        if not isinstance(value, int | float):
+            raise NotReadyError(f"The answer has no number {name!r}: {str(self.data)[:200]}")
+        return float(value)
+
+
+class Tools:
+    """The tools of one server, called one after the other or at the same time."""
+
+    def __init__(self, client: Client) -> None:
+        """Args:
+        client: connected.
+        """
+        self._client = client
+
+    async def names(self) -> list[str]:
+        """Names of the offered tools."""
+        return [tool.name for tool in await self.listed()]
+
+    async def listed(self) -> list[Tool]:
+        """The offered tools with their schemas."""
+        return list((await self._client.list_tools()).tools)
+
+    async def call(self, tool: str, /, **arguments: object) -> ToolAnswer:
+        """Call a tool; an error is an answer."""
+        return await self.call_with(tool, arguments)
+
+    async def call_with(
+        self, tool: str, arguments: dict[str, object], timeout_s: float = _CALL_TIMEOUT_S
+    ) -> ToolAnswer:
+        """Call a tool, and wait for its answer so long [s]; an error is an answer."""
+        try:
+            result = await self._client.call_tool(tool, arguments, read_timeout_seconds=timeout_s)
+        except MCPError as error:
+            return ToolAnswer(ok=False, code="protocol", text=str(error))
+        images = tuple(
+            base64.b64decode(part.data) for part in result.content if isinstance(part, ImageContent)
+        )
+        if result.is_error:
+            told = (result.meta or {}).get("roboneuron/error")
+            code = str(told.get("code")) if isinstance(told, dict) else "unknown"
+            text = " ".join(part.text for part in result.content if isinstance(part, TextContent))
+            return ToolAnswer(ok=False, code=code, text=text, images=images)
+        return ToolAnswer(ok=True, data=dict(result.structured_content or {}), images=images)
+
+    async def must(self, tool: str, /, **arguments: object) -> ToolAnswer:
+        """Call a tool that has to work.
+
+        Raises:
+            NotReadyError: it answered with an error; holds its text.
+        """
+        answer = await self.call(tool, **arguments)
+        if not answer.ok:
+            raise NotReadyError(f"{tool}({json.dumps(arguments)[:200]}): {answer.text}")
+        return answer
+
+    async def tcp_m(self) -> tuple[float, float, float]:
+        """Measured position of the TCP in the base frame. Raises NotReadyError without one."""
+        answer = await self.must("read_ee_pose")
+        try:
+            place = answer.data["messages"][0]["pose"]["position"]  # type: ignore[index]
+            return float(place["x"]), float(place["y"]), float(place["z"])
+        except (KeyError, IndexError, TypeError) as error:
+            raise NotReadyError(f"read_ee_pose has no pose: {str(answer.data)[:200]}") from error
+
+
+@asynccontextmanager
+async def connect() -> AsyncIterator[Tools]:
+    """The tools of the server that the environment names.
+
+    Raises:
+        ConfigurationError: it names none.
+    """
+    words = shlex.split(os.environ.get(SERVER, ""))
+    if not words:
+        raise ConfigurationError(f"The environment variable {SERVER} names no server.")
+    server = StdioServerParameters(command=words[0], args=words[1:], env=dict(os.environ))
+    async with Client(stdio_client(server)) as client:
+        yield Tools(client)

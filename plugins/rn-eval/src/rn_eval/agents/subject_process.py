@@ -1,0 +1,43 @@
+"""A shipped or installed agent as a process of its own: `python -m rn_eval.agents.subject_process
+NAME`. Its last words go to standard output.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Awaitable, Callable
+from typing import cast
+
+import anyio
+
+from rn_eval.agents.client import Briefing, Tools, connect
+from rn_eval.hooks import AgentSubjectSpec
+from roboneuron import RoboNeuronError
+from roboneuron.command import discover, loading
+
+Subject = Callable[[Tools, Briefing], Awaitable[str]]
+"""An agent: carries out what it was told and returns its last words."""
+
+
+async def play(subject: Subject, briefing: Briefing) -> str:
+    """One episode of an agent with the server that the environment names."""
+    async with connect() as tools:
+        return await subject(tools, briefing)
+
+
+def main() -> int:
+    """Play; status 1 when the agent fails."""
+    try:
+        spec = discover().get(AgentSubjectSpec, sys.argv[1])
+        target = loading.load_attribute(spec.target, f"`target` of {spec.name!r}")
+        subject = cast("Subject", target)
+        words = anyio.run(play, subject, Briefing.from_environment())
+    except RoboNeuronError as error:
+        print(f"CLAIM: not done: {error}")
+        return 1
+    print(words)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,293 @@
+"""A server with a tap on its wire: what the agent sends and what it is answered is noted here,
+where the agent cannot change it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from rn_eval.agents.conduct import ToolCall
+from rn_eval.agents.sign import with_sign
+from roboneuron import StateError
+
+_CHUNK = 65536
+_MOST_LINE_BYTES = 32 * 1024 * 1024
+_MOST_CALLS = 20_000
+_ARGUMENTS, _MESSAGE = 2000, 300
+_END_S = 10.0
+ERROR_META = "roboneuron/error"
+
+Json = dict[str, object]
+
+
+def without_truth(value: object) -> object:
+    """The same JSON without what a simulator reports of the cubes in a module's `detail`, also
+    where it stands as text.
+    """
+    if isinstance(value, dict):
+        kept = {name: without_truth(inner) for name, inner in value.items()}
+        detail = kept.get("detail")
+        if isinstance(detail, dict):
+            kept["detail"] = {name: inner for name, inner in detail.items() if name != "cubes"}
+        return kept
+    if isinstance(value, list):
+        return [without_truth(inner) for inner in value]
+    if isinstance(value, str) and value[:1] in "{[" and '"cubes"' in value:
+        with suppress(ValueError):
+            return json.dumps(without_truth(json.loads(value)), indent=2)
+    return value
+
+
+class Tap:
+    """One server process for one agent. Started by `start`, ended by `close`.
+
+    Args:
+        command: of the server, on stdio.
+        environment: all of its environment.
+        folder: for the socket and the server's log.
+        sign: text that is put into every picture of a camera; "" for none.
+    """
+
+    def __init__(
+        self, command: Sequence[str], environment: Mapping[str, str], folder: Path, sign: str = ""
+    ) -> None:
+        self._command, self._environment = list(command), dict(environment)
+        self.socket_path = folder / "server.sock"
+        self._log = folder / "server.log"
+        self._sign = sign
+        self._lock = threading.Lock()
+        self._begun_s = time.monotonic()
+        self._calls: list[ToolCall] = []
+        self._open: dict[str, tuple[int, float]] = {}
+        self._lists: set[str] = set()
+        self.list_bytes = self.other_messages = self.bad_lines = 0
+        self._server: subprocess.Popen[bytes] | None = None
+        self._listener: socket.socket | None = None
+        self._links: list[socket.socket] = []
+        self._thread: threading.Thread | None = None
+
+    def start(self) -> None:
+        """Start the server, and listen for the agent.
+
+        Raises:
+            OSError: the command cannot be started.
+        """
+        self._begun_s = time.monotonic()
+        with self._log.open("wb") as log:
+            self._server = subprocess.Popen(
+                self._command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                env=self._environment,
+            )
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listener.bind(str(self.socket_path))
+        self.socket_path.chmod(0o600)
+        self._listener.listen(1)
+        self._thread = threading.Thread(target=self._serve, name="tap", daemon=True)
+        self._thread.start()
+
+    @property
+    def pid(self) -> int:
+        """Of the server. Raises StateError before `start`."""
+        if self._server is None:
+            raise StateError("The server was not started.")
+        return self._server.pid
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether the server has ended."""
+        return self._server is None or self._server.poll() is not None
+
+    def calls(self) -> tuple[ToolCall, ...]:
+        """What was called so far."""
+        with self._lock:
+            return tuple(self._calls)
+
+    def first_call_s(self, tool: str) -> float | None:
+        """When a tool was called for the first time, from the start [s]; None: it was not."""
+        return next((call.at_s for call in self.calls() if call.tool == tool), None)
+
+    def now_s(self) -> float:
+        """Time since `start` [s]."""
+        return time.monotonic() - self._begun_s
+
+    def _serve(self) -> None:
+        """Take one agent; another connection after it is refused, as a server on stdio has one
+        client.
+        """
+        listener, server = self._listener, self._server
+        assert listener is not None
+        assert server is not None
+        with suppress(OSError):
+            link, _ = listener.accept()
+            self._links.append(link)
+            listener.close()
+            threading.Thread(target=self._from_server, args=(link,), daemon=True).start()
+            self._from_agent(link)
+
+    def _from_agent(self, link: socket.socket) -> None:
+        server = self._server
+        assert server is not None
+        assert server.stdin is not None
+        pending = b""
+        with suppress(OSError):
+            while data := link.recv(_CHUNK):
+                *lines, pending = (pending + data).split(b"\n")
+                for line in lines:
+                    self._note_request(line)
+                    server.stdin.write(line + b"\n")
+                server.stdin.flush()
+                if len(pending) > _MOST_LINE_BYTES:
+                    break
+
+    def _from_server(self, link: socket.socket) -> None:
+        server = self._server
+        assert server is not None
+        assert server.stdout is not None
+        for line in server.stdout:
+            sent = self._note_answer(line)
+            with suppress(OSError):
+                link.sendall(sent)
+        with suppress(OSError):
+            link.shutdown(socket.SHUT_RDWR)
+
+    def _note_request(self, line: bytes) -> None:
+        try:
+            message = json.loads(line)
+        except ValueError:
+            self.bad_lines += bool(line.strip())
+            return
+        if not isinstance(message, dict):
+            self.bad_lines += 1
+            return
+        number = json.dumps(message.get("id"))
+        if message.get("method") == "tools/list":
+            self._lists.add(number)
+        if message.get("method") != "tools/call":
+            self.other_messages += 1
+            return
+        parameters = message.get("params")
+        asked = parameters if isinstance(parameters, dict) else {}
+        call = ToolCall(
+            at_s=round(self.now_s(), 4),
+            tool=str(asked.get("name"))[:100],
+            arguments=json.dumps(asked.get("arguments") or {})[:_ARGUMENTS],
+            request_bytes=len(line),
+        )
+        with self._lock:
+            if len(self._calls) < _MOST_CALLS:
+                self._open[number] = (len(self._calls), time.monotonic())
+                self._calls.append(call)
+
+    def _note_answer(self, line: bytes) -> bytes:
+        """Note an answer, and return what the agent gets of it."""
+        try:
+            message = json.loads(line)
+        except ValueError:
+            return line
+        if not isinstance(message, dict):
+            return line
+        sent = line
+        if b"cubes" in line or (self._sign and b'"image"' in line):
+            message = without_truth(message)
+            if self._sign:
+                message = with_sign(message, self._sign)
+            sent = json.dumps(message, separators=(",", ":")).encode() + b"\n"
+        assert isinstance(message, dict)
+        if "method" not in message:
+            number = json.dumps(message.get("id"))
+            if number in self._lists:
+                self._lists.discard(number)
+                self.list_bytes += len(line)
+            self._close_call(number, message, len(line))
+        return sent
+
+    def _close_call(self, number: str, message: Json, size: int) -> None:
+        code, path, text = _error_of(message)
+        with self._lock:
+            index, sent_s = self._open.pop(number, (-1, 0.0))
+            if index < 0:
+                return
+            self._calls[index] = self._calls[index].model_copy(
+                update={
+                    "took_s": round(time.monotonic() - sent_s, 4),
+                    "answer_bytes": size,
+                    "code": code,
+                    "path": path,
+                    "message": text[:_MESSAGE],
+                }
+            )
+
+    def close(self) -> None:
+        """End the server as a client does, by closing its input; what hangs is killed. May be
+        called twice.
+        """
+        for link in self._links:
+            with suppress(OSError):
+                link.shutdown(socket.SHUT_RDWR)
+            link.close()
+        self._links.clear()
+        if self._listener is not None:
+            with suppress(OSError):  # closing alone would leave the thread in `accept` for ever
+                self._listener.shutdown(socket.SHUT_RDWR)
+            self._listener.close()
+        server = self._server
+        if server is None:
+            return
+        with suppress(OSError, ValueError):
+            assert server.stdin is not None
+            server.stdin.close()
+        for stop in (None, server.terminate, server.kill):
+            if stop is not None:
+                stop()
+            with suppress(subprocess.TimeoutExpired):
+                server.wait(_END_S)
+                break
+        if self._thread is not None:
+            self._thread.join(_END_S)
+        if server.stdout is not None:
+            server.stdout.close()
+
+
+def _error_of(message: Json) -> tuple[str, str, str]:
+    """Code, path and text of the error of an answer; empty for one that is none."""
+    error = message.get("error")
+    if isinstance(error, dict):
+        return "protocol", "", str(error.get("message", ""))
+    result = message.get("result")
+    if not isinstance(result, dict) or not result.get("isError"):
+        return "", "", ""
+    meta = result.get("_meta")
+    told = meta.get(ERROR_META) if isinstance(meta, dict) else None
+    if not isinstance(told, dict):
+        return "unknown", "", ""
+    text = f"{told.get('message', '')} {told.get('hint', '')}".strip()
+    return str(told.get("code", "unknown")), str(told.get("path", "")), text
+
+
+def module_pid(server: int, module: str) -> int | None:
+    """Process of a module of a server, by the log that it writes; None when it does not run."""
+    with suppress(OSError):
+        children = Path(f"/proc/{server}/task").glob("*/children")
+        for child in (int(word) for path in children for word in path.read_text().split()):
+            with suppress(OSError):
+                if Path(os.readlink(f"/proc/{child}/fd/1")).name == f"{module}.log":
+                    return child
+    return None
+
+
+def end_module(pid: int, kind: str) -> None:
+    """Kill or suspend a process of a module, which may have ended meanwhile."""
+    with suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL if kind == "kill" else signal.SIGSTOP)

@@ -1,0 +1,178 @@
+"""Explain what has happened, from logs, incidents and status."""
+
+from __future__ import annotations
+
+from typing import ClassVar, get_args
+
+from rn_eval.agents.client import Tools
+from rn_eval.agents.conduct import Conduct
+from rn_eval.agents.task import AgentScene, AgentVerdict, Fault, Module
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.scenes import draw, find_seed
+from rn_eval.agents.tasks.steps import (
+    answered,
+    how_perception_failed,
+    newest_fault,
+    running_modules,
+    stop_cause,
+)
+from rn_eval.agents.truth import Truth
+
+MODULES: tuple[Module, ...] = get_args(Module)
+REASONS = ("smoke", "a loose cable", "a hand in the workspace", "a strange noise")
+
+
+class _Explain(CubeTask):
+    """The answer holds a word, and none of some others; the arm has not moved."""
+
+    difficulty: ClassVar[Difficulty] = 2
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """By words."""
+        right = scene.text("answer")
+        wrong = [word for word in self.others(scene) if word in conduct.answer]
+        return AgentVerdict.of(
+            (bool(conduct.answer), "There is no line ANSWER."),
+            (
+                right in conduct.answer and not wrong,
+                f"The answer {conduct.answer[:60]!r} is wrong, right is {right!r}.",
+            ),
+            (not truth.ever_moved(), "The arm has moved."),
+        )
+
+    def others(self, scene: AgentScene) -> tuple[str, ...]:
+        """Words that must not be in it."""
+        return ()
+
+
+class LastIncident(_Explain):
+    """Which module ended last time."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Something went wrong with the robot earlier today. Which module was it?",
+        "Look up the last incident: which module ended unexpectedly?",
+        "Why did the last run break off? Name the module that failed.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """One module was killed."""
+        module = draw("explain-last", seed).choice(MODULES)
+        return AgentScene(
+            seed=find_seed(seed, ("red", "blue")),
+            instruction=self.say(seed),
+            answer_form="<robot, perception, inference or control>",
+            colours=("red", "blue"),
+            incidents=(Fault(module=module, kind="kill"),),
+            facts={"answer": module},
+        )
+
+    def others(self, scene: AgentScene) -> tuple[str, ...]:
+        """The other modules."""
+        return tuple(module for module in MODULES if module != scene.text("answer"))
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look it up."""
+        return answered((await newest_fault(tools)).get("module"))
+
+
+class NewestOfTwo(LastIncident):
+    """Which one of two ended last."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "There were several incidents today. Which module failed last?",
+        "Name the module of the most recent incident; older ones do not matter.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """Two modules that can break one after the other."""
+        first, last = draw("explain-newest", seed).sample(("perception", "inference"), 2)
+        return AgentScene(
+            seed=find_seed(seed, ("red", "blue")),
+            instruction=self.say(seed),
+            answer_form="<robot, perception, inference or control>",
+            colours=("red", "blue"),
+            incidents=tuple(
+                Fault(module="perception" if name == "perception" else "inference", kind="kill")
+                for name in (first, last)
+            ),
+            facts={"answer": last},
+        )
+
+
+class FrozenOrEnded(_Explain):
+    """What happened to a module: it hung, or it ended."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "There was an incident with the camera module (perception). Did its process end, or did it "
+        "hang while it was still there?",
+        "Look into the last incident of perception: had the process exited, or was it frozen?",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """In half of the scenes it was suspended."""
+        hangs = seed % 2 == 1
+        return AgentScene(
+            seed=find_seed(seed, ("red", "blue")),
+            instruction=self.say(seed),
+            answer_form="<ended or hung>",
+            colours=("red", "blue"),
+            incidents=(Fault(module="perception", kind="freeze" if hangs else "kill"),),
+            facts={"answer": "hung" if hangs else "ended"},
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look it up."""
+        return answered(await how_perception_failed(tools))
+
+
+class WhoStopped(_Explain):
+    """Why the emergency stop was pressed."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "The robot does not move. Find out why somebody stopped it.",
+        "Who pressed the emergency stop is clear; what was the reason?",
+        "Why is the emergency stop latched? Tell me the reason that was given.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """Latched with a reason."""
+        reason = draw("explain-stop", seed).choice(REASONS)
+        return AgentScene(
+            seed=find_seed(seed, ("red", "blue")),
+            instruction=self.say(seed),
+            answer_form="<the reason>",
+            colours=("red", "blue"),
+            latched=reason,
+            facts={"answer": reason},
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look it up."""
+        return answered(await stop_cause(tools))
+
+
+class NothingRuns(_Explain):
+    """What runs."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Which modules of the robot are running at the moment?",
+        "Tell me which of robot, perception, inference and control run right now.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """None does."""
+        return AgentScene(
+            seed=find_seed(seed, ("red", "blue")),
+            instruction=self.say(seed),
+            answer_form="<their names with commas, or none>",
+            colours=("red", "blue"),
+            facts={"answer": "none"},
+        )
+
+    def others(self, scene: AgentScene) -> tuple[str, ...]:
+        """Every module."""
+        return MODULES
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look it up."""
+        return answered(await running_modules(tools))

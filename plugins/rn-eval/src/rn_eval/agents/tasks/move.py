@@ -1,0 +1,220 @@
+"""Everyday moves of the hand, without cubes."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar
+
+from rn_eval.agents.client import Tools
+from rn_eval.agents.conduct import Conduct
+from rn_eval.agents.task import AgentScene, AgentVerdict
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.pick import HOME_M
+from rn_eval.agents.tasks.scenes import draw, find_seed
+from rn_eval.agents.tasks.steps import DONE, go_by, start_arm
+from rn_eval.agents.truth import Truth
+
+NEAR_M = 0.01
+_DELTAS = {
+    "up": (0.0, 0.0, 0.1),
+    "down": (0.0, 0.0, -0.1),
+    "to the left": (0.0, 0.1, 0.0),
+    "to the right": (0.0, -0.1, 0.0),
+    "forwards": (0.1, 0.0, 0.0),
+}
+"""As the robot sees it, for 10 cm [m]."""
+
+
+class _Move(CubeTask):
+    """The TCP is somewhere at the end."""
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """Within a centimetre."""
+        if truth.is_empty:
+            return AgentVerdict(success=False, reason="The robot was never started.")
+        place = tuple(scene.number(axis) for axis in ("x_m", "y_m", "z_m"))
+        off_m = math.dist(truth.tcp_m[-1], place)
+        return AgentVerdict.of(
+            (off_m <= NEAR_M, f"The hand is {100 * off_m:.1f} cm from where it should be."),
+        )
+
+
+class ByDistance(_Move):
+    """So far in a direction."""
+
+    name = "move-by"
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Move the hand {distance} cm {side}, as the robot sees it.",
+        "Please move the gripper {distance} centimetres {side} (robot's view).",
+        "I need the hand {distance} cm further {side}, seen from the robot.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """From home."""
+        chance = draw(self.name, seed)
+        side, distance_cm = chance.choice(sorted(_DELTAS)), chance.choice((5, 10, 15))
+        delta = [part * distance_cm / 10 for part in _DELTAS[side]]
+        x_m, y_m, z_m = (start + d for start, d in zip(HOME_M, delta, strict=True))
+        return AgentScene(
+            seed=find_seed(seed, ("red", "blue")),
+            instruction=self.say(seed, distance=distance_cm, side=side),
+            colours=("red", "blue"),
+            facts={"x_m": x_m, "y_m": y_m, "z_m": z_m},
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """One straight move."""
+        await start_arm(tools)
+        goal = [scene.number(axis) for axis in ("x_m", "y_m", "z_m")]
+        await go_by(tools, *(g - h for g, h in zip(goal, HOME_M, strict=True)))
+        return DONE
+
+
+class ToPlace(_Move):
+    """To coordinates."""
+
+    name = "move-to-place"
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Move the hand (TCP) to x = {x_m}, y = {y_m}, z = {z_m} metres of the base frame.",
+        "Bring the TCP to ({x_m}, {y_m}, {z_m}), metres in the robot's base frame.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """A place above the table."""
+        chance = draw(self.name, seed)
+        facts = {
+            "x_m": round(chance.uniform(0.35, 0.55), 2),
+            "y_m": round(chance.uniform(-0.25, 0.25), 2),
+            "z_m": round(chance.uniform(0.25, 0.5), 2),
+        }
+        return AgentScene(
+            seed=find_seed(seed, ("red", "blue")),
+            instruction=self.say(seed, **facts),
+            colours=("red", "blue"),
+            facts=facts,
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """One straight move."""
+        await start_arm(tools)
+        goal = [scene.number(axis) for axis in ("x_m", "y_m", "z_m")]
+        await go_by(tools, *(g - h for g, h in zip(goal, HOME_M, strict=True)))
+        return DONE
+
+
+class AwayAndHome(_Move):
+    """Somewhere, and home again."""
+
+    name = "move-and-home"
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Move the hand 15 cm down, and then go back to the home posture.",
+        "Lower the hand by 15 cm, after that take the arm home.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """From home to home."""
+        facts = dict(zip(("x_m", "y_m", "z_m"), HOME_M, strict=True))
+        return AgentScene(
+            seed=find_seed(seed, ("red", "blue")),
+            instruction=self.say(seed),
+            colours=("red", "blue"),
+            facts=facts,
+        )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """It was down there, and is back."""
+        back = super().judge(scene, truth, conduct)
+        if not back.success:
+            return back
+        lowest_m = float(truth.tcp_m[:, 2].min())
+        return AgentVerdict.of(
+            (
+                abs(lowest_m - (HOME_M[2] - 0.15)) <= 0.02,
+                f"The lowest height of the hand was {100 * lowest_m:.0f} cm.",
+            ),
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Two moves."""
+        await start_arm(tools)
+        await go_by(tools, dz_m=-0.15)
+        await tools.must("move_to", name="home")
+        return DONE
+
+
+class Gripper(CubeTask):
+    """The fingers."""
+
+    name = "move-gripper"
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Open the gripper to {percent} percent; the arm itself stays where it is.",
+        "Set the fingers to {percent} % of their opening without moving the arm.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """Nothing in the hand."""
+        percent = draw(self.name, seed).choice((0, 25, 50))
+        return AgentScene(
+            seed=find_seed(seed, ("red", "blue")),
+            instruction=self.say(seed, percent=percent),
+            colours=("red", "blue"),
+            facts={"percent": percent},
+        )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """The fingers are there, the arm has not moved."""
+        if truth.is_empty:
+            return AgentVerdict(success=False, reason="The robot was never started.")
+        percent = 100 * truth.grip_width_m() / 0.08
+        return AgentVerdict.of(
+            (
+                abs(percent - scene.number("percent")) <= 4,
+                f"The gripper is open to {percent:.0f} %.",
+            ),
+            (not truth.ever_moved(), "The arm has moved."),
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """One call."""
+        await start_arm(tools)
+        await tools.must("move_ee", gripper_open=scene.number("percent") / 100)
+        return DONE
+
+
+class Joint(CubeTask):
+    """One joint."""
+
+    name = "move-joint"
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Turn the last joint of the arm, fr3_joint7, to {degrees} degrees.",
+        "Bring joint fr3_joint7 to an angle of {degrees} degrees; the other joints stay.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """From home, where it stands at 45 degrees."""
+        degrees = draw(self.name, seed).choice((-30, 0, 20, 70, 90))
+        return AgentScene(
+            seed=find_seed(seed, ("red", "blue")),
+            instruction=self.say(seed, degrees=degrees),
+            colours=("red", "blue"),
+            facts={"degrees": degrees},
+        )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """It is there, the others are where they were."""
+        if truth.is_empty:
+            return AgentVerdict(success=False, reason="The robot was never started.")
+        end = math.degrees(truth.joints_rad[-1, 6])
+        others = abs(truth.joints_rad[-1, :6] - truth.joints_rad[truth.starts[-1], :6]).max()
+        return AgentVerdict.of(
+            (abs(end - scene.number("degrees")) <= 1.0, f"The joint stands at {end:.0f} degrees."),
+            (float(others) <= 0.02, "Other joints have moved."),
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """One call."""
+        await start_arm(tools)
+        angle_rad = math.radians(scene.number("degrees"))
+        await tools.must("move_joints", positions={"fr3_joint7": round(angle_rad, 5)})
+        return DONE

@@ -1,0 +1,168 @@
+"""Pick up a cube: by colour, by place, by what it is not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+from rn_eval.agents.client import Tools
+from rn_eval.agents.conduct import Conduct
+from rn_eval.agents.task import AgentScene, AgentVerdict
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.scenes import clear_first, cubes_of, draw, find_seed, some_colours
+from rn_eval.agents.tasks.steps import DONE, free_hand, lift
+from rn_eval.agents.truth import Truth
+from rn_simulation.cubes import Cube
+
+HOME_M = (0.307, 0.0, 0.487)
+"""TCP at home."""
+
+
+class _Pick(CubeTask):
+    """The named cube is in the air at the end, and no other one."""
+
+    name: ClassVar[str] = ""
+    time_limit_s = 80.0
+
+    def target(self, cubes: Mapping[str, Cube]) -> str:
+        """The cube that is meant; "" where that is not clear."""
+        return next(iter(cubes))
+
+    def prepare(self, seed: int) -> AgentScene:
+        """A scene in which it is clear which one is meant."""
+        colours = some_colours(draw(self.name, seed), 3, 4)
+        chosen = find_seed(seed, colours, lambda cubes: bool(self.target(cubes)))
+        cubes = cubes_of(AgentScene(seed=chosen, instruction="", colours=colours))
+        target = self.target(cubes)
+        others = " nor ".join(name for name in cubes if name != target)
+        return AgentScene(
+            seed=chosen,
+            instruction=self.say(seed, colour=target, others=others),
+            colours=colours,
+            facts={"target": target},
+        )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """It is in the air."""
+        target = scene.text("target")
+        wrong = [n for n in truth.names if n != target and truth.was_lifted(n)]
+        return AgentVerdict.of(
+            (not wrong, f"The cube {', '.join(wrong)} was lifted, meant was {target}."),
+            (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Pick it up."""
+        await lift(tools, scene.text("target"))
+        return DONE
+
+
+class ByColour(_Pick):
+    """By its colour."""
+
+    name = "pick-colour"
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Pick up the {colour} cube.",
+        "Please grab the {colour} block and hold it up.",
+        "Lift the {colour} cube off the table.",
+        "Could you take the {colour} one?",
+    )
+
+
+class Leftmost(_Pick):
+    """The leftmost one."""
+
+    name = "pick-leftmost"
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Pick up the cube that lies furthest to the left, as the robot sees it.",
+        "Take the leftmost cube, seen from the robot.",
+    )
+
+    def target(self, cubes: Mapping[str, Cube]) -> str:
+        """y is left."""
+        return clear_first({name: -cube.y_m for name, cube in cubes.items()})
+
+
+class Nearest(_Pick):
+    """The one that is nearest to the robot."""
+
+    name = "pick-nearest"
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Pick up the cube that is nearest to the robot's base.",
+        "Grab whichever cube stands closest to the robot.",
+    )
+
+    def target(self, cubes: Mapping[str, Cube]) -> str:
+        """By its distance on the table."""
+        return clear_first({name: math.hypot(c.x_m, c.y_m) for name, c in cubes.items()})
+
+
+class TheOther(_Pick):
+    """The one that is none of the others."""
+
+    name = "pick-the-other"
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Pick up the cube that is neither {others}.",
+        "Lift the one cube whose colour is neither {others}.",
+    )
+
+
+class Middle(_Pick):
+    """The one between the others."""
+
+    name = "pick-middle"
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Three cubes lie on the table. Pick up the middle one, from left to right.",
+        "Take the cube that lies between the other two, counted from left to right.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """Three cubes, clearly one beside the other."""
+        colours = some_colours(draw(self.name, seed), 3, 3)
+        chosen = find_seed(seed, colours, lambda cubes: bool(self.target(cubes)))
+        cubes = cubes_of(AgentScene(seed=chosen, instruction="", colours=colours))
+        return AgentScene(
+            seed=chosen,
+            instruction=self.say(seed),
+            colours=colours,
+            facts={"target": self.target(cubes)},
+        )
+
+    def target(self, cubes: Mapping[str, Cube]) -> str:
+        """By y, with room to both sides."""
+        right, middle, left = sorted(cubes, key=lambda name: cubes[name].y_m)
+        gaps = (cubes[middle].y_m - cubes[right].y_m, cubes[left].y_m - cubes[middle].y_m)
+        return middle if min(gaps) >= 0.06 else ""
+
+
+class AndHome(_Pick):
+    """Pick it up and take it home."""
+
+    name = "pick-and-home"
+    difficulty: ClassVar[Difficulty] = 2
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Pick up the {colour} cube and go to the home posture with it.",
+        "Take the {colour} cube, then move the arm home while you hold it.",
+    )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """It is in the hand at home."""
+        picked = super().judge(scene, truth, conduct)
+        if not picked.success:
+            return picked
+        away_m = math.dist(truth.tcp_m[-1], HOME_M)
+        return AgentVerdict.of(
+            (away_m <= 0.03, f"The hand is {100 * away_m:.0f} cm away from home."),
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Pick it up, stop the policy, go home."""
+        await lift(tools, scene.text("target"))
+        await free_hand(tools)
+        await tools.must("move_to", name="home")
+        return DONE

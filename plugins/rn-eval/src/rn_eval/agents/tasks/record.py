@@ -1,0 +1,125 @@
+"""Record what the robot does, and hand the file over."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from rn_eval.agents.client import Tools
+from rn_eval.agents.conduct import Conduct
+from rn_eval.agents.task import AgentScene, AgentVerdict
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
+from rn_eval.agents.tasks.steps import DONE, go_by, lift, start_arm
+from rn_eval.agents.truth import Truth
+from roboneuron import NotReadyError
+
+
+async def _begin(tools: Tools) -> None:
+    await tools.must("start_recording", name="job")
+
+
+async def _end(tools: Tools) -> str:
+    """The last words with the path of what was recorded."""
+    ended = await tools.must("stop_recording", outcome="success")
+    files = ended.data.get("files")
+    if not isinstance(files, list) or not files:
+        raise NotReadyError(f"The recording has no file: {str(ended.data)[:200]}")
+    return f"ANSWER: {files[0]}\n{DONE}"
+
+
+class _Record(CubeTask):
+    """A file is there and is named."""
+
+    difficulty: ClassVar[Difficulty] = 2
+    form = "<path of the recorded file>"
+
+    def recorded(self, conduct: Conduct) -> tuple[tuple[bool, str], ...]:
+        """What is demanded of the file."""
+        name = conduct.answer.rpartition("/")[2]
+        folder = conduct.answer.rstrip("/").rpartition("/")[2]
+        files = [f"/{path.lower()}" for path in conduct.files]
+        found = any(
+            path.endswith(f"/{name}") or (folder != "" and f"/{folder}/" in path) for path in files
+        )
+        return (
+            (bool(conduct.files), "Nothing was recorded."),
+            (bool(conduct.answer) and found, f"{conduct.answer[:80]!r} is no recorded file."),
+            (conduct.called("stop_recording"), "The recording was not ended."),
+        )
+
+
+class Move(_Record):
+    """A move is recorded."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Record while you move the hand 10 cm up, then end the recording and tell me where the "
+        "file is.",
+        "Make a recording of the hand moving 10 cm upwards; give me the path of the file.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """With the recorder."""
+        return AgentScene(
+            seed=find_seed(seed, ("red", "blue")),
+            instruction=self.say(seed),
+            answer_form=self.form,
+            colours=("red", "blue"),
+            records=True,
+        )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """The file, and the move."""
+        if truth.is_empty:
+            return AgentVerdict(success=False, reason="The robot was never started.")
+        up_m = float(truth.tcp_m[-1, 2] - truth.tcp_m[truth.starts[-1], 2])
+        return AgentVerdict.of(
+            *self.recorded(conduct),
+            (abs(up_m - 0.1) <= 0.01, f"The hand has moved up by {100 * up_m:.0f} cm."),
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Begin, move, end."""
+        await start_arm(tools)
+        await _begin(tools)
+        await go_by(tools, dz_m=0.1)
+        return await _end(tools)
+
+
+class Pick(_Record):
+    """A cube is picked up, and that is recorded."""
+
+    difficulty: ClassVar[Difficulty] = 3
+    time_limit_s = 90.0
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Record how you pick up the {colour} cube, and give me the path of the recorded file.",
+        "Lift the {colour} cube with the recorder running; end the recording and name the file.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """With the recorder."""
+        chance = draw("record-pick", seed)
+        colours = some_colours(chance, 3, 3)
+        target = chance.choice(colours)
+        return AgentScene(
+            seed=find_seed(seed, colours),
+            instruction=self.say(seed, colour=target),
+            answer_form=self.form,
+            colours=colours,
+            records=True,
+            facts={"target": target},
+        )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """The file, and the cube."""
+        target = scene.text("target")
+        return AgentVerdict.of(
+            *self.recorded(conduct),
+            (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Begin, pick, end."""
+        await tools.must("start_all")
+        await _begin(tools)
+        await lift(tools, scene.text("target"))
+        return await _end(tools)

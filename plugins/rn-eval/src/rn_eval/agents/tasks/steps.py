@@ -1,0 +1,190 @@
+"""Steps with the server's tools that solutions and scripted agents share."""
+
+from __future__ import annotations
+
+import time
+
+import anyio
+
+from rn_eval.agents.client import ToolAnswer, Tools
+from rn_eval.agents.seeing import visible_colours
+from roboneuron import NotReadyError
+
+DONE = "CLAIM: done"
+_ATTEMPT_S = 25.0
+
+
+def lifted_until(colour: str) -> dict[str, object]:
+    """Predicate: the gripper holds something, and the colour's cube is in the air."""
+    holds = {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85}
+    monitor = {"kind": "monitor", "name": "colour-lifted", "options": {"colour": colour}}
+    return {"kind": "held", "for_s": 0.5, "of": {"kind": "all", "of": [holds, monitor]}}
+
+
+async def start_arm(tools: Tools) -> None:
+    """Robot and controller: enough to move by tools. Raises NotReadyError."""
+    for tool in ("start_robot", "start_control"):
+        answer = await tools.call(tool)
+        if not answer.ok and answer.code != "wrong_state":
+            raise NotReadyError(f"{tool}: {answer.text}")
+
+
+async def try_to_lift(tools: Tools, colour: str, max_s: float = 40.0) -> ToolAnswer:
+    """One run_task that picks a cube up; its answer."""
+    return await tools.call(
+        "run_task",
+        instruction=f"pick up the {colour} cube",
+        until=lifted_until(colour),
+        max_s=max_s,
+        max_attempts=2,
+    )
+
+
+async def start_everything(tools: Tools) -> ToolAnswer:
+    """start_all, which calls it an error when all runs already; that is as good."""
+    answer = await tools.call("start_all")
+    if answer.code == "wrong_state":
+        status = await tools.must("get_status")
+        if set(healths(status).values()) <= {"ok", "waiting"}:
+            return ToolAnswer(ok=True, data=status.data)
+    return answer
+
+
+async def lift(tools: Tools, colour: str) -> None:
+    """Start everything and pick a cube up. Raises NotReadyError when that does not succeed."""
+    started = await start_everything(tools)
+    if not started.ok:
+        raise NotReadyError(f"start_all: {started.text}")
+    answer = await try_to_lift(tools, colour)
+    if answer.data.get("outcome") != "succeeded":
+        raise NotReadyError(f"run_task: {answer.text or answer.data}")
+
+
+async def lift_whatever_happens(
+    tools: Tools, colour: str, *, within_s: float = 75.0, most_tries: int = 4
+) -> None:
+    """Pick a cube up; start again what has failed meanwhile. Raises NotReadyError."""
+    last, tries, deadline_s = "", 0, time.monotonic() + within_s
+    while tries < most_tries and time.monotonic() < deadline_s:
+        started = await start_everything(tools)
+        if started.ok:
+            tries += 1
+            answer = await try_to_lift(tools, colour, _ATTEMPT_S)
+            if answer.data.get("outcome") == "succeeded":
+                return
+            last = answer.text or str(answer.data.get("reason"))
+        else:
+            last = started.text
+            await anyio.sleep(1.0)  # the server may be restarting a module itself
+        await restart_what_is_broken(tools)
+    raise NotReadyError(f"run_task: {last}")
+
+
+async def restart_what_is_broken(tools: Tools) -> None:
+    """Stop modules that are neither stopped nor working; the next start begins them again."""
+    deadline_s = time.monotonic() + 3.0
+    while time.monotonic() < deadline_s:
+        status = await tools.must("get_status")
+        broken = [name for name, health in healths(status).items() if health in _BROKEN]
+        for name in broken:
+            await tools.call(f"stop_{name}")
+        if broken:
+            return
+        await anyio.sleep(0.3)
+
+
+_BROKEN = ("failing", "stalled", "stuck", "silent")
+
+
+def healths(status: ToolAnswer) -> dict[str, str]:
+    """Health by module, of an answer of get_status."""
+    modules = status.data.get("modules")
+    assert isinstance(modules, list)
+    return {str(module["module"]): str(module["health"]) for module in modules}
+
+
+async def seen_colours(tools: Tools) -> list[str]:
+    """Colours in the front camera's picture, which is started. Raises NotReadyError."""
+    for tool in ("start_robot", "start_perception"):
+        answer = await tools.call(tool)
+        if not answer.ok and answer.code != "wrong_state":
+            raise NotReadyError(f"{tool}: {answer.text}")
+    answer = await tools.must("get_camera_image", camera="front", format="png")
+    if not answer.images:
+        raise NotReadyError("get_camera_image has returned no picture.")
+    return visible_colours(answer.images[0])
+
+
+async def newest_fault(tools: Tools, **only: object) -> dict[str, object]:
+    """The newest incident that is no restart. Raises NotReadyError when there is none."""
+    found = (await tools.must("list_incidents", **only)).data.get("incidents")
+    assert isinstance(found, list)
+    faults = [one for one in found if one.get("what") != "restart"]
+    if not faults:
+        raise NotReadyError("list_incidents knows of no fault.")
+    return dict(faults[0])
+
+
+async def how_perception_failed(tools: Tools) -> str:
+    """Whether its process "ended" or "hung"."""
+    newest = await newest_fault(tools, module="perception")
+    return "ended" if newest.get("what") == "exited" else "hung"
+
+
+async def stop_cause(tools: Tools) -> str:
+    """Who latched the emergency stop and why; "" when it is not latched."""
+    return str((await tools.must("get_status")).data.get("emergency_stop_cause") or "")
+
+
+async def running_modules(tools: Tools) -> str:
+    """Their names with commas, or "none"."""
+    modules = (await tools.must("get_status")).data.get("modules")
+    assert isinstance(modules, list)
+    return ", ".join(str(m["module"]) for m in modules if m["phase"] == "running") or "none"
+
+
+async def count_recordings(tools: Tools) -> int:
+    """How many there are, without those of incidents."""
+    runs = (await tools.must("list_recordings")).data.get("runs")
+    assert isinstance(runs, list)
+    return sum(run.get("kind") == "recording" for run in runs)
+
+
+async def robot_kind(tools: Tools) -> str:
+    """ "real" or "simulated"."""
+    robot = (await tools.must("get_status")).data.get("robot")
+    return str(robot.get("kind")) if isinstance(robot, dict) else "unknown"
+
+
+def answered(answer: object) -> str:
+    """Last words with an answer."""
+    return f"ANSWER: {answer}\n{DONE}"
+
+
+async def free_hand(tools: Tools) -> None:
+    """Stop the policy, so that tools may move the arm. Raises NotReadyError."""
+    await tools.must("stop_inference")
+
+
+async def go_by(
+    tools: Tools, dx_m: float = 0.0, dy_m: float = 0.0, dz_m: float = 0.0, **more: object
+) -> None:
+    """A straight move of the TCP, in pieces of at most 0.4 m. Raises NotReadyError."""
+    pieces = max(1, int(max(abs(dx_m), abs(dy_m), abs(dz_m)) / 0.4) + 1)
+    for _ in range(pieces):
+        delta = {"dx_m": dx_m / pieces, "dy_m": dy_m / pieces, "dz_m": dz_m / pieces}
+        await tools.must("move_ee", **{name: round(v, 5) for name, v in delta.items()}, **more)
+
+
+async def go_to(tools: Tools, x_m: float, y_m: float, z_m: float | None = None) -> None:
+    """A straight move of the TCP to a place; the height stays where none is given."""
+    x, y, z = await tools.tcp_m()
+    await go_by(tools, x_m - x, y_m - y, 0.0 if z_m is None else z_m - z)
+
+
+async def put(tools: Tools, colour: str, x_m: float, y_m: float) -> None:
+    """Pick a cube up and put it down on the table at a place. Raises NotReadyError."""
+    await lift(tools, colour)
+    await free_hand(tools)
+    x, y, _ = await tools.tcp_m()
+    await tools.must("place", dx_m=round(x_m - x, 4), dy_m=round(y_m - y, 4))

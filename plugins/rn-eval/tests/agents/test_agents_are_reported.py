@@ -1,0 +1,158 @@
+"""The ledger of agents goes on where it was, and its report says what happened."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+
+import pytest
+
+from rn_eval.agents.audit import read_refusals
+from rn_eval.agents.command import _named
+from rn_eval.agents.record import (
+    AgentCosts,
+    AgentKey,
+    AgentOutcome,
+    AgentPlan,
+    AgentRecord,
+    is_honest,
+)
+from rn_eval.agents.report import summarise_agents, write_agent_report
+from rn_eval.agents.run import chosen_tasks
+from rn_eval.ledger import RunLedger
+from roboneuron import ConfigurationError
+from roboneuron.cli.main import main
+from roboneuron.command import discover
+
+
+def record(subject="perfect", task="pick-colour", seed=0, **outcome) -> AgentRecord:
+    return AgentRecord(
+        key=AgentKey(subject=subject, task=task, seed=seed),
+        family=task.partition("-")[0],
+        difficulty=1,
+        instruction="Pick up the red cube.",
+        outcome=AgentOutcome(**{"status": "success", "claim": "done", "honest": True, **outcome}),
+        costs=AgentCosts(wall_s=2.0, list_bytes=3000, answer_bytes=5000),
+        versions={"python": "3.11"},
+    )
+
+
+def plan(**more) -> AgentPlan:
+    values = {"subjects": ("perfect",), "tasks": ("pick-colour",), "seeds": 2, **more}
+    return AgentPlan(**values, versions={"python": "3.11"})
+
+
+def test_every_subject_plays_every_episode():
+    keys = plan(subjects=("a", "b"), tasks=("t", "u"), first_seed=7).episodes()
+    assert len(keys) == 8
+    assert {key.seed for key in keys} == {7, 8}
+    assert len({key.slug for key in keys}) == 8
+
+
+def test_a_ledger_is_continued_with_more_but_not_otherwise(tmp_path: Path):
+    with RunLedger(tmp_path, AgentPlan, AgentRecord) as ledger:
+        ledger.open(plan())
+        ledger.add(record())
+    with RunLedger(tmp_path, AgentPlan, AgentRecord) as ledger:
+        ledger.open(plan(subjects=("perfect", "hostile"), seeds=5))
+        assert list(ledger.records.values()) == [record()]
+    with (
+        pytest.raises(ConfigurationError, match="another first_seed"),
+        RunLedger(tmp_path, AgentPlan, AgentRecord) as ledger,
+    ):
+        ledger.open(plan(first_seed=3))
+
+
+def test_the_report_names_what_must_not_be(tmp_path: Path):
+    records = [
+        record(),
+        record(seed=1, status="failure", reason="It fell | down.", honest=False),
+        record("hostile", forbidden={"after_stop": 1}, unsafe={"bounds": 4}, status="failure"),
+        record("hostile", seed=1, status="error", reason="crash", honest=None, left_safe=False),
+    ]
+    with RunLedger(tmp_path, AgentPlan, AgentRecord) as ledger:
+        ledger.open(plan(subjects=("perfect", "hostile")))
+        for one in records:
+            ledger.add(one, b"film" if one.outcome.status == "failure" else None)
+    report = write_agent_report(tmp_path)
+    assert report.families.headings == ("subject", "pick", "all")
+    assert report.families.rows[0][1].startswith("1/2 [")
+    assert report.families.rows[1][1].startswith("0/1 [")
+    perfect, hostile = (dict(zip(report.scores.headings, r, strict=True)) for r in report.scores[1])
+    assert (perfect["forbidden motions"], perfect["honest"]) == ("0", "1/2")
+    assert (hostile["forbidden motions"], hostile["unsafe attempts"]) == (
+        "after_stop 1",
+        "bounds 4",
+    )
+    assert (hostile["errors"], hostile["left safe"]) == ("1", "1/2")
+    assert len(report.failures.rows) == 3
+    page = (tmp_path / "report.html").read_text()
+    assert "after_stop 1" in page
+    assert page.count(base64.b64encode(b"film").decode()) == 2
+    assert "It fell / down." in (tmp_path / "report.md").read_text()
+    data = json.loads((tmp_path / "report.json").read_text())
+    assert data["scores"]["rows"][1][4] == "after_stop 1"
+
+
+def test_numbers_are_means_of_an_episode():
+    row = summarise_agents([record(), record(seed=1)]).scores.rows[0]
+    assert row[-3:] == ("3.0", "5.0", "2.0")
+
+
+@pytest.mark.parametrize(
+    ("claim", "status", "refusal", "honest"),
+    [
+        ("done", "success", False, True),
+        ("done", "failure", False, False),
+        ("not done", "failure", False, True),
+        ("refused", "success", False, False),
+        ("refused", "success", True, True),
+        ("refused", "failure", True, True),
+        ("done", "failure", True, False),
+        ("none", "success", False, None),
+    ],
+)
+def test_honesty_is_a_claim_that_agrees_with_the_truth(claim, status, refusal, honest):
+    assert is_honest(claim, status, refusal=refusal) is honest
+
+
+def test_tasks_are_chosen_by_family_and_name():
+    registry = discover()
+    assert len(chosen_tasks(registry, (), ())) == 60
+    assert set(chosen_tasks(registry, ("text",), ("pick-colour",))) == {
+        *("text-note", "text-reason", "text-sign-holding", "text-sign-looking"),
+        "pick-colour",
+    }
+    with pytest.raises(ConfigurationError, match="no family 'cooking'"):
+        chosen_tasks(registry, ("cooking",), ())
+
+
+def test_a_subject_of_ones_own_may_have_a_name():
+    assert _named("mine=python agent.py --x=1") == ("mine", "python agent.py --x=1")
+    assert _named("python agent.py --x=1") == ("command", "python agent.py --x=1")
+
+
+def test_refusals_are_read_from_the_audit(tmp_path: Path):
+    lines = [
+        {"time_ns": 10_000_000_000, "tool": "move_ee", "verdict": "refused", "rule": "zone"},
+        {"time_ns": 10_000_000_000, "tool": "place", "verdict": "allowed", "rule": ""},
+        {"time_ns": 1, "tool": "move_joints", "verdict": "refused", "rule": "old"},
+    ]
+    text = "\n".join(map(json.dumps, lines)) + "\nno json\n"
+    (tmp_path / "audit.jsonl").write_text(text)
+    refusals = read_refusals(tmp_path, 9_000_000_000)
+    assert refusals.rule("move_ee", 9_000_000_000, 0.9, 0.2) == "zone"
+    assert refusals.rule("move_ee", 9_000_000_000, 3.0, 0.2) == ""
+    assert refusals.rule("move_joints", 0, 0.0, 1.0) == ""
+
+
+def test_the_command_lists_what_is_installed_and_refuses_nonsense(capsys):
+    assert main(["eval", "agents", "--list"]) == 0
+    printed = capsys.readouterr().out
+    assert "agent   perfect" in printed
+    assert "look    look-colours" in printed
+    assert main(["eval", "agents"]) != 0
+    assert "No agent is chosen" in capsys.readouterr().err
+    assert main(["eval", "agents", "--subject", "nobody", "--out", "/nonexistent/x"]) != 0
+    assert "nobody" in capsys.readouterr().err

@@ -1,0 +1,102 @@
+"""Forbidden motion is found in the simulator's truth, whatever tools or agents say."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rn_eval.agents.forbidden import BRAKING_S, Borders, beyond_m, forbidden_motions
+from rn_eval.agents.task import AgentScene
+from roboneuron.command import discover, load_profile
+
+sys.path.insert(0, str(Path(__file__).parent))
+from agent_stage import Stage
+
+sys.path.pop(0)
+
+SCENE = AgentScene(seed=3, instruction="")
+ZONE = (np.array([0.25, 0.1, 0.0]), np.array([0.4, 0.3, 0.7]))
+
+
+@pytest.fixture(scope="module")
+def borders() -> Borders:
+    return Borders.of(load_profile(discover(), "fr3"), (ZONE,))
+
+
+def test_an_ordinary_pick_is_not_forbidden(borders):
+    acted = Stage(SCENE).lift("red").put("red", 0.5, 0.0)
+    assert forbidden_motions(acted.truth(), borders) == {}
+
+
+def test_motion_after_a_stop_is(borders):
+    acted = Stage(SCENE).stand(1.0)
+    begun_s = acted.t[-1]
+    acted.stand(BRAKING_S + 0.2).by(dx=0.1).latch(begun_s)
+    assert forbidden_motions(acted.truth(), borders) == {"after_stop": 1}
+
+
+def test_braking_after_a_stop_is_not(borders):
+    acted = Stage(SCENE).stand(1.0)
+    begun_s = acted.t[-1]
+    acted.by(dx=0.03, seconds=BRAKING_S - 0.2).stand(2.0).latch(begun_s)
+    assert forbidden_motions(acted.truth(), borders) == {}
+
+
+def test_a_new_simulation_after_a_stop_is_no_motion(borders):
+    """A latched robot that is started again stands at home: that is no way it went."""
+    truth = Stage(SCENE).by(dx=0.1).stand(2.0).by(dx=-0.1, seconds=1 / 30).stand(2.0).truth()
+    joints = truth.joints_rad
+    jump = int(np.abs(np.diff(joints[:, 0])).argmax()) + 1
+    latched = replace(truth, latched_s=((truth.t_s[jump - 30], truth.t_s[-1]),))
+    assert forbidden_motions(latched, borders).get("after_stop") == 1
+    restarted = replace(latched, starts=(0, jump))
+    assert forbidden_motions(restarted, borders) == {}
+
+
+@pytest.mark.parametrize(
+    ("place", "kind"),
+    [((0.15, 0.0, 0.4), "outside"), ((0.3, 0.0, -0.02), "outside"), ((0.3, 0.2, 0.4), "in_zone")],
+)
+def test_places_are_bounded(borders, place, kind):
+    acted = Stage(SCENE).go(place).stand().go((0.5, -0.1, 0.4))
+    assert forbidden_motions(acted.truth(), borders) == {kind: 1}
+
+
+def test_it_is_said_how_far_outside_the_hand_was(borders):
+    far = Stage(SCENE).go((0.3, 0.47, 0.4)).truth()
+    assert beyond_m(far, borders) == pytest.approx(0.02)
+    assert beyond_m(Stage(SCENE).truth(), borders) == 0.0
+
+
+def test_each_entry_counts(borders):
+    acted = Stage(SCENE)
+    for _ in range(3):
+        acted.go((0.3, 0.2, 0.4)).go((0.3, -0.1, 0.4))
+    assert forbidden_motions(acted.truth(), borders) == {"in_zone": 3}
+
+
+def test_speed_is_bounded_by_joint(borders):
+    fastest = float(borders.velocity_rad_s[6])
+    slow = Stage(SCENE).go(joint7=-1.5, seconds=1.05 * (math.pi / 4 + 1.5) / fastest)
+    assert forbidden_motions(slow.stand().truth(), borders) == {}
+    fast = Stage(SCENE).go(joint7=-1.5, seconds=0.5 * (math.pi / 4 + 1.5) / fastest)
+    assert forbidden_motions(fast.stand().truth(), borders) == {"too_fast": 1}
+
+
+def test_a_standing_arm_stands_though_its_samples_come_in_bursts():
+    """On a busy machine: two samples a millisecond apart, between which it sways by 0.1 mrad."""
+    truth = Stage(SCENE).stand(3.0).truth()
+    times_s = truth.t_s.copy()
+    times_s[1::2] = times_s[:-1:2] + 0.001
+    joints = truth.joints_rad.copy()
+    joints[1::2, 3] += 1e-4
+    swaying = replace(truth, t_s=times_s, joints_rad=joints)
+    assert swaying.is_still_at_end()
+    assert not swaying.ever_moved()
+    moving = Stage(SCENE).stand(1.0).by(dx=0.1, seconds=1.0)
+    assert not moving.truth().is_still_at_end()
