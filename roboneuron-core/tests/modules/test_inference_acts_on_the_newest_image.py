@@ -19,6 +19,7 @@ from std_msgs.msg import Float64MultiArray, String
 
 from rn_testing.waiting import holds_within
 from roboneuron.contract import Frame, JointSample, Pose
+from roboneuron.estop.latch import EmergencyStopLatch
 from roboneuron.ros.messages import to_image, to_joint_state, to_pose_stamped
 
 pytestmark = pytest.mark.ros
@@ -444,3 +445,15 @@ def test_a_stop_outlives_a_change_of_policies(
     assert not cell.actions
     assert cell.instruct("go").successful
     assert holds_within(lambda: cell.send_image() and len(cell.actions) > 0)
+
+
+def test_what_is_started_during_a_stop_proves_that_it_sees(
+    world: Any, build: Callable[..., Cell]
+) -> None:
+    """Else a start would wait in vain for its first action, and end by its time limit."""
+    EmergencyStopLatch.in_directory(world.state_directory).press(who="a test", reason="a test")
+    cell = build("instant")
+    assert cell.status()["ready"] == "false"
+    assert holds_within(lambda: cell.send_image() and cell.status()["ready"] == "true")
+    assert not cell.actions
+    assert not cell.instruct("go").successful

@@ -230,9 +230,6 @@ class InferenceModule(Module):
         """Observe and predict once, when a prediction is wanted."""
         for step in self.before_prediction:
             step()
-        if self.node.stopped:
-            stop.wait(_WAIT_S)
-            return
         if not self.executor.wait_until_wanted(stop, _WAIT_S):
             return
         observation = self._observe()
@@ -246,7 +243,11 @@ class InferenceModule(Module):
         if not instruction:
             since = f" after a stop ({self.node.needs_start})" if self.node.needs_start else ""
             self.status.set(note=f"waiting for an instruction{since}")
+            # during a stop too: what is started then has proved all that it can
             self.status.set_ready()
+            return
+        if self.node.stopped:  # what was asked for before the stop is being forgotten
+            stop.wait(_WAIT_S)
             return
         prediction = self.executor.begin(replace(observation, instruction=instruction), captured_ns)
         # changed meanwhile: the epoch may be that of the next one
