@@ -107,6 +107,18 @@ def test_what_runs_already_and_what_is_not_configured_is_left_alone() -> None:
     assert done.already == ("robot",)
 
 
+def test_a_second_start_says_that_all_runs() -> None:
+    loop = FakeLoop()
+    loop.phases = loop.slots = dict.fromkeys(MODULE_KINDS, "running")
+    done = start_of(loop).run(lambda text: None)
+    assert (done.views, done.already) == ((), MODULE_KINDS)
+    with pytest.raises(StateError, match="runs already") as caught:
+        start_of(loop, inference=StartChosenInference(instruction="go", options={})).run(
+            lambda text: None
+        )
+    assert "set_instruction" in caught.value.hint
+
+
 def test_a_failure_of_one_cancels_the_others_and_stops_what_had_started() -> None:
     loop = FakeLoop()
     perception_begins = threading.Event()

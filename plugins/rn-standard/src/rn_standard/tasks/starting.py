@@ -70,8 +70,8 @@ class ParallelStart:
         """Start; returns when everything has proved that it works.
 
         Raises:
-            StateError: everything runs already, a module is being started or stopped, or the start
-                was cancelled.
+            StateError: everything runs already, so that a model or instruction is not taken; a
+                module is being started or stopped; or the start was cancelled.
             RoboNeuronError: as `ClosedLoop.start`, of the module that failed first; nothing of this
                 call is left.
         """
@@ -89,7 +89,14 @@ class ParallelStart:
         already = tuple(kind for kind, phase in phases.items() if phase == "running")
         wanted = [kind for kind in phases if kind not in already and self._is_configured(kind)]
         if not wanted:
-            raise StateError("Everything that is configured runs already.", hint="See get_status.")
+            if self._requests:
+                raise StateError(
+                    "Everything that is configured runs already.",
+                    hint="Change the instruction by set_instruction, the model by "
+                    "switch_inference.",
+                )
+            took_s = time.monotonic() - began_s
+            return StartedModules(views=(), took_s={}, already=already, total_s=took_s)
         plans = [self._loop.select(kind, self._requests.get(kind), self._role) for kind in wanted]
         # What each start would wait for alone is done first: a module gives up when what it needs
         # is not even starting.
