@@ -16,7 +16,13 @@ MOST_BYTES = 44_600
 """Of the default configuration with the packages that `[standard]` (recorder and view with it) and
 a robot bring.
 """
-OPTIONAL = ("rn-eval-libero", "rn-backend-shared", "rn-interfaces", "rn-robot-lerobot")
+OPTIONAL = (
+    "rn-eval-libero",
+    "rn-backend-openpi",
+    "rn-backend-shared",
+    "rn-interfaces",
+    "rn-robot-lerobot",
+)
 """Packages with tools, backends or robots of their own, installed beside the standard ones."""
 
 

@@ -36,6 +36,8 @@ STYLES = {
 """Colour of each status."""
 _CODES = {"bold": "1", "dim": "2", "red": "31", "green": "32", "yellow": "33"}
 _HEADING = ("KIND", "NAME", "STATUS", "PLUGIN", "SUMMARY")
+_MOST_NAMES, _FIRST_NAMES = 40, 12
+"""Of a kind with more than so many, the short list shows the first."""
 _NARROWEST = 24
 """Columns a summary gets even on a terminal too narrow for it."""
 
@@ -127,7 +129,9 @@ def print_short(registry: Registry) -> None:
     indent = max((len(kind) for kind in ready), default=0) + 2
     print(_paint("READY", "bold"))
     for kind, names in ready.items():
-        print(_wrapped(f"{kind:<{indent}}{', '.join(names)}", indent))
+        shown = names if len(names) <= _MOST_NAMES else names[:_FIRST_NAMES]
+        rest = f" and {len(names) - len(shown)} more" if len(shown) < len(names) else ""
+        print(_wrapped(f"{kind:<{indent}}{', '.join(shown)}{rest}", indent))
     _print_trouble(registry)
     disabled = [record.name for record in registry.plugins if record.status is Status.DISABLED]
     if disabled:

@@ -15,8 +15,7 @@ Options = Annotated[
     dict[str, object],
     Field(
         default_factory=dict,
-        description="Plugin options, overriding the configuration's; addresses and files only "
-        "from there.",
+        description="Plugin options over the configuration's; addresses and files only from there.",
     ),
 ]
 
@@ -78,12 +77,11 @@ class StartChosenInference(Arguments):
         default=None, description="Acceleration preset; none when omitted."
     )
     model: str | None = Field(
-        default=None, description="Name of a model in the configuration, instead of these four."
+        default=None, description="A model of the configuration, instead of these four."
     )
     host: str | None = Field(
         default=None,
-        description="Machine of the configuration that runs the model; the model's own when "
-        "omitted.",
+        description="Machine in the configuration, to run it.",
     )
     instruction: InstructionText | None = Field(
         default=None,
