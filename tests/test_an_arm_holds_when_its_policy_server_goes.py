@@ -18,6 +18,7 @@ import pytest
 
 from rn_backend_openpi.case import REFLEX, Reflex, serving
 from rn_backend_openpi.options import OpenpiOptions
+from rn_testing.fakes import fake_plan
 from rn_testing.spinning import spinning_node
 from rn_testing.waiting import holds_within, wait_until
 from roboneuron.config import parse_config
@@ -139,7 +140,7 @@ def test_the_arm_rests_while_there_is_no_server_and_moves_on_with_the_next(tmp_p
         with listening() as seen:
             with serve():
                 for kind in ("robot", "perception", "control", "inference"):
-                    supervisor.start(kind, config)
+                    supervisor.start(fake_plan(kind, config))
                 wait_until(seen.is_moving, 30.0, "the arm moves")
             wait_until(seen.is_at_rest, 10.0, "the arm rests without its server")
             count = len(seen.labels)

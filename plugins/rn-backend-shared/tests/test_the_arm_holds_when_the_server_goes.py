@@ -18,6 +18,7 @@ import pytest
 from policy_servers import RunningServer, pair
 
 from rn_testing.domain import free_ros_domain
+from rn_testing.fakes import fake_plan
 from rn_testing.spinning import spinning_node
 from rn_testing.waiting import wait_until
 from roboneuron.config import parse_config
@@ -135,7 +136,7 @@ def seen(
     try:
         with listening() as witness:
             for kind in ("robot", "perception", "control", "inference"):
-                supervisor.start(kind, config)
+                supervisor.start(fake_plan(kind, config))
             check_it_moves(witness, time.monotonic())
             report = supervisor.view("inference").report
             assert report is not None
