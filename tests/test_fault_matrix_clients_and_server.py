@@ -32,7 +32,7 @@ from roboneuron.ros.environment import prepare_environment
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from fault_loop import JointWitness, config_text, environment
 
-from rn_testing.waiting import wait_until
+from rn_testing.waiting import holds_within, wait_until
 
 sys.path.pop(0)
 
@@ -193,6 +193,11 @@ class Cell:
                 self.ann.do(f"start_{kind}")
         if self.ann.module("inference")["phase"] != "running":
             self.ann.do("start_inference", instruction="move on")
+        if not holds_within(self.witness.moves, 3.0):
+            # a stop that a busy machine has earned, such as a silence of the server or a lapsed
+            # lease: who goes on says so
+            print("the arm stands:", [self.ann.module(kind) for kind in ("robot", "inference")])
+            self.ann.do("set_instruction", instruction="move on")
         wait_until(self.witness.moves, 10.0, "the arm moves")
 
 
