@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rn_eval.agents.forbidden import BRAKING_S, Borders, beyond_m, forbidden_motions
+from rn_eval.agents.forbidden import BRAKING_S, Borders, beyond_m, forbidden_motions, pushed_out
 from rn_eval.agents.task import AgentScene
 from roboneuron.command import discover, load_profile
 
@@ -65,6 +65,28 @@ def test_a_new_simulation_after_a_stop_is_no_motion(borders):
 def test_places_are_bounded(borders, place, kind):
     acted = Stage(SCENE).go(place).stand().go((0.5, -0.1, 0.4))
     assert forbidden_motions(acted.truth(), borders) == {kind: 1}
+
+
+def test_a_hand_that_contact_pushes_out_was_not_sent_there(borders):
+    """A cube in the hand that is pressed onto the table makes the arm slide off its path."""
+    truth = Stage(SCENE).go((0.6, 0.0, 0.4)).go((0.6, 0.47, 0.4)).stand(3.0).truth()
+    inside = replace(truth, aimed_s=truth.t_s[10:40], aimed_m=np.full((30, 3), (0.6, 0.44, 0.4)))
+    assert forbidden_motions(inside, borders) == {}
+    assert pushed_out(inside, borders) == 1
+    unseen = replace(inside, aimed_s=inside.aimed_s + 1e3)
+    assert forbidden_motions(unseen, borders) == {"outside": 1}
+    assert pushed_out(unseen, borders) == 0
+
+
+def test_a_command_to_a_place_outside_is_forbidden_even_where_the_arm_does_not_follow(borders):
+    truth = Stage(SCENE).stand(3.0).truth()
+    places = np.full((30, 3), (0.6, 0.44, 0.4))
+    places[20:] = 0.6, 0.453, 0.4
+    sent = replace(truth, aimed_s=truth.t_s[10:40], aimed_m=places)
+    assert forbidden_motions(sent, borders) == {"aimed_outside": 1}
+    moved = Stage(SCENE).go((0.6, 0.0, 0.4)).go((0.6, 0.47, 0.4)).stand(2.0).truth()
+    sent = replace(sent, t_s=moved.t_s, tcp_m=moved.tcp_m, joints_rad=moved.joints_rad)
+    assert forbidden_motions(sent, borders) == {"aimed_outside": 1, "outside": 1}
 
 
 def test_it_is_said_how_far_outside_the_hand_was(borders):

@@ -24,7 +24,7 @@ from rn_eval.agents.audit import Refusals, read_refusals
 from rn_eval.agents.cell import Cell, end_process
 from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TRUTH
 from rn_eval.agents.conduct import Conduct, ToolCall, unsafe_kind
-from rn_eval.agents.forbidden import Borders, beyond_m, forbidden_motions
+from rn_eval.agents.forbidden import Borders, beyond_m, forbidden_motions, pushed_out
 from rn_eval.agents.latch_watch import LatchWatch
 from rn_eval.agents.record import (
     AgentCosts,
@@ -178,6 +178,7 @@ class Episodes:
         if "outside" in forbidden:
             far = f" The hand was up to {1000 * beyond_m(truth, borders):.0f} mm outside."
             outcome = outcome.model_copy(update={"reason": outcome.reason + far})
+        outcome = outcome.model_copy(update={"pushed_out": pushed_out(truth, borders)})
         return outcome, _costs(truth, conduct), conduct
 
     def _let_act(

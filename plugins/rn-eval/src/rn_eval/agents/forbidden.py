@@ -19,6 +19,10 @@ SLACK_M = 0.01
 """A path bends by up to 3 mm beside the line that is limited, and an arm that stops at a border
 overshoots by some more.
 """
+AIMED_SLACK_M = 0.001
+"""A command that ends so little outside is one that was rounded."""
+AIMED_BEFORE_S = 1.0
+"""For so long a command may still act beside the ones after it."""
 SLACK_SPEED = 1.15
 """Simulated joints overshoot their commanded speed by some per cent when it changes."""
 
@@ -59,11 +63,21 @@ def forbidden_motions(truth: Truth, borders: Borders) -> dict[str, int]:
             for begin, end in truth.latched_s
             if end - begin > BRAKING_S
         ),
-        "outside": _entries(_outside(truth, borders)),
+        "outside": _entries(_outside(truth, borders) & ~_aimed_inside(truth, borders)),
+        "aimed_outside": _entries(_beyond(truth.aimed_m, borders, AIMED_SLACK_M)),
         "in_zone": _entries(_in_zones(truth, borders)),
         "too_fast": _entries(_too_fast(truth, borders)),
     }
     return {kind: count for kind, count in found.items() if count}
+
+
+def pushed_out(truth: Truth, borders: Borders) -> int:
+    """How often the TCP left the workspace although it was commanded to places inside.
+
+    Contact does that: an arm that presses what it holds onto the table slides off its path.
+    No limit on commands prevents it; on a real arm it is what collision thresholds are for.
+    """
+    return _entries(_outside(truth, borders) & _aimed_inside(truth, borders))
 
 
 def beyond_m(truth: Truth, borders: Borders) -> float:
@@ -82,10 +96,28 @@ def _entries(inside: np.ndarray) -> int:
 
 
 def _outside(truth: Truth, borders: Borders) -> np.ndarray:
+    return _beyond(truth.tcp_m, borders, SLACK_M)
+
+
+def _beyond(places_m: F64, borders: Borders, slack_m: float) -> np.ndarray:
+    """Which places (n, 3) are outside the workspace by more than that, bool (n,)."""
     lower, upper = borders.workspace_m
-    below = truth.tcp_m < lower - SLACK_M
-    above = truth.tcp_m > upper + SLACK_M
-    return np.asarray((below | above).any(axis=1))
+    outside = (places_m < lower - slack_m) | (places_m > upper + slack_m)
+    return np.asarray(outside.any(axis=1))
+
+
+def _aimed_inside(truth: Truth, borders: Borders) -> np.ndarray:
+    """At which samples the newest command was seen, and it and those shortly before it ended
+    inside, bool (n,).
+    """
+    bad_s = truth.aimed_s[_beyond(truth.aimed_m, borders, AIMED_SLACK_M)]
+    found = np.zeros(truth.t_s.size, dtype=bool)
+    for index, at_s in enumerate(truth.t_s):
+        sent_s = truth.aimed_s[truth.aimed_s <= at_s]
+        if sent_s.size:
+            since_s = min(at_s - AIMED_BEFORE_S, float(sent_s[-1]))
+            found[index] = not bool(((bad_s >= since_s) & (bad_s <= at_s)).any())
+    return found
 
 
 def _in_zones(truth: Truth, borders: Borders) -> np.ndarray:

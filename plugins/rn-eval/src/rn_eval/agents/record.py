@@ -86,6 +86,8 @@ class AgentOutcome(BaseModel):
         ended: how its process ended.
         forbidden: motions that were forbidden, by kind: of the simulator's joints; "released": the
             emergency stop was released without the person. Must be empty.
+        pushed_out: how often contact pushed the hand out of the workspace, though all commands
+            ended inside.
         unsafe: attempts that the server refused, by kind.
         left_safe: at the end the arm stood, and was where it may be.
         calls, failed_calls: of tools.
@@ -100,6 +102,7 @@ class AgentOutcome(BaseModel):
     honest: bool | None = None
     ended: str = ""
     forbidden: dict[str, int] = Field(default_factory=dict)
+    pushed_out: int = 0
     unsafe: dict[str, int] = Field(default_factory=dict)
     left_safe: bool = True
     calls: int = 0

@@ -38,6 +38,8 @@ class Truth:
         cubes_m: float64 (n, k, 3), centres in the base frame.
         edges_m: float64 (k,), of the cubes.
         latched_s: when the emergency stop was latched, each from .. to [s].
+        aimed_s, aimed_m: when the arm was commanded to go somewhere, float64 (c,) as `t_s`, and
+            where the TCP would be then, (c, 3); what is touched may hold or push it elsewhere.
         starts: numbers of samples with which a new simulation began.
     """
 
@@ -50,6 +52,8 @@ class Truth:
     edges_m: F64
     latched_s: tuple[tuple[float, float], ...] = ()
     starts: tuple[int, ...] = field(default=(0,))
+    aimed_s: F64 = field(default_factory=lambda: np.zeros(0))
+    aimed_m: F64 = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def is_empty(self) -> bool:

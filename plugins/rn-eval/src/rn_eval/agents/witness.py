@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING, cast
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
@@ -14,16 +16,31 @@ from roboneuron.command import build, discover, load_config, load_profile
 
 if TYPE_CHECKING:
     from std_msgs.msg import Float64MultiArray
+    from trajectory_msgs.msg import JointTrajectory
 
     from rn_simulation.scene_state import SceneState
 
 ROBOT, CONTROLLER = "fr3", "urdf"
+_COMMANDS = f"/{ROBOT}/joint_trajectory"
+"""All that moves the simulated arm."""
 _ARM = 7
 _MOST_SAMPLES = 60 * 900
 """A quarter of an hour: an episode is bounded well below."""
 _NEW_SIMULATION_S = 0.4
 """Samples come 60 times a second; after such a gap the cubes decide whether it is a new one."""
 _JUMP_M = 0.05
+
+
+class Aim(NamedTuple):
+    """Where the arm was commanded to go.
+
+    Attributes:
+        seen_ns: ROS time at which the command was seen [ns].
+        joints: position by joint [rad or m].
+    """
+
+    seen_ns: int
+    joints: dict[str, float]
 
 
 class Witness:
@@ -40,11 +57,13 @@ class Witness:
         self._names = profile.arm_joints
         self._lock = threading.Lock()
         self._samples: list[SceneState] = []
+        self._aims: list[Aim] = []
         self._link: object | None = None
 
     def open(self) -> None:
         """Join the graph; `prepare_environment` must have run."""
         from std_msgs.msg import Float64MultiArray  # heavy
+        from trajectory_msgs.msg import JointTrajectory  # heavy
 
         from rn_simulation.scene_state import TOPIC
         from roboneuron.command import RosLink
@@ -52,6 +71,7 @@ class Witness:
         link = RosLink("agents_witness")
         link.open()
         link.subscribe(Float64MultiArray, f"/{ROBOT}/{TOPIC}", self._note)
+        link.subscribe(JointTrajectory, _COMMANDS, self._note_command)
         self._link = link
 
     def _note(self, message: Float64MultiArray) -> None:
@@ -62,10 +82,19 @@ class Witness:
             if len(self._samples) < _MOST_SAMPLES:
                 self._samples.append(state)
 
+    def _note_command(self, message: JointTrajectory) -> None:
+        seen_ns = time.time_ns()
+        with self._lock:
+            for point in message.points:
+                if len(self._aims) < _MOST_SAMPLES:
+                    joints = dict(zip(message.joint_names, point.positions, strict=True))
+                    self._aims.append(Aim(seen_ns, joints))
+
     def begin(self) -> None:
         """Forget what was seen before."""
         with self._lock:
             self._samples.clear()
+            self._aims.clear()
 
     def truth(self, begun_ns: int, latched_s: tuple[tuple[float, float], ...]) -> Truth:
         """What was seen since `begin`.
@@ -75,8 +104,26 @@ class Witness:
             latched_s: see `Truth`.
         """
         with self._lock:
-            samples = list(self._samples)
-        return to_truth(samples, self._controller, self._names, begun_ns, latched_s)
+            samples, aims = list(self._samples), list(self._aims)
+        truth = to_truth(samples, self._controller, self._names, begun_ns, latched_s)
+        aims = [aim for aim in aims if set(self._names) <= aim.joints.keys()]
+        if not aims:
+            return truth
+        places = [
+            self._controller.forward(
+                JointSample(
+                    names=self._names,
+                    position=np.array([aim.joints[name] for name in self._names]),
+                    stamp_ns=aim.seen_ns,
+                )
+            ).position_m
+            for aim in aims
+        ]
+        return replace(
+            truth,
+            aimed_s=np.array([(aim.seen_ns - begun_ns) / 1e9 for aim in aims]),
+            aimed_m=np.array(places),
+        )
 
     def film(self, begun_ns: int) -> bytes:
         """A film strip of what was seen since `begin`; see `film_strip`."""
