@@ -8,7 +8,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -49,8 +49,8 @@ class DriverError(Exception):
 class Process:
     """Drivers, one after the other, in a process that imports lerobot once."""
 
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self._process = process
+    def __init__(self, process: subprocess.Popen[str], log: Path) -> None:
+        self._process, self._log = process, log
         self._lock = threading.Lock()
         self.pid = process.pid
 
@@ -58,9 +58,14 @@ class Process:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         with self._lock:
-            self._process.stdin.write(json.dumps([name, *arguments]) + "\n")
-            self._process.stdin.flush()
-            answer = json.loads(self._process.stdout.readline())
+            with suppress(BrokenPipeError):  # it has ended: its answer is then empty
+                self._process.stdin.write(json.dumps([name, *arguments]) + "\n")
+                self._process.stdin.flush()
+            line = self._process.stdout.readline()
+        if not line:
+            words = self._log.read_text(encoding="utf-8", errors="replace")[-2000:]
+            pytest.fail(f"The process ended at {name!r} with {self._process.wait(10)}: {words}")
+        answer = json.loads(line)
         if "error" in answer:
             raise DriverError(f"{answer['error']}: {answer['message']}")
         return answer["answer"]
@@ -86,7 +91,7 @@ def process_with(log: Path, folder: Path = PROCESS) -> Iterator[Process]:
         ) as process,
     ):
         try:
-            yield Process(process)
+            yield Process(process, log)
         finally:
             process.kill()
 
