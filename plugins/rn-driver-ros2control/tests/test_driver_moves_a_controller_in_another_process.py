@@ -227,3 +227,40 @@ def test_without_a_controller_open_says_what_is_missing(bench):
         bench.driver(connect_timeout_s=6.0)
     with pytest.raises(NotReadyError, match="no controller /other"):
         bench.driver(controller="/other", connect_timeout_s=3.0)
+
+
+def test_a_controller_that_answers_at_once_is_heard(bench, monkeypatch):
+    """rclpy notes what it waits for only after it has sent: an answer that is quicker is lost,
+    unless the thread that reads answers is the one that sends.
+    """
+    from rclpy.action import ActionClient
+
+    send = ActionClient.send_goal_async
+
+    def send_slowly(client, *arguments, **options):
+        note = client._client_handle.send_goal_request
+
+        class Sender:
+            def __getattr__(self, name):
+                return getattr(handle, name)
+
+            def send_goal_request(self, request):
+                number = note(request)
+                time.sleep(0.3)  # the answer is there before the number is noted
+                return number
+
+        handle = client._client_handle
+        client._client_handle = Sender()
+        try:
+            return send(client, *arguments, **options)
+        finally:
+            client._client_handle = handle
+
+    bench.controller()
+    driver = bench.driver(mode="action", goal_timeout_s=3.0)
+    monkeypatch.setattr(ActionClient, "send_goal_async", send_slowly)
+    position = np.array([*HOME_RAD[:6], HOME_RAD[6] + 0.1])
+    driver.send(JointCommand(names=ARM_JOINTS, position=position, duration_s=0.5))
+    wait_until(lambda: abs(driver.read().joints.position[6] - position[6]) < 0.005, 10.0)
+    wait_until(lambda: driver.read().detail["goal"] != "executing", 5.0)
+    assert driver.read().detail["fault"] == ""

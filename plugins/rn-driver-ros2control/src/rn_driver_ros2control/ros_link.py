@@ -171,8 +171,27 @@ class RosControllerLink:
             if self._context is None or not self._context.ok():
                 raise StateError("The connection to ros2_control is closed.")
             self._goals[goal] = state
-            future = self._actions.send_goal_async(message)
-        future.add_done_callback(lambda done: self._on_answer(goal, state, done.result()))
+
+        def send() -> None:
+            if goal in self._goals:  # one that has ended unanswered would be a surprise
+                future = self._actions.send_goal_async(message)
+                future.add_done_callback(lambda done: self._on_answer(goal, state, done.result()))
+
+        self._on_executor(send, lambda text: self._end(goal, End.UNANSWERED, text))
+
+    def _on_executor(self, send: Callable[[], None], on_error: Callable[[str], None]) -> None:
+        """Send a goal from the executor's thread, without waiting for it: rclpy notes what it waits
+        for after it has sent, so that on another thread a quick answer comes in between, and is
+        lost.
+        """
+
+        def task() -> None:
+            try:
+                send()
+            except Exception as error:  # raised further it would end the thread
+                on_error(f"the goal could not be sent ({error})")
+
+        self._executor.create_task(task)
 
     def _tolerances(self, trajectory: JointTrajectory, bound: float) -> list[JointTolerance]:
         return [JointTolerance(name=name, position=float(bound)) for name in trajectory.joint_names]
@@ -198,8 +217,19 @@ class RosControllerLink:
             self._gripper_goals += 1
             number = self._gripper_goals
             self._gripper_note = "moving"
-            future = self._gripper.send_goal_async(message)
-        future.add_done_callback(lambda done: self._on_gripper_answer(number, done.result()))
+
+        def send() -> None:
+            if number == self._gripper_goals:
+                future = self._gripper.send_goal_async(message)
+                future.add_done_callback(
+                    lambda done: self._on_gripper_answer(number, done.result())
+                )
+
+        self._on_executor(send, lambda text: self._note_gripper(number, text))
+
+    def _note_gripper(self, number: int, text: str) -> None:
+        if number == self._gripper_goals:
+            self._gripper_note = text
 
     def _gripper_goal(self, position: float) -> GripperCommand.Goal | ParallelGripperCommand.Goal:
         if self._options.gripper == "gripper-command":
@@ -305,10 +335,8 @@ class RosControllerLink:
             )
 
     def _on_gripper_answer(self, number: int, handle: ClientGoalHandle) -> None:
-        if number != self._gripper_goals:
-            return
         if not handle.accepted:
-            self._gripper_note = "rejected by the gripper"
+            self._note_gripper(number, "rejected by the gripper")
             return
         handle.get_result_async().add_done_callback(
             lambda done: self._on_gripper_result(number, done.result())
@@ -317,14 +345,12 @@ class RosControllerLink:
     def _on_gripper_result(
         self, number: int, answer: GripperCommand.Impl.GetResultService.Response
     ) -> None:
-        if number != self._gripper_goals:
-            return
+        note = "reached"
         if answer.result.stalled and not answer.result.reached_goal:
-            self._gripper_note = "stalled: something is between the fingers, or they are blocked"
+            note = "stalled: something is between the fingers, or they are blocked"
         elif answer.status == _ABORTED:
-            self._gripper_note = "aborted by the gripper"
-        else:
-            self._gripper_note = "reached"
+            note = "aborted by the gripper"
+        self._note_gripper(number, note)
 
 
 def _to_ns(stamp: Time) -> int:
