@@ -14,7 +14,7 @@ from rn_interfaces.graph import hashes_here, is_known, uses
 from rn_interfaces.learning import Text
 from rn_interfaces.store import Name, Store, parse_name
 from rn_interfaces_learning.processes import definition_of, prefixes_of_processes
-from roboneuron import ConfigurationError
+from roboneuron import ConfigurationError, NotReadyError
 
 if TYPE_CHECKING:
     from type_description_interfaces.srv import (  # type: ignore[import-untyped]
@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 
     from roboneuron.command import RosLink
 
-DISCOVERY_S = 2.0
+DISCOVERY_S, LONGEST_DISCOVERY_S = 2.0, 10.0
+"""Least and longest time until the graph counts as discovered."""
+SETTLED_S = 1.0
+"""For so long nothing new must have been seen."""
+_LOOK_S = 0.1
 ANSWER_S = 5.0
 """Longest wait for a node's answer."""
 
@@ -62,6 +66,12 @@ class NodeGraph:
     def services(self) -> dict[str, list[str]]:
         """Types by absolute service name."""
         return dict(self._link.node.get_service_names_and_types())
+
+    def others(self) -> set[str]:
+        """Full names of all nodes but this one."""
+        node = self._link.node
+        names = node.get_node_names_and_namespaces()
+        return {f"{place.rstrip('/')}/{name}" for name, place in names if name != node.get_name()}
 
     def endpoints(self, topic: str) -> list[Endpoint]:
         """Publishers and subscriptions."""
@@ -218,15 +228,45 @@ def _texts(
     return found
 
 
+def wait_settled(
+    graph: NodeGraph,
+    now_s: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> None:
+    """Wait until nothing new is seen for a while: a busy machine discovers slowly.
+
+    Raises:
+        NotReadyError: nobody else was seen in all that time.
+    """
+    begun_s = changed_s = now_s()
+    seen: object = None
+    while now_s() - begun_s < LONGEST_DISCOVERY_S:
+        others = graph.others()
+        picture = others, graph.topics(), graph.services()
+        if picture != seen:
+            seen, changed_s = picture, now_s()
+        is_quiet = now_s() - changed_s >= SETTLED_S and now_s() - begun_s >= DISCOVERY_S
+        if others and is_quiet:
+            return
+        sleep(_LOOK_S)
+    if not graph.others():
+        raise NotReadyError(
+            f"No other node was seen within {LONGEST_DISCOVERY_S:g} s.",
+            hint="Compare ROS_DOMAIN_ID and the discovery range with those of the node that is "
+            "to be asked.",
+        )
+
+
 def with_graph(look: Callable[[NodeGraph], Found]) -> Found:
-    """Join ROS, wait until the graph is discovered, look, and leave."""
+    """Join ROS, wait until the graph is discovered, look, and leave. Raises as `wait_settled`."""
     from roboneuron.command import RosLink, environment
 
     environment.prepare_environment()
     link = RosLink(f"roboneuron_ros_{os.getpid()}")
     link.open()
     try:
-        time.sleep(DISCOVERY_S)
-        return look(NodeGraph(link))
+        graph = NodeGraph(link)
+        wait_settled(graph)
+        return look(graph)
     finally:
         link.close()
