@@ -209,6 +209,8 @@ def said_to(port: int, sent: bytes, context: ssl.SSLContext | None = None) -> by
         connected = context.wrap_socket(connected)
     with connected, suppress(OSError):
         connected.sendall(sent)
+        if context is None:  # else the server waits for more until its bound
+            connected.shutdown(socket.SHUT_WR)
         while part := connected.recv(4096):
             heard += part
     return heard
