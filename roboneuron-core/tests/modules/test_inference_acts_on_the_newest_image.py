@@ -93,7 +93,7 @@ def test_old_proprioception_is_never_acted_on(
     sent = len(cell.actions)
     refused = f"dropped.old_{old}"
     assert holds_within(
-        lambda: send_all(0.6) is None and f"No usable {said} for" in cell.status()["message"], 4.0
+        lambda: send_all(0.6) is None and f"No usable {said} for" in cell.status()["message"]
     )
     assert int(cell.status()[refused]) > 2
     assert len(cell.actions) == sent
