@@ -34,6 +34,7 @@ import bench_direct
 import bench_ik
 import bench_loop
 import bench_spaces
+import direct_cell
 
 from rn_controller_urdf.ik import InverseKinematics
 from rn_controller_urdf.model import build_arm_model
@@ -98,9 +99,9 @@ def image_to_action(folder: Path, rounds: int) -> tuple[float, float]:
 
 def call_to_message(folder: Path, endpoints: int) -> tuple[float, float]:
     """Ours one way, and an empty tool's way in plus a bare publish [ms]."""
-    listener = bench_direct.Listener(folder)
+    listener = direct_cell.Listener(folder)
     try:
-        with bench_direct.publisher() as publish:
+        with direct_cell.publisher() as publish:
             times = anyio.run(bench_direct.measure, endpoints, CALLS, listener, folder, publish)
     finally:
         listener.close()
@@ -112,7 +113,7 @@ def start_to_message(folder: Path, rounds: int) -> tuple[float, float]:
     """From the spawn of `serve` to its first message, and of a bare node to its publisher [ms]."""
     ours: list[float] = []
     floor: list[float] = []
-    listener = bench_direct.Listener(folder)
+    listener = direct_cell.Listener(folder)
     try:
         for _ in range(rounds + 1):
             begun_s = time.monotonic()
@@ -120,12 +121,12 @@ def start_to_message(folder: Path, rounds: int) -> tuple[float, float]:
                 [sys.executable, "-c", BARE_NODE],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                env=bench_direct.with_bytecode(),
+                env=direct_cell.with_bytecode(),
             ) as process:
                 assert process.stdout is not None
                 process.stdout.readline()
                 floor.append((time.monotonic() - begun_s) * 1e3)
-                process.communicate(timeout=bench_direct.CALL_S)
+                process.communicate(timeout=direct_cell.CALL_S)
             ours.append(anyio.run(bench_direct.measure_start, 3, listener, folder)[2] * 1e3)
     finally:
         listener.close()

@@ -17,21 +17,18 @@ import argparse
 import math
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio
-import rclpy
 from builtin_interfaces.msg import Duration
 from numpy.typing import NDArray
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
+from standin_node import run_node, to_duration
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from rn_controller_urdf.arm import Arm
@@ -103,7 +100,7 @@ def line(start: F64, goal: F64, velocity: float, acceleration: float) -> JointTr
             JointTrajectoryPoint(
                 positions=place.tolist(),
                 velocities=speed.tolist(),
-                time_from_start=_to_duration(at_s),
+                time_from_start=to_duration(at_s),
             )
         )
     return made
@@ -314,7 +311,7 @@ class MoveGroupStandIn(Node):
         if self._run is None or self._run.target is None or self._measured is None:
             return
         point = JointTrajectoryPoint(
-            positions=self._measured[1].tolist(), time_from_start=_to_duration(HOLD_S)
+            positions=self._measured[1].tolist(), time_from_start=to_duration(HOLD_S)
         )
         self._command.publish(JointTrajectory(joint_names=list(ARM_JOINTS), points=[point]))
 
@@ -329,11 +326,6 @@ def _start_of(request: MotionPlanRequest, here: F64) -> F64:
     return start
 
 
-def _to_duration(seconds: float) -> Duration:
-    whole, part = divmod(round(seconds * 1e9), 1_000_000_000)
-    return Duration(sec=whole, nanosec=part)
-
-
 def _seconds(duration: Duration) -> float:
     return float(duration.sec + duration.nanosec * 1e-9)
 
@@ -344,18 +336,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--namespace", default="", help="of the arm and of the actions")
     parser.add_argument("--delay", type=float, default=0.1, help="of planning [s]")
     options = parser.parse_args(arguments)
-    rclpy.init()
-    node = MoveGroupStandIn(options)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    print("move_action is offered", flush=True)
-    try:
-        with suppress(KeyboardInterrupt, ExternalShutdownException):
-            executor.spin()
-    except RCLError:
-        if rclpy.ok():  # else SIGTERM came between two waits
-            raise
-    rclpy.try_shutdown()
+    run_node(lambda: MoveGroupStandIn(options), "move_action is offered")
 
 
 if __name__ == "__main__":

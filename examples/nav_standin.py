@@ -18,19 +18,15 @@ import argparse
 import math
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
-import rclpy
-from builtin_interfaces.msg import Duration
 from geometry_msgs.msg import PoseStamped, Twist
 from nav_msgs.msg import Odometry
-from rclpy._rclpy_pybind11 import RCLError
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
+from standin_node import run_node, to_duration
 
 from rn_interfaces.finder import install
 
@@ -240,14 +236,9 @@ class Navigator(Node):
         distance_m = math.dist((here.x_m, here.y_m), (run.goal.x_m, run.goal.y_m))
         feedback.distance_remaining = distance_m
         feedback.number_of_recoveries = run.recoveries
-        feedback.navigation_time = _to_duration(now_s - run.begun_s)
-        feedback.estimated_time_remaining = _to_duration(distance_m / SPEED_M_S)
+        feedback.navigation_time = to_duration(now_s - run.begun_s)
+        feedback.estimated_time_remaining = to_duration(distance_m / SPEED_M_S)
         run.handle.publish_feedback(feedback)
-
-
-def _to_duration(seconds: float) -> Duration:
-    whole = int(seconds)
-    return Duration(sec=whole, nanosec=int((seconds - whole) * 1e9))
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -266,18 +257,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--patience", type=float, default=3.0, help="without progress for so long it recovers [s]"
     )
     options = parser.parse_args(arguments)
-    rclpy.init()
-    node = Navigator(options)
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    print("navigate_to_pose is offered", flush=True)
-    try:
-        with suppress(KeyboardInterrupt, ExternalShutdownException):
-            executor.spin()
-    except RCLError:
-        if rclpy.ok():  # else SIGTERM came between two waits
-            raise
-    rclpy.try_shutdown()
+    run_node(lambda: Navigator(options), "navigate_to_pose is offered")
 
 
 if __name__ == "__main__":

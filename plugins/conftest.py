@@ -1,14 +1,17 @@
 """What tests of all plugins share: a small model computes on one thread, and its memory is measured
-once.
+once; observations with plain pictures.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+from roboneuron.contract import Frame, JointSample, Observation, Pose
 
 HERE = Path(__file__).parent
 MODELS = ("rn-accel-", "rn-backend-", "rn-eval", "rn-policy-", "rn-runtime-", "rn-vla")
@@ -61,3 +64,36 @@ def _small_models(request: pytest.FixtureRequest) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Engine, "_needs", needs)
         yield
+
+
+def make_observation(
+    *,
+    primary: int = 90,
+    wrist: int | None = None,
+    instruction: str = "pick up the red cube",
+    position_m: tuple[float, float, float] = (0.4, 0.0, 0.5),
+    gripper_open: float | None = 1.0,
+    size: tuple[int, int] = (48, 64),
+) -> Observation:
+    """An observation with plain grey pictures, the gripper pointing down."""
+    frames = {}
+    for role, level in (("primary", primary), ("wrist", wrist)):
+        if level is not None:
+            image = np.full((*size, 3), level, dtype=np.uint8)
+            frames[role] = Frame(camera=role, image=image, stamp_ns=1, frame_id=f"{role}_optical")
+    return Observation(
+        frames=frames,
+        instruction=instruction,
+        joints=JointSample(names=("a", "b"), position=np.array([0.1, 0.2])),
+        ee_pose=Pose(
+            position_m=np.array(position_m), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0])
+        ),
+        gripper_open=gripper_open,
+        stamp_ns=1,
+    )
+
+
+@pytest.fixture(scope="session")
+def observe() -> Callable[..., Observation]:
+    """Makes observations."""
+    return make_observation

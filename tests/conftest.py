@@ -30,6 +30,27 @@ def environment(tmp_path: Path) -> dict[str, str]:
 
 
 @pytest.fixture
+def learnt_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
+    """Environment for child processes that know the interface types of the examples."""
+    from rn_interfaces.finder import PREFIXES
+    from rn_interfaces.learning import learn
+    from rn_interfaces.sources import definitions
+    from rn_interfaces.store import Store
+
+    monkeypatch.setenv(PREFIXES, sys.prefix)
+    store = Store(tmp_path / "data" / "roboneuron" / "interfaces")
+    assert not learn(store, definitions(ROOT / "examples" / "ros")).refused
+    environment = {
+        **os.environ,
+        "XDG_DATA_HOME": str(tmp_path / "data"),
+        "XDG_CACHE_HOME": str(tmp_path / "cache"),
+        "ROS_DOMAIN_ID": str(free_ros_domain()),
+    }
+    del environment[PREFIXES]
+    return environment
+
+
+@pytest.fixture
 def root() -> Path:
     """Top of the repository."""
     return ROOT

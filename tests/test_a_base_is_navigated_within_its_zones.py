@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Iterator
@@ -16,14 +15,9 @@ from typing import Any
 
 import anyio
 import pytest
-from mcp import Client, StdioServerParameters
 
-from rn_interfaces.finder import PREFIXES
-from rn_interfaces.learning import learn
-from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
 from rn_standard.demo.agent import module_status
-from rn_testing.domain import free_ros_domain
+from rn_testing.agent import Agent, client_of
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -70,14 +64,12 @@ class Bench:
         assert process.stdout.readline() == "navigate_to_pose is offered\n"
 
     @asynccontextmanager
-    async def agent(self) -> AsyncIterator[Agent]:
+    async def agent(self) -> AsyncIterator[BaseAgent]:
         """A client of a server whose base is started."""
         config = self._folder / "roboneuron.toml"
         config.write_text(CONFIG.format(state=self._folder / "state"))
-        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
-        server = StdioServerParameters(command=sys.executable, args=command, env=self._environment)
-        async with Client(server) as client:
-            made = Agent(client)
+        async with client_of(config, self._environment) as client:
+            made = BaseAgent(client)
             assert (await made.call("start_robot"))[0]
             yield made
 
@@ -87,22 +79,8 @@ class Bench:
             process.communicate(timeout=30)
 
 
-class Agent:
-    """Calls tools."""
-
-    def __init__(self, client: Client) -> None:
-        self.client = client
-        self.told: list[str] = []
-
-    async def call(self, tool: str, **arguments: Any) -> tuple[bool, dict[str, Any], str]:
-        """Whether it succeeded, its answer, and its text."""
-
-        async def note(progress: float, total: float | None, message: str | None) -> None:
-            self.told.append(message or "")
-
-        answer = await self.client.call_tool(tool, arguments, progress_callback=note)
-        text = answer.content[0].text  # type: ignore[union-attr]
-        return not answer.is_error, dict(answer.structured_content or {}), text
+class BaseAgent(Agent):
+    """Drives a base."""
 
     async def drive(self, to: dict[str, Any], **more: Any) -> tuple[bool, dict[str, Any], str]:
         """Send a goal; the first one waits for the discovery of the server."""
@@ -122,20 +100,8 @@ class Agent:
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
-    monkeypatch.setenv(PREFIXES, sys.prefix)
-    learnt = learn(
-        Store(tmp_path / "data" / "roboneuron" / "interfaces"), definitions(EXAMPLES / "ros")
-    )
-    assert not learnt.refused
-    environment = {
-        **os.environ,
-        "XDG_DATA_HOME": str(tmp_path / "data"),
-        "XDG_CACHE_HOME": str(tmp_path / "cache"),
-        "ROS_DOMAIN_ID": str(free_ros_domain()),
-    }
-    environment.pop(PREFIXES)
-    made = Bench(tmp_path, environment)
+def bench(tmp_path: Path, learnt_environment: dict[str, str]) -> Iterator[Bench]:
+    made = Bench(tmp_path, learnt_environment)
     yield made
     made.close()
 

@@ -4,7 +4,6 @@ definitions: to a place, by a plan, never where the limits forbid it, and to res
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Iterator
@@ -15,16 +14,11 @@ from typing import Any
 import anyio
 import numpy as np
 import pytest
-from mcp import Client, StdioServerParameters
 
 from rn_controller_urdf.controller import UrdfController
-from rn_interfaces.finder import PREFIXES
-from rn_interfaces.learning import learn
-from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD, profile
-from rn_testing.domain import free_ros_domain
+from rn_testing.agent import Agent, client_of
 from roboneuron import JointSample
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
@@ -108,22 +102,8 @@ def place(x: float, y: float, z: float) -> dict[str, Any]:
     }
 
 
-class Agent:
-    """Calls tools."""
-
-    def __init__(self, client: Client) -> None:
-        self.client = client
-        self.told: list[str] = []
-
-    async def call(self, tool: str, **arguments: Any) -> tuple[bool, dict[str, Any], str]:
-        """Whether it succeeded, its answer, and its text."""
-
-        async def note(progress: float, total: float | None, message: str | None) -> None:
-            self.told.append(message or "")
-
-        answer = await self.client.call_tool(tool, arguments, progress_callback=note)
-        text = answer.content[0].text  # type: ignore[union-attr]
-        return not answer.is_error, dict(answer.structured_content or {}), text
+class ArmAgent(Agent):
+    """Moves an arm."""
 
     async def move(self, to: dict[str, Any], **more: Any) -> tuple[bool, dict[str, Any], str]:
         """Send a goal; the first one waits for the discovery of the server."""
@@ -180,14 +160,12 @@ class Cell:
         assert self._planner.stdout.readline() == "move_action is offered\n"
 
     @asynccontextmanager
-    async def agent(self) -> AsyncIterator[Agent]:
+    async def agent(self) -> AsyncIterator[ArmAgent]:
         """A client of a server whose arm is started."""
         config = self._folder / "roboneuron.toml"
         config.write_text(CONFIG.format(state=self._folder / "state"))
-        command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
-        server = StdioServerParameters(command=sys.executable, args=command, env=self._environment)
-        async with Client(server) as client:
-            made = Agent(client)
+        async with client_of(config, self._environment) as client:
+            made = ArmAgent(client)
             started, _, text = await made.call("start_robot")
             assert started, text
             yield made
@@ -198,20 +176,8 @@ class Cell:
 
 
 @pytest.fixture
-def cell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Cell]:
-    monkeypatch.setenv(PREFIXES, sys.prefix)
-    learnt = learn(
-        Store(tmp_path / "data" / "roboneuron" / "interfaces"), definitions(EXAMPLES / "ros")
-    )
-    assert not learnt.refused
-    environment = {
-        **os.environ,
-        "XDG_DATA_HOME": str(tmp_path / "data"),
-        "XDG_CACHE_HOME": str(tmp_path / "cache"),
-        "ROS_DOMAIN_ID": str(free_ros_domain()),
-    }
-    environment.pop(PREFIXES)
-    made = Cell(tmp_path, environment)
+def cell(tmp_path: Path, learnt_environment: dict[str, str]) -> Iterator[Cell]:
+    made = Cell(tmp_path, learnt_environment)
     yield made
     made.close()
 

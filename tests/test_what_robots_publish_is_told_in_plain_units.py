@@ -15,7 +15,6 @@ from typing import Any
 
 import anyio
 import pytest
-from mcp import Client, StdioServerParameters
 
 from rn_interfaces.finder import PREFIXES, install
 from rn_interfaces.learning import learn
@@ -25,6 +24,7 @@ from rn_standard.direct_path.fields import filled, load_type
 from rn_standard.tools_ros.battery import battery_of
 from rn_standard.tools_ros.detections import GetDetections, detections_of
 from rn_standard.tools_ros.newest import GetNewest
+from rn_testing.agent import Agent, client_of
 from rn_testing.domain import free_ros_domain
 
 HERE = Path(__file__).parent
@@ -196,24 +196,6 @@ def talker(user: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
         process.terminate()
 
 
-class Agent:
-    """Calls tools."""
-
-    def __init__(self, client: Client) -> None:
-        self._client = client
-
-    async def call(self, tool: str, **arguments: Any) -> tuple[dict[str, Any], str]:
-        """The answer and its text."""
-        answer = await self._client.call_tool(tool, arguments)
-        return dict(answer.structured_content or {}), answer.content[0].text  # type: ignore[union-attr]
-
-    async def fails(self, told: str, tool: str, **arguments: Any) -> None:
-        """It has to end in an error that tells this."""
-        answer = await self._client.call_tool(tool, arguments)
-        assert answer.is_error
-        assert told in answer.content[0].text  # type: ignore[union-attr]
-
-
 @pytest.mark.ros
 @pytest.mark.timeout(120)
 def test_an_agent_asks_a_server_for_them(
@@ -221,34 +203,34 @@ def test_an_agent_asks_a_server_for_them(
 ) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
-    server = StdioServerParameters(command=sys.executable, args=command, env=user)
 
     async def scenario() -> None:
-        async with Client(server) as client:
+        async with client_of(config, user) as client:
             agent = Agent(client)
             await transforms(agent)
             await sensors(agent)
             await places(agent)
 
     async def transforms(agent: Agent) -> None:
-        found, text = await agent.call("lookup_tf", target="map", source="camera", timeout_s=30.0)
+        _, found, text = await agent.call(
+            "lookup_tf", target="map", source="camera", timeout_s=30.0
+        )
         assert (found["x_m"], found["y_m"]) == pytest.approx((2.5, 1.0)), text
         assert found["frames"] == ["camera", "base", "odom", "map"]
         assert found["age_s"] < 1.0
         asked = {"target": "map", "timeout_s": 2.0}
-        await agent.fails("not connected", "lookup_tf", source="stray", **asked)
-        await agent.fails("s old, allowed is 1 s", "lookup_tf", source="late", **asked)
-        await agent.fails("'gripper' is unknown", "lookup_tf", source="gripper", **asked)
+        assert "not connected" in await agent.fail("lookup_tf", source="stray", **asked)
+        assert "s old, allowed is 1 s" in await agent.fail("lookup_tf", source="late", **asked)
+        assert "'gripper' is unknown" in await agent.fail("lookup_tf", source="gripper", **asked)
 
     async def sensors(agent: Agent) -> None:
-        found, text = await agent.call("get_battery", timeout_s=30.0)
+        _, found, text = await agent.call("get_battery", timeout_s=30.0)
         assert (found["charge"], found["status"]) == (0.15, "discharging"), text
         assert found["temperature_c"] is None
-        found, text = await agent.call("get_seen", class_id="cup", entries=5, timeout_s=30.0)
+        _, found, text = await agent.call("get_seen", class_id="cup", entries=5, timeout_s=30.0)
         assert [one["id"] for one in found["detections"]] == ["29", "27", "25", "23", "21"], text
         assert (found["more"], found["unit"], found["frame"]) == (10, "m", "camera")
-        found, text = await agent.call("get_seen_flat", timeout_s=30.0)
+        _, found, text = await agent.call("get_seen_flat", timeout_s=30.0)
         assert found["detections"][0]["center"] == [320.0, 0.0], text
 
     async def places(agent: Agent) -> None:
@@ -256,7 +238,7 @@ def test_an_agent_asks_a_server_for_them(
             pose = {"position": {"x": x}, "orientation": {"w": 1.0}}
             return {"message": {"header": {"frame_id": frame}, "pose": pose}, "timeout_s": 30.0}
 
-        sent, text = await agent.call("publish_goal", **goal(0.0, "camera"))
+        _, sent, text = await agent.call("publish_goal", **goal(0.0, "camera"))
         assert sent["allowed"], text
         assert [(c["path"], c["sent"]) for c in sent["clamped"]][:2] == [
             ("pose.position.x", 2.5),
@@ -264,8 +246,8 @@ def test_an_agent_asks_a_server_for_them(
         ]
         assert talker.stdout is not None
         assert talker.stdout.readline() == "map 2.5 1.0\n"
-        await agent.fails("in the zone 'stairs'", "publish_goal", **goal(1.0, "camera"))
-        await agent.fails("pose.position.x is", "publish_goal", **goal(4.0, "camera"))
-        await agent.fails("s old, allowed is 1 s", "publish_goal", **goal(0.0, "late"))
+        assert "in the zone 'stairs'" in await agent.fail("publish_goal", **goal(1.0, "camera"))
+        assert "pose.position.x is" in await agent.fail("publish_goal", **goal(4.0, "camera"))
+        assert "s old, allowed is 1 s" in await agent.fail("publish_goal", **goal(0.0, "late"))
 
     anyio.run(scenario)

@@ -8,16 +8,15 @@ loosens them.
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import anyio
 import pytest
-from mcp import Client, StdioServerParameters
 
 from rn_simulation.engine import ENGINES
+from rn_testing.agent import Agent, client_of
 from roboneuron.plugins.availability import is_importable
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(600)]
@@ -42,22 +41,8 @@ NEAR_M = 0.02
 """
 
 
-class Agent:
-    """A client, and what it sees of the cubes."""
-
-    def __init__(self, client: Client) -> None:
-        self._client = client
-
-    async def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        answer = await self._client.call_tool(tool, arguments)
-        assert not answer.is_error, (tool, arguments, answer.content)
-        result: dict[str, Any] = answer.structured_content
-        return result
-
-    async def fail(self, tool: str, **arguments: Any) -> str:
-        answer = await self._client.call_tool(tool, arguments)
-        assert answer.is_error, answer.structured_content
-        return str(answer.content[0].text)
+class CubeAgent(Agent):
+    """Sees the cubes."""
 
     async def status(self, module: str) -> dict[str, Any]:
         modules = (await self.do("get_status"))["modules"]
@@ -70,7 +55,7 @@ class Agent:
         return found
 
 
-async def keeps_what_it_holds(agent: Agent) -> None:
+async def keeps_what_it_holds(agent: CubeAgent) -> None:
     await agent.do("start_all")
     await agent.do("run_task", instruction="pick up the green cube", max_s=90.0)
     await agent.do("stop_inference")
@@ -95,7 +80,7 @@ async def keeps_what_it_holds(agent: Agent) -> None:
     assert (await agent.cube("green"))["lifted_m"] > 0.1
 
 
-async def puts_it_down(agent: Agent) -> None:
+async def puts_it_down(agent: CubeAgent) -> None:
     there = (await agent.cube("green"))["position_m"]
     placed = await agent.do("place", dy_m=LEFT_M)
     assert placed["holding"] is False
@@ -105,7 +90,7 @@ async def puts_it_down(agent: Agent) -> None:
     assert "holds nothing" in await agent.fail("place", dy_m=0.1)
 
 
-async def keeps_to_tightened_limits(agent: Agent) -> None:
+async def keeps_to_tightened_limits(agent: CubeAgent) -> None:
     await agent.do("move_to", name="home")
     limits = await agent.do("tighten_limits", max_speed_m_s=0.05, y_max_m=0.1)
     assert limits["is_tightened"]
@@ -133,26 +118,16 @@ def test_a_cube_stays_held_until_it_is_put_down(
 ) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state", engine=engine))
-    command = [
-        "-m",
-        "roboneuron.cli.main",
-        "serve",
-        "--config",
-        str(config),
-        "--log-level",
-        "error",
-    ]
-    steps: list[Callable[[Agent], Any]] = [
+    steps: list[Callable[[CubeAgent], Any]] = [
         keeps_what_it_holds,
         puts_it_down,
         keeps_to_tightened_limits,
     ]
 
     async def scenario() -> None:
-        server = StdioServerParameters(command=sys.executable, args=command, env=environment)
-        async with Client(server) as client:
+        async with client_of(config, environment, "--log-level", "error") as client:
             for step in steps:
-                await step(Agent(client))
+                await step(CubeAgent(client))
 
     anyio.run(scenario)
     audit = [

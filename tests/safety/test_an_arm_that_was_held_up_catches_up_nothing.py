@@ -131,7 +131,7 @@ def move(loop: Loop, ee_speed_m_s: float, distance_m: float = 0.25) -> None:
     loop.advance(0.2)
     began_s, start = loop.now_s, loop.pose()
     clock: Callable[[], float] = lambda: loop.now_s - began_s  # noqa: E731
-    for *_, delta in mover._deltas(order, start, loop.pose, clock, lambda: ""):
+    for *_, delta in mover._steps(order, start, loop.pose, clock, lambda: ""):
         loop.act(delta)
         loop.advance(loop.now_s + ACTION_S)
         assert loop.now_s < LONGEST_S

@@ -1,4 +1,4 @@
-"""Fixtures: observations, and a stand-in for openpi's server."""
+"""Fixtures: a stand-in for openpi's server, and options of its clients."""
 
 from __future__ import annotations
 
@@ -18,45 +18,11 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import Server, ServerConnection, serve
 
-sys.path.insert(0, str(Path(__file__).parent))
+sys.path.append(str(Path(__file__).parent))  # for openpi_format and openpi_clients
+from openpi_clients import TIMEOUT_S
 from openpi_format import decode, encode
 
-sys.path.pop(0)
-
-from roboneuron.contract import Frame, JointSample, Observation, Pose
-
-
-def make_observation(
-    *,
-    primary: int = 90,
-    wrist: int | None = None,
-    instruction: str = "pick up the red cube",
-    position_m: tuple[float, float, float] = (0.4, 0.0, 0.5),
-    gripper_open: float | None = 1.0,
-    size: tuple[int, int] = (48, 64),
-) -> Observation:
-    """An observation with plain grey pictures, the gripper pointing down."""
-    frames = {}
-    for role, level in (("primary", primary), ("wrist", wrist)):
-        if level is not None:
-            image = np.full((*size, 3), level, dtype=np.uint8)
-            frames[role] = Frame(camera=role, image=image, stamp_ns=1, frame_id=f"{role}_optical")
-    return Observation(
-        frames=frames,
-        instruction=instruction,
-        joints=JointSample(names=("a", "b"), position=np.array([0.1, 0.2])),
-        ee_pose=Pose(
-            position_m=np.array(position_m), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0])
-        ),
-        gripper_open=gripper_open,
-        stamp_ns=1,
-    )
-
-
-@pytest.fixture(scope="session")
-def observe() -> Callable[..., Observation]:
-    """Makes observations."""
-    return make_observation
+from rn_backend_openpi.options import OpenpiOptions
 
 
 class PolicyServer:
@@ -153,3 +119,21 @@ def policy_server() -> Iterator[PolicyServer]:
     yield server
     server.released.set()
     server.stop()
+
+
+@pytest.fixture
+def options(policy_server: Any) -> Callable[..., OpenpiOptions]:
+    """Makes options that point at the stand-in."""
+
+    def make(**changes: Any) -> OpenpiOptions:
+        values = {
+            "url": policy_server.url,
+            "profile": "libero",
+            "image_keys": {"primary": "observation/image"},
+            "connect_timeout_s": 5.0,
+            "warm_up_timeout_s": 5.0,
+            "request_timeout_s": TIMEOUT_S,
+        }
+        return OpenpiOptions(**(values | changes))
+
+    return make

@@ -1,14 +1,11 @@
-"""Fixtures: the golden checkpoint, a tiny checkpoint of our own, observations."""
+"""Fixtures: the golden checkpoint, a tiny checkpoint of our own."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-
-from roboneuron.contract import Frame, JointSample, Observation, Pose
 
 GOLDEN = Path(__file__).parent / "data" / "pi0-tiny"
 
@@ -46,36 +43,3 @@ def tiny_openpi_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("pi0") / "tiny-openpi"
     make_tiny(directory, layout="openpi")
     return directory
-
-
-def make_observation(
-    *,
-    primary: int = 90,
-    wrist: int | None = None,
-    instruction: str = "pick up the red cube",
-    position_m: tuple[float, float, float] = (0.4, 0.0, 0.5),
-    gripper_open: float | None = 1.0,
-    size: tuple[int, int] = (48, 64),
-) -> Observation:
-    """An observation with plain grey pictures, the gripper pointing down."""
-    frames = {}
-    for role, level in (("primary", primary), ("wrist", wrist)):
-        if level is not None:
-            image = np.full((*size, 3), level, dtype=np.uint8)
-            frames[role] = Frame(camera=role, image=image, stamp_ns=1, frame_id=f"{role}_optical")
-    return Observation(
-        frames=frames,
-        instruction=instruction,
-        joints=JointSample(names=("a", "b"), position=np.array([0.1, 0.2])),
-        ee_pose=Pose(
-            position_m=np.array(position_m), quaternion_xyzw=np.array([1.0, 0.0, 0.0, 0.0])
-        ),
-        gripper_open=gripper_open,
-        stamp_ns=1,
-    )
-
-
-@pytest.fixture(scope="session")
-def observe() -> Callable[..., Observation]:
-    """Makes observations."""
-    return make_observation

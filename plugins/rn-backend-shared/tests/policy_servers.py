@@ -5,23 +5,33 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
+import ssl
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.case import install, options_in
 from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.plugin import BACKEND
 from rn_backend_shared.processes import ask_status
 from rn_backend_shared.serve_command import name_of
 from rn_link.certificates import new_key, read_certificate
 from rn_link.machine import PORT, Machine, Peer
 from rn_link_pairing.keeping import add_member, become_hub, become_member
+from rn_testing.fakes.backend import make_observation
 from rn_testing.waiting import wait_until
-from roboneuron import NotReadyError
+from roboneuron import NotReadyError, Observation
 
+SEEN = make_observation(BACKEND)
 WORDS = (sys.executable, "-m", "roboneuron.cli.main", "serve-policy")
 
 
@@ -152,3 +162,55 @@ def robot_of(address: str, **options: Any) -> SharedBackend:
     """A robot's backend for a server, not loaded."""
     given = {"address": address, "timeout_s": 10.0, "start_timeout_s": 60.0, **options}
     return SharedBackend(SharedOptions.model_validate(given))
+
+
+Serve = Callable[..., RunningServer]
+Robot = Callable[..., SharedBackend]
+
+
+def seen(number: int) -> Observation:
+    """`SEEN` with another image and instruction for each number."""
+    frame = SEEN.frames["primary"]
+    image = np.full((48, 64, 3), 10 * number, dtype=np.uint8)
+    return replace(
+        SEEN, frames={"primary": replace(frame, image=image)}, instruction="x" * (number + 1)
+    )
+
+
+def answers(robot: SharedBackend) -> bool:
+    """Whether the robot gets an answer; any other error than that it is not ready is raised."""
+    try:
+        robot.predict(SEEN)
+    except NotReadyError:
+        return False
+    return True
+
+
+def servers_in(folder: Path) -> list[int]:
+    """Server processes whose socket is in the folder."""
+    found = []
+    for entry in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            words = entry.read_bytes().split(b"\0")
+        except OSError:
+            continue
+        if b"rn_backend_shared.server" in words and any(
+            word.startswith(str(folder).encode()) for word in words
+        ):
+            found.append(int(entry.parent.name))
+    return found
+
+
+def said_to(port: int, sent: bytes, context: ssl.SSLContext | None = None) -> bytes:
+    """What an unknown peer receives until the server closes the connection."""
+    heard = b""
+    connected = socket.create_connection(("127.0.0.1", port), 20.0)
+    if context is not None:
+        connected = context.wrap_socket(connected)
+    with connected, suppress(OSError):
+        connected.sendall(sent)
+        if context is None:  # else the server waits for more until its bound
+            connected.shutdown(socket.SHUT_WR)
+        while part := connected.recv(4096):
+            heard += part
+    return heard

@@ -19,10 +19,9 @@ pytest.importorskip(
     "control_msgs", reason="control_msgs is not built here (it needs a C++ compiler)"
 )
 
-from mcp import Client, StdioServerParameters
-
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD
+from rn_testing.agent import Agent, client_of
 from rn_testing.domain import free_ros_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
@@ -63,20 +62,8 @@ def goal(*points: tuple[float, float]) -> dict[str, Any]:
     }
 
 
-class Agent:
-    """Calls tools, and keeps what it is told of progress."""
-
-    def __init__(self, client: Client) -> None:
-        self.client = client
-        self.told: list[str] = []
-
-    async def call(self, tool: str, **arguments: Any) -> tuple[bool, dict[str, Any], str]:
-        async def note(progress: float, total: float | None, message: str | None) -> None:
-            self.told.append(message or "")
-
-        answer = await self.client.call_tool(tool, arguments, progress_callback=note)
-        text = answer.content[0].text  # type: ignore[union-attr]
-        return not answer.is_error, dict(answer.structured_content or {}), text
+class ArmAgent(Agent):
+    """Reads its last joint."""
 
     async def last_joint(self) -> float:
         """How far the joint is measured from its start."""
@@ -88,13 +75,11 @@ class Agent:
 
 
 @asynccontextmanager
-async def agent_of(folder: Path, environment: dict[str, str]) -> AsyncIterator[Agent]:
+async def agent_of(folder: Path, environment: dict[str, str]) -> AsyncIterator[ArmAgent]:
     config = folder / "roboneuron.toml"
     config.write_text(CONFIG.format(state=folder / "state"))
-    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
-    server = StdioServerParameters(command=sys.executable, args=command, env=environment)
-    async with Client(server) as client:
-        agent = Agent(client)
+    async with client_of(config, environment) as client:
+        agent = ArmAgent(client)
         started, _, text = await agent.call("start_robot")
         assert started, text
         yield agent

@@ -20,6 +20,8 @@ from link_pairs import pair
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 
+from rn_testing.agent import Agent
+
 pytestmark = [
     pytest.mark.ros,
     pytest.mark.slow,
@@ -54,22 +56,12 @@ PROGRAM = str(Path(sys.executable).with_name("roboneuron"))
 BOUND_S = 40.0
 
 
-class Agent:
+class LinkedAgent(Agent):
     """A client of one machine's server."""
 
     def __init__(self, client: Client, machine: Machine) -> None:
-        self._client, self._machine = client, machine
-
-    async def call(self, tool: str, **arguments: Any) -> tuple[bool, dict[str, Any], str]:
-        answer = await self._client.call_tool(tool, arguments)
-        text = answer.content[0].text  # type: ignore[union-attr]
-        return not answer.is_error, dict(answer.structured_content or {}), text
-
-    async def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """The answer of a call that must succeed."""
-        succeeded, answer, text = await self.call(tool, **arguments)
-        assert succeeded, text
-        return answer
+        super().__init__(client)
+        self._machine = machine
 
     async def connection(self, name: str) -> dict[str, str]:
         """What `link show` says of another machine."""
@@ -94,7 +86,7 @@ class Agent:
 
 
 @asynccontextmanager
-async def agent_of(machine: Machine, config: str) -> AsyncIterator[Agent]:
+async def agent_of(machine: Machine, config: str) -> AsyncIterator[LinkedAgent]:
     """A server of that machine, and its client."""
     path = machine.state / "roboneuron.toml"
     path.write_text(config)
@@ -106,10 +98,10 @@ async def agent_of(machine: Machine, config: str) -> AsyncIterator[Agent]:
         env={**os.environ, "XDG_STATE_HOME": str(machine.state)},
     )
     async with Client(stdio_client(server)) as client:
-        yield Agent(client, machine)
+        yield LinkedAgent(client, machine)
 
 
-async def odometry(agent: Agent, tool: str) -> float:
+async def odometry(agent: LinkedAgent, tool: str) -> float:
     """How far the base has come along x, as one of the servers reads it."""
     read = await agent.do(tool, timeout_s=30.0)
     x_m = read["messages"][0]["pose"]["pose"]["position"]["x"]
@@ -117,7 +109,7 @@ async def odometry(agent: Agent, tool: str) -> float:
     return x_m
 
 
-async def use_both(arm: Agent, base: Agent, gpu: Machine) -> None:
+async def use_both(arm: LinkedAgent, base: LinkedAgent, gpu: Machine) -> None:
     """The scenario."""
     await arm.do("start_robot")
     await arm.do("start_control")

@@ -4,13 +4,13 @@ skipped without it.
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fci_simulator import MARKS, PYTHON, until
 
 from rn_robot_fr3.fci.addresses import free_address
 from rn_robot_fr3.fci.box.control_box import ControlBox
@@ -21,25 +21,9 @@ from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_testing.fakes import MemoryTopics
 from roboneuron import JointCommand, RefusedError, UnsafeError
-from roboneuron.plugins.availability import is_importable
 
-PYTHON = Path(
-    os.environ.get(
-        "ROBONEURON_FR3SIM_PYTHON", Path(__file__).parents[3] / ".venv-fr3sim/bin/python"
-    )
-)
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        not PYTHON.exists(), reason="franka-sim is not installed: make .venv-fr3sim"
-    ),
-    pytest.mark.skipif(
-        not is_importable("pylibfranka"),
-        reason="needs pylibfranka: pip install './plugins/rn-robot-fr3[fci]'",
-    ),
-]
+pytestmark = MARKS
 HOME = np.array(HOME_RAD)
-_PATIENCE_S = 30.0
 FAULTLESS = {"loss": 0.0, "duplicate": 0.0, "reorder": 0.0, "delay": 0.0}
 OTHER, IDLE, GUIDING, USER_STOPPED = 0, 1, 3, 5
 
@@ -71,14 +55,6 @@ def driver(sim: FrankaSim, box: ControlBox) -> Iterator[FciDriver]:
     box.tell(latched=0, lenient=0, **FAULTLESS)
     sim.tell(mode=IDLE)
     made.close()
-
-
-def until(driver: FciDriver, check: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + _PATIENCE_S
-    while not check():
-        state = driver.read()  # as the robot module does: a driver that nobody asks stops the arm
-        assert time.monotonic() < deadline_s, state.detail
-        time.sleep(0.01)
 
 
 def fault(driver: FciDriver) -> str:

@@ -7,11 +7,12 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fci_simulator import MARKS, PYTHON, until
 
 from rn_robot_fr3.fci.driver import FciDriver
 from rn_robot_fr3.fci.options import FciDriverOptions
@@ -20,25 +21,9 @@ from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_testing.fakes import MemoryTopics
 from roboneuron import JointCommand, NotReadyError, RefusedError, StateError, UnsafeError
-from roboneuron.plugins.availability import is_importable
 
-PYTHON = Path(
-    os.environ.get(
-        "ROBONEURON_FR3SIM_PYTHON", Path(__file__).parents[3] / ".venv-fr3sim/bin/python"
-    )
-)
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(
-        not PYTHON.exists(), reason="franka-sim is not installed: make .venv-fr3sim"
-    ),
-    pytest.mark.skipif(
-        not is_importable("pylibfranka"),
-        reason="needs pylibfranka: pip install './plugins/rn-robot-fr3[fci]'",
-    ),
-]
+pytestmark = MARKS
 HOME = np.array(HOME_RAD)
-_PATIENCE_S = 30.0
 
 
 @pytest.fixture(scope="module")
@@ -62,14 +47,6 @@ def driver(sim: FrankaSim) -> Iterator[FciDriver]:
     yield made
     sim.tell(mode=1)
     made.close()
-
-
-def until(driver: FciDriver, check: Callable[[], bool]) -> None:
-    deadline_s = time.monotonic() + _PATIENCE_S
-    while not check():
-        assert time.monotonic() < deadline_s, driver.read().detail
-        driver.read()
-        time.sleep(0.02)
 
 
 def go(target: np.ndarray, duration_s: float = 0.5) -> JointCommand:

@@ -13,6 +13,8 @@ from functools import cache
 from typing import Any
 
 import mutants_backend
+import mutants_continuing
+import mutants_controller_rows
 import mutants_controllers
 import mutants_descriptors
 import mutants_devices
@@ -83,6 +85,8 @@ KINDS = {"driver": "robot", "descriptor": "backend"}
 """Kind of the rules whose ids begin otherwise."""
 MODULES = (
     mutants_backend,
+    mutants_continuing,
+    mutants_controller_rows,
     mutants_controllers,
     mutants_descriptors,
     mutants_devices,
@@ -169,7 +173,7 @@ def test_a_mutant_fails_the_rule_for_its_mistake(name, monkeypatch):
 )
 def test_a_backend_that_continues_rows_passes_what_its_mutants_fail(declared, rule):
     spec = replace(
-        fakes.FAKE_BACKEND, target="mutants_backend:ContinuingBackend", **{declared: True}
+        fakes.FAKE_BACKEND, target="mutants_continuing:ContinuingBackend", **{declared: True}
     )
     case = BackendCase(spec=spec, row_tolerance=1e-6)
     outcome = verify(

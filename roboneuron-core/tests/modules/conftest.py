@@ -341,3 +341,11 @@ def status(node: Any) -> dict[str, str]:
 @pytest.fixture(name="status_of")
 def _status_of() -> Callable[[Any], dict[str, str]]:
     return status
+
+
+@pytest.fixture
+def make_inference(world: World, status_of: Any) -> Callable[..., Any]:
+    """Return a function that starts inference with a backend: an `inference_cell.Cell`."""
+    from inference_cell import Cell
+
+    return lambda backend, **options: Cell(world, status_of, backend, **options)

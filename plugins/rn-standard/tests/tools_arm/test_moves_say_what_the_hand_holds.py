@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from rn_standard.tools_arm import end_effector, grip, joints
-from rn_standard.tools_arm.end_effector import EndEffectorMover, MoveEndEffector
+from rn_standard.tools_arm.ee_move import MoveEndEffector
+from rn_standard.tools_arm.end_effector import EndEffectorMover
 from rn_standard.tools_arm.joints import MoveJoints, _JointMover
 from rn_standard.tools_arm.options import ArmToolsOptions
 from rn_standard.tools_arm.placing import GripHeight, PlaceArguments, _Placer

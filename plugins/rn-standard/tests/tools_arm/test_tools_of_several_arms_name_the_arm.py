@@ -19,7 +19,8 @@ from rn_standard.direct_path.delivery import _hold
 from rn_standard.direct_path.exposed import POSES_LABEL, action_endpoint
 from rn_standard.tools_arm import end_effector, grip, joints
 from rn_standard.tools_arm.arm_rows import ArmRows, Rest, of_named_arm
-from rn_standard.tools_arm.end_effector import EndEffectorMover, MoveEndEffector, MoveOfArm
+from rn_standard.tools_arm.ee_move import MoveEndEffector
+from rn_standard.tools_arm.end_effector import EndEffectorMover, MoveOfArm
 from rn_standard.tools_arm.joints import MoveJoints, _JointMover
 from rn_standard.tools_arm.options import ArmToolsOptions
 from rn_standard.tools_arm.prediction import PredictedArm

@@ -12,6 +12,7 @@ from mutation import (
     counted,
     forever,
     leave_thread,
+    mutants_of,
     mutate,
     or_else,
     read_file,
@@ -24,17 +25,7 @@ from roboneuron.contract import JointSample, RobotState
 from roboneuron.plugins.specs import DriverSpec
 
 NS = 1_000_000_000
-
-
-def but(rule, words="", *, case=None, config=None, **changes):
-    target = mutate(FakeDriver, **changes)
-    return Mutant(
-        rule=f"driver/{rule}",
-        target=target,
-        case=case or {},
-        words=words,
-        spec={"config": config} if config else {},
-    )
+but = mutants_of("driver", FakeDriver)
 
 
 def measured(**changes):
@@ -193,7 +184,7 @@ DRIVERS: dict[str, Mutant] = {
     ),
     "options_ignored": but(
         "options-read",
-        config="rn_testing.fakes.robot:FakeDriverOptions",
+        spec={"config": "rn_testing.fakes.robot:FakeDriverOptions"},
         __init__=lambda s, call, c, p, t: call(None, p, t),
     ),
     "close_needs_open": but(

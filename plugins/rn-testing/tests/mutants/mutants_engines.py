@@ -12,6 +12,7 @@ from mutation import (
     counted,
     forever,
     leave_thread,
+    mutants_of,
     mutate,
     noise,
     or_else,
@@ -79,13 +80,7 @@ TOKENS = {
     "expected": None,
 }
 """Case of a runtime of token requests."""
-
-
-def but(rule, words="", *, spec=None, case=None, **changes):
-    target = mutate(CountingRuntime, **changes) if changes else None
-    return Mutant(
-        rule=f"runtime/{rule}", target=target, spec=spec or {}, case=case or {}, words=words
-    )
+but = mutants_of("runtime", CountingRuntime)
 
 
 def tokens(rule, words="", *, case=None, **changes):

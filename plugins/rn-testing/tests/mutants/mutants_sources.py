@@ -12,6 +12,7 @@ from mutation import (
     counted,
     forever,
     leave_thread,
+    mutants_of,
     mutate,
     or_else,
     read_file,
@@ -24,13 +25,7 @@ from roboneuron.contract import Frame
 from roboneuron.errors import NotReadyError
 
 NS = 1_000_000_000
-
-
-def but(rule, words="", *, spec=None, case=None, **changes):
-    target = mutate(ControlledSource, **changes) if changes else None
-    return Mutant(
-        rule=f"perception/{rule}", target=target, spec=spec or {}, case=case or {}, words=words
-    )
+but = mutants_of("perception", ControlledSource)
 
 
 def framed(**changes):

@@ -49,6 +49,30 @@ def mutate(base: type, **changes: Callable[..., object]) -> type:
     return made
 
 
+def mutants_of(subject: str, good: type) -> Callable[..., Mutant]:
+    """Return a function that makes mutants of `good`; it is given the rule that is to catch one,
+    without its `subject`, and the methods that are changed.
+    """
+
+    def make(
+        rule: str,
+        words: str = "",
+        *,
+        spec: dict[str, object] | None = None,
+        case: dict[str, object] | None = None,
+        **changes: Callable[..., object],
+    ) -> Mutant:
+        return Mutant(
+            rule=f"{subject}/{rule}",
+            target=mutate(good, **changes) if changes else None,
+            spec=spec or {},
+            case=case or {},
+            words=words,
+        )
+
+    return make
+
+
 _draws = itertools.count()
 
 

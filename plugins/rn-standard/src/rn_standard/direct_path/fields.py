@@ -38,13 +38,13 @@ class Place:
     write: Callable[[float], None]
 
 
-def type_name_of(message: Any) -> str:
+def type_name_of(message: object) -> str:
     """ "geometry_msgs/msg/Twist" for a Twist; parts of services and actions keep their suffix."""
     ros_type: Any = type(message)
     return _name_of_class(ros_type)
 
 
-def is_message(value: Any) -> bool:
+def is_message(value: object) -> bool:
     """Whether this is a rosidl message."""
     return hasattr(type(value), "get_fields_and_field_types")
 
@@ -196,7 +196,7 @@ def _nested(element: str) -> Any:
     return load_type(element.replace("/", "/msg/"))
 
 
-def filled(ros_type: Any, values: Any) -> Any:
+def filled(ros_type: Any, values: object) -> Any:
     """A message that holds the values of a JSON object; fields that it does not name are zero.
 
     Raises:
@@ -224,7 +224,7 @@ def filled(ros_type: Any, values: Any) -> Any:
     return message
 
 
-def _converted(element: str, value: Any) -> Any:
+def _converted(element: str, value: Any) -> object:
     if "/" in element:
         return filled(_nested(element), value)
     if element in FLOATS and not isinstance(value, bool):
@@ -238,7 +238,7 @@ def read_number(message: Any, path: str) -> float:
 
 
 def find_outside(
-    message: Any, path: str, low: float, high: float, prefix: str = ""
+    message: object, path: str, low: float, high: float, prefix: str = ""
 ) -> Iterator[Place]:
     """Yield every number outside of low .. high (NaN included) that `path`, written without
     indices, leads to.
@@ -272,14 +272,14 @@ def _item_writer(values: Any, index: int) -> Callable[[float], None]:
     return write
 
 
-def find_nonfinite(message: Any, allowed: frozenset[str]) -> str:
+def find_nonfinite(message: object, allowed: frozenset[str]) -> str:
     """Return the path of the first NaN or infinity that is not allowed there; empty when there is
     none.
     """
     return next((path for plain, path in _nonfinite(message) if plain not in allowed), "")
 
 
-def _nonfinite(message: Any) -> Iterator[tuple[str, str]]:
+def _nonfinite(message: object) -> Iterator[tuple[str, str]]:
     """Yield the path without indices, and the whole path, of each NaN or infinity; of an array of
     numbers that of the first one. Paths are made for what is found only: every call is looked at.
     """

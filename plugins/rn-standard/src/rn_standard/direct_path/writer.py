@@ -24,6 +24,10 @@ from rn_standard.direct_path.type_hashes import check_type_hash
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
+    from rclpy.event_handler import QoSOfferedIncompatibleQoSInfo
+    from rclpy.publisher import Publisher
+    from rclpy.topic_endpoint_info import TopicEndpointInfo
+
     from roboneuron.feature import RosLink
 
 _DEPTH = 10
@@ -37,8 +41,8 @@ there.
 """
 
 
-def offered_qos(subscriptions: Sequence[Any]) -> QoSProfile:
-    """The profile of a publisher that every given subscription (TopicEndpointInfo) matches.
+def offered_qos(subscriptions: Sequence[TopicEndpointInfo]) -> QoSProfile:
+    """The profile of a publisher that every given subscription matches.
 
     Reliable always fits; durability, deadline and liveliness are the strictest that anybody asks
     for.
@@ -96,7 +100,7 @@ class TopicWriter:
         self._type_name = type_name
         self.topic = topic
         self._lock = threading.Lock()
-        self._publisher: Any = None
+        self._publisher: Publisher | None = None
         self._key: tuple[object, ...] = ()
         self.has_new_misfit = False
         self.misfit = ""
@@ -130,17 +134,18 @@ class TopicWriter:
                     return 0
                 time.sleep(_POLL_S)
 
-    def publish(self, message: Any) -> None:
+    def publish(self, message: object) -> None:
         """Send; `connect` has been called."""
+        assert self._publisher is not None
         self._publisher.publish(message)
 
-    def publish_if_possible(self, message: Any) -> None:
+    def publish_if_possible(self, message: object) -> None:
         """Send, unless ROS refuses: nothing is connected, or the context is closed."""
         publisher = self._publisher
         if publisher is not None:
             self._link.send_if_possible(publisher, message)
 
-    def _subscriptions(self) -> list[Any]:
+    def _subscriptions(self) -> list[TopicEndpointInfo]:
         found = list(self._link.node.get_subscriptions_info_by_topic(self.topic))
         foreign = [info.topic_type for info in found if info.topic_type != self._type_name]
         if foreign:
@@ -150,7 +155,7 @@ class TopicWriter:
         check_type_hash(self.topic, self._type_name, found)
         return found
 
-    def _offer(self, profile: Any) -> None:
+    def _offer(self, profile: QoSProfile) -> None:
         """Have a publisher with this profile. One with another is replaced as soon as the new one
         has matched as many subscriptions: others may be sending.
         """
@@ -160,7 +165,7 @@ class TopicWriter:
         old, node = self._publisher, self._link.node
         self.misfit = ""
 
-        def note(event: Any) -> None:
+        def note(event: QoSOfferedIncompatibleQoSInfo) -> None:
             kind = QoSPolicyKind(event.last_policy_kind)
             self.misfit = _UNSHOWN if kind is QoSPolicyKind.INVALID else kind.name.lower()
             self.has_new_misfit = True
@@ -192,7 +197,7 @@ class NewestMessage:
         self.topic = topic
         self._lock = threading.Lock()
         self._arrived = threading.Event()
-        self._newest: tuple[float, Any] | None = None
+        self._newest: tuple[float, object] | None = None
         self._is_open = False
 
     def newest(self, max_age_s: float) -> Any:
@@ -212,6 +217,6 @@ class NewestMessage:
                 self._is_open = True
         self._arrived.wait(timeout_s)
 
-    def _take(self, message: Any) -> None:
+    def _take(self, message: object) -> None:
         self._newest = (time.monotonic(), message)
         self._arrived.set()

@@ -5,12 +5,20 @@ may ask for.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roboneuron import Pose, matrix_from_quaternion, matrix_from_rotvec, rotvec_from_matrix
+from roboneuron import (
+    Pose,
+    RefusedError,
+    StateError,
+    matrix_from_quaternion,
+    matrix_from_rotvec,
+    rotvec_from_matrix,
+)
 
 F64 = NDArray[np.float64]
 STEP_S = 0.1
@@ -19,6 +27,15 @@ _RESERVE = 0.97
 """Share of a speed limit in use: an arm that starts from rest is a little faster later in the same
 step.
 """
+_REACHED_M, _REACHED_RAD = 0.002, 0.01
+_SETTLE_S = 2.0
+"""How long the arm may come no nearer, after the nominal duration."""
+_NEARER = 5e-4
+"""Less than this [m and rad together] is no progress."""
+_STILL_M, _STILL_RAD = 5e-4, 2.5e-3
+"""A TCP that moves less than this between two steps has arrived, and does not pass through."""
+_GRIPPER_S = 0.8
+"""Least time of a move with a command to the gripper: so long it opens or closes."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -74,6 +91,59 @@ def limit_step(delta: F64, speed_m_s: float, turn_rad_s: float) -> F64:
             scales.append(_RESERVE * limit * STEP_S / length)
     limited: F64 = delta * min(scales)
     return limited
+
+
+def steps_to_end(
+    order: Order,
+    start: Pose,
+    pose: Callable[[], Pose],
+    elapsed_s: Callable[[], float],
+    note: Callable[[], str],
+    *,
+    speeds: tuple[float, float],
+    longest_s: float,
+) -> Iterator[tuple[float, float, Pose, F64]]:
+    """Steps towards the end of the line by the present pose: share of the line, distance left
+    [m], that pose, delta from it (6,); ends when the arm is there.
+
+    Args:
+        order: the move.
+        start: where the line begins.
+        pose: the present pose.
+        elapsed_s: time since the first step.
+        note: what control is doing, in its own words.
+        speeds: fastest move [m/s] and turn [rad/s].
+        longest_s: it ends after so much time, wherever the arm is.
+
+    Raises:
+        RefusedError: control held the arm, with its reason.
+        StateError: the arm did not get there.
+    """
+    speed_m_s, turn_rad_s = speeds
+    least_s = max(order.duration_s, _GRIPPER_S if order.gripper_open is not None else 0.0)
+    nearest, nearest_s, before = np.inf, least_s, start
+    while True:
+        now_s, here = elapsed_s(), pose()
+        error = remaining(start, order, 1.0, here)
+        left_m, left_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
+        way, before = difference(before, here), here
+        is_still = (
+            float(np.linalg.norm(way[:3])) < _STILL_M
+            and float(np.linalg.norm(way[3:])) < _STILL_RAD
+        )
+        if left_m < _REACHED_M and left_rad < _REACHED_RAD and now_s >= least_s and is_still:
+            return
+        if left_m + left_rad < nearest - _NEARER:
+            nearest, nearest_s = left_m + left_rad, max(now_s, least_s)
+        if now_s > min(nearest_s + _SETTLE_S, longest_s):
+            text = f"The end effector is {left_m * 1000:.1f} mm and {left_rad:.3f} rad short"
+            told = note()
+            if told.startswith("holding"):
+                raise RefusedError(f"{text}; control is {told}")
+            raise StateError(f"{text} ({told or 'no report of control'}).")
+        fraction = min(1.0, (now_s + STEP_S) / order.duration_s)
+        delta = limit_step(remaining(start, order, fraction, here), speed_m_s, turn_rad_s)
+        yield fraction, left_m, here, delta
 
 
 def rounded(values: F64) -> list[float]:

@@ -10,10 +10,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import count
-from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from rn_standard.direct_path.exposed import gate_request
 from rn_standard.tools_arm.arm_rows import ArmRows, Rest, of_named_arm, to_message
@@ -22,90 +20,29 @@ from rn_standard.tools_arm.ee_line import (
     STEP_S,
     Order,
     difference,
-    limit_step,
     remaining,
     rounded,
+    steps_to_end,
 )
+from rn_standard.tools_arm.ee_move import AXES, EndEffectorMove, MoveEndEffector
 from rn_standard.tools_arm.grip import Grip, is_lost
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
 from rn_standard.tools_arm.prediction import PredictedArm, control_of
 from roboneuron import (
-    Arguments,
     CallContext,
     Host,
     InvalidInputError,
     Pose,
     RefusedError,
-    Result,
     RoboNeuronError,
     RobotProfile,
     StateError,
 )
 from roboneuron.feature import ExposedEndpoint, GateRequest, Stage, TimedCommand
 
-_FURTHEST_M, _FURTHEST_RAD = 0.5, 1.6
-_REACHED_M, _REACHED_RAD = 0.002, 0.01
-_SETTLE_S = 2.0
-"""How long the arm may come no nearer, after the nominal duration."""
-_NEARER = 5e-4
-"""Less than this [m and rad together] is no progress."""
-_STILL_M, _STILL_RAD = 5e-4, 2.5e-3
-"""A TCP that moves less than this between two steps has arrived, and does not pass through."""
-_GRIPPER_S = 0.8
 _MEASURED_S, _POSE_S = 2.0, 0.5
 """Longest wait for control and the first measurement, and for the next ones."""
-_AXES = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
-_Delta = Annotated[float, Field(ge=-_FURTHEST_M, le=_FURTHEST_M)]
-_Turn = Annotated[float, Field(ge=-_FURTHEST_RAD, le=_FURTHEST_RAD)]
-
-
-class MoveEndEffector(Arguments):
-    """Arguments of move_ee."""
-
-    arm: str = Field(default="", description="Which arm moves; the others stay where they are.")
-    dx_m: _Delta = Field(default=0.0, description="Along x of the base (forwards) [m].")
-    dy_m: _Delta = Field(default=0.0, description="Along y of the base (to the left) [m].")
-    dz_m: _Delta = Field(default=0.0, description="Along z of the base (up) [m].")
-    rx_rad: _Turn = Field(default=0.0, description="Rotation vector [rad].")
-    ry_rad: _Turn = Field(default=0.0, description="Likewise [rad].")
-    rz_rad: _Turn = Field(default=0.0, description="Likewise [rad].")
-    gripper_open: float | None = Field(
-        default=None,
-        ge=0,
-        le=1,
-        description="Opening, 0 closed .. 1 open; as last commanded when omitted.",
-    )
-    duration_s: float | None = Field(
-        default=None, gt=0, description="Time for the move; as fast as allowed when omitted [s]."
-    )
-    dry_run: bool = Field(
-        default=False, description="Only answer what would happen; nothing is sent."
-    )
-
-
-class EndEffectorMove(Result):
-    """What the arm did, measured."""
-
-    robot: str
-    arm: str = Field(default="", description="which of several arms")
-    asked: dict[str, float] = Field(description="the move that was asked for")
-    moved: dict[str, float] = Field(description="the move that was measured, in the base frame")
-    position_m: list[float] = Field(
-        description="measured TCP position at the end (a dry run: now), base frame"
-    )
-    error_m: float = Field(description="distance from where it should be")
-    error_rad: float
-    sent: int = Field(description="actions")
-    duration_s: float = Field(description="taken; of a dry run that it would take")
-    dry_run: bool
-    allowed: bool
-    reason: str
-    target_m: list[float] = Field(description="where the TCP is to be, base frame")
-    holding: bool | None = Field(
-        default=None, description="the hand holds something; null: unknown"
-    )
-    lost_on_the_way: bool = False
 
 
 @dataclass(kw_only=True, slots=True)
@@ -189,7 +126,7 @@ class EndEffectorMover:
         return self._tcp.wait(_MEASURED_S)
 
     def _order(self, arguments: MoveEndEffector) -> Order:
-        values = np.array([getattr(arguments, name) for name in _AXES])
+        values = np.array([getattr(arguments, name) for name in AXES])
         gripper = arguments.gripper_open
         if gripper is not None and self._arm and self._grip.profile is None:
             raise InvalidInputError(f"The arm {self._arm!r} has no gripper.", path="gripper_open")
@@ -324,14 +261,14 @@ class EndEffectorMover:
         line.kept, line.held = self._grip.kept(), self._grip.holding()
         gripper = line.kept if order.gripper_open is None else order.gripper_open
         began_s = time.monotonic()
-        deltas = self._deltas(
+        steps = self._steps(
             order,
             start,
             lambda: self._tcp.wait(_POSE_S),
             lambda: time.monotonic() - began_s,
             self._note,
         )
-        for sent, (fraction, distance_m, here, delta) in enumerate(deltas):
+        for sent, (fraction, distance_m, here, delta) in enumerate(steps):
             if sent % 5 == 0:
                 stage(f"{100 * fraction:.0f} % of the way, {distance_m * 1000:.0f} mm to go")
             message = to_message(rows.space, rows.row(here, delta, gripper))
@@ -345,7 +282,7 @@ class EndEffectorMover:
         if joints is None:
             raise RefusedError("The joints are not measured, so that the path cannot be judged.")
         gripper = self._grip.kept() if order.gripper_open is None else order.gripper_open
-        steps = count()
+        ticks = count()
         with closing(PredictedArm(*control_of(self._host, self._exposed), joints)) as arm:
             rows = self._rows(dict(zip(self._tcps, arm.poses(), strict=True)))
 
@@ -357,15 +294,15 @@ class EndEffectorMover:
 
             forecast.took_s = 0.0
             try:
-                for _, _, here, delta in self._deltas(
-                    order, pose(), pose, lambda: next(steps) * STEP_S, note
+                for _, _, here, delta in self._steps(
+                    order, pose(), pose, lambda: next(ticks) * STEP_S, note
                 ):
                     arm.follow(rows.space, rows.row(here, delta, gripper), STEP_S)
                     forecast.took_s += STEP_S
             except StateError as error:
                 raise RefusedError(error.message) from error
 
-    def _deltas(
+    def _steps(
         self,
         order: Order,
         start: Pose,
@@ -373,37 +310,11 @@ class EndEffectorMover:
         elapsed_s: Callable[[], float],
         note: Callable[[], str],
     ) -> Iterator[tuple[float, float, Pose, F64]]:
-        """Steps towards the end of the line by the present pose: share of the line, distance left
-        [m], that pose, delta from it (6,).
-
-        Raises:
-            RefusedError, StateError: the arm does not get there; `note` says what control does.
-        """
-        speed_m_s, turn_rad_s = self._speeds()
-        least_s = max(order.duration_s, _GRIPPER_S if order.gripper_open is not None else 0.0)
-        nearest, nearest_s, before = np.inf, least_s, start
-        while True:
-            now_s, here = elapsed_s(), pose()
-            error = remaining(start, order, 1.0, here)
-            left_m, left_rad = float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
-            way, before = difference(before, here), here
-            is_still = (
-                float(np.linalg.norm(way[:3])) < _STILL_M
-                and float(np.linalg.norm(way[3:])) < _STILL_RAD
-            )
-            if left_m < _REACHED_M and left_rad < _REACHED_RAD and now_s >= least_s and is_still:
-                return
-            if left_m + left_rad < nearest - _NEARER:
-                nearest, nearest_s = left_m + left_rad, max(now_s, least_s)
-            if now_s > min(nearest_s + _SETTLE_S, self._gate.max_duration_s):
-                text = f"The end effector is {left_m * 1000:.1f} mm and {left_rad:.3f} rad short"
-                told = note()
-                if told.startswith("holding"):
-                    raise RefusedError(f"{text}; control is {told}")
-                raise StateError(f"{text} ({told or 'no report of control'}).")
-            fraction = min(1.0, (now_s + STEP_S) / order.duration_s)
-            delta = limit_step(remaining(start, order, fraction, here), speed_m_s, turn_rad_s)
-            yield fraction, left_m, here, delta
+        """`steps_to_end` at the speeds in force."""
+        longest_s = self._gate.max_duration_s
+        return steps_to_end(
+            order, start, pose, elapsed_s, note, speeds=self._speeds(), longest_s=longest_s
+        )
 
     def _note(self) -> str:
         """What control is doing, in its own words."""
@@ -443,7 +354,7 @@ class EndEffectorMover:
             error = remaining(start, order, 1.0, end)
         here = start if end is None else end
         asked = dict(
-            zip(_AXES, [*order.translation_m.tolist(), *order.rotation_rad.tolist()], strict=True)
+            zip(AXES, [*order.translation_m.tolist(), *order.rotation_rad.tolist()], strict=True)
         )
         if order.gripper_open is not None:
             asked["gripper_open"] = order.gripper_open
@@ -451,7 +362,7 @@ class EndEffectorMover:
             robot=self._exposed.robot,
             arm=self._arm,
             asked=asked,
-            moved=dict(zip(_AXES, rounded(moved), strict=True)),
+            moved=dict(zip(AXES, rounded(moved), strict=True)),
             position_m=rounded(here.position_m) if here is not None else [],
             target_m=rounded(start.position_m + order.translation_m) if start is not None else [],
             error_m=round(float(np.linalg.norm(error[:3])), 5),

@@ -11,7 +11,8 @@ from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.tools_arm.arm_rows import of_named_arm
-from rn_standard.tools_arm.end_effector import EndEffectorMove, EndEffectorMover, MoveEndEffector
+from rn_standard.tools_arm.ee_move import EndEffectorMove, MoveEndEffector
+from rn_standard.tools_arm.end_effector import EndEffectorMover
 from rn_standard.tools_arm.grip import Grip
 from rn_standard.tools_arm.measured import MeasuredPose
 from roboneuron import (

@@ -8,12 +8,8 @@ from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import ACTION_LABELS
-from rn_standard.tools_arm.end_effector import (
-    EndEffectorMove,
-    EndEffectorMover,
-    MoveEndEffector,
-    MoveOfArm,
-)
+from rn_standard.tools_arm.ee_move import EndEffectorMove, MoveEndEffector
+from rn_standard.tools_arm.end_effector import EndEffectorMover, MoveOfArm
 from rn_standard.tools_arm.joints import joint_tools
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions

@@ -1,0 +1,61 @@
+"""Clients of the openpi server of tests."""
+
+from __future__ import annotations
+
+import http.client
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import msgpack
+import numpy as np
+from openpi_format import decode, encode
+from websockets.sync.client import ClientConnection, connect
+
+from rn_backend_openpi.case import Reflex, serving
+from rn_backend_openpi.options import OpenpiOptions
+
+KEY = "a-key-of-some-length"
+TIMEOUT_S = 1.0
+"""Of a request to the stand-in for openpi's server."""
+SLACK_S = 10.0
+"""What scheduling on a busy machine may add to a bounded wait."""
+STATE = np.array([0.4, 0.0, 0.5, np.pi, 0.0, 0.0, 0.04, -0.04])
+GREY = np.full((32, 48, 3), 90, dtype=np.uint8)
+REQUEST = {"observation/image": GREY, "observation/state": STATE, "prompt": "go"}
+KEYS = {"primary": "observation/image"}
+
+
+def options_of(**server: Any) -> OpenpiOptions:
+    return OpenpiOptions(profile="libero", image_keys=KEYS, server=server)
+
+
+def model() -> Reflex:
+    return Reflex(step_s=0.05)
+
+
+def open_client(url: str, **options: Any) -> ClientConnection:
+    connection = connect(url, compression=None, max_size=None, proxy=None, **options)
+    connection.metadata = msgpack.unpackb(connection.recv(timeout=SLACK_S))
+    return connection
+
+
+def ask(connection: ClientConnection, request: Any = REQUEST) -> Any:
+    data = request if isinstance(request, bytes | str) else msgpack.packb(request, default=encode)
+    connection.send(data)
+    told = connection.recv(timeout=SLACK_S)
+    return told if isinstance(told, str) else msgpack.unpackb(told, object_hook=decode)
+
+
+@contextmanager
+def served(**server: Any) -> Iterator[str]:
+    with serving(options_of(**server), model()) as url:
+        yield url
+
+
+def http_get(url: str, path: str, **headers: str) -> tuple[int, bytes]:
+    host, _, port = url.partition("://")[2].partition(":")
+    asked = http.client.HTTPConnection(host, int(port), timeout=SLACK_S)
+    asked.request("GET", path, headers=headers)
+    answer = asked.getresponse()
+    return answer.status, answer.read()

@@ -1,0 +1,103 @@
+"""Answers of the server to a plain client, and what it says when its model hangs or fails."""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import ExitStack
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from openpi_clients import (
+    KEYS,
+    REQUEST,
+    SLACK_S,
+    ask,
+    open_client,
+    options_of,
+    served,
+)
+from openpi_format import encode
+
+from rn_backend_openpi.case import Reflex, serving
+
+
+def test_a_plain_client_gets_metadata_and_an_answer_with_times() -> None:
+    with served() as url, open_client(url) as connection:
+        told = connection.metadata
+        assert (told["profile"], told["action_space"], told["action_dim"]) == (
+            "libero",
+            "ee_delta",
+            7,
+        )
+        assert told["image_keys"] == KEYS
+        assert (told["image_resolution"], told["step_s"]) == ([224, 224], 0.05)
+        assert [channel["unit"] for channel in told["action_channels"]] == [
+            *("m",) * 3,
+            *("rad",) * 3,
+            "opening",
+        ]
+        first, second = ask(connection), ask(connection)
+        assert first["actions"].shape == (4, 7)
+        assert first["actions"].dtype == np.float64
+        assert first["step_s"] == 0.05
+        assert first["policy_timing"]["infer_ms"] >= 0.0
+        assert first["server_timing"].keys() == {"infer_ms"}
+        assert second["server_timing"].keys() == {"infer_ms", "prev_total_ms"}
+        assert ask(connection, {"endpoint": "reset"}) == {"status": "reset successful"}
+        arena = {**REQUEST, "endpoint": "infer", "session_id": "abc"}
+        np.testing.assert_array_equal(ask(connection, arena)["actions"], first["actions"])
+
+
+class Stuck(Reflex):
+    """Does not answer until it is released."""
+
+    released = threading.Event()
+
+    def answer(self, observations: Any) -> Any:
+        self.released.wait(60.0)
+        return super().answer(observations)
+
+
+def test_a_model_that_hangs_is_told_in_time() -> None:
+    with serving(options_of(answer_timeout_s=0.3), Stuck(step_s=0.05)) as url:
+        with open_client(url) as connection:
+            start = time.monotonic()
+            assert "gave no answer before the deadline" in ask(connection)
+            assert time.monotonic() - start < 0.3 + SLACK_S
+        Stuck.released.set()
+
+
+def test_a_server_that_ends_waits_for_no_model() -> None:
+    Stuck.released.clear()
+    with ExitStack() as kept:
+        with serving(options_of(answer_timeout_s=0.2), Stuck(step_s=0.05)) as url:
+            connection = kept.enter_context(open_client(url))
+            connection.send(msgpack.packb(REQUEST, default=encode))
+            threading.Timer(0.6, Stuck.released.set).start()
+            start = time.monotonic()
+        # the model answers after the loop has ended, and closing waits for it, not for the client
+        assert time.monotonic() - start < 0.6 + SLACK_S
+
+
+class Broken(Reflex):
+    """Fails as no backend should."""
+
+    def answer(self, observations: Any) -> Any:
+        raise KeyError("/secret/path")
+
+
+def test_a_fault_of_the_backend_is_logged_and_not_told(caplog: pytest.LogCaptureFixture) -> None:
+    with serving(options_of(), Broken(step_s=0.05)) as url, open_client(url) as connection:
+        assert ask(connection) == "PluginError: see the server's log."
+    assert "/secret/path" in caplog.text
+
+
+def test_a_chunk_of_another_period_than_the_profiles_is_refused(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with serving(options_of(), Reflex(step_s=0.1)) as url, open_client(url) as connection:
+        assert ask(connection) == "PluginError: see the server's log."
+    assert "rows every 0.1 s, the profile 'libero' has one every 0.05 s" in caplog.text

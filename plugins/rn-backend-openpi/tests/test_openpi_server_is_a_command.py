@@ -1,0 +1,151 @@
+"""The command `roboneuron openpi-server`: what it serves, and what it refuses by name."""
+
+from __future__ import annotations
+
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from openpi_clients import (
+    http_get,
+)
+
+from rn_backend_openpi.backend import OpenpiBackend
+from rn_backend_openpi.options import OpenpiOptions
+from rn_backend_openpi.serving import make_policy
+from rn_testing.fakes.site import PluginSite
+from roboneuron.config import parse_config
+from roboneuron.errors import ConfigurationError
+from roboneuron.plugins.discovery import discover
+
+SOURCE = """
+import numpy as np
+from roboneuron import ActionChunk, BackendSpec, hookimpl
+
+class Still:
+    def __init__(self, config, *, runtime=None, acceleration=None):
+        pass
+    def load(self):
+        print("loaded", flush=True)
+    def predict(self, observation):
+        rows = np.zeros((2, 7))
+        rows[:, 6] = observation.gripper_open
+        return ActionChunk(actions=rows, step_s=0.05)
+    def reset(self):
+        pass
+    def close(self):
+        print("closed", flush=True)
+
+class Batched(Still):
+    def predict_batch(self, observations):
+        return [self.predict(observation) for observation in observations]
+
+@hookimpl
+def roboneuron_backends():
+    common = {"summary": "Does not move.", "needs_state": True}
+    return [
+        BackendSpec(name="still", target=__name__ + ":Still", **common),
+        BackendSpec(name="still-many", target=__name__ + ":Batched", **common),
+    ]
+"""
+CONFIG = """
+[robot]
+name = "fr3"
+{inference}
+[plugins.openpi]
+{openpi}
+[plugins.openpi.server]
+{server}
+"""
+
+
+@pytest.fixture
+def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of plugins with two small backends."""
+    folder = tmp_path / "site"
+    PluginSite(path=folder).install("rn-still", SOURCE, header="")
+    monkeypatch.syspath_prepend(str(folder))
+    return folder
+
+
+def _text(backend: str, openpi: str = "", server: str = "") -> str:
+    inference = f'[inference]\nbackend = "{backend}"' if backend else ""
+    return CONFIG.format(inference=inference, openpi=openpi, server=server)
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        (_text(""), "has no \\[inference\\]"),
+        (_text("openpi"), "asks a server itself"),
+        (_text("mars"), "There is no backend 'mars'"),
+        (
+            _text("still-many", 'profile = "ur5e"\njoints = ["a", "b", "c", "d", "e", "f"]'),
+            "answers in 'ee_delta_base', profile 'ur5e' is for 'joint_position@20:a,b",
+        ),
+        (
+            _text("still-many", 'profile = "libero"\nimage_keys = {wrist = "w"}'),
+            "needs the camera 'primary'; profile 'libero' has keys for wrist",
+        ),
+        (
+            _text("still-many", 'profile = "roboneuron"\nspace = "ee_pose"\nrate_hz = 5.0'),
+            "answers in 'ee_delta_base', profile 'roboneuron' is for 'ee_pose@5:x,y,z",
+        ),
+        (_text("still"), "set stateless = true in \\[plugins.openpi.server\\]"),
+    ],
+)
+def test_what_cannot_be_served_is_refused_by_name(site: Path, text: str, word: str) -> None:
+    registry = discover()
+    config = parse_config(text, registry=registry)
+    options = OpenpiOptions.model_validate(dict(config.options("openpi")))
+    with pytest.raises(ConfigurationError, match=word):
+        make_policy(config, registry, options).load()
+
+
+def test_the_command_serves_until_it_is_told_to_end(site: Path, tmp_path: Path) -> None:
+    config = tmp_path / "gpu.toml"
+    config.write_text(_text("still", server="stateless = true\nport = 0"))
+    process = subprocess.Popen(
+        [sys.executable, "-m", "roboneuron.cli.main", "openpi-server", "--config", str(config)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={"PYTHONPATH": str(site), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)},
+    )
+    assert process.stdout is not None
+    try:
+        lines = [process.stdout.readline().strip() for _ in range(2)]
+        assert lines[0] == "loaded"
+        assert lines[1].endswith("(backend still, profile roboneuron, ee_delta)")
+        url = lines[1].split()[2]
+        assert http_get(url, "/healthz") == (200, b"OK\n")
+        backend = OpenpiBackend(OpenpiOptions(url=url, profile="roboneuron"))
+        backend.load()
+        backend.close()
+        process.terminate()
+        out, err = process.communicate(timeout=30.0)
+        assert (process.returncode, out.strip()) == (0, "closed"), err
+    finally:
+        process.kill()
+
+
+def test_a_port_that_is_taken_is_said(site: Path, tmp_path: Path) -> None:
+    config = tmp_path / "gpu.toml"
+    config.write_text(_text("still-many"))
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = subprocess.run(
+            [
+                *(sys.executable, "-m", "roboneuron.cli.main", "openpi-server"),
+                *("--config", str(config), "--port", str(port)),
+            ],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+            env={"PYTHONPATH": str(site), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)},
+        )
+    assert done.returncode == 2
+    assert f"cannot listen on 127.0.0.1:{port}" in done.stderr

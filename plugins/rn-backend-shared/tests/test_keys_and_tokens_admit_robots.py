@@ -1,0 +1,151 @@
+"""Keys of a pair and tokens: who is admitted to a policy server, and whom a robot trusts."""
+
+from __future__ import annotations
+
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from policy_servers import (
+    Robot,
+    Serve,
+    answers,
+    link_of,
+    pair,
+    said_to,
+)
+
+from rn_backend_shared.frames import VERSION, Header, Kind
+from rn_backend_shared.options import ListenOptions, SharedOptions
+from rn_backend_shared.security import Guard, is_loopback, place_of
+from rn_link.certificates import issue, key_to_pem, new_issuer, new_key, to_pem, write_private
+from rn_link_pairing.keeping import remove_peer
+from rn_testing.waiting import wait_until
+from roboneuron import (
+    ConfigurationError,
+    MissingDependencyError,
+    NotReadyError,
+)
+
+pytestmark = pytest.mark.timeout(200)
+
+
+def test_a_server_with_a_certificate_of_somebody_else_is_not_trusted(
+    serve: Serve, robot: Robot, tmp_path: Path
+) -> None:
+    server = serve()
+    # swapped: the robot is now paired with another machine of that name
+    pair(tmp_path / "robot", tmp_path / "third")
+    with pytest.raises(ConfigurationError, match="not trusted"):
+        robot(server.address)
+
+
+def test_a_machine_that_is_removed_is_cut_off_at_both_ends(
+    serve: Serve, robot: Robot, tmp_path: Path
+) -> None:
+    server = serve()
+    one = robot(server.address)
+    assert answers(one)
+    remove_peer(link_of(tmp_path / "robot"), "gpu")
+    wait_until(lambda: not answers(one), 20.0, "the robot has left the server")
+    pair(tmp_path / "robot", tmp_path / "third")
+    assert not answers(one)
+    pair(tmp_path / "robot", tmp_path / "gpu")
+    wait_until(lambda: answers(one), 30.0, "both have taken the new keys")
+    remove_peer(link_of(tmp_path / "gpu"), "robot")
+    wait_until(lambda: server.status()["robots"] == 0, 20.0, "the server has hung up")
+    assert not answers(one)
+
+
+def test_a_token_admits_and_a_wrong_one_is_not_answered(
+    serve: Serve, robot: Robot, tmp_path: Path
+) -> None:
+    server = serve(keys="token")
+    token = tmp_path / "token"
+    assert token.stat().st_mode & 0o777 == 0o600
+    assert answers(robot(server.address, token_file=str(token)))
+    port = server.port
+    for wrong in ('"x"', '""', "null", "7", '"' + "x" * 3000 + '"'):
+        text = f'[{{"token": {wrong}}}, []]'.encode()
+        assert said_to(port, Header(Kind.HELLO, document_bytes=len(text)).pack() + text) == b""
+    newer = bytearray(Header(Kind.HELLO).pack())
+    newer[4] = VERSION + 1
+    assert said_to(port, bytes(newer)) == b""
+    assert said_to(port, Header(Kind.HELLO, array_bytes=5000).pack()) == b""
+    assert said_to(port, Header(Kind.STATUS).pack()) == b""
+
+
+def test_a_token_is_not_sent_in_clear(tmp_path: Path) -> None:
+    token = tmp_path / "token"
+    token.write_text("x" * 32)
+    options = {"address": "192.0.2.1:7420", "token_file": str(token)}
+    token.chmod(0o644)
+    with pytest.raises(ConfigurationError, match="Others may read"):
+        place_of(SharedOptions.model_validate(options))
+    token.chmod(0o600)
+    with pytest.raises(ConfigurationError, match="not sent in clear"):
+        place_of(SharedOptions.model_validate(options))
+    listen = {"host": "0.0.0.0", "keys": "token", "token_file": str(token)}
+    with pytest.raises(ConfigurationError, match="in clear"):
+        Guard(ListenOptions.model_validate(listen))
+    token.write_text("short")
+    with pytest.raises(ConfigurationError, match="5 characters"):
+        place_of(SharedOptions.model_validate({**options, "address": "localhost:1"}))
+    assert [is_loopback(host) for host in ("127.0.0.9", "localhost", "gpu", "10.0.0.1")] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+
+
+def test_machines_that_are_not_paired_are_told_to_pair(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "none"))
+    with pytest.raises(ConfigurationError, match="roboneuron link"):
+        place_of(SharedOptions(address="gpu:7420"))
+    with pytest.raises(ConfigurationError, match="roboneuron link"):
+        Guard(ListenOptions())
+    pair(tmp_path / "robot", tmp_path / "gpu", address="192.0.2.7")
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "robot"))
+    assert place_of(SharedOptions(address="gpu:7420")).host == "192.0.2.7"
+    with pytest.raises(ConfigurationError, match=r"paired with gpu \(192"):
+        place_of(SharedOptions(address="elsewhere:7420"))
+    with pytest.raises(ConfigurationError, match="the hub of its link"):
+        Guard(ListenOptions())
+
+
+def test_a_token_goes_over_tls_where_the_servers_certificate_is_known(
+    serve: Serve, robot: Robot, tmp_path: Path
+) -> None:
+    issuer = new_issuer("server", datetime.now(UTC))
+    key = new_key()
+    shown = issue(issuer, "server", "member", key.public_key(), datetime.now(UTC), 30)
+    write_private(tmp_path / "server.pem", to_pem(shown))
+    write_private(tmp_path / "server.key", key_to_pem(key))
+    write_private(tmp_path / "ca.pem", to_pem(issuer.certificate))
+    write_private(
+        tmp_path / "other.pem", to_pem(new_issuer("other", datetime.now(UTC)).certificate)
+    )
+    server = serve(
+        keys="token",
+        host="0.0.0.0",
+        certificate=str(tmp_path / "server.pem"),
+        key=str(tmp_path / "server.key"),
+    )
+    options = {"token_file": str(tmp_path / "token"), "coding": "raw"}
+    assert answers(robot(server.address, ca=str(tmp_path / "ca.pem"), **options))
+    with pytest.raises(ConfigurationError, match="not trusted"):
+        robot(server.address, ca=str(tmp_path / "other.pem"), **options)
+    with pytest.raises(NotReadyError, match="closed the connection without a word"):
+        robot(server.address, start_timeout_s=0.5, **options)
+
+
+def test_without_rn_link_a_person_is_told_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "rn_link.machine", None)
+    with pytest.raises(MissingDependencyError, match="pip install"):
+        place_of(SharedOptions(address="gpu:7420"))
+    with pytest.raises(MissingDependencyError, match="pip install"):
+        Guard(ListenOptions())

@@ -1,0 +1,63 @@
+"""Arguments and result of move_ee."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from roboneuron import Arguments, Result
+
+AXES = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad")
+"""Fields of a move, in the order of its six numbers."""
+_FURTHEST_M, _FURTHEST_RAD = 0.5, 1.6
+_Delta = Annotated[float, Field(ge=-_FURTHEST_M, le=_FURTHEST_M)]
+_Turn = Annotated[float, Field(ge=-_FURTHEST_RAD, le=_FURTHEST_RAD)]
+
+
+class MoveEndEffector(Arguments):
+    """Arguments of move_ee."""
+
+    arm: str = Field(default="", description="Which arm moves; the others stay where they are.")
+    dx_m: _Delta = Field(default=0.0, description="Along x of the base (forwards) [m].")
+    dy_m: _Delta = Field(default=0.0, description="Along y of the base (to the left) [m].")
+    dz_m: _Delta = Field(default=0.0, description="Along z of the base (up) [m].")
+    rx_rad: _Turn = Field(default=0.0, description="Rotation vector [rad].")
+    ry_rad: _Turn = Field(default=0.0, description="Likewise [rad].")
+    rz_rad: _Turn = Field(default=0.0, description="Likewise [rad].")
+    gripper_open: float | None = Field(
+        default=None,
+        ge=0,
+        le=1,
+        description="Opening, 0 closed .. 1 open; as last commanded when omitted.",
+    )
+    duration_s: float | None = Field(
+        default=None, gt=0, description="Time for the move; as fast as allowed when omitted [s]."
+    )
+    dry_run: bool = Field(
+        default=False, description="Only answer what would happen; nothing is sent."
+    )
+
+
+class EndEffectorMove(Result):
+    """What the arm did, measured."""
+
+    robot: str
+    arm: str = Field(default="", description="which of several arms")
+    asked: dict[str, float] = Field(description="the move that was asked for")
+    moved: dict[str, float] = Field(description="the move that was measured, in the base frame")
+    position_m: list[float] = Field(
+        description="measured TCP position at the end (a dry run: now), base frame"
+    )
+    error_m: float = Field(description="distance from where it should be")
+    error_rad: float
+    sent: int = Field(description="actions")
+    duration_s: float = Field(description="taken; of a dry run that it would take")
+    dry_run: bool
+    allowed: bool
+    reason: str
+    target_m: list[float] = Field(description="where the TCP is to be, base frame")
+    holding: bool | None = Field(
+        default=None, description="the hand holds something; null: unknown"
+    )
+    lost_on_the_way: bool = False
