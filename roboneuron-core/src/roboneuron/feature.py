@@ -15,7 +15,6 @@ __getattr__, __dir__, __all__ = attach(__name__, __file__)
 GROUPS: Mapping[str, frozenset[str]] = {
     name: frozenset(names.split())
     for name, names in {
-        "envelope": "EnvelopeError is_urgent",
         "estop": "EmergencyStopLatch",
         "joint_space": "JointLimit",
         "launching": "Connection",

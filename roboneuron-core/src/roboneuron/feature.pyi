@@ -28,9 +28,6 @@ from .ros import (
     messages as messages,
     topics as topics,
 )
-from .server import (
-    envelope as envelope,
-)
 from .supervisor import (
     launching as launching,
 )

@@ -25,8 +25,8 @@ from roboneuron.plugins.specs import FeatureSpec
 
 EMBEDDED_DEFAULT = "the embedded default"
 """How messages call the configuration that is used when the user gives none."""
-STDIO = "stdio"
-"""The transport of core."""
+_STDIO = "stdio"
+"""The transport that has no address."""
 KEYS = frozenset(name for name, field in Config.model_fields.items() if not field.exclude)
 """Top-level keys of core, but for `robots`."""
 
@@ -257,7 +257,7 @@ def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
         return served[transport]
     # by convention it is called as the transport: says why it is not there
     _named_feature(f"transport = {transport!r}", transport, registry)
-    choices = ", ".join([STDIO, *served])
+    choices = ", ".join(served) or "none"
     raise ConfigurationError(
         f"transport = {transport!r}: nothing serves it; choose one of: {choices}."
     )
@@ -282,8 +282,8 @@ def _server_changes(raw: Mapping[str, Any], arguments: Namespace) -> dict[str, d
     address = {key: getattr(arguments, key) for key in ("host", "port")}
     given = {key: value for key, value in address.items() if value is not None}
     if given:
-        transport = named or _table(raw, "server").get("transport", STDIO)
-        if transport == STDIO:
+        transport = named or _table(raw, "server").get("transport", _STDIO)
+        if transport == _STDIO:
             raise ConfigurationError(
                 "--host and --port are for http.", hint="Add --transport http."
             )
