@@ -102,7 +102,7 @@ def test_plugins_import_only_what_is_public_of_the_core():
     assert [breach for _, packages in _plugins() for breach in _private_imports(packages)] == []
 
 
-MOST_NAMES = {"roboneuron.feature": 68, "roboneuron.command": 67, "roboneuron.node": 34}
+MOST_NAMES = {"roboneuron.feature": 69, "roboneuron.command": 67, "roboneuron.node": 34}
 """For code in the server, for commands and for code in modules; these only go down, unless code of
 the core becomes a feature.
 """

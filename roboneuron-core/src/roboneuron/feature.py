@@ -23,7 +23,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "messages": "joints_from_message to_joint_trajectory",
         "models": "LimitsConfig Name Namespace Seconds",
         "reading": "parse_tables robot_folder",
-        "settings": "EMERGENCY_STOP_TOPIC",
+        "settings": "EMERGENCY_STOP_TOPIC FOREIGN_REQUEST",
         "task_space": "TaskSpace",
         "topics": "ACTION DIAGNOSTICS JOINT_STATES is_written_by_modules",
     }.items()

@@ -9,7 +9,7 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -21,7 +21,7 @@ from anyio import to_thread
 
 from roboneuron.config import Config, fleet_feature, transport_feature
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
-from roboneuron.estop.emergency import SafetyReports, press_on_signal
+from roboneuron.estop.emergency import press_on_signal
 from roboneuron.planning import check_configuration
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
@@ -34,7 +34,7 @@ from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.stop_tools import emergency_tool, stop_tools
 from roboneuron.server.surface import Served, make_server
 from roboneuron.server.tool import Resource, Transport
-from roboneuron.supervisor.health import Watch
+from roboneuron.supervisor.health import ModuleView, Watch
 from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
 
@@ -102,8 +102,7 @@ class Application:
         self.loop.emergency_stop.audit.on_record = self.events.decision.tell
         self.features = Features(config, self.loop.registry)
         self.supervisor.on_join = self.features.on_join
-        reports = SafetyReports(self.loop.starts, self.loop.emergency_stop, self.events.fault)
-        self._watch = Watch(reports.look, self.events.health.tell)
+        self._watch = Watch(self._look, self.events.health.tell)
         self.tools = ToolRegistry(
             [*stop_tools(self.loop), emergency_tool(self.loop)],
             most_calls=config.server.max_concurrent_calls,
@@ -135,6 +134,9 @@ class Application:
         self.resources: Mapping[str, Resource] = {resource.uri: resource for resource in offered}
         if attached:
             self.features.each("attached", lambda feature: feature.attach(self.host))
+
+    def _look(self) -> Sequence[ModuleView]:
+        return self.loop.starts.look(self.loop.emergency_stop.follow_file())
 
     def check(self) -> None:
         """Check the configuration against what is installed. Raises ConfigurationError,
