@@ -17,7 +17,6 @@ GROUPS: Mapping[str, frozenset[str]] = {
     for name, names in {
         "estop": "EmergencyStopLatch",
         "joint_space": "JointLimit",
-        "launching": "Connection",
         "loading": "load_options_model",
         "log_files": "PlainFormatter opener",
         "messages": "joints_from_message to_joint_trajectory",

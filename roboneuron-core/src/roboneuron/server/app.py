@@ -34,8 +34,9 @@ from roboneuron.server.registry import ToolRegistry
 from roboneuron.server.stop_tools import emergency_tool, stop_tools
 from roboneuron.server.surface import Served, make_server
 from roboneuron.server.tool import Resource, Transport
+from roboneuron.supervisor.connection import Connect, Connection
 from roboneuron.supervisor.health import ModuleView, Watch
-from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
+from roboneuron.supervisor.process import Command, module_command
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
 
 SWITCH_S = 0.001

@@ -21,13 +21,15 @@ from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.bringup import Bringup
 from roboneuron.supervisor.changes import Periodic, Stage
+from roboneuron.supervisor.connection import Connect, Connection
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
-from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import (
     KILL_S,
+    Command,
     ModuleProcess,
     end_processes,
+    module_command,
     spawn,
 )
 from roboneuron.supervisor.slot import Slot
