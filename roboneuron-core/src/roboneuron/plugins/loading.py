@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import date, time
 from importlib import import_module
+from operator import attrgetter
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
@@ -42,7 +43,7 @@ def load_attribute(reference: str, who: str) -> object:
     """Import "package.module:attribute"; raises as `load_target`, naming `who`."""
     module_name, _, path = reference.partition(":")
     try:
-        value: object = import_module(module_name)
+        module = import_module(module_name)
     except ModuleNotFoundError as error:
         absent = error.name or ""
         if absent.partition(".")[0] == module_name.partition(".")[0]:
@@ -57,15 +58,14 @@ def load_attribute(reference: str, who: str) -> object:
         raise PluginError(
             f"Importing the {who} ({reference}) raised {type(error).__name__}: {error}"
         ) from error
-    for part in path.split("."):
-        try:
-            value = getattr(value, part)
-        except AttributeError as error:
-            hint = nearest(part, dir(value))
-            raise PluginError(
-                f"The {who} is {reference!r}, but there is no attribute {part!r}.", hint=hint
-            ) from error
-    return value
+    try:
+        return attrgetter(path)(module)
+    except AttributeError as error:
+        absent = error.name or path  # a module that imports names when they are asked for
+        raise PluginError(
+            f"The {who} is {reference!r}, but there is no attribute {absent!r}.",
+            hint=nearest(absent, dir(error.obj)),
+        ) from error
 
 
 def load_options_model(spec: Loadable) -> type[BaseModel] | None:
