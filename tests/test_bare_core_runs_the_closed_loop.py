@@ -29,8 +29,14 @@ FEATURELESS = (
     "set_instruction",
     "stop_all",
 )
-LOOP_FEATURES = {"rn-control", "rn-inference", "rn-perception", "rn-tools-loop"}
-"""They bring three of the modules, and the tools that start."""
+LOOP_FEATURES = {
+    "rn-control",
+    "rn-inference",
+    "rn-perception",
+    "rn-serve-stdio",
+    "rn-tools-loop",
+}
+"""They bring three of the modules, the transport, and the tools that start."""
 CLOSED_LOOP = ("start_robot", "start_perception", "start_control")
 
 

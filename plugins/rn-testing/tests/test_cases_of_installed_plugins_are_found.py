@@ -68,7 +68,7 @@ def test_what_cannot_start_is_skipped_for_an_automatic_case_and_fails_for_an_aut
         rule, BackendCase(spec=fakes.FAKE_BACKEND, options=options, is_automatic=True)
     )
     assert automatic.verdict is RuleVerdict.SKIPPED
-    assert "plugins.instant.horizon is 999" in automatic.detail
+    assert "plugins.instant.horizon = 999" in automatic.detail
     assert (
         verify(rule, BackendCase(spec=fakes.FAKE_BACKEND, options=options)).verdict
         is RuleVerdict.FAILED

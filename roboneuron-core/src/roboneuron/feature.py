@@ -15,16 +15,14 @@ __getattr__, __dir__, __all__ = attach(__name__, __file__)
 GROUPS: Mapping[str, frozenset[str]] = {
     name: frozenset(names.split())
     for name, names in {
-        "envelope": "EnvelopeError is_urgent",
         "estop": "EmergencyStopLatch",
         "joint_space": "JointLimit",
-        "launching": "Connection",
         "loading": "load_options_model",
         "log_files": "PlainFormatter opener",
         "messages": "joints_from_message to_joint_trajectory",
         "models": "LimitsConfig Name Namespace Seconds",
         "reading": "parse_tables robot_folder",
-        "settings": "EMERGENCY_STOP_TOPIC",
+        "settings": "EMERGENCY_STOP_TOPIC FOREIGN_REQUEST",
         "task_space": "TaskSpace",
         "topics": "ACTION DIAGNOSTICS JOINT_STATES is_written_by_modules",
     }.items()

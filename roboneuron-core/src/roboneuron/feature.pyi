@@ -28,12 +28,6 @@ from .ros import (
     messages as messages,
     topics as topics,
 )
-from .server import (
-    envelope as envelope,
-)
-from .supervisor import (
-    launching as launching,
-)
 
 # Single names.
 from .config.models import (
@@ -117,6 +111,9 @@ from .server.tool import (
 from .supervisor.changes import (
     Periodic as Periodic,
     Stage as Stage,
+)
+from .supervisor.connection import (
+    Connection as Connection,
 )
 from .supervisor.health import (
     EXPLANATIONS as EXPLANATIONS,

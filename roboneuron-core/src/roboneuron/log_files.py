@@ -4,11 +4,13 @@ of its own.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import logging
 import os
 import re
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +18,9 @@ from pathlib import Path
 FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 FILE_MODE, DIRECTORY_MODE = 0o640, 0o750
 """Logs hold instructions, paths and names: the owner writes them, the group reads them."""
+_RETRY_S = 0.005
+LOCK_S = 2.0
+"""Longest wait for a lock that is held for milliseconds: who keeps it longer is frozen."""
 _RAW = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
@@ -46,10 +51,25 @@ def opener(path: str, flags: int) -> int:
 def locked(path: Path) -> Iterator[None]:
     """Hold the lock `<path>.lock`, alone on this machine; the kernel releases that of a process
     that dies.
+
+    Raises:
+        OSError: it cannot be made, or another process keeps it for over `LOCK_S`.
     """
     with open(f"{path}.lock", "a", opener=opener) as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+        _lock(file.fileno(), time.monotonic() + LOCK_S)
         yield
+
+
+def _lock(descriptor: int, deadline_s: float) -> None:
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            if time.monotonic() > deadline_s:
+                text = f"another process has kept its lock for {LOCK_S:g} s"
+                raise TimeoutError(errno.ETIMEDOUT, text) from None
+        time.sleep(_RETRY_S)
 
 
 def escaped(text: str) -> str:

@@ -4,12 +4,13 @@ robot.
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
 
 from roboneuron.cli.main import main
-from roboneuron.estop import ESTOP_FILE
+from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 
 BROKEN = """
 disabled_plugins = ["never-installed"]
@@ -56,3 +57,13 @@ def test_a_file_that_does_not_tell_the_directory_is_refused(
     assert main(["estop", "--config", str(file)]) == 2
     assert said in capsys.readouterr().err
     assert not list(tmp_path.rglob(ESTOP_FILE))
+
+
+def test_a_stop_without_a_reason_leaves_no_empty_place_for_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["estop", "--state", str(tmp_path)]) == 0
+    assert main(["estop", "--state", str(tmp_path), "--status"]) == 1
+    assert "at the command line (" in capsys.readouterr().out
+    state = EmergencyStopLatch(tmp_path / ESTOP_FILE, time.time_ns).read_state()
+    assert state.cause.endswith(" at the command line")

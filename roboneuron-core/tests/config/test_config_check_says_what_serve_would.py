@@ -24,10 +24,10 @@ WRONG = [
     ),
     (
         "[plugins.instant]\nhorizn = 3\n",
-        "plugins.instant.horizn is unknown. Did you mean 'horizon'?",
+        "unknown key 'plugins.instant.horizn'. Did you mean 'horizon'?",
     ),
-    ("[plugins.instant]\nhorizon = 99\n", "plugins.instant.horizon is 99"),
-    ("[plugins.gantry]\nstart_opne = true\n", "plugins.gantry.start_opne is unknown"),
+    ("[plugins.instant]\nhorizon = 99\n", "plugins.instant.horizon = 99"),
+    ("[plugins.gantry]\nstart_opne = true\n", "unknown key 'plugins.gantry.start_opne'"),
     ("[plugins.plain]\nx = 1\n", "plugins.plain.x is unknown: 'plain' takes no options."),
     (
         "[plugins.pi0]\n",

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from roboneuron import RefusedError
+from roboneuron import RefusedError, log_files
 from roboneuron.gate import AuditLog, AuditRecord
 
 TIME_NS = 1_700_000_000_123_456_789
@@ -226,6 +226,22 @@ def test_nobody_else_can_rotate_while_the_files_are_renamed(
         log.write(RECORD)
     assert locked == [True] * 3  # a -> .1, then .1 -> .2 and a -> .1
     assert not is_locked(tmp_path / "a.lock")
+
+
+@pytest.mark.timeout(20)
+def test_a_process_that_keeps_the_lock_is_not_waited_for_without_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that is frozen while it rotates: nothing moves, and whoever asks hears of it."""
+    monkeypatch.setattr(log_files, "LOCK_S", 0.1)
+    log = a_log(tmp_path / "a", max_bytes=len(LINE))
+    log.write(RECORD)
+    with (tmp_path / "a.lock").open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with pytest.raises(RefusedError, match=r"cannot be written: another process has kept"):
+            log.write(RECORD)
+    log.write(RECORD)
+    assert sorted(os.listdir(tmp_path)) == ["a", "a.1", "a.lock"]
 
 
 def rotate_and_fill(path: Path, size_bytes: int) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from roboneuron import log_files
 from roboneuron.errors import InvalidInputError, RefusedError
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate import AuditLog, AuditRecord
@@ -241,6 +242,18 @@ def test_a_link_to_nowhere_is_a_pin_that_nobody_knows(tmp_path: Path, audit: Aud
     assert pin.is_set
     with pytest.raises(RefusedError, match="cannot be read"):
         pin.check(PIN, who="ann", audit=audit)
+
+
+@pytest.mark.timeout(20)
+def test_a_process_that_keeps_the_lock_refuses_the_release(
+    pin: ReleasePin, audit: AuditLog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log_files, "LOCK_S", 0.1)
+    with pin.path.with_name(f"{NAME}.lock").open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with pytest.raises(RefusedError, match="another process has kept"):
+            pin.check(PIN, who="ann", audit=audit)
+    pin.check(PIN, who="ann", audit=audit)
 
 
 def test_one_attempt_at_a_time_is_looked_at(

@@ -90,7 +90,7 @@ def test_load_options_reads_paths_and_tuples(servo):
 
 def test_load_options_names_the_key_and_the_nearest(servo):
     with pytest.raises(
-        ConfigurationError, match=r"plugins\.servo\.gian is unknown\. Did you mean 'gain'\?"
+        ConfigurationError, match=r"unknown key 'plugins\.servo\.gian'\. Did you mean 'gain'\?"
     ):
         load_options(servo, {"gian": 2.0})
 
@@ -104,7 +104,7 @@ def test_load_options_uses_the_section_of_the_caller(servo):
     ("value", "words"), [("2", "valid number"), (True, "valid number"), (-1.0, "greater than 0")]
 )
 def test_load_options_refuses_wrong_types_and_ranges(servo, value, words):
-    with pytest.raises(ConfigurationError, match=rf"plugins\.servo\.gain is {value!r}: .*{words}"):
+    with pytest.raises(ConfigurationError, match=rf"plugins\.servo\.gain = {value!r}: .*{words}"):
         load_options(servo, {"gain": value})
 
 
@@ -123,16 +123,14 @@ def test_load_options_refuses_a_model_that_is_no_pydantic_model(servo):
 
 def test_load_options_names_what_is_required(servo):
     strict = _spec("m:X", config="servo_module:Strict")
-    with pytest.raises(
-        ConfigurationError, match=r"plugins\.x\.checkpoint is required and not given"
-    ):
+    with pytest.raises(ConfigurationError, match=r"'plugins\.x\.checkpoint' is missing"):
         load_options(strict, {})
 
 
 def test_load_options_refuses_unknown_keys_inside_sections(servo):
     strict = _spec("m:X", config="servo_module:Strict")
     with pytest.raises(
-        ConfigurationError, match=r"plugins\.x\.inner\.gian is 2: Extra inputs are not permitted"
+        ConfigurationError, match=r"unknown key 'plugins\.x\.inner\.gian'\. Did you mean 'gain'\?"
     ):
         load_options(strict, {"checkpoint": "/c", "inner": {"gian": 2}})
 

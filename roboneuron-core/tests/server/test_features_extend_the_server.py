@@ -97,7 +97,7 @@ class Pigeons(Feature[None]):
 
     def listen(self, host: Host) -> Transport:
         async def serve(leave: anyio.Event) -> None:
-            TRACE.append(f"serve {host.server.name}")
+            TRACE.append(f"serve {host.server.name} on {host.wire}")
 
         return serve
 
@@ -234,13 +234,11 @@ PIGEON = {"server": {"transport": "pigeon", "name": "loft"}}
 def test_a_feature_serves_the_transport_that_is_configured(make):
     pigeons = spec(Pigeons, "pigeons", transports=("pigeon",))
     application = make(pigeons, **PIGEON)
-    serve = application.features.listen(application.host)
-    assert serve is not None
-    anyio.run(serve, anyio.Event())
-    assert TRACE == ["serve loft"]
+    anyio.run(application.listen((4, 5)), anyio.Event())
+    assert TRACE == ["serve loft on (4, 5)"]
     assert application.host.identifies_clients
-    beside = make(pigeons)
-    assert beside.features.listen(beside.host) is None, "stdio is core's"
+    with pytest.raises(ConfigurationError, match="There is no feature 'stdio'"):
+        make(pigeons).listen((0, 1))
     assert not make().host.identifies_clients
 
 
@@ -253,19 +251,20 @@ def test_a_feature_serves_the_transport_that_is_configured(make):
             r"'http'.* the package rn-standard brings it.* pip install -r requirements.txt",
         ),
         ((), "pigeon", "There is no feature 'pigeon'"),
-        ((spec(Odometer),), "odometer", "choose one of: stdio"),
+        ((spec(Odometer),), "odometer", "choose one of: none"),
         ((spec(BadTools, "x", transports=("bad",)),), "bad", "two tools called"),
     ],
 )
 def test_a_transport_that_nothing_serves_is_refused(make, specs, transport, words):
     with pytest.raises(RoboNeuronError, match=words):
-        make(*specs, server={"transport": transport})
+        make(*specs, server={"transport": transport}).check()
 
 
 def test_what_a_feature_finds_wrong_is_told_before_anything_is_served(make):
-    make(spec(Pigeons)).check()
+    pigeons = spec(Pigeons, transports=("pigeon",))
+    make(pigeons, **PIGEON).check()
     with pytest.raises(ConfigurationError, match="There is no loft"):
-        make(spec(Pigeons), features=("odometer",)).check()
+        make(pigeons, features=("odometer",), **PIGEON).check()
 
 
 def test_a_feature_admits_calls(make):

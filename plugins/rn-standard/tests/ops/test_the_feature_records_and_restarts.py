@@ -9,7 +9,7 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,11 @@ import pytest
 from mcp import Client, StdioServerParameters
 
 from rn_standard.ops.plugin import FEATURE
+from rn_standard.ops.safety_faults import SafetyFaults
 from rn_testing.fakes import fake_registry
+from rn_testing.waiting import wait_until
 from roboneuron.config import Config
+from roboneuron.feature import ModuleView, Report
 from roboneuron.server.app import Application
 
 SOURCES = ("robot", "perception", "inference", "control", "server")
@@ -81,6 +84,43 @@ def test_faults_that_others_tell_are_recorded(application: Application) -> None:
     (incident,) = ask(application, "list_incidents")["incidents"]
     assert (incident["module"], incident["what"]) == ("inference", "lease")
     assert incident["explanation"] == "ann's lease has lapsed"
+
+
+def test_a_latch_that_vanishes_is_an_incident_and_each_time_a_fault(
+    application: Application,
+) -> None:
+    times: list[int] = []
+    application.events.fault.listen(lambda where, what, facts: times.append(facts["times"]))
+    application.features.start(application.host)
+    stop = application.loop.emergency_stop
+    stop.file.press(who="ann", reason="smoke")
+    for _ in range(2):
+        stop.file.path.unlink()
+        stop.follow_file()  # as the server does every 30 ms
+        wait_until(lambda: times[-1:] == [stop.file.read_state().restored], 5.0, "it is told")
+    assert times == [1, 2]
+    (incident,) = ask(application, "list_incidents")["incidents"]
+    assert (incident["module"], incident["what"]) == ("emergency_stop", "latch_vanished")
+    assert stop.audit.path.read_text().count('"restored"') == 2
+
+
+def test_requests_of_foreign_nodes_are_incidents(
+    application: Application, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def seen(count: int) -> list[ModuleView]:
+        report = Report(
+            dropped_by={"foreign_request": count}, metrics={"foreign_request": "by /meddler"}
+        )
+        return [ModuleView(kind="robot", phase="running", report=report)]
+
+    told: list[tuple[str, str, Mapping[str, Any]]] = []
+    faults = SafetyFaults(application.loop, lambda *fault: told.append(fault))
+    for count in (0, 2, 2, 0, 1):  # at the end a process that was started again
+        monkeypatch.setattr(application.loop.modules, "views", lambda count=count: seen(count))
+        faults.look()
+    assert [facts["count"] for _, _, facts in told] == [2, 1]
+    assert told[0][:2] == ("robot", "foreign_request")
+    assert told[0][2]["explanation"] == "by /meddler"
 
 
 def fault(number: int) -> dict[str, Any]:

@@ -110,7 +110,7 @@ def broken(value: Any) -> Any:
 def silent(application: Application, monkeypatch: pytest.MonkeyPatch) -> Application:
     """An application without a bus: whatever wants to send is a failure of the test."""
     from rn_standard.direct_path.traffic import Traffic
-    from roboneuron.supervisor.launching import Connection
+    from roboneuron.supervisor.connection import Connection
 
     def refuse(self: Any, *arguments: Any) -> Any:
         pytest.fail("a malformed call reached the bus")

@@ -17,13 +17,6 @@ from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.specs import FeatureSpec
 from roboneuron.ros.installation import choose, find_sourced
 
-_AT_A_TERMINAL = (
-    "roboneuron serve waits for an MCP client on standard input, which is this terminal: an "
-    "agent's client starts it "
-    "(docs: Connect an agent). By hand use `roboneuron run`, or serve with --transport http. "
-    "Ctrl-C ends it."
-)
-
 
 def configure(parser: ArgumentParser) -> None:
     """Add the arguments of `roboneuron serve`."""
@@ -93,12 +86,10 @@ def run(arguments: Namespace) -> int:
     begin_logging(arguments.log_level.upper())
     # what a start makes stays, and to look for garbage in it takes 0.1 s; see `shorten_pauses`
     gc.disable()
-    from roboneuron.config import STDIO, load_config
+    from roboneuron.config import load_config
 
     config = load_config(arguments.config, arguments=arguments)
     choose(config.ros.installation, find_sourced(os.environ, sys.prefix))
-    if config.server.transport == STDIO and os.isatty(wire[0]):
-        print(_AT_A_TERMINAL, file=sys.stderr)
     from roboneuron.server.app import serve  # heavy
 
     serve(config, wire)

@@ -15,7 +15,6 @@ from roboneuron.config.models import (
 )
 from roboneuron.config.reading import (
     EMBEDDED_DEFAULT,
-    STDIO,
     check_sections,
     default_text,
     feature_options,
@@ -30,7 +29,6 @@ from roboneuron.config.reading import (
 
 __all__ = [
     "EMBEDDED_DEFAULT",
-    "STDIO",
     "Config",
     "ControlConfig",
     "InferenceConfig",

@@ -264,7 +264,7 @@ class ServerConfig(Section):
 
     name: str = Field(default="roboneuron", description="server name that MCP clients see")
     transport: Name = Field(
-        default="stdio", description="`stdio`, or what an installed feature serves: `http`, at /mcp"
+        default="stdio", description="`stdio`, `http` (at /mcp), or what another feature serves"
     )
     max_concurrent_calls: Annotated[int, Field(ge=1, le=10000)] = Field(
         default=64, description="most tool calls at once of each role; stops are always taken"

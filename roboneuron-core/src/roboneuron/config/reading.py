@@ -8,25 +8,32 @@ from __future__ import annotations
 
 import tomllib
 from argparse import Namespace
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from roboneuron.config.models import Config
-from roboneuron.errors import ConfigurationError, nearest
+from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.availability import package_of
 from roboneuron.plugins.discovery import discover
-from roboneuron.plugins.loading import load_attribute, load_options_model, option_names
+from roboneuron.plugins.loading import (
+    explain_unknown,
+    load_attribute,
+    load_options_model,
+    read_table,
+)
 from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
 
 EMBEDDED_DEFAULT = "the embedded default"
 """How messages call the configuration that is used when the user gives none."""
-STDIO = "stdio"
-"""The transport of core."""
+_STDIO = "stdio"
+"""The transport that has no address."""
+M = TypeVar("M", bound=BaseModel)
+_PLUGIN_OPTIONS = "Options of a plugin stand under [plugins.<name>]."
 KEYS = frozenset(name for name, field in Config.model_fields.items() if not field.exclude)
 """Top-level keys of core, but for `robots`."""
 
@@ -79,10 +86,7 @@ def parse_tables(raw: Mapping[str, Any], source: str, registry: Registry | None)
     """
     own = {key: value for key, value in raw.items() if key in KEYS}
     others = {key: value for key, value in raw.items() if key not in KEYS}
-    try:
-        config = Config.model_validate(own)
-    except ValidationError as error:
-        raise _explain(error, Config, source) from error
+    config = _checked(Config, own, source)
     if others:
         config = config.model_copy(update={"sections": others})
         check_sections(config, registry or discover(config.disabled_plugins), source)
@@ -192,11 +196,10 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
     for key in config.sections:
         name = owners.get(key, key.replace("_", "-"))
         if key not in owners and package_of("feature", name) is None:
-            error = _unknown_key(source, key, {*KEYS, *owners})
             raise ConfigurationError(
-                error,
-                hint="If it belongs to a feature, that is not installed: see `roboneuron plugins "
-                "list`.",
+                f"{source}: {explain_unknown(key, {*KEYS, *owners})}",
+                hint=f"{_PLUGIN_OPTIONS} If it belongs to a feature, that is not installed: see "
+                "`roboneuron plugins list`.",
             )
         used[name] = _named_feature(f"{source}: the section {key!r}", name, registry)
     for spec in used.values():
@@ -234,14 +237,22 @@ def feature_options(
     if model is None:
         return None
     # several sections make one model, with a field for each; a single one is the model itself
-    section = "" if spec.sections else spec.keys[0]
-    raw: Any = {key: config.sections[key] for key in spec.keys if key in config.sections}
-    if section:
-        raw = raw.get(section, {})
-    try:
-        return model.model_validate(raw)
-    except ValidationError as error:
-        raise _explain(error, model, source, section) from error
+    if not spec.sections:
+        key = spec.keys[0]
+        return _checked(model, config.sections.get(key, {}), source, key)
+    tables = {key: config.sections[key] for key in spec.keys if key in config.sections}
+    return _checked(model, tables, source)
+
+
+def _checked(model: type[M], values: object, source: str, place: str = "") -> M:
+    """A table of a file as its model; `place` is its key. Raises ConfigurationError: every line
+    names the file.
+    """
+    made, problems = read_table(model, values, place)
+    if made is None:
+        told = "\n".join(f"{source}: {problem}" for problem in problems)
+        raise ConfigurationError(told, hint=_PLUGIN_OPTIONS if "Valid keys" in told else "")
+    return made
 
 
 def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
@@ -257,7 +268,7 @@ def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
         return served[transport]
     # by convention it is called as the transport: says why it is not there
     _named_feature(f"transport = {transport!r}", transport, registry)
-    choices = ", ".join([STDIO, *served])
+    choices = ", ".join(served) or "none"
     raise ConfigurationError(
         f"transport = {transport!r}: nothing serves it; choose one of: {choices}."
     )
@@ -282,8 +293,8 @@ def _server_changes(raw: Mapping[str, Any], arguments: Namespace) -> dict[str, d
     address = {key: getattr(arguments, key) for key in ("host", "port")}
     given = {key: value for key, value in address.items() if value is not None}
     if given:
-        transport = named or _table(raw, "server").get("transport", STDIO)
-        if transport == STDIO:
+        transport = named or _table(raw, "server").get("transport", _STDIO)
+        if transport == _STDIO:
             raise ConfigurationError(
                 "--host and --port are for http.", hint="Add --transport http."
             )
@@ -295,42 +306,3 @@ def _table(raw: Mapping[str, Any], key: str) -> dict[str, Any]:
     """A table of the file; empty where that has none."""
     found = raw.get(key, {})
     return found if isinstance(found, dict) else {}
-
-
-def _explain(
-    error: ValidationError, root: type[BaseModel], source: str, section: str = ""
-) -> ConfigurationError:
-    """The error for people.
-
-    Args:
-        error: raised by the model `root`.
-        root: the model that was validated.
-        source: file name.
-        section: where that model stands in the file; empty for the whole.
-    """
-    lines = []
-    for item in error.errors(include_url=False):
-        key = ".".join([*([section] if section else []), *(str(part) for part in item["loc"])])
-        if item["type"] == "extra_forbidden":
-            lines.append(_unknown_key(source, key, option_names(root, item["loc"][:-1])))
-        elif item["type"] == "missing":
-            lines.append(f"{source}: {key!r} is missing.")
-        else:
-            lines.append(
-                f"{source}: {key} = {item['input']!r}: {item['msg'][0].lower()}{item['msg'][1:]}."
-            )
-    return ConfigurationError("\n".join(lines))
-
-
-def _unknown_key(source: str, key: str, valid: Iterable[str]) -> str:
-    """The sentence for a key that nothing knows, with what is most like it.
-
-    Args:
-        source: file name.
-        key: with the sections that it stands in.
-        valid: keys that may stand there.
-    """
-    known = sorted(valid)
-    otherwise = f"Valid keys: {', '.join(known)}. Options of a plugin stand under [plugins.<name>]."
-    meant = nearest(key.rpartition(".")[2], known, otherwise, likeness=0.5)
-    return f"{source}: unknown key {key!r}. {meant}"

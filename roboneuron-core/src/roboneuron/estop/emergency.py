@@ -11,18 +11,14 @@ import logging
 import signal
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from queue import SimpleQueue
-from typing import Any
 
 from roboneuron.errors import NotReadyError, RefusedError, UnsafeError
 from roboneuron.estop.latch import EmergencyStopLatch
-from roboneuron.estop.motion_starts import MotionStarts
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate import AuditLog, AuditRecord
-from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC, FOREIGN_REQUEST, ModuleKind
-from roboneuron.supervisor.changes import Event
-from roboneuron.supervisor.health import ModuleView
+from roboneuron.modules.settings import EMERGENCY_STOP_TOPIC
 from roboneuron.supervisor.supervisor import Supervisor
 
 log = logging.getLogger(__name__)
@@ -75,6 +71,7 @@ class EmergencyStop:
         self._publishers: dict[str, Callable[[bool], None]] = {}
         # what was published last
         self._is_told = False
+        self._restored = 0
         self.file = EmergencyStopLatch.in_directory(supervisor.state_directory)
         self.file.on_pressed.append(lambda: self._publish(True))
         self.audit = AuditLog.in_directory(supervisor.state_directory)
@@ -143,12 +140,18 @@ class EmergencyStop:
                 self._publishers[namespace] = lambda is_latched: send(Bool(data=is_latched))
 
     def follow_file(self) -> bool:
-        """Whether the file stops; called now and then.
+        """Whether the file stops; called now and then, which keeps the server latched when the file
+        vanishes. That is recorded, because it looks like a release.
 
         A person's reset releases the file only. What was published last stays on the topic for
         nodes that come later: they would press the stop again.
         """
-        is_latched = self.file.is_latched()
+        is_latched, restored = self.file.is_latched(), self.file.read_state().restored
+        if restored > self._restored:
+            self.audit.write_if_possible(
+                AuditRecord(who="server", role="", tool="emergency_stop", verdict="restored")
+            )
+        self._restored = restored
         if self._is_told and not is_latched:
             self._publish(False)
             if self.file.is_latched():  # pressed meanwhile
@@ -262,56 +265,3 @@ class EmergencyStop:
                 or view.report.emergency_stop is not latched
             )
         ]
-
-
-class SafetyReports:
-    """Reports faults that change no module's health: a latch file that vanished, requests of
-    foreign nodes, stops.
-
-    It looks whenever the modules are looked at; used by the watching thread only.
-    """
-
-    def __init__(
-        self,
-        starts: MotionStarts,
-        emergency_stop: EmergencyStop,
-        fault: Event[[str, str, Mapping[str, Any]]],
-    ) -> None:
-        """Args:
-        starts: counts the stops that modules report.
-        emergency_stop: whose file is looked at.
-        fault: told of each fault: where, a word for it, and facts that JSON can hold.
-        """
-        self._starts = starts
-        self._emergency_stop = emergency_stop
-        self._fault = fault
-        self._foreign: dict[ModuleKind, int] = {}
-        self._restored = 0
-
-    def look(self) -> Sequence[ModuleView]:
-        """The modules; faults are reported on the way.
-
-        A counter that has gone up is news; one of a process that was started again begins at 0. To
-        look at the latch's file keeps the server latched when it vanishes. Whoever has removed it
-        is not known; that somebody has is recorded, because it looks like a release.
-        """
-        restored = self._emergency_stop.file.read_state().restored
-        if restored > self._restored:
-            what = (
-                "its file vanished without a reset and was written again; everything stays stopped"
-            )
-            self._emergency_stop.audit.write_if_possible(
-                AuditRecord(who="server", role="", tool="emergency_stop", verdict="restored")
-            )
-            self._fault.tell(
-                "emergency_stop", "latch_vanished", {"explanation": what, "times": restored}
-            )
-        self._restored = restored
-        views = self._starts.look(self._emergency_stop.follow_file())
-        for view in views:
-            count = view.report.dropped_by.get(FOREIGN_REQUEST, 0) if view.report is not None else 0
-            if count > self._foreign.get(view.kind, 0) and view.report is not None:
-                told = {"explanation": view.report.metrics.get(FOREIGN_REQUEST, ""), "count": count}
-                self._fault.tell(view.kind, FOREIGN_REQUEST, told)
-            self._foreign[view.kind] = count
-        return views

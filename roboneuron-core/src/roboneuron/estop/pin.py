@@ -86,8 +86,11 @@ class ReleasePin:
         if not self.is_set:
             return
         # one attempt at a time, so that each is counted
-        with locked(self.path):
-            reason = self._attempt(pin)
+        try:
+            with locked(self.path):
+                reason = self._attempt(pin)
+        except OSError as error:
+            reason = f"the PIN cannot be looked at: {error.strerror or error}."
         if reason:
             record = AuditRecord(
                 who=who[:200],

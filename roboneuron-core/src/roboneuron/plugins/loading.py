@@ -5,11 +5,12 @@ step.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import date, time
 from importlib import import_module
+from operator import attrgetter
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any, TypeVar, get_args
 
 from roboneuron.errors import ConfigurationError, MissingDependencyError, PluginError, nearest
 from roboneuron.plugins import availability
@@ -17,6 +18,8 @@ from roboneuron.plugins.specs import Loadable
 
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
+
+M = TypeVar("M", bound="BaseModel")
 
 
 def load_target(spec: Loadable) -> object:
@@ -40,7 +43,7 @@ def load_attribute(reference: str, who: str) -> object:
     """Import "package.module:attribute"; raises as `load_target`, naming `who`."""
     module_name, _, path = reference.partition(":")
     try:
-        value: object = import_module(module_name)
+        module = import_module(module_name)
     except ModuleNotFoundError as error:
         absent = error.name or ""
         if absent.partition(".")[0] == module_name.partition(".")[0]:
@@ -55,15 +58,14 @@ def load_attribute(reference: str, who: str) -> object:
         raise PluginError(
             f"Importing the {who} ({reference}) raised {type(error).__name__}: {error}"
         ) from error
-    for part in path.split("."):
-        try:
-            value = getattr(value, part)
-        except AttributeError as error:
-            hint = nearest(part, dir(value))
-            raise PluginError(
-                f"The {who} is {reference!r}, but there is no attribute {part!r}.", hint=hint
-            ) from error
-    return value
+    try:
+        return attrgetter(path)(module)
+    except AttributeError as error:
+        absent = error.name or path  # a module that imports names when they are asked for
+        raise PluginError(
+            f"The {who} is {reference!r}, but there is no attribute {absent!r}.",
+            hint=nearest(absent, dir(error.obj)),
+        ) from error
 
 
 def load_options_model(spec: Loadable) -> type[BaseModel] | None:
@@ -114,24 +116,54 @@ def load_options(
                 f"{place}.{next(iter(options))} is unknown: {spec.name!r} takes no options."
             )
         return None
-    valid = [field.alias or name for name, field in model.model_fields.items()]
-    listed = f"Valid are: {', '.join(sorted(valid)) or 'none'}."
-    unknown = [
-        f"{place}.{key} is unknown. {nearest(key, valid, listed)}"
-        for key in options
-        if key not in valid
-    ]
-    if unknown:
-        raise ConfigurationError(" ".join(unknown))
+    made, problems = read_table(model, options, place, strict=True, is_partial=is_partial)
+    if problems:
+        raise ConfigurationError(" ".join(problems))
+    return made
+
+
+def read_table(
+    model: type[M],
+    values: object,
+    place: str = "",
+    *,
+    strict: bool | None = None,
+    is_partial: bool = False,
+) -> tuple[M | None, list[str]]:
+    """A table of a configuration as its model, or a sentence for each key that is unknown, missing
+    or not valid.
+
+    Args:
+        model: of the table.
+        values: as in the file; read as JSON is.
+        place: key of the table; empty for the whole file.
+        strict: whether values are converted; None: as the model says.
+        is_partial: as of `load_options`: neither a model nor a problem when only that is wrong.
+    """
     from pydantic import ValidationError  # heavy
 
+    valid = [field.alias or name for name, field in model.model_fields.items()]
+    unknown = [key for key in values if key not in valid] if isinstance(values, Mapping) else []
+    if unknown:
+        return None, [explain_unknown(f"{place}.{key}".lstrip("."), valid) for key in unknown]
     try:
-        return model.model_validate_json(json.dumps(dict(options), default=_plain), strict=True)
+        text = json.dumps(values, default=_plain)
+        return model.model_validate_json(text, strict=strict), []
     except ValidationError as error:
-        explained = _explain(error, place, is_partial)
-        if not explained:
-            return None
-        raise ConfigurationError(explained) from error
+        return None, list(_explain(error, model, place, is_partial))
+
+
+def explain_unknown(key: str, valid: Iterable[str]) -> str:
+    """The sentence for a key that nothing knows, with what is most like it.
+
+    Args:
+        key: with the tables that it stands in.
+        valid: keys that may stand there.
+    """
+    known = sorted(valid)
+    listed = f"Valid keys: {', '.join(known) or 'none'}."
+    meant = nearest(key.rpartition(".")[2], known, listed, likeness=0.5)
+    return f"unknown key {key!r}. {meant}"
 
 
 def option_names(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
@@ -151,18 +183,22 @@ def option_names(model: type[BaseModel], path: Sequence[int | str]) -> list[str]
     return [name for name, field in table.model_fields.items() if not field.exclude]
 
 
-def _explain(error: ValidationError, place: str, is_partial: bool) -> str:
-    parts: list[str] = []
+def _explain(
+    error: ValidationError, root: type[BaseModel], place: str, is_partial: bool
+) -> Iterator[str]:
+    """A sentence for each problem that the model `root` has found; see `validated`."""
     for problem in error.errors(include_url=False, include_context=False):
-        path = ".".join([place, *(str(step) for step in problem["loc"])])
-        if is_partial and (
-            not problem["loc"] or (problem["type"] == "missing" and len(problem["loc"]) == 1)
-        ):
+        path = problem["loc"]
+        key = ".".join(filter(None, (place, *map(str, path))))
+        if is_partial and (not path or (problem["type"] == "missing" and len(path) == 1)):
             continue
-        is_missing = problem["type"] == "missing"
-        told = "required and not given" if is_missing else f"{problem['input']!r}: {problem['msg']}"
-        parts.append(f"{path} is {told}.")
-    return " ".join(parts)
+        if problem["type"] == "extra_forbidden":
+            yield explain_unknown(key, option_names(root, path[:-1]))
+        elif problem["type"] == "missing":
+            yield f"{key!r} is missing."
+        else:
+            words = problem["msg"]
+            yield f"{key} = {problem['input']!r}: {words[0].lower()}{words[1:]}."
 
 
 def _plain(value: object) -> object:

@@ -9,8 +9,9 @@ import logging
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import cast
@@ -18,9 +19,9 @@ from typing import cast
 import anyio
 from anyio import to_thread
 
-from roboneuron.config import Config, fleet_feature
+from roboneuron.config import Config, fleet_feature, transport_feature
 from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
-from roboneuron.estop.emergency import SafetyReports, press_on_signal
+from roboneuron.estop.emergency import press_on_signal
 from roboneuron.planning import check_configuration
 from roboneuron.plugins.discovery import discover
 from roboneuron.plugins.loading import load_attribute
@@ -30,12 +31,12 @@ from roboneuron.server.feature import Features
 from roboneuron.server.host import Events, Host
 from roboneuron.server.loop import ClosedLoop
 from roboneuron.server.registry import ToolRegistry
-from roboneuron.server.stdio import serve_stdio
 from roboneuron.server.stop_tools import emergency_tool, stop_tools
 from roboneuron.server.surface import Served, make_server
 from roboneuron.server.tool import Resource, Transport
-from roboneuron.supervisor.health import Watch
-from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
+from roboneuron.supervisor.connection import Connect, Connection
+from roboneuron.supervisor.health import ModuleView, Watch
+from roboneuron.supervisor.process import Command, module_command
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
 
 SWITCH_S = 0.001
@@ -58,8 +59,6 @@ def shorten_pauses() -> None:
 
 log = logging.getLogger(__name__)
 _MOTION_S = 2.0
-_END_S = 20.0
-"""Ten times what an end takes; a machine that is overloaded needs up to 12 s."""
 
 
 class Application:
@@ -104,8 +103,7 @@ class Application:
         self.loop.emergency_stop.audit.on_record = self.events.decision.tell
         self.features = Features(config, self.loop.registry)
         self.supervisor.on_join = self.features.on_join
-        reports = SafetyReports(self.loop.starts, self.loop.emergency_stop, self.events.fault)
-        self._watch = Watch(reports.look, self.events.health.tell)
+        self._watch = Watch(self._look, self.events.health.tell)
         self.tools = ToolRegistry(
             [*stop_tools(self.loop), emergency_tool(self.loop)],
             most_calls=config.server.max_concurrent_calls,
@@ -138,16 +136,20 @@ class Application:
         if attached:
             self.features.each("attached", lambda feature: feature.attach(self.host))
 
+    def _look(self) -> Sequence[ModuleView]:
+        return self.loop.starts.look(self.loop.emergency_stop.follow_file())
+
     def check(self) -> None:
         """Check the configuration against what is installed. Raises ConfigurationError,
         PlanningError.
         """
         check_configuration(self.loop.base, self.loop.registry)
+        transport_feature(self.loop.base.server.transport, self.loop.registry)
         self.features.each("used", lambda feature: feature.check(self.loop.base))
 
-    def listen(self) -> Transport | None:
-        """Begin to listen for clients; None for stdio."""
-        return self.features.listen(self.host)
+    def listen(self, wire: tuple[int, int]) -> Transport:
+        """Begin to listen for clients; for `wire` see `Host`."""
+        return self.features.listen(replace(self.host, wire=wire))
 
     def latch(self, who: str) -> object:
         """Stop all motion, for whoever says so; raises as `EmergencyStop.latch`."""
@@ -218,15 +220,6 @@ class Application:
             self.loop.stop("inference")
 
 
-def _end_soon() -> None:
-    """The kernel ends this process in a while, whatever hangs in it; its modules hear of that and
-    leave.
-
-    The default action of SIGALRM needs nobody's help. Callable from any thread.
-    """
-    signal.setitimer(signal.ITIMER_REAL, _END_S)
-
-
 def make_served(config: Config) -> Served:
     """What serves a configuration: of one robot an Application, of several what a feature brings.
 
@@ -248,7 +241,7 @@ def serve(config: Config, wire: tuple[int, int]) -> None:
 
     Args:
         config: says over which transport.
-        wire: descriptors to read from and write to, for stdio.
+        wire: see `Host`.
 
     Raises:
         ConfigurationError, PlanningError: the configuration names what is not installed or does not
@@ -257,14 +250,12 @@ def serve(config: Config, wire: tuple[int, int]) -> None:
     served = make_served(config)
     try:
         served.check()
-        transport = served.listen() or partial(
-            serve_stdio, served.server, config.server.max_concurrent_calls, wire, _end_soon
-        )
+        transport = served.listen(wire)
         press_on_signal(served.latch)
         served.open()
         anyio.run(_serve, served, transport)
     finally:
-        _end_soon()
+        Host.end_soon()
         served.close()
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from roboneuron.config import STDIO, Config, feature_options, transport_feature
+from roboneuron.config import Config, feature_options, transport_feature
 from roboneuron.errors import ConfigurationError, InternalError, PluginError, RoboNeuronError
 from roboneuron.plugins.loading import load_target
 from roboneuron.plugins.registry import Registry
@@ -141,15 +141,12 @@ class Features:
 
     def __init__(self, config: Config, registry: Registry) -> None:
         self._config = config
+        self._registry = registry
         self._specs = registry.specs(FeatureSpec)
         self.loaded: dict[str, Feature[Any]] = {}
         self.failed: dict[str, str] = {}
         for name in config.features:
             registry.get(FeatureSpec, name)  # says why a feature that must be there is not
-        transport = config.server.transport
-        self._transport = (
-            None if transport == STDIO else transport_feature(transport, registry).name
-        )
         for spec in _ordered(self._specs):
             self._attempt(spec, "loaded", partial(self._load, spec))
 
@@ -159,12 +156,13 @@ class Features:
         named = (self._specs[name].on_join for name in self.loaded)
         return tuple(reference for reference in named if reference is not None)
 
-    def listen(self, host: Host) -> Transport | None:
+    def listen(self, host: Host) -> Transport:
         """Have every feature reserve what it needs, and the one that serves the configured
-        transport listen.
+        transport listen. Raises ConfigurationError as `transport_feature`.
         """
+        spec = transport_feature(self._config.server.transport, self._registry)
         self.each("started", lambda feature: feature.reserve(self._config))
-        return None if self._transport is None else self.loaded[self._transport].listen(host)
+        return self.loaded[spec.name].listen(host)
 
     def offer(self, host: Host, tools: ToolRegistry) -> list[Resource]:
         """Add every feature's tools, and return all their resources."""

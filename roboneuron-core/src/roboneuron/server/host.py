@@ -4,6 +4,7 @@ through what every caller passes.
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,6 +32,8 @@ if TYPE_CHECKING:
 
 F = TypeVar("F")
 M = TypeVar("M")
+_END_S = 20.0
+"""Ten times what an end takes; a machine that is overloaded needs up to 12 s."""
 
 
 class Events:
@@ -91,6 +94,8 @@ class Host:
         state_directory: for files that outlive the server.
         end_motion: ends every motion, and the policy, for a reason: nobody looks after the robot
             any more; returns after at most so many seconds.
+        wire: descriptors of the standard input and output that the process was started with, for a
+            transport over them; in `roboneuron serve` 0 and 1 are others, see `cli/serve.py`.
     """
 
     loop: ClosedLoop
@@ -103,6 +108,7 @@ class Host:
     state_directory: Path
     end_motion: Callable[[str, float], None]
     _link: Callable[[], RosLink]
+    wire: tuple[int, int] = (0, 1)
 
     @property
     def config(self) -> Config:
@@ -177,6 +183,15 @@ class Host:
         if sender.gate is None:
             raise StateError("Only the feature that lends the gate sends; others use `Host.gate`.")
         return self._link()
+
+    @staticmethod
+    def end_soon() -> None:
+        """The kernel ends this process in a while, whatever hangs in it; its modules hear of that
+        and leave. A transport calls it when its only client has left.
+
+        The default action of SIGALRM needs nobody's help. Callable from any thread.
+        """
+        signal.setitimer(signal.ITIMER_REAL, _END_S)
 
     def subscribe(
         self,

@@ -8,7 +8,6 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from roboneuron.config import Config, LimitsConfig
@@ -323,16 +322,12 @@ class ClosedLoop:
         with self.modules.changes.lock:
             slots = tuple(self.modules.slots[kind])
         for slot in slots:
-            self.modules.changes.wait_for(partial(_has_started, slot), start_s)
+            slot.await_settled(start_s)
             if slot.phase != "running" or slot.process is None:
                 continue
             if refused := self.parameters(slot).set(values, timeout_s):
                 return refused
         return ""
-
-
-def _has_started(slot: Slot) -> bool:
-    return slot.phase != "starting"
 
 
 def _check_namespace(robot: Plan, views: Iterable[ModuleView]) -> None:

@@ -101,7 +101,7 @@ class Served(Protocol):
     def check(self) -> None:
         """See `Application.check`."""
 
-    def listen(self) -> Transport | None:
+    def listen(self, wire: tuple[int, int]) -> Transport:
         """See `Application.listen`."""
 
     def latch(self, who: str) -> object:

@@ -12,6 +12,7 @@ import logging
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -251,6 +252,15 @@ def _kill_group(group: int) -> None:
     """SIGKILL to all of a process group; one that is empty, or not ours any more, is left alone."""
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(group, signal.SIGKILL)
+
+
+Command = Callable[[str | None], Sequence[str]]
+"""How a module process is started under an interpreter; None: this one."""
+
+
+def module_command(python: str | None) -> list[str]:
+    """See `Command`; `-P` keeps the working directory out of its import path."""
+    return [python or sys.executable, "-u", "-P", "-m", "roboneuron.modules"]
 
 
 def spawn(

@@ -128,6 +128,10 @@ class Slot:
                 self.process = self.plan = self.settings = self.report = None
         self._changes.notify()
 
+    def await_settled(self, timeout_s: float) -> None:
+        """Wait for the end of a start in progress, for at most `timeout_s`."""
+        self._changes.wait_for(lambda: self.phase != "starting", timeout_s)
+
     def cancel(self, reason: str) -> bool:
         """End a start in progress; returns whether there was one.
 

@@ -9,25 +9,27 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from roboneuron.config import ModuleSettings
-from roboneuron.errors import ConfigurationError, RoboNeuronError, StateError
+from roboneuron.errors import ConfigurationError, NotReadyError, RoboNeuronError, StateError
 from roboneuron.modules.settings import ARM_KINDS, ModuleKind
 from roboneuron.planning import Plan
 from roboneuron.ros.environment import check_state_directory, module_environment
 from roboneuron.supervisor.bringup import Bringup
 from roboneuron.supervisor.changes import Periodic, Stage
+from roboneuron.supervisor.connection import Connect, Connection
 from roboneuron.supervisor.health import Modules, ModuleView, Stopped
-from roboneuron.supervisor.launching import Command, Connect, Connection, module_command
 from roboneuron.supervisor.lifecycle import NodeClient
 from roboneuron.supervisor.process import (
     KILL_S,
+    Command,
     ModuleProcess,
     end_processes,
+    module_command,
     spawn,
 )
 from roboneuron.supervisor.slot import Slot
@@ -167,22 +169,31 @@ class Supervisor(Modules):
 
         Raises:
             ConfigurationError: it cannot be started, or its log cannot be written.
+            NotReadyError: the system does not start it in time; it is ended when it comes.
         """
         section = getattr(settings.config, settings.kind)
         python = None if section is None else section.python
         command = self._command(python)
         number = next(self.connection.starts)
         check_state_directory(self.log_directory)
+        spawning = self._spawning.submit(
+            spawn,
+            settings.node_name,
+            command,
+            module_environment(python, number, self.secret_variables),
+            settings.to_line(),
+            self.log_directory / f"{settings.node_name}.log",
+            self.process_events,
+        )
+        limit_s = settings.config.start_timeout_s(settings.kind)
         try:
-            process = self._spawning.submit(
-                spawn,
-                settings.node_name,
-                command,
-                module_environment(python, number, self.secret_variables),
-                settings.to_line(),
-                self.log_directory / f"{settings.node_name}.log",
-                self.process_events,
-            ).result()
+            process = spawning.result(limit_s)
+        except TimeoutError as error:
+            spawning.add_done_callback(_end_late)
+            raise NotReadyError(
+                f"The {settings.kind} process was not started within {limit_s:g} s.",
+                hint=f"Does the file system of {command[0]!r} answer?",
+            ) from error
         except OSError as error:
             raise ConfigurationError(
                 f"The {settings.kind} process cannot be started with {command[0]!r}: "
@@ -345,5 +356,12 @@ class Supervisor(Modules):
         """Wait for the end of a start that was cancelled: whoever runs it ends the process, which
         takes as long as any stop, and a second for its thread.
         """
-        bound_s = slot.stop_timeout_s + KILL_S + 1.0
-        self.changes.wait_for(lambda: slot.phase != "starting", bound_s)
+        slot.await_settled(slot.stop_timeout_s + KILL_S + 1.0)
+
+
+def _end_late(spawning: Future[ModuleProcess]) -> None:
+    """Kill a process that nobody waits for any more; what could not be started is no matter."""
+    if spawning.exception() is None:
+        process = spawning.result()
+        process.reap(lambda ended: None)
+        process.kill()

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, get_args
 
-from roboneuron.feature import Config, ModuleKind, launching
+from roboneuron.feature import Config, Connection, ModuleKind
 
 PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
 """Environment variable: how many participants of this host each looks for in the range LOCALHOST.
@@ -28,7 +28,7 @@ def participants_of(robots: Iterable[Config]) -> int:
     return min(_MOST, modules + _OTHERS)
 
 
-class SharedConnection(launching.Connection):
+class SharedConnection(Connection):
     """Opens the node once, and hands each robot what is reported under its namespace.
 
     Args:
@@ -39,14 +39,10 @@ class SharedConnection(launching.Connection):
         super().__init__(self._receive, log_directory)
         self._receivers: dict[str, Callable[[object], None]] = {}
 
-    def of_robot(
-        self, namespace: str
-    ) -> Callable[[Callable[[object], None], Path], launching.Connection]:
+    def of_robot(self, namespace: str) -> Callable[[Callable[[object], None], Path], Connection]:
         """What the supervisor of the robot with that namespace makes its connection from."""
 
-        def connect(
-            on_status: Callable[[object], None], log_directory: Path
-        ) -> launching.Connection:
+        def connect(on_status: Callable[[object], None], log_directory: Path) -> Connection:
             self._receivers[namespace] = on_status
             return self
 

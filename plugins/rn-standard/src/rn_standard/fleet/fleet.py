@@ -121,9 +121,9 @@ class Fleet:
                     f"[robots.{name}]: {error.message}", hint=error.hint
                 ) from error
 
-    def listen(self) -> Transport | None:
-        """Begin to listen for the clients of all robots; None for stdio."""
-        return self.features.listen(self._host)
+    def listen(self, wire: tuple[int, int]) -> Transport:
+        """Begin to listen for the clients of all robots; for `wire` see `Host`."""
+        return self.features.listen(replace(self._host, wire=wire))
 
     def open(self) -> None:
         """Begin to join the ROS graph; stop all robots whenever the latch of the whole state

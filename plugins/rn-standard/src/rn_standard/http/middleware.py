@@ -22,7 +22,8 @@ from rn_standard.http.connections import ConnectionTable
 from rn_standard.http.local_clients import account_of
 from rn_standard.http.origins import HostRules
 from rn_standard.http.tokens import TokenTable
-from roboneuron.feature import Holder, envelope
+from rn_standard.stdio.envelope import EnvelopeError, is_urgent
+from roboneuron.feature import Holder
 
 log = logging.getLogger(__name__)
 _MOST_STOP_BYTES = 65536
@@ -128,9 +129,7 @@ async def _look_for_stop(receive: Receive) -> tuple[bool, Receive]:
         raw = from_json(body)
     except ValueError:
         return False, replay
-    return isinstance(raw, dict) and envelope.is_urgent(
-        raw.get("method"), raw.get("params")
-    ), replay
+    return isinstance(raw, dict) and is_urgent(raw.get("method"), raw.get("params")), replay
 
 
 def _too_many(holder: Holder) -> JSONResponse:
@@ -139,7 +138,7 @@ def _too_many(holder: Holder) -> JSONResponse:
         {
             "jsonrpc": "2.0",
             "id": None,
-            "error": {"code": envelope.EnvelopeError.BUSY, "message": text},
+            "error": {"code": EnvelopeError.BUSY, "message": text},
         },
         status_code=503,
         headers=_CLOSE,

@@ -18,7 +18,8 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from rn_standard.http.local_clients import account_of
-from roboneuron.feature import Holder, envelope
+from rn_standard.stdio.envelope import EnvelopeError
+from roboneuron.feature import Holder
 
 log = logging.getLogger(__name__)
 MOST_SESSIONS, MOST_SESSIONS_OF_ONE = 256, 64
@@ -97,8 +98,8 @@ class Sessions:
             else:
                 request_id = None
             await self._serve_session(scope, receive, send, request_id)
-        except envelope.EnvelopeError as error:
-            status = 503 if error.error["code"] == envelope.EnvelopeError.BUSY else 400
+        except EnvelopeError as error:
+            status = 503 if error.error["code"] == EnvelopeError.BUSY else 400
             await Response(error.answer, status_code=status, media_type="application/json")(
                 scope, receive, send
             )
@@ -141,8 +142,8 @@ class Sessions:
         version = Headers(scope=scope).get("mcp-protocol-version", "")
         count = sum(session.holder == holder for session in self._sessions.values())
         if count >= self._most_of_one and version < "2026":
-            raise envelope.EnvelopeError(
-                envelope.EnvelopeError.BUSY,
+            raise EnvelopeError(
+                EnvelopeError.BUSY,
                 f"{holder!r} has {count} sessions open already; end one, or use those.",
             )
 
@@ -182,7 +183,7 @@ def _begin(session: _Session, request_id: int | str) -> _Request:
 
     key = coerce_request_id(request_id)
     if key in session.ids or key == GET_STREAM_KEY or len(session.ids) >= _MOST_IDS:
-        raise envelope.EnvelopeError.repeated(request_id)
+        raise EnvelopeError.repeated(request_id)
     request = session.ids[key] = _Request(free=lambda: session.ids.pop(key, None))
     return request
 
@@ -198,7 +199,7 @@ def _request_id(body: bytes) -> int | str | None:
         raw = from_json(body)
     except ValueError:
         return None
-    envelope.EnvelopeError.raise_for_id(raw)
+    EnvelopeError.raise_for_id(raw)
     is_request = isinstance(raw, dict) and "method" in raw
     return raw.get("id") if is_request else None
 

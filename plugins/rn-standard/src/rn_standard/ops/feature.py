@@ -12,6 +12,7 @@ from rn_standard.ops.options import OpsOptions
 from rn_standard.ops.other_servers import ServerPresence
 from rn_standard.ops.records import Source, log_resource, record_tools
 from rn_standard.ops.restarts import Restarts
+from rn_standard.ops.safety_faults import SafetyFaults
 from rn_standard.ops.server_log import ServerLog
 from rn_standard.tools_loop.results import ModuleStatus
 from roboneuron import Feature, Host, Resource, Tool
@@ -31,6 +32,7 @@ class Operations(Feature[OpsOptions]):
     _incidents: Incidents
     _restarts: Restarts | None = None
     _memory: MemoryWatch | None = None
+    _faults: SafetyFaults | None = None
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """get_logs and list_incidents."""
@@ -38,6 +40,7 @@ class Operations(Feature[OpsOptions]):
         self._incidents = Incidents(host.state_directory / FOLDER)
         self._restarts = Restarts(host.loop, self.options, self._note_restart, self._before_restart)
         self._memory = MemoryWatch(host.modules, self.options.memory_limit_mb, self._note_memory)
+        self._faults = SafetyFaults(host.loop, host.events.fault.tell)
         self._log = ServerLog(host.modules.log_directory)
         host.events.open.listen(self._log.open)
         self._presence = ServerPresence(host.state_directory)
@@ -67,16 +70,19 @@ class Operations(Feature[OpsOptions]):
             )
 
     def start(self, host: Host) -> None:
-        """Begin to watch the memory of modules."""
+        """Begin to watch the memory of modules, and what is counted."""
         assert self._memory is not None
+        assert self._faults is not None
         self._memory.start()
+        self._faults.start()
 
     def close(self) -> None:
-        """End restarts and the memory watch; the log goes on until the server has ended."""
+        """End restarts and what watches; the log goes on until the server has ended."""
         if self._restarts is not None:
             self._restarts.close()
-        if self._memory is not None:
-            self._memory.close()
+        for watch in (self._memory, self._faults):
+            if watch is not None:
+                watch.close()
 
     def _record(self, view: ModuleView, before: Health, health: Health) -> None:
         if health not in FAULTS:

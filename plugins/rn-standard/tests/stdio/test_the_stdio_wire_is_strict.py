@@ -12,9 +12,9 @@ from typing import Any
 import anyio
 import pytest
 
+from rn_standard.stdio.message_stream import MAX_LINE_BYTES, LineWriter, MessageStream
 from roboneuron.errors import StateError
 from roboneuron.server.app import Application
-from roboneuron.server.stdio import MAX_LINE_BYTES, LineWriter, MessageStream
 from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 
 Work = Callable[["Wire"], Awaitable[None]]

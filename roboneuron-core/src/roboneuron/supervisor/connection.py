@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import os
-import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -99,10 +98,4 @@ class Connection:
             self._opened.set_result(link)
 
 
-Command = Callable[[str | None], Sequence[str]]
 Connect = Callable[[Callable[["DiagnosticArray"], None], Path], Connection]
-
-
-def module_command(python: str | None) -> list[str]:
-    """How a module process is started; `-P` keeps the working directory out of its import path."""
-    return [python or sys.executable, "-u", "-P", "-m", "roboneuron.modules"]

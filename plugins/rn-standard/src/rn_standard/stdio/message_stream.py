@@ -8,7 +8,6 @@ what is no message unanswered, and hands messages over in the order in which the
 from __future__ import annotations
 
 import asyncio
-import logging
 import os
 import queue
 import sys
@@ -18,23 +17,19 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 
-import anyio
 from anyio import EndOfStream
 from anyio.abc import ObjectReceiveStream, ObjectSendStream
 from mcp.shared.dispatcher import coerce_request_id
 from mcp.shared.message import ServerMessageMetadata, SessionMessage
 from mcp.types import JSONRPCError, JSONRPCMessage, JSONRPCRequest, JSONRPCResponse
 
-from roboneuron import __version__
-from roboneuron.server.envelope import (
+from rn_standard.stdio.envelope import (
     INVALID_REQUEST,
     EnvelopeError,
     is_urgent,
     read_message,
 )
-from roboneuron.server.surface import AnnouncingServer
 
-log = logging.getLogger(__name__)
 MAX_LINE_BYTES = 16 * 1024 * 1024
 """A longer line is refused and dropped to the next newline."""
 _CHUNK = 65536
@@ -236,36 +231,3 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
     def _wake(self) -> None:
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(self._changed.set)
-
-
-async def serve_stdio(
-    server: AnnouncingServer,
-    most_calls: int,
-    wire: tuple[int, int],
-    on_end: Callable[[], None],
-    leave: anyio.Event,
-) -> None:
-    """Serve one client until it leaves, or `leave` is set.
-
-    Args:
-        server: what it meets.
-        most_calls: of each role at once.
-        wire: descriptors to read from and write to.
-        on_end: called from the reading thread when the client has left.
-        leave: ends it.
-    """
-    writer = LineWriter(wire[1])
-    stream = MessageStream(wire[0], writer.write, 2 * most_calls + 64, on_end)
-    writer.start()
-
-    async def end(scope: anyio.CancelScope) -> None:
-        await leave.wait()
-        scope.cancel()
-
-    async with anyio.create_task_group() as group:
-        group.start_soon(end, group.cancel_scope)
-        stream.start()
-        log.info("RoboNeuron %s serves MCP on stdio, pid %d.", __version__, os.getpid())
-        await server.run(stream, stream, server.create_initialization_options())
-        group.cancel_scope.cancel()
-    writer.close()

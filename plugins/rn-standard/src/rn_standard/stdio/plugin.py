@@ -1,0 +1,17 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="stdio",
+    summary="Serves the client that has started the server, over standard input and output.",
+    target="rn_standard.stdio.feature:StdioFeature",
+    transports=("stdio",),
+)
+"""Descriptor of the feature."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)
