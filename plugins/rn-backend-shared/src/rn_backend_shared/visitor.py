@@ -1,0 +1,219 @@
+"""A connection from the network: introduced, then carried to the process of its model frame by
+frame.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import ssl
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Protocol
+
+from rn_backend_shared import wire
+from rn_backend_shared.channel import Channel, Received
+from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
+from rn_backend_shared.processes import ModelProcess
+from rn_backend_shared.security import Guard, tune, valid_until
+from rn_backend_shared.session import FAILED
+from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
+
+log = logging.getLogger(__name__)
+HELLO_BYTES = 4096
+"""Longest introduction."""
+_REQUEST_BYTES = 1 << 25
+_SEND_S = 2.0
+_SILENT_S = 5.0
+_SLICE_S = 0.5
+_GRACE_S = 0.1
+"""So much later than its deadline an answer of the model is passed on, for the robot to count."""
+
+
+class Admission(Protocol):
+    """The server that a visitor asks."""
+
+    def admit(self, visitor: Visitor, hello: Document) -> ModelProcess:
+        """The model of a robot that has introduced itself. Raises ConnectionError or
+        ConfigurationError for one that is refused.
+        """
+
+    def leave(self, visitor: Visitor, why: str) -> None:
+        """It is gone."""
+
+    def note_lost(self, model: str) -> None:
+        """An observation whose model was not there."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Patience:
+    """How long a visitor may take.
+
+    Attributes:
+        admit_s: to shake hands and to introduce itself [s].
+        frame_s: for a frame to arrive whole [s].
+    """
+
+    admit_s: float
+    frame_s: float
+
+
+class Visitor:
+    """One connection from the network, served on a thread of its own.
+
+    Args:
+        server: to which it wants.
+        guard: puts TLS around its socket where keys are asked for.
+        connected: its socket.
+        address: of the other end.
+        patience: with it.
+
+    Raises:
+        OSError: nobody is to be talked to.
+    """
+
+    def __init__(
+        self,
+        server: Admission,
+        guard: Guard,
+        connected: socket.socket,
+        address: str,
+        patience: Patience,
+    ) -> None:
+        self.address = address
+        self._server = server
+        self._patience = patience
+        tune(connected, _SILENT_S)
+        connected.settimeout(patience.admit_s)
+        self._connected = guard.wrap(connected)
+        self._channel: Channel | None = None
+        self._expires: datetime | None = None
+        self._model: Channel | None = None
+        self._last = 0
+
+    def serve(self) -> None:
+        """Until it is gone."""
+        why = "it was refused"
+        try:
+            if isinstance(self._connected, ssl.SSLSocket):
+                self._connected.do_handshake()
+            self._expires = valid_until(self._connected)
+            channel = self._channel = Channel(self._connected, HELLO_BYTES)
+            received = channel.receive(time.monotonic() + self._patience.admit_s)
+            if received.header.kind is not Kind.HELLO:
+                raise FrameError("it has not introduced itself")
+            try:
+                process = self._server.admit(self, received.document())
+            except RoboNeuronError as error:
+                refusal = {"state": FAILED, "pid": 0, **wire.from_answer(error)}
+                channel.send(Header(Kind.WELCOME), refusal, _SEND_S)
+                raise FrameError(str(error)) from error
+            channel.most_bytes = _REQUEST_BYTES
+            log.info("A robot at %s uses the model %s.", self.address, process.name)
+            self._welcome(channel, process)
+            while True:
+                self._take(channel, process, self._next(channel))
+        except VersionError as error:
+            why = str(error)
+            self._refuse_version(error)
+        except (OSError, FrameError) as error:
+            why = str(error)
+        finally:
+            self._server.leave(self, why)
+            if self._model is not None:
+                self._model.close()
+            if self._channel is not None:
+                self._channel.close()
+            self._connected.close()
+
+    def _refuse_version(self, error: VersionError) -> None:
+        """Say it to whoever has shown a key; anybody else learns nothing."""
+        if self._expires is None or self._channel is None:
+            return
+        refusal = ConfigurationError(f"The policy server refuses: {error}.")
+        with suppress(OSError):
+            self._channel.send(Header(Kind.ANSWER), wire.from_answer(refusal), _SEND_S)
+
+    def interrupt(self) -> None:
+        """End it, from another thread."""
+        with suppress(OSError):
+            # the method of SSLSocket would go on in clear
+            socket.socket.shutdown(self._connected, socket.SHUT_RDWR)
+
+    def _next(self, channel: Channel) -> Received:
+        """The next frame, however long a robot is silent.
+
+        Raises:
+            OSError: it is gone, its certificate has expired, or a frame takes too long.
+        """
+        while True:
+            with suppress(TimeoutError):
+                return channel.receive(time.monotonic() + _SLICE_S)
+            begun_s = channel.begun_s
+            if begun_s is not None and time.monotonic() - begun_s > self._patience.frame_s:
+                raise ConnectionError("a frame has not come whole in time")
+            if self._expires is not None and datetime.now(UTC) > self._expires:
+                raise ConnectionError("its certificate has expired")
+
+    def _take(self, channel: Channel, process: ModelProcess, received: Received) -> None:
+        header = received.header
+        if header.kind is Kind.HELLO:
+            self._welcome(channel, process)
+            return
+        if header.kind is not Kind.REQUEST or header.number <= self._last:
+            raise FrameError(f"frame {header.number} of kind {header.kind} was not expected")
+        self._last = header.number
+        try:
+            answer = self._carry(process, received)
+        except NotReadyError as error:
+            self._server.note_lost(process.name)
+            told = Header(Kind.ANSWER, header.number, header.clock_ns)
+            channel.send(told, wire.from_answer(error), _SEND_S)
+        else:
+            channel.send_parts([answer.header.pack(), answer.body], _SEND_S)
+
+    def _welcome(self, channel: Channel, process: ModelProcess) -> None:
+        """Tell what the model's own process says of itself."""
+        told: Mapping[str, object] = process.welcome()
+        with suppress(NotReadyError):
+            told = self._connect(process)
+        channel.send(Header(Kind.WELCOME), told, _SEND_S)
+
+    def _connect(self, process: ModelProcess) -> Document:
+        if self._model is not None:
+            self._model.close()
+            self._model = None
+        self._model, welcome = process.connect()
+        return welcome.document
+
+    def _carry(self, process: ModelProcess, received: Received) -> Received:
+        """The model's answer to a request.
+
+        Raises:
+            NotReadyError: it has died, is not ready, or does not answer by the deadline.
+        """
+        header = received.header
+        deadline_s = time.monotonic() + header.left_s
+        if self._model is None:
+            self._connect(process)
+        assert self._model is not None
+        try:
+            self._model.send_parts([header.pack(), received.body], header.left_s)
+            while True:
+                answer = self._model.receive(deadline_s + _GRACE_S)
+                found = answer.header
+                if (found.number, found.clock_ns) == (header.number, header.clock_ns):
+                    return answer
+        except TimeoutError as error:
+            raise NotReadyError(
+                f"The model {process.name!r} did not answer before the deadline."
+            ) from error
+        except (OSError, FrameError) as error:
+            self._model.close()
+            self._model = None
+            raise NotReadyError(
+                f"The model {process.name!r} has died; the server starts it again."
+            ) from error
