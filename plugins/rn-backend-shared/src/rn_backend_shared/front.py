@@ -20,7 +20,7 @@ from rn_backend_shared.fields import text
 from rn_backend_shared.frames import Document, FrameError, Header, Kind
 from rn_backend_shared.listening import local_listener, network_listener, notify_manager
 from rn_backend_shared.options import PolicyServerOptions
-from rn_backend_shared.processes import ModelProcess
+from rn_backend_shared.replicas import Replicas
 from rn_backend_shared.security import Guard, is_same_token
 from rn_backend_shared.server import peer_user
 from rn_backend_shared.visitor import HELLO_BYTES, Patience, Visitor
@@ -57,9 +57,8 @@ class PolicyServer:
         self._options = options
         self._guard = Guard(options.listen)
         self.path = folder / f"{name}.sock"
-        self.processes = {
-            model: ModelProcess(model, given, folder / f"{name}-{model}.sock")
-            for model, given in options.models.items()
+        self.models = {
+            model: Replicas(model, given, folder, name) for model, given in options.models.items()
         }
         self._end = threading.Event()
         self._lock = threading.Lock()
@@ -80,8 +79,8 @@ class PolicyServer:
             local_listener(self.path) as local,
         ):
             self.port = network.getsockname()[1]
-            for process in self.processes.values():
-                process.start()
+            for model in self.models.values():
+                model.start()
             threads = [
                 threading.Thread(target=self._accept, args=(network,), name="accept", daemon=True),
                 threading.Thread(target=self._tell, args=(local,), name="status", daemon=True),
@@ -97,10 +96,10 @@ class PolicyServer:
                 self._end.set()
                 self.path.unlink(missing_ok=True)
                 self._table.interrupt_all()
-                for process in self.processes.values():
-                    process.stop()
-                for process in self.processes.values():
-                    process.close()
+                for model in self.models.values():
+                    model.stop()
+                for model in self.models.values():
+                    model.close()
         return 0
 
     def stop(self) -> None:
@@ -118,14 +117,13 @@ class PolicyServer:
             "refused_connections": self._table.refusals[0],
         }
         with self._lock:
-            lost = {name: self._lost[name] for name in self.processes}
+            lost = {name: self._lost[name] for name in self.models}
         own["models"] = {
-            name: {**process.status(), "lost": lost[name]}
-            for name, process in self.processes.items()
+            name: {**model.status(), "lost": lost[name]} for name, model in self.models.items()
         }
         return own
 
-    def admit(self, visitor: Visitor, hello: Document) -> ModelProcess:
+    def admit(self, visitor: Visitor, hello: Document) -> Replicas:
         """The model of a robot that has introduced itself, which is one of the robots from now on.
 
         Raises:
@@ -136,9 +134,9 @@ class PolicyServer:
         if self._guard.token and not is_same_token(shown, self._guard.token):
             raise ConnectionError("a wrong token")
         wanted = hello.get("model")
-        names = list(self.processes)
+        names = list(self.models)
         name = names[0] if wanted is None and len(names) == 1 else text(wanted or "", "model", 64)
-        if name not in self.processes:
+        if name not in self.models:
             raise ConfigurationError(
                 f"This server has no model {name!r}."
                 if name
@@ -146,7 +144,7 @@ class PolicyServer:
                 hint=f"Name one with `model`: {', '.join(names)}.",
             )
         self._table.admit(visitor)
-        return self.processes[name]
+        return self.models[name]
 
     def leave(self, visitor: Visitor, why: str) -> None:
         """It is gone."""

@@ -94,6 +94,11 @@ class SharedModel:
         """
         return dict(getattr(self._backend, SIZES, {}))
 
+    @property
+    def continues_rows(self) -> bool:
+        """Whether it continues rows that are ahead, with the context of an earlier chunk."""
+        return bool(getattr(self._backend, CONTINUES, self.spec.conditions_on_rows))
+
     def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
         """One answer for each; what one observation lacks is an error of that one only.
 
@@ -113,8 +118,7 @@ class SharedModel:
 
     def _continues(self, observation: Observation) -> bool:
         ahead = observation.ahead
-        can = getattr(self._backend, CONTINUES, self.spec.conditions_on_rows)
-        return bool(can) and ahead is not None and len(ahead.rows) > 0
+        return self.continues_rows and ahead is not None and len(ahead.rows) > 0
 
     def _together(self, observations: Sequence[Observation]) -> Sequence[Answer]:
         if self._many is not None and len(observations) > 1:

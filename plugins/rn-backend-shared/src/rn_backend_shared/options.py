@@ -13,6 +13,7 @@ from rn_backend_shared.frames import VERSION
 from roboneuron import ConfigurationOnly
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
+GpuName = Annotated[str, Field(pattern=r"^[A-Za-z0-9,:_/-]+$", max_length=256)]
 Table = Annotated[dict[str, object], ConfigurationOnly()]
 
 
@@ -145,10 +146,34 @@ class ServedModelOptions(ModelOptions):
 
     backend: Name
     """The backend that holds the model, for instance `oft`."""
+    replicas: Annotated[int, Field(ge=1, le=16)] = 1
+    """Processes that hold it. A robot stays at one of them, the one with the fewest robots, and
+    goes on with another when that dies.
+    """
+    gpus: Annotated[tuple[GpuName, ...], Field(strict=False, max_length=16)] = ()
+    """What each replica sees as `CUDA_VISIBLE_DEVICES`, replica after replica: `["0", "1"]`. Left
+    out: all see all.
+    """
+
+    @model_validator(mode="after")
+    def _check_gpus(self) -> Self:
+        if self.gpus and len(self.gpus) != self.replicas:
+            raise ValueError(
+                f"gpus names {len(self.gpus)} for {self.replicas} replicas; name one for each"
+            )
+        return self
+
+    def of_replica(self, number: int) -> ServedModelOptions:
+        """As replica `number` takes them."""
+        if not self.gpus:
+            return self
+        environment = {**self.environment, "CUDA_VISIBLE_DEVICES": self.gpus[number]}
+        return self.model_copy(update={"environment": environment})
 
     def shared(self) -> SharedOptions:
         """As its process takes them."""
-        return SharedOptions.model_validate(self.model_dump())
+        own = self.model_dump(include=set(ModelOptions.model_fields))
+        return SharedOptions.model_validate({**own, "backend": self.backend})
 
 
 class ListenOptions(BaseModel):

@@ -157,6 +157,7 @@ class SharedModelServer:
         if self._state == READY:
             told["cameras"] = list(self._model.spec.cameras)
             told["optional_cameras"] = list(self._model.spec.optional_cameras)
+            told["continues"] = self._model.continues_rows
             told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
         return told
 

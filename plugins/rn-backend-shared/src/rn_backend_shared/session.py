@@ -28,6 +28,7 @@ class Welcome:
         cameras: roles that the model needs.
         optional_cameras: roles that it uses where they are.
         image_sizes: width and height by role to which the model shrinks images itself [px].
+        continues: chunks continue rows with a context that the server holds.
         failure: why it failed, as a document; None for another state.
         document: all of it, as it came.
     """
@@ -37,6 +38,7 @@ class Welcome:
     cameras: tuple[str, ...] = ()
     optional_cameras: tuple[str, ...] = ()
     image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    continues: bool = False
     failure: Document | None = None
     document: Document = field(default_factory=dict)
 
@@ -50,6 +52,7 @@ class Welcome:
             cameras=_roles(document, "cameras"),
             optional_cameras=_roles(document, "optional_cameras"),
             image_sizes={role: _size(size) for role, size in sizes.items()},
+            continues=fields.truth(document.get("continues", False), "continues"),
             failure=document if "error" in document else None,
             document=document,
         )

@@ -17,7 +17,7 @@ from typing import Protocol
 from rn_backend_shared import wire
 from rn_backend_shared.channel import Channel, Received
 from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
-from rn_backend_shared.processes import ModelProcess
+from rn_backend_shared.replicas import Replicas, Seat
 from rn_backend_shared.security import Guard, tune, valid_until
 from rn_backend_shared.session import FAILED
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
@@ -36,7 +36,7 @@ _GRACE_S = 0.1
 class Admission(Protocol):
     """The server that a visitor asks."""
 
-    def admit(self, visitor: Visitor, hello: Document) -> ModelProcess:
+    def admit(self, visitor: Visitor, hello: Document) -> Replicas:
         """The model of a robot that has introduced itself. Raises ConnectionError or
         ConfigurationError for one that is refused.
         """
@@ -91,7 +91,7 @@ class Visitor:
         self._connected = guard.wrap(connected)
         self._channel: Channel | None = None
         self._expires: datetime | None = None
-        self._model: Channel | None = None
+        self._seat: Seat | None = None
         self._last = 0
 
     def serve(self) -> None:
@@ -106,16 +106,16 @@ class Visitor:
             if received.header.kind is not Kind.HELLO:
                 raise FrameError("it has not introduced itself")
             try:
-                process = self._server.admit(self, received.document())
+                model = self._server.admit(self, received.document())
             except RoboNeuronError as error:
                 refusal = {"state": FAILED, "pid": 0, **wire.from_answer(error)}
                 channel.send(Header(Kind.WELCOME), refusal, _SEND_S)
                 raise FrameError(str(error)) from error
             channel.most_bytes = _REQUEST_BYTES
-            log.info("A robot at %s uses the model %s.", self.address, process.name)
-            self._welcome(channel, process)
+            log.info("A robot at %s uses the model %s.", self.address, model.name)
+            self._welcome(channel, model)
             while True:
-                self._take(channel, process, self._next(channel))
+                self._take(channel, model, self._next(channel))
         except VersionError as error:
             why = str(error)
             self._refuse_version(error)
@@ -123,8 +123,7 @@ class Visitor:
             why = str(error)
         finally:
             self._server.leave(self, why)
-            if self._model is not None:
-                self._model.close()
+            self._leave_seat()
             if self._channel is not None:
                 self._channel.close()
             self._connected.close()
@@ -158,62 +157,89 @@ class Visitor:
             if self._expires is not None and datetime.now(UTC) > self._expires:
                 raise ConnectionError("its certificate has expired")
 
-    def _take(self, channel: Channel, process: ModelProcess, received: Received) -> None:
+    def _take(self, channel: Channel, model: Replicas, received: Received) -> None:
         header = received.header
         if header.kind is Kind.HELLO:
-            self._welcome(channel, process)
+            self._welcome(channel, model)
             return
         if header.kind is not Kind.REQUEST or header.number <= self._last:
             raise FrameError(f"frame {header.number} of kind {header.kind} was not expected")
         self._last = header.number
         try:
-            answer = self._carry(process, received)
+            answer = self._carry(model, received)
         except NotReadyError as error:
-            self._server.note_lost(process.name)
+            self._server.note_lost(model.name)
             told = Header(Kind.ANSWER, header.number, header.clock_ns)
             channel.send(told, wire.from_answer(error), _SEND_S)
         else:
             channel.send_parts([answer.header.pack(), answer.body], _SEND_S)
 
-    def _welcome(self, channel: Channel, process: ModelProcess) -> None:
+    def _welcome(self, channel: Channel, model: Replicas) -> None:
         """Tell what the model's own process says of itself."""
-        told: Mapping[str, object] = process.welcome()
+        told: Mapping[str, object] = model.welcome()
         with suppress(NotReadyError):
-            told = self._connect(process)
+            told = self._take_seat(model).welcome.document
         channel.send(Header(Kind.WELCOME), told, _SEND_S)
 
-    def _connect(self, process: ModelProcess) -> Document:
-        if self._model is not None:
-            self._model.close()
-            self._model = None
-        self._model, welcome = process.connect()
-        return welcome.document
+    def _take_seat(self, model: Replicas, avoided: int | None = None) -> Seat:
+        """A new seat at the model. Raises NotReadyError when no replica is ready."""
+        self._leave_seat()
+        self._seat = model.take_seat({}, avoided=avoided)
+        return self._seat
 
-    def _carry(self, process: ModelProcess, received: Received) -> Received:
-        """The model's answer to a request.
+    def _leave_seat(self) -> None:
+        seat, self._seat = self._seat, None
+        if seat is not None:
+            seat.leave()
+
+    def _carry(self, model: Replicas, received: Received) -> Received:
+        """The model's answer to a request. When its replica dies meanwhile, another one is asked,
+        once: an observation that no process survives must not end them all.
 
         Raises:
             NotReadyError: it has died, is not ready, or does not answer by the deadline.
         """
-        header = received.header
-        deadline_s = time.monotonic() + header.left_s
-        if self._model is None:
-            self._connect(process)
-        assert self._model is not None
+        deadline_s = time.monotonic() + received.header.left_s
+        if self._seat is not None and self._seat.is_crowded:
+            self._leave_seat()
+        seat = self._seat or self._take_seat(model)
         try:
-            self._model.send_parts([header.pack(), received.body], header.left_s)
-            while True:
-                answer = self._model.receive(deadline_s + _GRACE_S)
-                found = answer.header
-                if (found.number, found.clock_ns) == (header.number, header.clock_ns):
-                    return answer
+            return _asked(seat.channel, received, deadline_s)
         except TimeoutError as error:
+            if len(model.processes) > 1:  # it may hang: another one is asked next
+                with suppress(NotReadyError):
+                    self._take_seat(model, seat.replica)
             raise NotReadyError(
-                f"The model {process.name!r} did not answer before the deadline."
+                f"The model {model.name!r} did not answer before the deadline."
             ) from error
         except (OSError, FrameError) as error:
-            self._model.close()
-            self._model = None
+            self._leave_seat()
+            refusal = NotReadyError(
+                f"The model {model.name!r} has died; the server starts it again."
+            )
+            if len(model.processes) == 1 or time.monotonic() > deadline_s:
+                raise refusal from error
+            log.warning("Replica %d of the model %s has died.", seat.replica, model.name)
+        other = self._take_seat(model, seat.replica)
+        try:
+            return _asked(other.channel, received, deadline_s)
+        except TimeoutError as error:
             raise NotReadyError(
-                f"The model {process.name!r} has died; the server starts it again."
+                f"The model {model.name!r} did not answer before the deadline."
             ) from error
+        except (OSError, FrameError) as error:
+            self._leave_seat()
+            raise refusal from error
+
+
+def _asked(channel: Channel, received: Received, deadline_s: float) -> Received:
+    """The answer to a request, of the process at the other end; raises OSError or FrameError."""
+    header = received.header
+    left_s = deadline_s - time.monotonic()
+    told = header._replace(left_s=max(left_s, 0.0))
+    channel.send_parts([told.pack(), received.body], left_s)
+    while True:
+        answer = channel.receive(deadline_s + _GRACE_S)
+        found = answer.header
+        if (found.number, found.clock_ns) == (header.number, header.clock_ns):
+            return answer
