@@ -279,7 +279,9 @@ class _Robot:
                 field(received.document(), "observation"), self._recall
             )
             deadline_s = time.monotonic() + header.left_s
-            self._server.submit(Waiting(observation=observation, deadline_s=deadline_s, tell=tell))
+            self._server.submit(
+                Waiting(observation=observation, deadline_s=deadline_s, tell=tell, client=self)
+            )
         except RoboNeuronError as error:
             tell(error)
         except FrameError as error:
