@@ -25,6 +25,7 @@ from rn_backend_shared.batching import Answer, Batcher, Waiting
 from rn_backend_shared.channel import Channel, Received
 from rn_backend_shared.fields import field
 from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
+from rn_backend_shared.introduction import ROBOT, to_profile
 from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.session import FAILED, LOADING, READY
@@ -149,17 +150,36 @@ class SharedModelServer:
         self._end.wait(_FAILED_S)
         return 1
 
-    def hello(self) -> Document:
-        """What a robot is told first, and whenever it asks again while the model loads."""
+    def hello(self, hello: Document) -> Document:
+        """What a robot is told first, whenever it asks again while the model loads, and when it
+        says which robot it is (see `from_profile`).
+
+        Raises:
+            FrameError: that is no robot.
+        """
         told: Document = {"state": self._state, "pid": os.getpid()}
         if self._failure is not None:
             return told | wire.from_answer(self._failure)
         if self._state == READY:
-            told["cameras"] = list(self._model.spec.cameras)
-            told["optional_cameras"] = list(self._model.spec.optional_cameras)
+            spec = self._model.spec
+            told["cameras"] = list(spec.cameras)
+            told["optional_cameras"] = list(spec.optional_cameras)
+            told["horizon"] = spec.action_space.horizon
+            told["step_s"] = spec.action_space.step_s
+            told["most_committed"] = spec.max_committed_rows
+            told["takes_state"] = spec.takes_predicted_state
             told["continues"] = self._model.continues_rows
             told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
+            if ROBOT in hello:
+                told |= self._space_on(hello[ROBOT])
         return told
+
+    def _space_on(self, robot: object) -> Document:
+        """The space of the model's chunks on a robot, or why it cannot move that."""
+        try:
+            return {"space": wire.from_space(self._model.space_on(to_profile(robot)))}
+        except RoboNeuronError as error:
+            return {"refusal": wire.from_answer(error)}
 
     def status(self) -> Document:
         """Numbers of this server."""
@@ -255,7 +275,7 @@ class _Robot:
     def _take(self, received: Received) -> None:
         header = received.header
         if header.kind is Kind.HELLO:
-            self._send(Header(Kind.WELCOME), self._server.hello())
+            self._send(Header(Kind.WELCOME), self._server.hello(received.document()))
             return
         if header.kind is Kind.STATUS:
             self._send(Header(Kind.STATUS), self._server.status())

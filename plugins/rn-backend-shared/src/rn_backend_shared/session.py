@@ -10,7 +10,7 @@ from rn_backend_shared import fields, wire
 from rn_backend_shared.channel import Channel
 from rn_backend_shared.frames import Document, FrameError, Header, Kind
 from rn_backend_shared.images import MOST_SIDE_PX
-from roboneuron import ActionChunk, NotReadyError
+from roboneuron import ActionChunk, ControlSpace, NotReadyError, RoboNeuronError
 
 LOADING, READY, FAILED = "loading", "ready", "failed"
 """States of a server."""
@@ -29,6 +29,11 @@ class Welcome:
         optional_cameras: roles that it uses where they are.
         image_sizes: width and height by role to which the model shrinks images itself [px].
         continues: chunks continue rows with a context that the server holds.
+        horizon, step_s: rows of a chunk, and time between two [s], as its backend declares.
+        most_committed: see `BackendSpec.max_committed_rows`.
+        takes_predicted_state: see `BackendSpec`.
+        space: of its chunks on the robot that has introduced itself; None: not asked.
+        refusal: why that robot cannot use it, as a document.
         failure: why it failed, as a document; None for another state.
         document: all of it, as it came.
     """
@@ -39,12 +44,19 @@ class Welcome:
     optional_cameras: tuple[str, ...] = ()
     image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     continues: bool = False
+    horizon: int = 1
+    step_s: float = 0.0
+    most_committed: int = 0
+    takes_predicted_state: bool = False
+    space: ControlSpace | None = None
+    refusal: Document | None = None
     failure: Document | None = None
     document: Document = field(default_factory=dict)
 
     @classmethod
     def of(cls, document: Document) -> Welcome:
         """What was sent; raises FrameError."""
+        space, refusal = document.get("space"), document.get("refusal")
         sizes = fields.table(document.get("image_sizes", {}), "image sizes", 16)
         return cls(
             state=fields.text(fields.field(document, "state"), "state"),
@@ -53,6 +65,12 @@ class Welcome:
             optional_cameras=_roles(document, "optional_cameras"),
             image_sizes={role: _size(size) for role, size in sizes.items()},
             continues=fields.truth(document.get("continues", False), "continues"),
+            horizon=fields.integer(document.get("horizon", 1), "horizon", 1, wire.MOST_ROWS),
+            step_s=fields.number(document.get("step_s", 0.0), "step_s", 0.0),
+            most_committed=fields.integer(document.get("most_committed", 0), "most_committed", 0),
+            takes_predicted_state=fields.truth(document.get("takes_state", False), "takes_state"),
+            space=None if space is None else _space(space),
+            refusal=None if refusal is None else fields.table(refusal, "a refusal", 8),
             failure=document if "error" in document else None,
             document=document,
         )
@@ -61,6 +79,13 @@ class Welcome:
 def _roles(document: Document, name: str) -> tuple[str, ...]:
     roles = fields.items(document.get(name, []), name, most=16)
     return tuple(fields.text(role, "a role", 64) for role in roles)
+
+
+def _space(value: object) -> ControlSpace:
+    try:
+        return wire.to_space(value)
+    except RoboNeuronError as error:
+        raise FrameError(f"the server tells a space that is none: {error}") from error
 
 
 def _size(value: object) -> tuple[int, int]:
@@ -121,6 +146,14 @@ class Session:
             "shared.link_ms": max(round_trip_ms - inside_ms, 0.0),
         }
         return replace(chunk, metrics={**chunk.metrics, **own})
+
+    def introduce(self, hello: Document, timeout_s: float) -> Welcome:
+        """What the server says to a robot that says more of itself; between two questions.
+
+        Raises:
+            OSError, FrameError: as `greet`.
+        """
+        return greet(self._channel, hello, timeout_s)
 
     def _answer(self, asked: Header, deadline_s: float) -> Document:
         """The answer to this question. Others belong to nobody: they are late, or repeated."""

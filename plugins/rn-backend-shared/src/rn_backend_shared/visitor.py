@@ -17,6 +17,7 @@ from typing import Protocol
 from rn_backend_shared import wire
 from rn_backend_shared.channel import Channel, Received
 from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
+from rn_backend_shared.introduction import ROBOT
 from rn_backend_shared.replicas import Replicas, Seat
 from rn_backend_shared.security import Guard, tune, valid_until
 from rn_backend_shared.session import FAILED
@@ -113,7 +114,7 @@ class Visitor:
                 raise FrameError(str(error)) from error
             channel.most_bytes = _REQUEST_BYTES
             log.info("A robot at %s uses the model %s.", self.address, model.name)
-            self._welcome(channel, model)
+            self._welcome(channel, model, received)
             while True:
                 self._take(channel, model, self._next(channel))
         except VersionError as error:
@@ -160,7 +161,7 @@ class Visitor:
     def _take(self, channel: Channel, model: Replicas, received: Received) -> None:
         header = received.header
         if header.kind is Kind.HELLO:
-            self._welcome(channel, model)
+            self._welcome(channel, model, received)
             return
         if header.kind is not Kind.REQUEST or header.number <= self._last:
             raise FrameError(f"frame {header.number} of kind {header.kind} was not expected")
@@ -174,17 +175,21 @@ class Visitor:
         else:
             channel.send_parts([answer.header.pack(), answer.body], _SEND_S)
 
-    def _welcome(self, channel: Channel, model: Replicas) -> None:
+    def _welcome(self, channel: Channel, model: Replicas, received: Received) -> None:
         """Tell what the model's own process says of itself."""
+        hello = received.document()
         told: Mapping[str, object] = model.welcome()
+        own = {ROBOT: hello[ROBOT]} if ROBOT in hello else {}
         with suppress(NotReadyError):
-            told = self._take_seat(model).welcome.document
+            told = self._take_seat(model, hello=own).welcome.document
         channel.send(Header(Kind.WELCOME), told, _SEND_S)
 
-    def _take_seat(self, model: Replicas, avoided: int | None = None) -> Seat:
+    def _take_seat(
+        self, model: Replicas, avoided: int | None = None, hello: Document | None = None
+    ) -> Seat:
         """A new seat at the model. Raises NotReadyError when no replica is ready."""
         self._leave_seat()
-        self._seat = model.take_seat({}, avoided=avoided)
+        self._seat = model.take_seat(hello or {}, avoided=avoided)
         return self._seat
 
     def _leave_seat(self) -> None:
