@@ -15,7 +15,14 @@ from rn_backend_shared import wire
 from rn_backend_shared.frames import Document
 from rn_backend_shared.images import CODINGS, Coding, Size, encode_image, fit, image_bytes
 from rn_backend_shared.options import SharedOptions
-from roboneuron import ActionChunk, ConfigurationError, Frame, Observation
+from roboneuron import (
+    ActionChunk,
+    ConfigurationError,
+    Frame,
+    NotReadyError,
+    Observation,
+    RoboNeuronError,
+)
 
 log = logging.getLogger(__name__)
 Ask = Callable[[Document, float], ActionChunk]
@@ -157,7 +164,8 @@ class Coder:
         when coding or size may change what the model answers.
 
         Raises:
-            ConfigurationError: actions move further by it than the options allow.
+            ConfigurationError: actions move further by it than the options allow, or the model
+                remembers observations.
             RoboNeuronError: as `ask`.
         """
         fitted = self._fitted(observation)
@@ -226,9 +234,15 @@ class Coder:
         def asked(observation: Observation, coding: Coding) -> ActionChunk:
             return self._timed(observation, coding, ask, time.monotonic() + PARITY_S)
 
-        # twice: what a model draws at random is no fault of the coding
-        as_is = [asked(whole if shrinks else fitted, "png") for _ in range(2)]
-        coded = asked(fitted, "jpeg" if loses else "png")
+        first = asked(whole if shrinks else fitted, "png")
+        try:
+            # twice: what a model draws at random is no fault of the coding
+            as_is = [first, asked(whole if shrinks else fitted, "png")]
+            coded = asked(fitted, "jpeg" if loses else "png")
+        except NotReadyError:
+            raise
+        except RoboNeuronError as error:
+            raise _remembers(error) from error
         self._meter.assume("raw", sum(frame.image.nbytes for frame in fitted.frames.values()))
         itself, moved = distances(*as_is), distances(as_is[0], coded)
         beyond = {unit: max(moved[unit] - itself[unit], 0.0) for unit in moved}
@@ -253,6 +267,15 @@ class Coder:
             self._meter.settle(coded.step_s, self._allowed)
             log.info("Images are sent as %s.", self.coding)
         return {f"shared.parity_{unit}": beyond[unit] for unit in limits}
+
+
+def _remembers(error: RoboNeuronError) -> ConfigurationError:
+    return ConfigurationError(
+        "The model answered an observation and refused the same one when it was asked again, to "
+        f"measure what coded images change: it remembers what it has seen. It says: {error}",
+        hint="Such a model must not be served with stateless = true: it mixes robots up. For one "
+        "robot alone set coding = 'raw' or 'png' in [plugins.shared], which asks nothing twice.",
+    )
 
 
 def distances(one: ActionChunk, other: ActionChunk) -> dict[str, float]:
