@@ -153,6 +153,11 @@ class Batcher:
             key=lambda one: one.deadline_s,
         )
 
+    @property
+    def waiting(self) -> int:
+        """How many wait."""
+        return len(self._waiting)
+
     def start(self) -> None:
         """Begin to answer."""
         self._thread.start()

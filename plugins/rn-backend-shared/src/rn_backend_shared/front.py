@@ -11,7 +11,8 @@ import socket
 import threading
 import time
 from collections import Counter
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rn_backend_shared.admission import AdmissionTable
@@ -23,6 +24,7 @@ from rn_backend_shared.options import PolicyServerOptions
 from rn_backend_shared.replicas import Replicas
 from rn_backend_shared.security import Guard, is_same_token
 from rn_backend_shared.server import peer_user
+from rn_backend_shared.statistics import Times
 from rn_backend_shared.visitor import HELLO_BYTES, Patience, Visitor
 from roboneuron import ConfigurationError
 
@@ -64,8 +66,9 @@ class PolicyServer:
         self._lock = threading.Lock()
         self._table = AdmissionTable(options.listen.robots)
         self._lost: Counter[str] = Counter()
+        self._served = {name: Times() for name in options.models}
         self.has_begun = threading.Event()
-        self.port = 0
+        self.port = self.metrics_port = 0
 
     def run(self) -> int:
         """Serve until `stop`; returns the exit status.
@@ -75,6 +78,7 @@ class PolicyServer:
         """
         listen = self._options.listen
         with (
+            self._metrics(),
             network_listener(listen.host, listen.port) as network,
             local_listener(self.path) as local,
         ):
@@ -114,12 +118,16 @@ class PolicyServer:
             "keys": listen.keys,
             "pid": os.getpid(),
             "robots": self._table.robots,
+            "metrics_port": self.metrics_port,
             "refused_connections": self._table.refusals[0],
         }
         with self._lock:
-            lost = {name: self._lost[name] for name in self.models}
+            own_numbers = {
+                name: {"lost": self._lost[name], "served_times": self._served[name].document()}
+                for name in self.models
+            }
         own["models"] = {
-            name: {**model.status(), "lost": lost[name]} for name, model in self.models.items()
+            name: {**model.status(), **own_numbers[name]} for name, model in self.models.items()
         }
         return own
 
@@ -151,10 +159,34 @@ class PolicyServer:
         if self._table.leave(visitor, why):
             log.info("A robot at %s is gone: %s", visitor.address, why)
 
+    def note_served(self, model: str, took_s: float) -> None:
+        """See `Admission`."""
+        with self._lock:
+            self._served[model].note(took_s)
+
     def note_lost(self, model: str) -> None:
         """An observation whose model was not there."""
         with self._lock:
             self._lost[model] += 1
+
+    @contextmanager
+    def _metrics(self) -> Iterator[None]:
+        """Serve the metrics meanwhile, where the options name a port. Raises as
+        `MetricsEndpoint`.
+        """
+        listen = self._options.listen
+        if listen.metrics_port is None:
+            yield
+            return
+        from rn_backend_shared.metrics import MetricsEndpoint
+
+        endpoint = MetricsEndpoint(listen.metrics_host, listen.metrics_port, self.status)
+        self.metrics_port = endpoint.port
+        log.info("Metrics are at http://%s:%d/metrics.", listen.metrics_host, endpoint.port)
+        try:
+            yield
+        finally:
+            endpoint.close()
 
     def _watch(self) -> None:
         """Until the end: hang up on those that have taken too long, and on all when keys change."""

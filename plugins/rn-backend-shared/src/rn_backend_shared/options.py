@@ -199,6 +199,12 @@ class ListenOptions(BaseModel):
     """With `token`: the server's certificate chain (PEM), a must where it is not loopback."""
     key: Path | None = None
     """Its key (PEM)."""
+    metrics_port: Annotated[int | None, Field(ge=0, le=65535)] = None
+    """Serve numbers for Prometheus at this port, 9465 as a rule; 0 for a free one. Left out: none
+    are served.
+    """
+    metrics_host: str = "127.0.0.1"
+    """Address of that. Whoever reaches it reads the numbers, without a key."""
     robots: Annotated[int, Field(ge=1, le=100)] = 64
     """Most robots that are connected."""
     directory: Path | None = None

@@ -13,7 +13,16 @@ from rn_backend_shared.processes import DEAD, ModelProcess
 from rn_backend_shared.session import FAILED, LOADING, READY, Welcome
 from roboneuron import NotReadyError
 
-_SUMS = ("clients", "batches", "observations", "answered", "refused", "errors", "restarts")
+_SUMS = (
+    "clients",
+    "waiting",
+    "batches",
+    "observations",
+    "answered",
+    "refused",
+    "errors",
+    "restarts",
+)
 _GREATEST = ("model_ms_median", "model_ms_p99", "busy_s")
 _BEST_FIRST = (READY, LOADING, DEAD, FAILED)
 """A model is in the best state of its replicas."""

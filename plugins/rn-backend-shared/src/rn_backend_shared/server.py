@@ -188,6 +188,7 @@ class SharedModelServer:
             "state": self._state,
             "pid": os.getpid(),
             "clients": asking,
+            "waiting": 0 if self._batcher is None else self._batcher.waiting,
             **self._statistics.values(),
         }
 

@@ -45,6 +45,9 @@ class Admission(Protocol):
     def leave(self, visitor: Visitor, why: str) -> None:
         """It is gone."""
 
+    def note_served(self, model: str, took_s: float) -> None:
+        """An observation was answered, so long after it had come whole [s]."""
+
     def note_lost(self, model: str) -> None:
         """An observation whose model was not there."""
 
@@ -166,6 +169,7 @@ class Visitor:
         if header.kind is not Kind.REQUEST or header.number <= self._last:
             raise FrameError(f"frame {header.number} of kind {header.kind} was not expected")
         self._last = header.number
+        begun_s = time.monotonic()
         try:
             answer = self._carry(model, received)
         except NotReadyError as error:
@@ -173,6 +177,7 @@ class Visitor:
             told = Header(Kind.ANSWER, header.number, header.clock_ns)
             channel.send(told, wire.from_answer(error), _SEND_S)
         else:
+            self._server.note_served(model.name, time.monotonic() - begun_s)
             channel.send_parts([answer.header.pack(), answer.body], _SEND_S)
 
     def _welcome(self, channel: Channel, model: Replicas, received: Received) -> None:
