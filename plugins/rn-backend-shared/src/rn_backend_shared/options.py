@@ -10,9 +10,14 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_backend_shared.frames import VERSION
+from rn_backend_shared.images import MOST_SIDE_PX
 from roboneuron import ConfigurationOnly
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
+Role = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+_Pixel = Annotated[int, Field(ge=0, le=MOST_SIDE_PX)]
+_Side = Annotated[int, Field(ge=1, le=MOST_SIDE_PX)]
+Rectangle = Annotated[tuple[_Pixel, _Pixel, _Side, _Side], Field(strict=False)]
 GpuName = Annotated[str, Field(pattern=r"^[A-Za-z0-9,:_/-]+$", max_length=256)]
 Table = Annotated[dict[str, object], ConfigurationOnly()]
 
@@ -38,6 +43,11 @@ class ModelOptions(BaseModel):
     """Share a backend that cannot answer several observations at once: it is asked one by one. Only
     for a backend that remembers nothing from one observation to the next, because it would mix the
     robots up.
+    """
+    crop: Annotated[dict[Role, Rectangle], ConfigurationOnly(), Field(max_length=16)] = {}
+    """What the checkpoint takes of an image, by role of the camera: left, top, width and height
+    [px]. A server crops what comes whole, and tells robots of other machines, which send no more
+    than that. A robot's own, with an address, is checked as `image_size`.
     """
     most: Annotated[int, Field(ge=1, le=256)] = 8
     """Most observations in one batch."""
@@ -106,8 +116,8 @@ class SharedOptions(ModelOptions):
     declares no size.
     """
     parity_m: Annotated[float, ConfigurationOnly(), Field(ge=0)] = 0.002
-    """Before the first action it is measured how far JPEG or `image_size` move actions. Where it is
-    more, JPEG is not chosen, and what is fixed is refused [m, m/s].
+    """Before the first action it is measured how far JPEG, `image_size` or `crop` move actions.
+    Where it is more, JPEG is not chosen, and what is fixed is refused [m, m/s].
     """
     parity_rad: Annotated[float, ConfigurationOnly(), Field(ge=0)] = 0.01
     """Likewise [rad, rad/s]."""

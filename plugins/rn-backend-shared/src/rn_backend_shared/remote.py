@@ -91,7 +91,7 @@ class RemoteLink:
             with self._lock:
                 self._session = session
             sizes = session.welcome.image_sizes
-            self._coder = Coder(self._options, sizes, session.base_s)
+            self._coder = Coder(self._options, sizes, session.base_s, crops=session.welcome.crops)
             return session.welcome
 
     def describe(self, profile: RobotProfile) -> Welcome:

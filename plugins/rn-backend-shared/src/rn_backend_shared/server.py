@@ -17,6 +17,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
@@ -25,6 +26,7 @@ from rn_backend_shared.batching import Answer, Batcher, Waiting
 from rn_backend_shared.channel import Channel, Received
 from rn_backend_shared.fields import field
 from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
+from rn_backend_shared.images import CROPPED, crop
 from rn_backend_shared.introduction import ROBOT, to_profile
 from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
@@ -35,6 +37,7 @@ from roboneuron import (
     ConfigurationError,
     InvalidInputError,
     NotReadyError,
+    Observation,
     PluginError,
     RoboNeuronError,
 )
@@ -169,6 +172,7 @@ class SharedModelServer:
             told["most_committed"] = spec.max_committed_rows
             told["takes_state"] = spec.takes_predicted_state
             told["continues"] = self._model.continues_rows
+            told["crops"] = {role: list(one) for role, one in self._options.crop.items()}
             told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
             if ROBOT in hello:
                 told |= self._space_on(hello[ROBOT])
@@ -191,6 +195,22 @@ class SharedModelServer:
             "waiting": 0 if self._batcher is None else self._batcher.waiting,
             **self._statistics.values(),
         }
+
+    def cropped(self, observation: Observation, document: Document) -> Observation:
+        """The observation as the model takes it: images that the robot did not crop are cropped.
+
+        Args:
+            observation: that was sent.
+            document: as which.
+
+        Raises:
+            InvalidInputError: an image does not hold what is to be cropped.
+        """
+        frames = dict(observation.frames)
+        for role, rectangle in self._options.crop.items():
+            if role in frames and not document["frames"][role].get(CROPPED, False):
+                frames[role] = crop(frames[role], rectangle)
+        return replace(observation, frames=frames)
 
     def submit(self, waiting: Waiting) -> None:
         """See `Batcher`."""
@@ -296,9 +316,9 @@ class _Robot:
                 self._send(answer_header, wire.from_answer(refusal))
 
         try:
-            observation = wire.to_observation(
-                field(received.document(), "observation"), self._recall
-            )
+            document = field(received.document(), "observation")
+            observation = wire.to_observation(document, self._recall)
+            observation = self._server.cropped(observation, document)
             deadline_s = time.monotonic() + header.left_s
             self._server.submit(
                 Waiting(observation=observation, deadline_s=deadline_s, tell=tell, client=self)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from rn_backend_shared import fields, wire
 from rn_backend_shared.channel import Channel
 from rn_backend_shared.frames import Document, FrameError, Header, Kind
-from rn_backend_shared.images import MOST_SIDE_PX
+from rn_backend_shared.images import MOST_SIDE_PX, Rectangle
 from roboneuron import ActionChunk, ControlSpace, NotReadyError, RoboNeuronError
 
 LOADING, READY, FAILED = "loading", "ready", "failed"
@@ -28,6 +28,7 @@ class Welcome:
         cameras: roles that the model needs.
         optional_cameras: roles that it uses where they are.
         image_sizes: width and height by role to which the model shrinks images itself [px].
+        crops: what the server takes of an image that comes whole, by role.
         continues: chunks continue rows with a context that the server holds.
         horizon, step_s: rows of a chunk, and time between two [s], as its backend declares.
         most_committed: see `BackendSpec.max_committed_rows`.
@@ -43,6 +44,7 @@ class Welcome:
     cameras: tuple[str, ...] = ()
     optional_cameras: tuple[str, ...] = ()
     image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    crops: Mapping[str, Rectangle] = field(default_factory=dict)
     continues: bool = False
     horizon: int = 1
     step_s: float = 0.0
@@ -57,6 +59,7 @@ class Welcome:
     def of(cls, document: Document) -> Welcome:
         """What was sent; raises FrameError."""
         space, refusal = document.get("space"), document.get("refusal")
+        crops = fields.table(document.get("crops", {}), "crops", 16)
         sizes = fields.table(document.get("image_sizes", {}), "image sizes", 16)
         return cls(
             state=fields.text(fields.field(document, "state"), "state"),
@@ -64,6 +67,7 @@ class Welcome:
             cameras=_roles(document, "cameras"),
             optional_cameras=_roles(document, "optional_cameras"),
             image_sizes={role: _size(size) for role, size in sizes.items()},
+            crops={role: _rectangle(one) for role, one in crops.items()},
             continues=fields.truth(document.get("continues", False), "continues"),
             horizon=fields.integer(document.get("horizon", 1), "horizon", 1, wire.MOST_ROWS),
             step_s=fields.number(document.get("step_s", 0.0), "step_s", 0.0),
@@ -79,6 +83,13 @@ class Welcome:
 def _roles(document: Document, name: str) -> tuple[str, ...]:
     roles = fields.items(document.get(name, []), name, most=16)
     return tuple(fields.text(role, "a role", 64) for role in roles)
+
+
+def _rectangle(value: object) -> Rectangle:
+    left, top, *size = fields.items(value, "a crop", most=4, least=4)
+    most = MOST_SIDE_PX
+    found = fields.integer(left, "left", 0, most), fields.integer(top, "top", 0, most)
+    return *found, *_size(size)
 
 
 def _space(value: object) -> ControlSpace:
