@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import socket
-import sys
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ from rn_backend_shared.plugin import BACKEND
 from rn_backend_shared.statistics import BOUNDS_S, Times
 from rn_testing.fakes.backend import make_observation
 from rn_testing.waiting import wait_until
-from roboneuron import ConfigurationError, MissingDependencyError
+from roboneuron import ConfigurationError
 
 pytestmark = pytest.mark.timeout(200)
 SEEN = make_observation(BACKEND)
@@ -106,14 +105,9 @@ def test_times_are_counted_up_to_their_bound() -> None:
     assert (counts[0], counts[1], counts[-1], sum(counts)) == (2, 1, 1, 4)
 
 
-def test_an_address_in_use_and_a_missing_library_are_one_clear_error(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_address_in_use_is_one_clear_error() -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as taken,
         pytest.raises(ConfigurationError, match="metrics_port"),
     ):
         MetricsEndpoint("127.0.0.1", taken.getsockname()[1], dict)
-    monkeypatch.setitem(sys.modules, "prometheus_client", None)
-    with pytest.raises(MissingDependencyError, match=r"\[metrics\]"):
-        MetricsEndpoint("127.0.0.1", 0, dict)

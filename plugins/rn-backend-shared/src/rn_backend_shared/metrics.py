@@ -9,17 +9,20 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from socketserver import BaseServer
-from typing import TYPE_CHECKING
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
+
+from prometheus_client import CollectorRegistry, make_wsgi_app
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    Metric,
+)
 
 from rn_backend_shared.frames import Document
 from rn_backend_shared.session import READY
 from rn_backend_shared.statistics import BOUNDS_S
-from roboneuron import ConfigurationError, MissingDependencyError
-from roboneuron.command import availability
-
-if TYPE_CHECKING:
-    from prometheus_client.core import HistogramMetricFamily, Metric
+from roboneuron import ConfigurationError
 
 _PREFIX = "roboneuron_policy"
 _MODEL = ["model", "replica"]
@@ -49,12 +52,6 @@ class PolicyMetrics:
 
     def collect(self) -> Iterator[Metric]:
         """All metrics; on the thread of the endpoint."""
-        from prometheus_client.core import (
-            CounterMetricFamily,
-            GaugeMetricFamily,
-            HistogramMetricFamily,
-        )
-
         told = self._status()
         rows = [
             ([name, str(number)], one)
@@ -140,18 +137,10 @@ class MetricsEndpoint:
         status: see `PolicyMetrics`.
 
     Raises:
-        MissingDependencyError: prometheus-client is not installed.
         ConfigurationError: the address cannot be used.
     """
 
     def __init__(self, host: str, port: int, status: Callable[[], Document]) -> None:
-        try:
-            from prometheus_client import CollectorRegistry, make_wsgi_app
-        except ModuleNotFoundError as error:
-            raise MissingDependencyError(
-                "metrics_port of [listen] needs prometheus-client, which is not installed.",
-                hint=f"Run: {availability.install_command('rn-backend-shared')}[metrics].",
-            ) from error
         registry = CollectorRegistry()
         registry.register(PolicyMetrics(status))
         try:
