@@ -270,10 +270,16 @@ def _declared(
     if spec.space is None:
         return EE_DELTA
     declare = cast(
-        "Callable[[Mapping[str, object], RobotProfile], ControlSpace]",
+        "Callable[[Mapping[str, object], RobotProfile], ControlSpace | None]",
         loading.load_attribute(spec.space, f"`space` of {spec.name!r}"),
     )
-    return declare(options, profile)
+    declared = declare(options, profile)
+    if declared is None:
+        raise ConfigurationError(
+            f"In which space backend {spec.name!r} acts is known only by the server of its model.",
+            hint=f"Say it: `space` in [plugins.{spec.name}].",
+        )
+    return declared
 
 
 def _for_backend(layout: Layout, spec: BackendSpec, space: ControlSpace) -> Layout:

@@ -6,11 +6,24 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from rn_backend_shared import wire
 from rn_backend_shared.links import Links
 from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.plugin import BACKEND
 from rn_backend_shared.remote import RemoteLink
 from rn_backend_shared.session import Welcome
-from roboneuron import ActionChunk, Backend, InvalidInputError, Observation, StateError
+from roboneuron import (
+    ActionChunk,
+    ActionSpace,
+    Backend,
+    BackendSpec,
+    ConfigurationError,
+    ControlSpace,
+    InvalidInputError,
+    Observation,
+    RobotProfile,
+    StateError,
+)
 
 
 class SharedBackend:
@@ -40,6 +53,36 @@ class SharedBackend:
             links.close()
             raise
         self._links = links
+
+    def served_spec(self, profile: RobotProfile) -> tuple[BackendSpec, ControlSpace] | None:
+        """What the server of another machine tells of its model to this robot: its needs and
+        chunks, as a descriptor, and the space of its rows. None for a model of this machine.
+
+        Raises:
+            NotReadyError: it does not answer.
+            RoboNeuronError: why this robot cannot use the model, as its backend says it.
+            ConfigurationError: it tells no space.
+        """
+        if not isinstance(self._links, RemoteLink):
+            return None
+        told = self._links.describe(profile)
+        if told.refusal is not None:
+            wire.to_answer(told.refusal)
+        if told.space is None:
+            raise ConfigurationError(
+                f"The server {self._options.address} does not say in which space its model acts.",
+                hint="Install the same release of rn-backend-shared there.",
+            )
+        served = replace(
+            BACKEND,
+            cameras=told.cameras,
+            optional_cameras=told.optional_cameras,
+            action_space=ActionSpace(horizon=told.horizon, step_s=told.step_s),
+            conditions_on_rows=told.continues,
+            max_committed_rows=told.most_committed,
+            takes_predicted_state=told.takes_predicted_state,
+        )
+        return served, told.space
 
     def predict(self, observation: Observation) -> ActionChunk:
         """What the shared model answers.

@@ -1,5 +1,5 @@
-"""What waits for the model: the earliest deadline first, as many at once as can be answered in
-time.
+"""What waits for the model: a fair share for each client, the earliest deadline first among those
+who have had as much, as many at once as can be answered in time.
 """
 
 from __future__ import annotations
@@ -7,6 +7,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -31,13 +32,57 @@ class Waiting:
         observation: what is seen.
         deadline_s: monotonic time after which nobody wants the answer [s].
         tell: called with the answer, once, on the thread of the model; must not block for long.
+        client: who asks; compared by identity. All that waits for one client shares one turn.
         since_s: monotonic time since which it waits [s]; set by `Batcher.submit`.
     """
 
     observation: Observation
     deadline_s: float
     tell: Callable[[Answer], object]
+    client: object = None
     since_s: float = 0.0
+
+
+class Turns:
+    """How much each client has had: start-time fair queueing with a cost of one for each answer.
+
+    A client's next turn is one after its last, but never before the turn that was served last:
+    who was silent gains nothing by it, and who asks more often than others comes after them.
+    Source: Goyal, Vin, Cheng: Start-time Fair Queueing (1996).
+    """
+
+    def __init__(self) -> None:
+        self._now = 0
+        self._next: dict[int, int] = {}
+
+    def order(self, waiting: Sequence[Waiting], most: int) -> list[Waiting]:
+        """The first `most` of what waits, in their order."""
+        queues: dict[int, list[Waiting]] = {}
+        for one in sorted(waiting, key=lambda one: one.deadline_s):
+            queues.setdefault(id(one.client), []).append(one)
+        keys = [
+            (self._turn(client) + place, one.deadline_s, one)
+            for client, queue in queues.items()
+            for place, one in enumerate(queue)
+        ]
+        return [one for *_, one in sorted(keys, key=lambda key: key[:2])[:most]]
+
+    def note(self, served: Sequence[Waiting]) -> None:
+        """Count what is answered."""
+        turns = []
+        for one in served:
+            client = id(one.client)
+            turns.append(self._turn(client))
+            self._next[client] = turns[-1] + 1
+        self._now = max([self._now, *turns])
+        self._next = {client: turn for client, turn in self._next.items() if turn > self._now}
+
+    def settle(self) -> None:
+        """Nobody waits: what clients have had no longer counts."""
+        self._next = {}
+
+    def _turn(self, client: int) -> int:
+        return max(self._next.get(client, 0), self._now)
 
 
 class Batcher:
@@ -46,7 +91,7 @@ class Batcher:
     Args:
         predict: one answer for each observation; called on the batcher's thread only.
         most: most observations in one batch.
-        waiting: most that wait.
+        waiting: most that wait. Beyond it the client with most of them gives one up.
         linger_s: how long the first one of an idle server waits for others.
         clients: how many may ask; when all of them wait, nobody else is waited for.
         clock: monotonic time [s].
@@ -69,6 +114,7 @@ class Batcher:
         self._clients = clients
         self._clock = clock
         self._waiting: list[Waiting] = []
+        self._turns = Turns()
         self._changed = threading.Condition()
         self._expected_s: dict[int, float] = {}
         self._is_over = False
@@ -81,14 +127,36 @@ class Batcher:
             NotReadyError: too many wait already.
         """
         with self._changed:
-            if self._is_over or len(self._waiting) >= self._most_waiting:
-                raise NotReadyError(
-                    f"The shared model has {len(self._waiting)} observations waiting; no more are "
-                    "accepted.",
-                    hint="Fewer robots, a faster model, or more replicas.",
-                )
+            given_up = self._given_up(waiting.client)
+            self._waiting = [one for one in self._waiting if one is not given_up]
             self._waiting.append(replace(waiting, since_s=self._clock()))
             self._changed.notify()
+        if given_up is not None:
+            given_up.tell(_full(self._most_waiting))
+
+    def _given_up(self, client: object) -> Waiting | None:
+        """What leaves a full queue for an observation of a client, None while it is not full.
+
+        Raises:
+            NotReadyError: the client has as many there as any other.
+        """
+        if self._is_over:
+            raise NotReadyError("The shared model is being stopped.")
+        if len(self._waiting) < self._most_waiting:
+            return None
+        counts = Counter(id(one.client) for one in self._waiting)
+        greedy, most = counts.most_common(1)[0]
+        if counts[id(client)] + 1 >= most:
+            raise _full(len(self._waiting))
+        return max(
+            (one for one in self._waiting if id(one.client) == greedy),
+            key=lambda one: one.deadline_s,
+        )
+
+    @property
+    def waiting(self) -> int:
+        """How many wait."""
+        return len(self._waiting)
 
     def start(self) -> None:
         """Begin to answer."""
@@ -116,22 +184,34 @@ class Batcher:
         )
 
     def take(self) -> tuple[list[Waiting], list[Waiting]]:
-        """The next batch, earliest deadline first, and those that are too late; both leave the
-        queue.
+        """The next batch, and those that are too late; both leave the queue.
+
+        Clients are taken in turns, see `Turns`; those who have had as many turns by their earliest
+        deadline. The first of the batch decides how large it may be. Others that a batch of this
+        size would answer too late stay.
         """
         now_s = self._clock()
         with self._changed:
-            in_order = sorted(self._waiting, key=lambda waiting: waiting.deadline_s)
-            late = [waiting for waiting in in_order if waiting.deadline_s <= now_s]
-            good = in_order[len(late) :]
-            count = min(len(good), self._most)
-            wanted = count
-            while count > 1 and now_s + self.expected_s(count) > good[0].deadline_s:
+            late = [waiting for waiting in self._waiting if waiting.deadline_s <= now_s]
+            good = [waiting for waiting in self._waiting if waiting.deadline_s > now_s]
+            in_order = self._turns.order(good, self._most)
+            count = wanted = len(in_order)
+            while count > 1 and now_s + self.expected_s(count) > in_order[0].deadline_s:
                 count -= 1
             if count < wanted:
                 self._forget_above(count)
-            self._waiting = good[count:]
-            return good[:count], late
+            end_s = now_s + self.expected_s(count)
+            batch = [
+                waiting
+                for place, waiting in enumerate(in_order[:count])
+                if not place or waiting.deadline_s >= end_s
+            ]
+            self._turns.note(batch)
+            taken = {id(waiting) for waiting in batch}
+            self._waiting = [waiting for waiting in good if id(waiting) not in taken]
+            if not self._waiting:
+                self._turns.settle()
+            return batch, late
 
     def step(self) -> None:
         """Answer one batch, and refuse what is too late."""
@@ -189,6 +269,13 @@ class Batcher:
     def _is_complete(self) -> bool:
         """Nobody else is worth waiting for."""
         return self._is_over or len(self._waiting) >= min(self._most, self._clients())
+
+
+def _full(count: int) -> NotReadyError:
+    return NotReadyError(
+        f"The shared model has {count} observations waiting; no more are accepted.",
+        hint="Fewer robots, a faster model, or more replicas.",
+    )
 
 
 def _with_metrics(answer: Answer, count: int, took_s: float, queued_s: float = 0.0) -> Answer:

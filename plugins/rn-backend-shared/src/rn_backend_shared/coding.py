@@ -8,14 +8,32 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 
 from rn_backend_shared import wire
 from rn_backend_shared.frames import Document
-from rn_backend_shared.images import CODINGS, Coding, Size, encode_image, fit, image_bytes
+from rn_backend_shared.images import (
+    CODINGS,
+    CROPPED,
+    Coding,
+    Rectangle,
+    Size,
+    crop,
+    encode_image,
+    fit,
+    image_bytes,
+)
 from rn_backend_shared.options import SharedOptions
-from roboneuron import ActionChunk, ConfigurationError, Frame, Observation
+from roboneuron import (
+    ActionChunk,
+    ConfigurationError,
+    Frame,
+    NotReadyError,
+    Observation,
+    RoboNeuronError,
+)
 
 log = logging.getLogger(__name__)
 Ask = Callable[[Document, float], ActionChunk]
@@ -30,6 +48,7 @@ _PROBE = 100
 was measured long ago may no longer be true.
 """
 _LINK = "shared.link_ms"
+_NONE: Mapping[str, Rectangle] = MappingProxyType({})
 
 
 class LinkMeter:
@@ -133,10 +152,30 @@ class Coder:
         options: of the backend.
         sizes: to which the model itself shrinks images, by role or by name of the camera.
         base_s: a round trip of next to nothing [s].
+        crops: what the server takes of an image that comes whole, by role.
+
+    Raises:
+        ConfigurationError: the options crop otherwise than the server.
     """
 
-    def __init__(self, options: SharedOptions, sizes: Mapping[str, Size], base_s: float) -> None:
+    def __init__(
+        self,
+        options: SharedOptions,
+        sizes: Mapping[str, Size],
+        base_s: float,
+        *,
+        crops: Mapping[str, Rectangle] = _NONE,
+    ) -> None:
         self._options = options
+        for role in options.crop.keys() & crops.keys():
+            if options.crop[role] != crops[role]:
+                raise ConfigurationError(
+                    f"The server crops images of {role!r} to {list(crops[role])}, `crop` of "
+                    f"[plugins.shared] says {list(options.crop[role])}.",
+                    hint="Leave it out here: a robot crops as the server says.",
+                )
+        self._told_crops = dict(crops)
+        self._crops = {**options.crop, **crops}
         self._sizes = dict(sizes)
         self._meter = LinkMeter(options.link_share)
         self._meter.note_base(base_s)
@@ -157,7 +196,8 @@ class Coder:
         when coding or size may change what the model answers.
 
         Raises:
-            ConfigurationError: actions move further by it than the options allow.
+            ConfigurationError: actions move further by it than the options allow, or the model
+                remembers observations.
             RoboNeuronError: as `ask`.
         """
         fitted = self._fitted(observation)
@@ -165,7 +205,7 @@ class Coder:
             self._parity = self._check(observation, fitted, ask)
             deadline_s = time.monotonic() + self._options.timeout_s
         coding = self._next()
-        chunk = self._timed(fitted, coding, ask, deadline_s)
+        chunk = self._timed(fitted, coding, ask, deadline_s, is_fitted=True)
         if self._options.coding == "auto":
             self._choose(chunk)
         return replace(chunk, metrics={**chunk.metrics, **self._parity})
@@ -187,20 +227,37 @@ class Coder:
         frames = {}
         for role, frame in observation.frames.items():
             size = self._declared(role, frame) or own
+            if role in self._crops:
+                frame = crop(frame, self._crops[role])
             frames[role] = frame if size is None else fit(frame, size)
         return replace(observation, frames=frames)
 
     def _declared(self, role: str, frame: Frame) -> Size | None:
         return self._sizes.get(role, self._sizes.get(frame.camera))
 
+    def _is_own(self, role: str, frame: Frame) -> bool:
+        """The configuration of this robot changes the image, and not the server's word."""
+        crops = role in self._crops and role not in self._told_crops
+        return crops or (
+            self._options.image_size is not None and self._declared(role, frame) is None
+        )
+
     def _timed(
-        self, observation: Observation, coding: Coding, ask: Ask, deadline_s: float
+        self,
+        observation: Observation,
+        coding: Coding,
+        ask: Ask,
+        deadline_s: float,
+        *,
+        is_fitted: bool,
     ) -> ActionChunk:
         begun_s = time.monotonic()
         document = wire.from_observation(observation)
         for role, frame in observation.frames.items():
             coded = encode_image(frame.image, coding, self._options.quality)
             document["frames"][role]["image"] = coded
+            if is_fitted and role in self._crops:
+                document["frames"][role][CROPPED] = True
         coding_s, size = time.monotonic() - begun_s, image_bytes(document)
         chunk = ask(document, deadline_s)
         self._meter.note(coding, size, coding_s, chunk.metrics[_LINK] / 1e3)
@@ -214,21 +271,32 @@ class Coder:
     def _check(self, whole: Observation, fitted: Observation, ask: Ask) -> dict[str, float]:
         """How far actions move by coding and shrinking, beyond what they move by themselves."""
         options = self._options
-        shrinks = any(
-            self._declared(role, frame) is None
-            and frame.image.shape != fitted.frames[role].image.shape
+        changes = any(
+            self._is_own(role, frame) and frame.image.shape != fitted.frames[role].image.shape
             for role, frame in whole.frames.items()
         )
         loses = "jpeg" in self._allowed
-        if not loses and not shrinks:
+        if not loses and not changes:
             return {}
 
         def asked(observation: Observation, coding: Coding) -> ActionChunk:
-            return self._timed(observation, coding, ask, time.monotonic() + PARITY_S)
+            return self._timed(
+                observation,
+                coding,
+                ask,
+                time.monotonic() + PARITY_S,
+                is_fitted=observation is fitted,
+            )
 
-        # twice: what a model draws at random is no fault of the coding
-        as_is = [asked(whole if shrinks else fitted, "png") for _ in range(2)]
-        coded = asked(fitted, "jpeg" if loses else "png")
+        first = asked(whole if changes else fitted, "png")
+        try:
+            # twice: what a model draws at random is no fault of the coding
+            as_is = [first, asked(whole if changes else fitted, "png")]
+            coded = asked(fitted, "jpeg" if loses else "png")
+        except NotReadyError:
+            raise
+        except RoboNeuronError as error:
+            raise _remembers(error) from error
         self._meter.assume("raw", sum(frame.image.nbytes for frame in fitted.frames.values()))
         itself, moved = distances(*as_is), distances(as_is[0], coded)
         beyond = {unit: max(moved[unit] - itself[unit], 0.0) for unit in moved}
@@ -239,12 +307,13 @@ class Coder:
         )
         limits = {"m": options.parity_m, "rad": options.parity_rad}
         excess = [unit for unit in limits if beyond[unit] > limits[unit]]
-        if excess and (shrinks or options.coding == "jpeg"):
+        if excess and (changes or options.coding == "jpeg"):
             unit = excess[0]
             raise ConfigurationError(
                 f"Actions move by {beyond[unit]:.3g} {unit} when images are coded as configured; "
                 f"parity_{unit} = {limits[unit]:g} are allowed.",
-                hint="Raise quality or image_size, use coding = 'png', or allow more.",
+                hint="Raise quality or image_size, look at crop, use coding = 'png', or allow "
+                "more.",
             )
         if excess:
             log.warning("JPEG is not used: it moves actions by more than is allowed.")
@@ -253,6 +322,15 @@ class Coder:
             self._meter.settle(coded.step_s, self._allowed)
             log.info("Images are sent as %s.", self.coding)
         return {f"shared.parity_{unit}": beyond[unit] for unit in limits}
+
+
+def _remembers(error: RoboNeuronError) -> ConfigurationError:
+    return ConfigurationError(
+        "The model answered an observation and refused the same one when it was asked again, to "
+        f"measure what coded images change: it remembers what it has seen. It says: {error}",
+        hint="Such a model must not be served with stateless = true: it mixes robots up. For one "
+        "robot alone set coding = 'raw' or 'png' in [plugins.shared], which asks nothing twice.",
+    )
 
 
 def distances(one: ActionChunk, other: ActionChunk) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Images on their way: shrunk to what the model takes, and coded."""
+"""Images on their way: cropped and shrunk to what the model takes, and coded."""
 
 from __future__ import annotations
 
@@ -11,16 +11,42 @@ from numpy.typing import NDArray
 
 from rn_backend_shared.fields import array, field, integer
 from rn_backend_shared.frames import Document, FrameError
-from roboneuron import Frame
+from roboneuron import Frame, InvalidInputError
 
 Coding = Literal["raw", "png", "jpeg"]
 CODINGS: tuple[Coding, ...] = ("raw", "png", "jpeg")
 """From the one that needs most of the link to the one that needs least; the last one loses."""
 Size = tuple[int, int]
 """Width and height [px]."""
+Rectangle = tuple[int, int, int, int]
+"""Left, top, width and height [px]."""
 MOST_SIDE_PX = 8192
+CROPPED = "cropped"
+"""Entry of a frame that is sent: the robot has cropped it."""
 _PNG_LEVEL = 1
 """Higher ones take several times as long for a few per cent."""
+
+
+def crop(frame: Frame, rectangle: Rectangle) -> Frame:
+    """What a rectangle shows of the frame, its calibration as well.
+
+    Raises:
+        InvalidInputError: the image does not hold it.
+    """
+    left, top, width, height = rectangle
+    all_height, all_width = frame.image.shape[:2]
+    if left + width > all_width or top + height > all_height:
+        raise InvalidInputError(
+            f"The image of camera {frame.camera!r} is {all_width} x {all_height}, `crop` takes "
+            f"{width} x {height} at {left}, {top} of it."
+        )
+    known = frame.calibration
+    if known is not None:
+        moved = known.intrinsics.copy()
+        moved[:2, 2] -= (left, top)
+        known = replace(known, intrinsics=moved)
+    image = np.ascontiguousarray(frame.image[top : top + height, left : left + width])
+    return replace(frame, image=image, calibration=known)
 
 
 def fit(frame: Frame, size: Size) -> Frame:

@@ -9,14 +9,17 @@ from typing import cast
 
 from rn_backend_shared.batching import Answer
 from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.space import space_of
 from roboneuron import (
     AccelerationSpec,
     ActionChunk,
     Backend,
     BackendSpec,
     ConfigurationError,
+    ControlSpace,
     Observation,
     RoboNeuronError,
+    RobotProfile,
     RuntimeSpec,
 )
 from roboneuron.command import build, discover
@@ -94,6 +97,19 @@ class SharedModel:
         """
         return dict(getattr(self._backend, SIZES, {}))
 
+    @property
+    def continues_rows(self) -> bool:
+        """Whether it continues rows that are ahead, with the context of an earlier chunk."""
+        return bool(getattr(self._backend, CONTINUES, self.spec.conditions_on_rows))
+
+    def space_on(self, profile: RobotProfile) -> ControlSpace:
+        """The space of its chunks on a robot.
+
+        Raises:
+            RoboNeuronError: the robot is not one that it can move, as its backend says it.
+        """
+        return space_of(self.spec, self._options, profile)
+
     def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
         """One answer for each; what one observation lacks is an error of that one only.
 
@@ -113,8 +129,7 @@ class SharedModel:
 
     def _continues(self, observation: Observation) -> bool:
         ahead = observation.ahead
-        can = getattr(self._backend, CONTINUES, self.spec.conditions_on_rows)
-        return bool(can) and ahead is not None and len(ahead.rows) > 0
+        return self.continues_rows and ahead is not None and len(ahead.rows) > 0
 
     def _together(self, observations: Sequence[Observation]) -> Sequence[Answer]:
         if self._many is not None and len(observations) > 1:

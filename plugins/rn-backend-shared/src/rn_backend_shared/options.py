@@ -10,9 +10,15 @@ from typing import Annotated, Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_backend_shared.frames import VERSION
+from rn_backend_shared.images import MOST_SIDE_PX
 from roboneuron import ConfigurationOnly
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]*$", max_length=64)]
+Role = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+_Pixel = Annotated[int, Field(ge=0, le=MOST_SIDE_PX)]
+_Side = Annotated[int, Field(ge=1, le=MOST_SIDE_PX)]
+Rectangle = Annotated[tuple[_Pixel, _Pixel, _Side, _Side], Field(strict=False)]
+GpuName = Annotated[str, Field(pattern=r"^[A-Za-z0-9,:_/-]+$", max_length=256)]
 Table = Annotated[dict[str, object], ConfigurationOnly()]
 
 
@@ -37,6 +43,11 @@ class ModelOptions(BaseModel):
     """Share a backend that cannot answer several observations at once: it is asked one by one. Only
     for a backend that remembers nothing from one observation to the next, because it would mix the
     robots up.
+    """
+    crop: Annotated[dict[Role, Rectangle], ConfigurationOnly(), Field(max_length=16)] = {}
+    """What the checkpoint takes of an image, by role of the camera: left, top, width and height
+    [px]. A server crops what comes whole, and tells robots of other machines, which send no more
+    than that. A robot's own, with an address, is checked as `image_size`.
     """
     most: Annotated[int, Field(ge=1, le=256)] = 8
     """Most observations in one batch."""
@@ -105,8 +116,8 @@ class SharedOptions(ModelOptions):
     declares no size.
     """
     parity_m: Annotated[float, ConfigurationOnly(), Field(ge=0)] = 0.002
-    """Before the first action it is measured how far JPEG or `image_size` move actions. Where it is
-    more, JPEG is not chosen, and what is fixed is refused [m, m/s].
+    """Before the first action it is measured how far JPEG, `image_size` or `crop` move actions.
+    Where it is more, JPEG is not chosen, and what is fixed is refused [m, m/s].
     """
     parity_rad: Annotated[float, ConfigurationOnly(), Field(ge=0)] = 0.01
     """Likewise [rad, rad/s]."""
@@ -145,10 +156,34 @@ class ServedModelOptions(ModelOptions):
 
     backend: Name
     """The backend that holds the model, for instance `oft`."""
+    replicas: Annotated[int, Field(ge=1, le=16)] = 1
+    """Processes that hold it. A robot stays at one of them, the one with the fewest robots, and
+    goes on with another when that dies.
+    """
+    gpus: Annotated[tuple[GpuName, ...], Field(strict=False, max_length=16)] = ()
+    """What each replica sees as `CUDA_VISIBLE_DEVICES`, replica after replica: `["0", "1"]`. Left
+    out: all see all.
+    """
+
+    @model_validator(mode="after")
+    def _check_gpus(self) -> Self:
+        if self.gpus and len(self.gpus) != self.replicas:
+            raise ValueError(
+                f"gpus names {len(self.gpus)} for {self.replicas} replicas; name one for each"
+            )
+        return self
+
+    def of_replica(self, number: int) -> ServedModelOptions:
+        """As replica `number` takes them."""
+        if not self.gpus:
+            return self
+        environment = {**self.environment, "CUDA_VISIBLE_DEVICES": self.gpus[number]}
+        return self.model_copy(update={"environment": environment})
 
     def shared(self) -> SharedOptions:
         """As its process takes them."""
-        return SharedOptions.model_validate(self.model_dump())
+        own = self.model_dump(include=set(ModelOptions.model_fields))
+        return SharedOptions.model_validate({**own, "backend": self.backend})
 
 
 class ListenOptions(BaseModel):
@@ -174,6 +209,12 @@ class ListenOptions(BaseModel):
     """With `token`: the server's certificate chain (PEM), a must where it is not loopback."""
     key: Path | None = None
     """Its key (PEM)."""
+    metrics_port: Annotated[int | None, Field(ge=0, le=65535)] = None
+    """Serve numbers for Prometheus at this port, 9465 as a rule; 0 for a free one. Left out: none
+    are served.
+    """
+    metrics_host: str = "127.0.0.1"
+    """Address of that. Whoever reaches it reads the numbers, without a key."""
     robots: Annotated[int, Field(ge=1, le=100)] = 64
     """Most robots that are connected."""
     directory: Path | None = None

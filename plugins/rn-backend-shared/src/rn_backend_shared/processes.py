@@ -9,7 +9,9 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from rn_backend_shared import wire
 from rn_backend_shared.channel import Channel
@@ -32,6 +34,7 @@ _WELL_S = 60.0
 """After so long without a fault the pauses begin anew."""
 _END_S = 20.0
 _MOST_LOG_BYTES = 10_000_000
+_NOBODY: Mapping[str, object] = MappingProxyType({})
 
 
 class ModelProcess:
@@ -80,14 +83,17 @@ class ModelProcess:
             return {"state": FAILED, "pid": 0, **self._failure}
         return {"state": LOADING, "pid": 0}
 
-    def connect(self) -> tuple[Channel, Welcome]:
+    def connect(self, hello: Document) -> tuple[Channel, Welcome]:
         """A connection to its process, when it is ready.
+
+        Args:
+            hello: what a robot is introduced with.
 
         Raises:
             NotReadyError: it is not.
         """
         try:
-            channel, welcome = _connect(self.path)
+            channel, welcome = _connect(self.path, hello)
         except (OSError, FrameError) as error:
             raise NotReadyError(
                 f"The model {self.name!r} has died, or is being started; it comes back by itself."
@@ -225,7 +231,7 @@ def _failure(welcome: Welcome) -> Document | None:
     raise FrameError("a failure without an error")
 
 
-def _connect(path: Path) -> tuple[Channel, Welcome]:
+def _connect(path: Path, hello: Mapping[str, object] = _NOBODY) -> tuple[Channel, Welcome]:
     """Greet the server at a local socket; raises OSError or FrameError."""
     connected = socket.socket(socket.AF_UNIX)
     try:
@@ -236,7 +242,7 @@ def _connect(path: Path) -> tuple[Channel, Welcome]:
         connected.close()
         raise
     try:
-        return channel, greet(channel, {}, _GREET_S)
+        return channel, greet(channel, dict(hello), _GREET_S)
     except BaseException:
         channel.close()
         raise

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from rn_backend_shared.channel import Channel
 from rn_backend_shared.coding import Coder
 from rn_backend_shared.frames import Document, FrameError, VersionError
+from rn_backend_shared.introduction import ROBOT, from_profile
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.security import Place, link_stamps, place_of, tune
 from rn_backend_shared.session import Session, Welcome, check_ready, greet
@@ -21,11 +22,13 @@ from roboneuron import (
     NotReadyError,
     Observation,
     RoboNeuronError,
+    RobotProfile,
 )
 
 log = logging.getLogger(__name__)
 _CONNECT_S = 3.0
 _GREET_S = 2.0
+_DESCRIBE_S = 5.0
 _REACH_S = 10.0
 """So long a server is looked for at the start; one that loads is waited for longer."""
 _LOOK_S = 0.2
@@ -88,8 +91,26 @@ class RemoteLink:
             with self._lock:
                 self._session = session
             sizes = session.welcome.image_sizes
-            self._coder = Coder(self._options, sizes, session.base_s)
+            self._coder = Coder(self._options, sizes, session.base_s, crops=session.welcome.crops)
             return session.welcome
+
+    def describe(self, profile: RobotProfile) -> Welcome:
+        """What the server says of its model to this robot, once it is reached.
+
+        Raises:
+            NotReadyError: it does not answer.
+        """
+        with self._lock:
+            session = self._session
+        if session is None:
+            raise NotReadyError(f"There is no connection to the server {self._address}.")
+        try:
+            return session.introduce({ROBOT: from_profile(profile)}, _DESCRIBE_S)
+        except (OSError, FrameError) as error:
+            self._lose(str(error))
+            raise NotReadyError(
+                f"The server {self._address} does not say what its model yields: {error}."
+            ) from error
 
     def ask(self, observation: Observation, deadline_s: float) -> ActionChunk:
         """The answer to an observation; before the first one it is measured what coded images

@@ -64,6 +64,12 @@ class ServePolicyCommand:
         )
         parser.add_argument("--host", metavar="ADDRESS", help="listen there, whatever FILE says")
         parser.add_argument("--port", type=int, metavar="N", help="likewise")
+        parser.add_argument(
+            "--replicas", type=int, metavar="N", help="processes that hold the model, likewise"
+        )
+        parser.add_argument(
+            "--model", metavar="NAME", help="which model of FILE --replicas means; else all"
+        )
         parser.add_argument("--json", action="store_true", help="status as JSON")
 
     def run(self, arguments: Namespace) -> int:
@@ -126,10 +132,30 @@ def read_options(arguments: Namespace) -> PolicyServerOptions:
     if isinstance(listen, dict):
         chosen = {key: value for key, value in given.items() if value is not None}
         tables["listen"] = {**listen, **chosen}
+    _set_replicas(tables.get("models"), arguments.model, arguments.replicas, path)
     described = replace(SERVE_COMMAND, config="rn_backend_shared.options:PolicyServerOptions")
     options = loading.load_options(described, tables, section=path.name)
     assert isinstance(options, PolicyServerOptions)
     return options
+
+
+def _set_replicas(models: object, name: str | None, count: int | None, path: Path) -> None:
+    """Put the count of the command line into the tables of models.
+
+    Raises:
+        ConfigurationError: there is no model of that name, or no count for it.
+    """
+    if name is not None and count is None:
+        raise ConfigurationError("--model goes with --replicas N.")
+    if count is None or not isinstance(models, dict):
+        return
+    if name is not None and name not in models:
+        raise ConfigurationError(
+            f"{path} has no model {name!r}.", hint=f"It has: {', '.join(models)}."
+        )
+    for own, table in models.items():
+        if name in (None, own) and isinstance(table, dict):
+            table["replicas"] = count
 
 
 def name_of(path: Path) -> str:
@@ -142,8 +168,11 @@ def table_of(status: Document) -> str:
     """A status for people."""
     rows = [[title for title, _ in _COLUMNS]]
     for name, model in status["models"].items():
-        known = {"name": name, **model}
-        rows.append([_cell(known.get(key)) for _, key in _COLUMNS])
+        replicas = model.get("replicas", ())
+        named = {name: model} | {f"{name}.{number}": one for number, one in enumerate(replicas)}
+        for shown, numbers in named.items():
+            known = {"name": shown, **numbers}
+            rows.append([_cell(known.get(key)) for _, key in _COLUMNS])
     widths = [max(len(row[i]) for row in rows) for i in range(len(_COLUMNS))]
     lines = [
         f"{status['address']} (keys: {status['keys']}), {status['robots']} robots, "

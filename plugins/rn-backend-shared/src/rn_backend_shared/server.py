@@ -17,6 +17,7 @@ import threading
 import time
 from collections import OrderedDict
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import IO
 
@@ -25,6 +26,8 @@ from rn_backend_shared.batching import Answer, Batcher, Waiting
 from rn_backend_shared.channel import Channel, Received
 from rn_backend_shared.fields import field
 from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
+from rn_backend_shared.images import CROPPED, crop
+from rn_backend_shared.introduction import ROBOT, to_profile
 from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.session import FAILED, LOADING, READY
@@ -34,6 +37,7 @@ from roboneuron import (
     ConfigurationError,
     InvalidInputError,
     NotReadyError,
+    Observation,
     PluginError,
     RoboNeuronError,
 )
@@ -149,16 +153,37 @@ class SharedModelServer:
         self._end.wait(_FAILED_S)
         return 1
 
-    def hello(self) -> Document:
-        """What a robot is told first, and whenever it asks again while the model loads."""
+    def hello(self, hello: Document) -> Document:
+        """What a robot is told first, whenever it asks again while the model loads, and when it
+        says which robot it is (see `from_profile`).
+
+        Raises:
+            FrameError: that is no robot.
+        """
         told: Document = {"state": self._state, "pid": os.getpid()}
         if self._failure is not None:
             return told | wire.from_answer(self._failure)
         if self._state == READY:
-            told["cameras"] = list(self._model.spec.cameras)
-            told["optional_cameras"] = list(self._model.spec.optional_cameras)
+            spec = self._model.spec
+            told["cameras"] = list(spec.cameras)
+            told["optional_cameras"] = list(spec.optional_cameras)
+            told["horizon"] = spec.action_space.horizon
+            told["step_s"] = spec.action_space.step_s
+            told["most_committed"] = spec.max_committed_rows
+            told["takes_state"] = spec.takes_predicted_state
+            told["continues"] = self._model.continues_rows
+            told["crops"] = {role: list(one) for role, one in self._options.crop.items()}
             told["image_sizes"] = {role: list(size) for role, size in self._image_sizes.items()}
+            if ROBOT in hello:
+                told |= self._space_on(hello[ROBOT])
         return told
+
+    def _space_on(self, robot: object) -> Document:
+        """The space of the model's chunks on a robot, or why it cannot move that."""
+        try:
+            return {"space": wire.from_space(self._model.space_on(to_profile(robot)))}
+        except RoboNeuronError as error:
+            return {"refusal": wire.from_answer(error)}
 
     def status(self) -> Document:
         """Numbers of this server."""
@@ -167,8 +192,25 @@ class SharedModelServer:
             "state": self._state,
             "pid": os.getpid(),
             "clients": asking,
+            "waiting": 0 if self._batcher is None else self._batcher.waiting,
             **self._statistics.values(),
         }
+
+    def cropped(self, observation: Observation, document: Document) -> Observation:
+        """The observation as the model takes it: images that the robot did not crop are cropped.
+
+        Args:
+            observation: that was sent.
+            document: as which.
+
+        Raises:
+            InvalidInputError: an image does not hold what is to be cropped.
+        """
+        frames = dict(observation.frames)
+        for role, rectangle in self._options.crop.items():
+            if role in frames and not document["frames"][role].get(CROPPED, False):
+                frames[role] = crop(frames[role], rectangle)
+        return replace(observation, frames=frames)
 
     def submit(self, waiting: Waiting) -> None:
         """See `Batcher`."""
@@ -254,7 +296,7 @@ class _Robot:
     def _take(self, received: Received) -> None:
         header = received.header
         if header.kind is Kind.HELLO:
-            self._send(Header(Kind.WELCOME), self._server.hello())
+            self._send(Header(Kind.WELCOME), self._server.hello(received.document()))
             return
         if header.kind is Kind.STATUS:
             self._send(Header(Kind.STATUS), self._server.status())
@@ -274,11 +316,13 @@ class _Robot:
                 self._send(answer_header, wire.from_answer(refusal))
 
         try:
-            observation = wire.to_observation(
-                field(received.document(), "observation"), self._recall
-            )
+            document = field(received.document(), "observation")
+            observation = wire.to_observation(document, self._recall)
+            observation = self._server.cropped(observation, document)
             deadline_s = time.monotonic() + header.left_s
-            self._server.submit(Waiting(observation=observation, deadline_s=deadline_s, tell=tell))
+            self._server.submit(
+                Waiting(observation=observation, deadline_s=deadline_s, tell=tell, client=self)
+            )
         except RoboNeuronError as error:
             tell(error)
         except FrameError as error:

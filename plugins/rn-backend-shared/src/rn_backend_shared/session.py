@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from rn_backend_shared import fields, wire
 from rn_backend_shared.channel import Channel
 from rn_backend_shared.frames import Document, FrameError, Header, Kind
-from rn_backend_shared.images import MOST_SIDE_PX
-from roboneuron import ActionChunk, NotReadyError
+from rn_backend_shared.images import MOST_SIDE_PX, Rectangle
+from roboneuron import ActionChunk, ControlSpace, NotReadyError, RoboNeuronError
 
 LOADING, READY, FAILED = "loading", "ready", "failed"
 """States of a server."""
@@ -28,6 +28,13 @@ class Welcome:
         cameras: roles that the model needs.
         optional_cameras: roles that it uses where they are.
         image_sizes: width and height by role to which the model shrinks images itself [px].
+        crops: what the server takes of an image that comes whole, by role.
+        continues: chunks continue rows with a context that the server holds.
+        horizon, step_s: rows of a chunk, and time between two [s], as its backend declares.
+        most_committed: see `BackendSpec.max_committed_rows`.
+        takes_predicted_state: see `BackendSpec`.
+        space: of its chunks on the robot that has introduced itself; None: not asked.
+        refusal: why that robot cannot use it, as a document.
         failure: why it failed, as a document; None for another state.
         document: all of it, as it came.
     """
@@ -37,12 +44,22 @@ class Welcome:
     cameras: tuple[str, ...] = ()
     optional_cameras: tuple[str, ...] = ()
     image_sizes: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    crops: Mapping[str, Rectangle] = field(default_factory=dict)
+    continues: bool = False
+    horizon: int = 1
+    step_s: float = 0.0
+    most_committed: int = 0
+    takes_predicted_state: bool = False
+    space: ControlSpace | None = None
+    refusal: Document | None = None
     failure: Document | None = None
     document: Document = field(default_factory=dict)
 
     @classmethod
     def of(cls, document: Document) -> Welcome:
         """What was sent; raises FrameError."""
+        space, refusal = document.get("space"), document.get("refusal")
+        crops = fields.table(document.get("crops", {}), "crops", 16)
         sizes = fields.table(document.get("image_sizes", {}), "image sizes", 16)
         return cls(
             state=fields.text(fields.field(document, "state"), "state"),
@@ -50,6 +67,14 @@ class Welcome:
             cameras=_roles(document, "cameras"),
             optional_cameras=_roles(document, "optional_cameras"),
             image_sizes={role: _size(size) for role, size in sizes.items()},
+            crops={role: _rectangle(one) for role, one in crops.items()},
+            continues=fields.truth(document.get("continues", False), "continues"),
+            horizon=fields.integer(document.get("horizon", 1), "horizon", 1, wire.MOST_ROWS),
+            step_s=fields.number(document.get("step_s", 0.0), "step_s", 0.0),
+            most_committed=fields.integer(document.get("most_committed", 0), "most_committed", 0),
+            takes_predicted_state=fields.truth(document.get("takes_state", False), "takes_state"),
+            space=None if space is None else _space(space),
+            refusal=None if refusal is None else fields.table(refusal, "a refusal", 8),
             failure=document if "error" in document else None,
             document=document,
         )
@@ -58,6 +83,20 @@ class Welcome:
 def _roles(document: Document, name: str) -> tuple[str, ...]:
     roles = fields.items(document.get(name, []), name, most=16)
     return tuple(fields.text(role, "a role", 64) for role in roles)
+
+
+def _rectangle(value: object) -> Rectangle:
+    left, top, *size = fields.items(value, "a crop", most=4, least=4)
+    most = MOST_SIDE_PX
+    found = fields.integer(left, "left", 0, most), fields.integer(top, "top", 0, most)
+    return *found, *_size(size)
+
+
+def _space(value: object) -> ControlSpace:
+    try:
+        return wire.to_space(value)
+    except RoboNeuronError as error:
+        raise FrameError(f"the server tells a space that is none: {error}") from error
 
 
 def _size(value: object) -> tuple[int, int]:
@@ -118,6 +157,14 @@ class Session:
             "shared.link_ms": max(round_trip_ms - inside_ms, 0.0),
         }
         return replace(chunk, metrics={**chunk.metrics, **own})
+
+    def introduce(self, hello: Document, timeout_s: float) -> Welcome:
+        """What the server says to a robot that says more of itself; between two questions.
+
+        Raises:
+            OSError, FrameError: as `greet`.
+        """
+        return greet(self._channel, hello, timeout_s)
 
     def _answer(self, asked: Header, deadline_s: float) -> Document:
         """The answer to this question. Others belong to nobody: they are late, or repeated."""

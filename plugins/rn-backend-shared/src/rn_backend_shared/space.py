@@ -7,7 +7,7 @@ from typing import cast
 
 from pydantic import ValidationError
 
-from rn_backend_shared.options import SharedOptions, SpaceOptions
+from rn_backend_shared.options import ModelOptions, SharedOptions, SpaceOptions
 from roboneuron import (
     EE_DELTA,
     BackendSpec,
@@ -20,12 +20,13 @@ from roboneuron import (
 from roboneuron.command import discover, loading
 
 
-def shared_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
+def shared_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace | None:
     """What the backend that holds the model says of its own options; of a model with an address
-    what a person says.
+    what a person says, or None: its server is asked when the backend has reached it.
 
-    A backend that is installed in the server's interpreter only is taken to move the TCP; chunks
-    in another space are then refused. Options that are wrong are told when the backend loads.
+    A backend that is installed in the interpreter of this machine's servers only is taken to move
+    the TCP; chunks in another space are then refused. Options that are wrong are told when the
+    backend loads.
 
     Raises:
         RoboNeuronError: as that backend's `space`.
@@ -37,16 +38,25 @@ def shared_space(options: Mapping[str, object], profile: RobotProfile) -> Contro
     if given.space is not None:
         return _declared(given.space, profile)
     if given.backend is None:
-        return EE_DELTA
+        return None
     try:
         spec = discover().get(BackendSpec, given.backend, elsewhere=True)
     except ConfigurationError:
         return EE_DELTA
+    return space_of(spec, given, profile)
+
+
+def space_of(spec: BackendSpec, options: ModelOptions, profile: RobotProfile) -> ControlSpace:
+    """The space of a backend's chunks with its options, on a robot.
+
+    Raises:
+        RoboNeuronError: as the backend's `space`.
+    """
     if spec.space is None:
         return EE_DELTA
-    own = dict(given.options)
-    if given.checkpoint is not None:
-        own["checkpoint"] = given.checkpoint
+    own = dict(options.options)
+    if options.checkpoint is not None:
+        own["checkpoint"] = options.checkpoint
     declare = cast(
         "Callable[[Mapping[str, object], RobotProfile], ControlSpace]",
         loading.load_attribute(spec.space, f"`space` of {spec.name!r}"),

@@ -50,7 +50,7 @@ from roboneuron import (
 _MOST_CAMERAS = 16
 _MOST_ARMS = 8
 _MOST_NAMES = 256
-_MOST_ROWS = 4096
+MOST_ROWS = 4096
 _MOST_METRICS = 128
 _ERRORS: dict[str, type[RoboNeuronError]] = {
     kind.code: kind
@@ -204,8 +204,8 @@ def _to_arm(value: object) -> ArmState:
 
 def _to_ahead(value: object, held: Held) -> Ahead:
     rows = numbers(field(value, "rows"), "rows ahead", (None, None))
-    if len(rows) > _MOST_ROWS:
-        raise InvalidInputError(f"{len(rows)} rows ahead are more than {_MOST_ROWS}.")
+    if len(rows) > MOST_ROWS:
+        raise InvalidInputError(f"{len(rows)} rows ahead are more than {MOST_ROWS}.")
     named = field(value, "context")
     context = None
     if named is not None:
@@ -256,11 +256,9 @@ def from_answer(
             "message": answer.message[:MOST_TEXT],
             "hint": answer.hint[:MOST_TEXT],
         }
-    space = answer.space
-    channels = [[c.name, c.unit, c.frame, c.arm] for c in space.channels]
     return {
         "actions": answer.actions,
-        "space": [space.kind, space.rate_hz, channels],
+        "space": from_space(answer.space),
         "step_s": answer.step_s,
         "metrics": [
             list(answer.metrics),
@@ -294,7 +292,7 @@ def to_answer(document: Mapping[str, object]) -> ActionChunk:
         note=text(field(document, "note"), "a note", MOST_TEXT),
         context=None if context is None else _to_context(context),
         conditioned_rows=integer(field(document, "conditioned_rows"), "conditioned_rows"),
-        space=_to_space(field(document, "space")),
+        space=to_space(field(document, "space")),
     )
 
 
@@ -303,8 +301,19 @@ def _to_context(value: object) -> HeldContext:
     return HeldContext(integer(session, "a context"), integer(count, "a context"))
 
 
-def _to_space(value: object) -> ControlSpace:
-    """The space that was sent; the default is the contract's own object."""
+def from_space(space: ControlSpace) -> list[object]:
+    """What is sent of a space."""
+    channels = [[c.name, c.unit, c.frame, c.arm] for c in space.channels]
+    return [space.kind, space.rate_hz, channels]
+
+
+def to_space(value: object) -> ControlSpace:
+    """The space that was sent; the default is the contract's own object.
+
+    Raises:
+        FrameError: it is none.
+        RoboNeuronError: as `ControlSpace`.
+    """
     kind, rate_hz, channels = items(value, "a space", most=3, least=3)
     named = [
         [text(word, "a channel") for word in items(channel, "a channel", most=4, least=4)]

@@ -108,7 +108,8 @@ class BackendSpec(Spec):
         space: "module:attribute" of what says which space its chunks have: called with the options
             (a mapping, unchecked) and the robot's profile, before anything heavy is imported,
             returns a `ControlSpace` or raises a RoboNeuronError. It may read small files of the
-            checkpoint. None: `ee_delta`, always.
+            checkpoint; None where the loaded backend tells it (`served_spec`). None: `ee_delta`,
+            always.
     """
 
     kind: ClassVar[str] = "backend"

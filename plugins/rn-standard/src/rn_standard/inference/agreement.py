@@ -17,6 +17,7 @@ from roboneuron import (
     SPACE_KINDS,
     ActionChunk,
     BackendSpec,
+    ConfigurationError,
     ControllerSpec,
     ControlSpace,
     InvalidInputError,
@@ -181,6 +182,36 @@ def _described(space: ControlSpace) -> str:
     return f"{space.kind} ({', '.join(space.keys)}{relative}{rate})"
 
 
+def declared_space(
+    registry: Registry, backend: BackendSpec, options: Mapping[str, object], robot: str
+) -> ControlSpace | None:
+    """The space that the backend declares with these options; None: only the server of its model
+    knows it, which the loaded backend asks (`ServedElsewhere`).
+
+    Args:
+        registry: what is installed.
+        backend: its descriptor.
+        options: of the backend, with its checkpoint.
+        robot: name of the robot.
+
+    Raises:
+        ConfigurationError, PluginError: something named cannot be used; as what declares the space.
+    """
+    if backend.space is None:
+        return EE_DELTA
+    declare = cast(
+        "Callable[..., object]",
+        loading.load_attribute(backend.space, f"`space` of {backend.name!r}"),
+    )
+    declared = declare(options, load_profile(registry, robot))
+    if declared is not None and not isinstance(declared, ControlSpace):
+        raise PluginError(
+            f"The `space` of {backend.name!r} returned {type(declared).__name__}, expected "
+            "ControlSpace."
+        )
+    return declared
+
+
 def agree_on_space(
     registry: Registry,
     backend: BackendSpec,
@@ -199,22 +230,41 @@ def agree_on_space(
 
     Raises:
         PlanningError: they do not fit, see `agree`.
+        ConfigurationError: only the server of the model knows its space.
+        ConfigurationError, PluginError: as `declared_space` and `agree_with_control`.
+    """
+    declared = declared_space(registry, backend, options, robot)
+    if declared is None:
+        raise ConfigurationError(
+            f"In which space backend {backend.name!r} acts is known only by the server of its "
+            "model.",
+            hint=f"Say it: `space` in [plugins.{backend.name}].",
+        )
+    return agree_with_control(registry, backend, declared, robot, control)
+
+
+def agree_with_control(
+    registry: Registry,
+    backend: BackendSpec,
+    declared: ControlSpace,
+    robot: str,
+    control: models.ControlConfig | None,
+) -> SpaceAgreement:
+    """The space that a backend declares, as the configured controller executes it.
+
+    Args:
+        registry: what is installed.
+        backend: its descriptor.
+        declared: by it, or by the server of its model.
+        robot: name of the robot.
+        control: section of the configuration; None: every space is taken.
+
+    Raises:
+        PlanningError: they do not fit, see `agree`.
         ConfigurationError, PluginError: something named cannot be used, or the descriptor does not
-            fit its space; as what declares the space.
+            fit its space.
     """
     profile = load_profile(registry, robot)
-    declared: object = EE_DELTA
-    if backend.space is not None:
-        declare = cast(
-            "Callable[..., object]",
-            loading.load_attribute(backend.space, f"`space` of {backend.name!r}"),
-        )
-        declared = declare(options, profile)
-    if not isinstance(declared, ControlSpace):
-        raise PluginError(
-            f"The `space` of {backend.name!r} returned {type(declared).__name__}, expected "
-            "ControlSpace."
-        )
     if declared.kind == "joint_delta" and not backend.needs_state:
         raise PluginError(
             f"Backend {backend.name!r} yields joint_delta, which is relative to the measured "

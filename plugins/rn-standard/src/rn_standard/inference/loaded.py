@@ -8,21 +8,38 @@ import time
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Protocol, cast, runtime_checkable
 
-from rn_standard.inference.agreement import SpaceAgreement, agree_on_space
+from rn_standard.inference.agreement import SpaceAgreement, agree_with_control, declared_space
 from rn_standard.inference.planning import Policy
 from roboneuron import (
     ActionChunk,
     AnyRuntime,
     Backend,
+    BackendSpec,
     CameraProfile,
     ConfigurationError,
+    ControlSpace,
     Observation,
+    PlanningError,
+    PluginError,
     RobotProfile,
 )
 from roboneuron.feature import Config, Registry
-from roboneuron.node import StatusWriter, build
+from roboneuron.node import StatusWriter, build, load_profile
+
+
+@runtime_checkable
+class ServedElsewhere(Protocol):
+    """A backend whose model may be on another machine, where more is known of it than here."""
+
+    def served_spec(self, profile: RobotProfile) -> tuple[BackendSpec, ControlSpace] | None:
+        """What the server tells of its model to this robot: needs and chunks as a descriptor, and
+        the space of its rows. None for a model of this machine. Called once it is loaded.
+
+        Raises:
+            RoboNeuronError: it does not tell, or this robot cannot use the model.
+        """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -30,7 +47,7 @@ class LoadedPolicy:
     """A backend with its runtime, and what becomes of its rows.
 
     Attributes:
-        policy: its descriptors.
+        policy: its descriptors, as the server of its model tells them where there is one.
         backend, runtime: what predicts, and what executes it; None for a backend without runtime.
         agreement: on the space of its rows.
         load_s: how long it took to load.
@@ -89,11 +106,15 @@ def load_policy(
         resources: gets what closes the backend.
 
     Raises:
-        PlanningError: the space of its rows does not fit, see `agree_on_space`.
+        PlanningError: the space of its rows does not fit, see `agree`, or the robot lacks a camera
+            that the server of its model asks for.
+        ConfigurationError: that server tells another space than is declared here.
         RoboNeuronError: it cannot be built or loaded.
     """
-    spec = policy.backend
-    agreement = agree_on_space(registry, spec, options, config.robot.name, config.control)
+    spec, robot = policy.backend, config.robot.name
+    declared = declared_space(registry, spec, options, robot)
+    if declared is not None:  # before anything heavy
+        agree_with_control(registry, spec, declared, robot, config.control)
     parts = {
         part: None if chosen is None else build(chosen, config.options(chosen.name))
         for part, chosen in (("runtime", policy.runtime), ("acceleration", policy.acceleration))
@@ -102,13 +123,48 @@ def load_policy(
     resources.callback(backend.close)
     started_s = time.monotonic()
     backend.load()
+    load_s = time.monotonic() - started_s
+    policy, space = _as_served(policy, backend, declared, load_profile(registry, robot))
     return LoadedPolicy(
         policy=policy,
         backend=backend,
         runtime=cast("AnyRuntime | None", parts["runtime"]),
-        agreement=agreement,
-        load_s=time.monotonic() - started_s,
+        agreement=agree_with_control(registry, spec, space, robot, config.control),
+        load_s=load_s,
     )
+
+
+def _as_served(
+    policy: Policy, backend: Backend, declared: ControlSpace | None, profile: RobotProfile
+) -> tuple[Policy, ControlSpace]:
+    """The policy and its space as the server of its model tells them, or as they are declared here.
+
+    Raises:
+        PlanningError, ConfigurationError: as `load_policy`.
+        PluginError: nobody says what the space is.
+    """
+    name = policy.backend.name
+    told = backend.served_spec(profile) if isinstance(backend, ServedElsewhere) else None
+    if told is None:
+        if declared is None:
+            raise PluginError(f"Neither the `space` of {name!r} nor its server says a space.")
+        return policy, declared
+    served, space = told
+    if declared is not None and declared != space:
+        raise ConfigurationError(
+            f"The server of the model says that it yields {space.label!r}, the options of "
+            f"{name!r} say {declared.label!r}.",
+            hint=f"Leave `space` out of [plugins.{name}]: the server is asked.",
+        )
+    absent = [role for role in served.cameras if role not in policy.cameras]
+    if absent:
+        has = ", ".join(f"{role} ({camera})" for role, camera in policy.cameras.items()) or "none"
+        raise PlanningError(
+            f"The model of the server needs a camera of role {', '.join(absent)}; of robot "
+            f"{profile.name!r} backend {name!r} uses: {has}.",
+            hint="Name one in `cameras` of [inference], or choose another model.",
+        )
+    return replace(policy, backend=served), space
 
 
 def resolved_cameras(policies: Iterable[Policy], profile: RobotProfile) -> dict[str, CameraProfile]:

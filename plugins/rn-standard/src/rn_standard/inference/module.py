@@ -129,7 +129,7 @@ class InferenceModule(Module):
         self._subscribe(cameras, with_state=needs_state)
         self._actions = node.advertise(Float64MultiArray, topics.ACTION)
         bounds = Bounds(first_s=config.max_image_age_s, tail_s=config.max_tail_age_s)
-        self.executor = executor_maker(node)(policy.backend, config.execution, bounds)
+        self.executor = executor_maker(node)(self._policy.policy.backend, config.execution, bounds)
         self._not_before_ns = 0
         self._is_blind = False
         self._worker = Worker("inference", self._step, self.status, limit_s=_FIRST_LIMIT_S)

@@ -10,7 +10,12 @@ from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 
-from rn_standard.inference.agreement import agree_on_space, check_same_space
+from rn_standard.inference.agreement import (
+    agree_on_space,
+    agree_with_control,
+    check_same_space,
+    declared_space,
+)
 from rn_standard.inference.fitting import (
     check_acceleration,
     check_action_width,
@@ -210,7 +215,10 @@ class InferencePlan(Plan):
         if backend.space is None and second is None:
             return
         robot, control = self.robot.name, self.config.control
-        agreed = agree_on_space(registry, backend, options, robot, control)
+        declared = declared_space(registry, backend, options, robot)
+        if declared is None:  # its server tells it when the module has reached it
+            return
+        agreed = agree_with_control(registry, backend, declared, robot, control)
         if second is not None:
             own = self.config.options(second.backend.name)
             other = agree_on_space(registry, second.backend, own, robot, control)

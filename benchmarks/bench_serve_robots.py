@@ -1,0 +1,243 @@
+"""Sixteen robots on one policy server, one of them greedy: what each of them gets.
+
+    python benchmarks/bench_serve_robots.py [--demand 0.4] [--seconds 20] [--replicas 1]
+
+The model is small (one layer over mean colours) and takes 25 ms at least, as one on a GPU would,
+whatever else the CPU does. It is asked one by one, behind `roboneuron serve-policy` over TLS 1.3
+with the keys of a link. Each robot is a backend `shared` with a connection of its own, four to a
+process. Each asks `--demand` / n times as often as the model answers one alone; the greedy one
+(robot 0) asks again at once, with half the deadline. A robot plays eight rows of a quarter of its
+period: rows that were due before their answer came are late, all of a period when there was none.
+
+Judged: none of the others gets less than 0.75 times their median; where they ask for far more than
+there is (`--demand` of 1.5 and more), the greedy one at most 1.25 times that.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bench_serve_policy import pair, seen, started
+
+from rn_backend_shared.backend import SharedBackend
+from rn_backend_shared.case import install
+from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.processes import ask_status
+from rn_backend_shared.serve_command import name_of
+from rn_testing.waiting import wait_until
+from roboneuron import NotReadyError
+
+MOST_SHARE, LEAST_SHARE, CROWDED = 1.25, 0.75, 1.5
+ROWS_PLAYED, ROWS = 4, 8
+"""Of each chunk, and in it."""
+IN_A_PROCESS = 4
+WARM = 20
+SIDE = 64
+MISSED = "missed: "
+
+
+@dataclass
+class Robot:
+    """What a robot was answered.
+
+    Attributes:
+        name: 0 for the greedy one.
+        took_s: of each answer.
+        refused: observations without one.
+        late_rows: see above; of `rows` that were due.
+    """
+
+    name: int
+    took_s: list[float] = field(default_factory=list)
+    refused: int = 0
+    late_rows: int = 0
+    rows: int = 0
+
+    def note(self, took_s: float | None, step_s: float) -> None:
+        """Count an answer, or that there was none."""
+        self.rows += ROWS_PLAYED
+        if took_s is None:
+            self.refused += 1
+            self.late_rows += ROWS_PLAYED
+            return
+        self.took_s.append(took_s)
+        over_s = took_s - (ROWS - ROWS_PLAYED) * step_s
+        self.late_rows += min(max(int(np.ceil(over_s / step_s)), 0), ROWS_PLAYED)
+
+
+def drive(robot: Robot, address: str, period_s: float, begin_s: float, seconds: float) -> None:
+    """Ask as this robot does, from the monotonic time `begin_s` on."""
+    is_greedy = robot.name == 0
+    backend = SharedBackend(
+        SharedOptions(
+            address=address,
+            coding="raw",
+            timeout_s=period_s * (1.0 if is_greedy else 2.0),
+            start_timeout_s=60.0,
+        )
+    )
+    backend.load()
+    observation = seen(SIDE)
+    next_s = begin_s + period_s * robot.name / 16
+    try:
+        while True:
+            time.sleep(max(next_s - time.monotonic(), 0.0))
+            asked_s = time.monotonic()
+            if asked_s > begin_s + seconds:
+                return
+            took_s: float | None = None
+            try:
+                backend.predict(observation)
+                took_s = time.monotonic() - asked_s
+            except NotReadyError:
+                pass
+            robot.note(took_s, period_s / ROWS_PLAYED)
+            next_s = time.monotonic() if is_greedy else max(next_s + period_s, time.monotonic())
+    finally:
+        backend.close()
+
+
+def drive_some(words: Sequence[str]) -> None:
+    """Robots of one process; writes what they were answered to stdout."""
+    names, address, period_s, begin_s, seconds = words
+    robots = [Robot(int(name)) for name in names.split(",")]
+    threads = [
+        threading.Thread(
+            target=drive, args=(robot, address, float(period_s), float(begin_s), float(seconds))
+        )
+        for robot in robots
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    print(json.dumps([asdict(robot) for robot in robots]))
+
+
+def serve(stack: ExitStack, folder: Path, path: str, replicas: int) -> str:
+    """Start the server, and return its address."""
+    config = folder / "policies.toml"
+    config.write_text(
+        f'[listen]\nport = 0\ndirectory = "{folder / "run"}"\n[models.tiny]\n'
+        f'backend = "reflex"\nmost = 1\nreplicas = {replicas}\n'
+        "options = { took_s = 0.025, rows = 8 }\n"
+    )
+    log = stack.enter_context((folder / "server.log").open("w"))
+    words = [sys.executable, "-m", "roboneuron.cli.main", "serve-policy", "--config", str(config)]
+    own = {**os.environ, "PYTHONPATH": path, "XDG_STATE_HOME": str(folder / "gpu")}
+    started(stack, words, env=own, stdout=log, stderr=log)
+    told: dict[str, Any] = {}
+
+    def is_ready() -> bool:
+        try:
+            told.update(ask_status(folder / "run" / f"{name_of(config)}.sock"))
+        except NotReadyError:
+            return False
+        model = told["models"]["tiny"]
+        return all(one["state"] == "ready" for one in model.get("replicas", [model]))
+
+    wait_until(is_ready, 90.0, "the server is ready")
+    return str(told["address"])
+
+
+def forward_s(address: str) -> float:
+    """How long the server takes for one robot that asks alone [s], in the median."""
+    alone = Robot(1)
+    backend = SharedBackend(SharedOptions(address=address, coding="raw", timeout_s=30.0))
+    backend.load()
+    observation = seen(SIDE)
+    for _ in range(3 * WARM):
+        begun_s = time.monotonic()
+        backend.predict(observation)
+        alone.took_s.append(time.monotonic() - begun_s)
+    backend.close()
+    return statistics.median(alone.took_s[WARM:])
+
+
+def table(robots: Sequence[Robot]) -> str:
+    """A line for each robot."""
+    total = sum(len(robot.took_s) for robot in robots)
+    lines = ["robot  answers  refused  share of 1/n  p50 ms  p99 ms  late rows"]
+    for robot in robots:
+        took_ms = np.array(robot.took_s or [float("nan")]) * 1e3
+        share = len(robot.took_s) / total * len(robots)
+        lines.append(
+            f"{'greedy' if robot.name == 0 else robot.name:>6} {len(robot.took_s):8d} "
+            f"{robot.refused:8d} {share:13.2f} {np.median(took_ms):7.0f} "
+            f"{np.percentile(took_ms, 99):7.0f} {robot.late_rows / max(robot.rows, 1):10.1%}"
+        )
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Run it; exit status 0 unless something does not work."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--robots", type=int, default=16)
+    parser.add_argument("--replicas", type=int, default=1)
+    parser.add_argument("--demand", type=float, default=0.4)
+    parser.add_argument("--drive", nargs=5, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.drive:
+        drive_some(given.drive)
+        return 0
+    load = os.getloadavg()[0]
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        install(folder)
+        path = os.pathsep.join(filter(None, (str(folder / "site"), os.environ.get("PYTHONPATH"))))
+        pair(folder)
+        os.environ["XDG_STATE_HOME"] = str(folder / "robot")
+        address = serve(stack, folder, path, given.replicas)
+        alone_s = forward_s(address)
+        period_s = alone_s * given.robots / given.demand / given.replicas
+        begin_s = time.monotonic() + 15.0
+        names = list(range(given.robots))
+        groups = [names[i : i + IN_A_PROCESS] for i in range(0, len(names), IN_A_PROCESS)]
+        processes = [
+            started(
+                stack,
+                [
+                    *(sys.executable, __file__, "--drive", ",".join(map(str, group)), address),
+                    *(repr(value) for value in (period_s, begin_s, given.seconds)),
+                ],
+                stdout=subprocess.PIPE,
+            )
+            for group in groups
+        ]
+        robots = []
+        for process in processes:
+            said, _ = process.communicate(timeout=given.seconds + 120.0)
+            robots += [Robot(**one) for one in json.loads(said)]
+        print(
+            f"{given.robots} robots, {given.replicas} replicas, {given.seconds:g} s, load "
+            f"{load:.1f}; alone {alone_s * 1e3:.1f} ms, period {period_s * 1e3:.0f} ms"
+        )
+        print(table(robots))
+        answers = [len(robot.took_s) for robot in robots]
+        middle = statistics.median(answers[1:])
+        most, least = answers[0] / middle, min(answers[1:]) / middle
+        print(f"greedy {most:.2f}, least {least:.2f} times the median of the others")
+        if least < LEAST_SHARE or (given.demand >= CROWDED and most > MOST_SHARE):
+            print(f"{MISSED}expected at most {MOST_SHARE:g} and at least {LEAST_SHARE:g}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,166 @@
+"""Numbers of a policy server for Prometheus: the endpoint, and what it tells.
+
+Labels are names of models from the server's own file, numbers of replicas and words of this module:
+nothing that a robot sends becomes one.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from socketserver import BaseServer
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
+
+from prometheus_client import CollectorRegistry, make_wsgi_app
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    Metric,
+)
+
+from rn_backend_shared.frames import Document
+from rn_backend_shared.session import READY
+from rn_backend_shared.statistics import BOUNDS_S
+from roboneuron import ConfigurationError
+
+_PREFIX = "roboneuron_policy"
+_MODEL = ["model", "replica"]
+_COUNTS = {
+    "batches": "Forwards of the model.",
+    "observations": "Observations that the model was shown.",
+    "restarts": "Starts of the model's process after the first.",
+}
+_GAUGES = {
+    "clients": "Robots that are connected to the model.",
+    "waiting": "Observations that wait for the model.",
+    "busy_s": "Time since the forward under way began [s].",
+}
+_OUTCOMES = ("answered", "refused", "errors")
+_JOIN_S = 5.0
+
+
+class PolicyMetrics:
+    """A collector of prometheus_client; asked anew at each scrape.
+
+    Args:
+        status: numbers of the server, see `PolicyServer.status`.
+    """
+
+    def __init__(self, status: Callable[[], Document]) -> None:
+        self._status = status
+
+    def collect(self) -> Iterator[Metric]:
+        """All metrics; on the thread of the endpoint."""
+        told = self._status()
+        rows = [
+            ([name, str(number)], one)
+            for name, model in told["models"].items()
+            for number, one in enumerate(model.get("replicas", [model]))
+        ]
+        yield GaugeMetricFamily(f"{_PREFIX}_robots", "Robots connected.", told["robots"])
+        yield CounterMetricFamily(
+            f"{_PREFIX}_refused_connections",
+            "Connections that did not become a robot's.",
+            told["refused_connections"],
+        )
+        ready = GaugeMetricFamily(f"{_PREFIX}_ready", "The model can be asked.", labels=_MODEL)
+        for labels, one in rows:
+            ready.add_metric(labels, float(one["state"] == READY))
+        yield ready
+        for key, what in _COUNTS.items():
+            counter = CounterMetricFamily(f"{_PREFIX}_{key}", what, labels=_MODEL)
+            for labels, one in rows:
+                counter.add_metric(labels, one.get(key, 0))
+            yield counter
+        for key, what in _GAUGES.items():
+            gauge = GaugeMetricFamily(f"{_PREFIX}_{key}", what, labels=_MODEL)
+            for labels, one in rows:
+                gauge.add_metric(labels, one.get(key, 0))
+            yield gauge
+        requests = CounterMetricFamily(
+            f"{_PREFIX}_requests", "What robots were told.", labels=[*_MODEL, "outcome"]
+        )
+        for labels, one in rows:
+            for outcome in _OUTCOMES:
+                requests.add_metric([*labels, outcome], one.get(outcome, 0))
+        yield requests
+        lost = CounterMetricFamily(
+            f"{_PREFIX}_lost", "Observations whose model was not there.", labels=["model"]
+        )
+        served = HistogramMetricFamily(
+            f"{_PREFIX}_served_seconds", "From a request whole to its answer.", labels=["model"]
+        )
+        for name, model in told["models"].items():
+            lost.add_metric([name], model["lost"])
+            _add(served, [name], model["served_times"])
+        yield lost
+        yield served
+        for key, what in (("model", "Of a forward."), ("queue", "Of an observation's wait.")):
+            times = HistogramMetricFamily(f"{_PREFIX}_{key}_seconds", what, labels=_MODEL)
+            for labels, one in rows:
+                if f"{key}_times" in one:
+                    _add(times, labels, one[f"{key}_times"])
+            yield times
+
+
+def _add(family: HistogramMetricFamily, labels: Sequence[str], times: Document) -> None:
+    """Add a document of `Times`."""
+    total, buckets = 0, list[tuple[str, float]]()
+    for bound, count in zip([*map(str, BOUNDS_S), "+Inf"], times["counts"], strict=True):
+        total += count
+        buckets.append((bound, float(total)))
+    family.add_metric(labels, buckets, times["sum_s"])
+
+
+class _Handler(WSGIRequestHandler):
+    """One scrape. Whoever is slow is left, because scrapes are answered one after the other."""
+
+    timeout = 2.0
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: others fill no log."""
+
+
+class _Server(WSGIServer):
+    request_queue_size = 8
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Say nothing: a connection that ended early is no fault."""
+
+
+class MetricsEndpoint:
+    """Serves the metrics of a policy server until `close`.
+
+    Args:
+        host, port: where; port 0 for a free one.
+        status: see `PolicyMetrics`.
+
+    Raises:
+        ConfigurationError: the address cannot be used.
+    """
+
+    def __init__(self, host: str, port: int, status: Callable[[], Document]) -> None:
+        registry = CollectorRegistry()
+        registry.register(PolicyMetrics(status))
+        try:
+            self._server = _Server((host, port), _Handler)
+        except OSError as error:
+            raise ConfigurationError(
+                f"Metrics cannot be served at {host}:{port}: {error.strerror or error}.",
+                hint="Choose another metrics_port in [listen].",
+            ) from error
+        self._server.set_app(make_wsgi_app(registry))
+        self.port: int = self._server.server_address[1]
+        self._thread = threading.Thread(target=_serve, args=(self._server,), daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Serve no longer."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join(_JOIN_S)
+
+
+def _serve(server: BaseServer) -> None:
+    server.serve_forever(poll_interval=0.1)

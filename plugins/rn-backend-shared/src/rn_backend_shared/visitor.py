@@ -1,0 +1,255 @@
+"""A connection from the network: introduced, then carried to the process of its model frame by
+frame.
+"""
+
+from __future__ import annotations
+
+import logging
+import socket
+import ssl
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Protocol
+
+from rn_backend_shared import wire
+from rn_backend_shared.channel import Channel, Received
+from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
+from rn_backend_shared.introduction import ROBOT
+from rn_backend_shared.replicas import Replicas, Seat
+from rn_backend_shared.security import Guard, tune, valid_until
+from rn_backend_shared.session import FAILED
+from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
+
+log = logging.getLogger(__name__)
+HELLO_BYTES = 4096
+"""Longest introduction."""
+_REQUEST_BYTES = 1 << 25
+_SEND_S = 2.0
+_SILENT_S = 5.0
+_SLICE_S = 0.5
+_GRACE_S = 0.1
+"""So much later than its deadline an answer of the model is passed on, for the robot to count."""
+
+
+class Admission(Protocol):
+    """The server that a visitor asks."""
+
+    def admit(self, visitor: Visitor, hello: Document) -> Replicas:
+        """The model of a robot that has introduced itself. Raises ConnectionError or
+        ConfigurationError for one that is refused.
+        """
+
+    def leave(self, visitor: Visitor, why: str) -> None:
+        """It is gone."""
+
+    def note_served(self, model: str, took_s: float) -> None:
+        """An observation was answered, so long after it had come whole [s]."""
+
+    def note_lost(self, model: str) -> None:
+        """An observation whose model was not there."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Patience:
+    """How long a visitor may take.
+
+    Attributes:
+        admit_s: to shake hands and to introduce itself [s].
+        frame_s: for a frame to arrive whole [s].
+    """
+
+    admit_s: float
+    frame_s: float
+
+
+class Visitor:
+    """One connection from the network, served on a thread of its own.
+
+    Args:
+        server: to which it wants.
+        guard: puts TLS around its socket where keys are asked for.
+        connected: its socket.
+        address: of the other end.
+        patience: with it.
+
+    Raises:
+        OSError: nobody is to be talked to.
+    """
+
+    def __init__(
+        self,
+        server: Admission,
+        guard: Guard,
+        connected: socket.socket,
+        address: str,
+        patience: Patience,
+    ) -> None:
+        self.address = address
+        self._server = server
+        self._patience = patience
+        tune(connected, _SILENT_S)
+        connected.settimeout(patience.admit_s)
+        self._connected = guard.wrap(connected)
+        self._channel: Channel | None = None
+        self._expires: datetime | None = None
+        self._seat: Seat | None = None
+        self._last = 0
+
+    def serve(self) -> None:
+        """Until it is gone."""
+        why = "it was refused"
+        try:
+            if isinstance(self._connected, ssl.SSLSocket):
+                self._connected.do_handshake()
+            self._expires = valid_until(self._connected)
+            channel = self._channel = Channel(self._connected, HELLO_BYTES)
+            received = channel.receive(time.monotonic() + self._patience.admit_s)
+            if received.header.kind is not Kind.HELLO:
+                raise FrameError("it has not introduced itself")
+            try:
+                model = self._server.admit(self, received.document())
+            except RoboNeuronError as error:
+                refusal = {"state": FAILED, "pid": 0, **wire.from_answer(error)}
+                channel.send(Header(Kind.WELCOME), refusal, _SEND_S)
+                raise FrameError(str(error)) from error
+            channel.most_bytes = _REQUEST_BYTES
+            log.info("A robot at %s uses the model %s.", self.address, model.name)
+            self._welcome(channel, model, received)
+            while True:
+                self._take(channel, model, self._next(channel))
+        except VersionError as error:
+            why = str(error)
+            self._refuse_version(error)
+        except (OSError, FrameError) as error:
+            why = str(error)
+        finally:
+            self._server.leave(self, why)
+            self._leave_seat()
+            if self._channel is not None:
+                self._channel.close()
+            self._connected.close()
+
+    def _refuse_version(self, error: VersionError) -> None:
+        """Say it to whoever has shown a key; anybody else learns nothing."""
+        if self._expires is None or self._channel is None:
+            return
+        refusal = ConfigurationError(f"The policy server refuses: {error}.")
+        with suppress(OSError):
+            self._channel.send(Header(Kind.ANSWER), wire.from_answer(refusal), _SEND_S)
+
+    def interrupt(self) -> None:
+        """End it, from another thread."""
+        with suppress(OSError):
+            # the method of SSLSocket would go on in clear
+            socket.socket.shutdown(self._connected, socket.SHUT_RDWR)
+
+    def _next(self, channel: Channel) -> Received:
+        """The next frame, however long a robot is silent.
+
+        Raises:
+            OSError: it is gone, its certificate has expired, or a frame takes too long.
+        """
+        while True:
+            with suppress(TimeoutError):
+                return channel.receive(time.monotonic() + _SLICE_S)
+            begun_s = channel.begun_s
+            if begun_s is not None and time.monotonic() - begun_s > self._patience.frame_s:
+                raise ConnectionError("a frame has not come whole in time")
+            if self._expires is not None and datetime.now(UTC) > self._expires:
+                raise ConnectionError("its certificate has expired")
+
+    def _take(self, channel: Channel, model: Replicas, received: Received) -> None:
+        header = received.header
+        if header.kind is Kind.HELLO:
+            self._welcome(channel, model, received)
+            return
+        if header.kind is not Kind.REQUEST or header.number <= self._last:
+            raise FrameError(f"frame {header.number} of kind {header.kind} was not expected")
+        self._last = header.number
+        begun_s = time.monotonic()
+        try:
+            answer = self._carry(model, received)
+        except NotReadyError as error:
+            self._server.note_lost(model.name)
+            told = Header(Kind.ANSWER, header.number, header.clock_ns)
+            channel.send(told, wire.from_answer(error), _SEND_S)
+        else:
+            self._server.note_served(model.name, time.monotonic() - begun_s)
+            channel.send_parts([answer.header.pack(), answer.body], _SEND_S)
+
+    def _welcome(self, channel: Channel, model: Replicas, received: Received) -> None:
+        """Tell what the model's own process says of itself."""
+        hello = received.document()
+        told: Mapping[str, object] = model.welcome()
+        own = {ROBOT: hello[ROBOT]} if ROBOT in hello else {}
+        with suppress(NotReadyError):
+            told = self._take_seat(model, hello=own).welcome.document
+        channel.send(Header(Kind.WELCOME), told, _SEND_S)
+
+    def _take_seat(
+        self, model: Replicas, avoided: int | None = None, hello: Document | None = None
+    ) -> Seat:
+        """A new seat at the model. Raises NotReadyError when no replica is ready."""
+        self._leave_seat()
+        self._seat = model.take_seat(hello or {}, avoided=avoided)
+        return self._seat
+
+    def _leave_seat(self) -> None:
+        seat, self._seat = self._seat, None
+        if seat is not None:
+            seat.leave()
+
+    def _carry(self, model: Replicas, received: Received) -> Received:
+        """The model's answer to a request. When its replica dies meanwhile, another one is asked,
+        once: an observation that no process survives must not end them all.
+
+        Raises:
+            NotReadyError: it has died, is not ready, or does not answer by the deadline.
+        """
+        deadline_s = time.monotonic() + received.header.left_s
+        if self._seat is not None and self._seat.is_crowded:
+            self._leave_seat()
+        seat = self._seat or self._take_seat(model)
+        try:
+            return _asked(seat.channel, received, deadline_s)
+        except TimeoutError as error:
+            if len(model.processes) > 1:  # it may hang: another one is asked next
+                with suppress(NotReadyError):
+                    self._take_seat(model, seat.replica)
+            raise NotReadyError(
+                f"The model {model.name!r} did not answer before the deadline."
+            ) from error
+        except (OSError, FrameError) as error:
+            self._leave_seat()
+            refusal = NotReadyError(
+                f"The model {model.name!r} has died; the server starts it again."
+            )
+            if len(model.processes) == 1 or time.monotonic() > deadline_s:
+                raise refusal from error
+            log.warning("Replica %d of the model %s has died.", seat.replica, model.name)
+        other = self._take_seat(model, seat.replica)
+        try:
+            return _asked(other.channel, received, deadline_s)
+        except TimeoutError as error:
+            raise NotReadyError(
+                f"The model {model.name!r} did not answer before the deadline."
+            ) from error
+        except (OSError, FrameError) as error:
+            self._leave_seat()
+            raise refusal from error
+
+
+def _asked(channel: Channel, received: Received, deadline_s: float) -> Received:
+    """The answer to a request, of the process at the other end; raises OSError or FrameError."""
+    header = received.header
+    left_s = deadline_s - time.monotonic()
+    told = header._replace(left_s=max(left_s, 0.0))
+    channel.send_parts([told.pack(), received.body], left_s)
+    while True:
+        answer = channel.receive(deadline_s + _GRACE_S)
+        found = answer.header
+        if (found.number, found.clock_ns) == (header.number, header.clock_ns):
+            return answer
