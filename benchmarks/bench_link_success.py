@@ -1,5 +1,4 @@
-"""Success of the learned policy on cubes against the link to its server, on the evaluation's stepped
-clock.
+"""Success of the learned policy on cubes against the link to its server, by the evaluation's clock.
 
     python benchmarks/bench_link_success.py [--episodes 20] [--links 150/0/0/1000/auto ...]
 
@@ -81,9 +80,7 @@ def robot(options: str) -> dict[str, Any]:
         begun_ns = time.monotonic_ns()
         frame = replace(seen.frames["primary"], image=image, stamp_ns=begun_ns)
         try:
-            chunk = backend.predict(
-                replace(seen, frames={"primary": frame}, stamp_ns=begun_ns)
-            )
+            chunk = backend.predict(replace(seen, frames={"primary": frame}, stamp_ns=begun_ns))
         except RoboNeuronError:
             failed += 1
             took_s.append(TIMEOUT_S)
@@ -124,9 +121,9 @@ def play(files: Sequence[Path], episodes: int, out: Path) -> None:
     executions = ",".join(EXECUTIONS)
     more = ["--execution", executions, "--seed", str(FIRST_SEED), "--strips", "none"]
     for count in sorted({episodes, *(size for size in ROUNDS if size < episodes)}):
+        size = ["--episodes", str(count), "--out", str(out / "episodes"), "--retry-errors"]
         subprocess.run(
-            [PROGRAM, "eval", "run", "--backend", "oft-primary", *words, *more]
-            + ["--episodes", str(count), "--out", str(out / "episodes"), "--retry-errors"],
+            [PROGRAM, "eval", "run", "--backend", "oft-primary", *words, *more, *size],
             check=True,
             stdout=subprocess.DEVNULL,
         )
