@@ -352,8 +352,8 @@ class Judge:
 
     def _motion(self, since_s: float, told: dict[str, Any]) -> list[str]:
         places = [place for place in self._witness.joints() if place[0] >= since_s - 1.0]
-        limits = gantry_profile().limits
-        wrong = []
+        limits, wrong = gantry_profile().limits, []
+        assert limits is not None
         if not all(limits.lower[0] <= x <= limits.upper[0] for _, x in places):
             wrong.append("a joint left its limits")
         told["step_mm"] = round(self._witness.largest_step_m(since_s - 1.0) * 1e3, 2)
