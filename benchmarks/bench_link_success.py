@@ -129,20 +129,16 @@ def play(files: Sequence[Path], episodes: int, out: Path) -> None:
         )
 
 
-def line_of(text: str, facts: dict[str, Any], records: Sequence[EpisodeRecord]) -> str:
-    """A row of the table."""
-    took_ms = np.array(facts["took_s"]) * 1e3
-    rows = sum(record.outcome.rows for record in records)
-    starved = sum(record.outcome.starved_periods for record in records)
+def cell_of(records: Sequence[EpisodeRecord]) -> str:
+    """What became of the episodes of a variant: success, its interval, rows in time, time held."""
+    if not records:
+        return "-"
+    moved_s = sum(record.outcome.rows for record in records) * STEP_S
     played_s = sum(record.outcome.duration_s for record in records)
-    link, _, coding = text.rpartition("/")
-    used = facts["coding"] if coding == "auto" else coding
-    held = starved * STEP_S / len(records)
+    found = success_of(records)
     return (
-        f"| {link} | {used} | {np.median(took_ms):.0f} / {np.percentile(took_ms, 95):.0f} "
-        f"| {facts['failed']} | {records[0].key.execution} | {success_of(records)} "
-        f"| {len(records)} | {rows / max(rows + starved, 1):.1%} | {held:.1f} "
-        f"| {played_s / len(records):.1f} |"
+        f"{found.successes}/{found.trials} [{found.low:.0%},{found.high:.0%}] "
+        f"{min(moved_s / played_s, 1.0):.0%} {max(played_s - moved_s, 0.0) / len(records):.1f}"
     )
 
 
@@ -151,15 +147,17 @@ def table(found: dict[str, tuple[Path, dict[str, Any]]], out: Path) -> None:
     by_variant: dict[tuple[str, str], list[EpisodeRecord]] = defaultdict(list)
     for record in read_records(out / "episodes"):
         by_variant[record.key.latency, record.key.execution].append(record)
-    print(
-        "| link: ms/ms/%/Mbit | coding | answer ms, p50 / p95 | missed | execution | success "
-        "| seeds | rows in time | held s | episode s |\n" + "|---" * 10 + "|"
-    )
+    each = "successes/seeds [95 %] rows in time, held s an episode"
+    print(f"|link|coding|answer ms p50/p95|missed|{'|'.join(f'{e}: {each}' for e in EXECUTIONS)}|")
+    print("|---" * (4 + len(EXECUTIONS)) + "|")
     for text, (path, facts) in found.items():
-        for execution in EXECUTIONS:
-            records = by_variant.get((f"file:{path}", execution))
-            if records:
-                print(line_of(text, facts, records))
+        took_ms = np.array(facts["took_s"]) * 1e3
+        link, _, coding = text.rpartition("/")
+        used = f"auto: {facts['coding']}" if coding == "auto" else coding
+        cells = [cell_of(by_variant[f"file:{path}", execution]) for execution in EXECUTIONS]
+        middle, late = np.percentile(took_ms, (50, 95))
+        first = f"|{link}|{used}|{middle:.0f}/{late:.0f}|{facts['failed']}|"
+        print(first + "|".join(cells) + "|")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
