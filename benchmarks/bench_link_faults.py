@@ -498,11 +498,8 @@ def read(ledger: Path) -> list[dict[str, Any]]:
 
 def table(trials: Sequence[dict[str, Any]]) -> int:
     """Print what came of them; returns how many failed."""
-    print(
-        "| fault | trials | fallback took over | longest rest with it s | back after s "
-        "| oldest image s | wrong |"
-    )
-    print("|---|---|---|---|---|---|---|")
+    print("|fault|trials|fallback took over|longest rest with it s|back s|oldest image s|wrong|")
+    print("|---" * 7 + "|")
     for kind in (*DIRECT, *SPOILT):
         own = [trial for trial in trials if trial["kind"] == kind]
         if not own:
@@ -515,8 +512,7 @@ def table(trials: Sequence[dict[str, Any]]) -> int:
         wrong = Counter(word for trial in own for word in trial["wrong"])
         said = "; ".join(f"{count} x {word}" for word, count in wrong.items()) or "-"
         print(
-            f"| {kind} | {len(own)} | {took} of {len(second)} | {stood:.1f} | {back:.1f} "
-            f"| {oldest:.2f} | {said} |"
+            f"|{kind}|{len(own)}|{took}/{len(second)}|{stood:.1f}|{back:.1f}|{oldest:.2f}|{said}|"
         )
     failed = sum(bool(trial["wrong"]) for trial in trials)
     speed = max((trial.get("speed_m_s", 0.0) for trial in trials), default=0.0)
