@@ -211,6 +211,6 @@ def test_the_ten_commands_move_an_arm_by_the_policy_of_the_other_machine(tmp_pat
 
 
 def test_the_file_for_a_model_of_ones_own_is_one_that_the_server_takes() -> None:
-    served = PolicyServerOptions.model_validate(tomllib.loads(file_of("in `policies.toml`")))
+    served = PolicyServerOptions.model_validate(tomllib.loads(file_of("Your own model in `policies.toml`")))
     assert served.listen.host == "0.0.0.0"
     assert list(served.models) == ["oft"]
