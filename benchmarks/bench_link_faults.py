@@ -31,6 +31,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,20 +40,21 @@ sys.path.append(str(ROOT / "plugins" / "rn-link" / "tests"))
 sys.path.append(str(ROOT / "plugins" / "rn-backend-shared" / "tests"))
 sys.path.append(str(Path(__file__).parent))
 
-from fault_loop import JointWitness, environment, moving_cell  # noqa: E402
+from fault_loop import STILL_M, environment, moving_cell  # noqa: E402
 from link_machines import impossible, machines  # noqa: E402
 from policy_servers import RunningServer, link_of, pair  # noqa: E402
 from switch_plugin import named_by  # noqa: E402
 
 from rn_testing.fakes.robot import gantry_profile  # noqa: E402
 from rn_testing.spinning import spinning_node  # noqa: E402
+from rn_testing.waiting import holds_within  # noqa: E402
 
 OUT = Path("out/bench/link-faults")
 LEDGER = "trials.jsonl"
 RATE_HZ, ROWS, STEP_S = 30.0, 8, 0.05
 IMAGE_AGE_S, TAIL_AGE_S = 0.5, 0.5 + ROWS * STEP_S
-BUSY_S = 0.15
-"""What a busy machine adds between a row that is sent and one that is received."""
+BUSY_S = 0.05
+"""What a busy machine adds between the check of a row and its sending."""
 STEP_M, SPEED_M_S = 0.006, 0.15
 """The policy asks for at most 3 mm in 50 ms."""
 HOLDS_S, TAKES_OVER_S = 2.0, 2.0
@@ -123,11 +125,11 @@ class Trial(NamedTuple):
 
 
 class Row(NamedTuple):
-    """An action as it was received.
+    """An action as it was sent.
 
     Attributes:
-        at_s: monotonic time.
-        age_s: of its image.
+        at_s: when, by the wall clock.
+        age_s: of its image then.
         image, tag: which, and by which policy.
     """
 
@@ -137,8 +139,9 @@ class Row(NamedTuple):
     tag: int
 
 
-class Rows:
-    """All actions, with the age of what they answer.
+class Witness:
+    """All actions with the age of what they answer, and the true joint; by the times at which they
+    were sent and measured, so that a busy witness changes nothing.
 
     Args:
         node: in the robot's namespace.
@@ -146,31 +149,55 @@ class Rows:
 
     def __init__(self, node: Any) -> None:
         from rclpy.qos import QoSProfile
-        from sensor_msgs.msg import Image
+        from sensor_msgs.msg import Image, JointState
         from std_msgs.msg import Float64MultiArray
 
-        self.all: list[Row] = []
-        self.unknown = 0
-        self._stamps: dict[int, int] = {}
+        self._sent: list[tuple[float, int, int]] = []
+        self._joints: list[tuple[float, float]] = []
+        self._stamps: dict[int, float] = {}
         qos = QoSProfile(depth=200)
         node.create_subscription(Image, "camera/front/image", self._on_image, qos)
         node.create_subscription(Float64MultiArray, "action", self._on_action, qos)
+        node.create_subscription(JointState, "true_joint_states", self._on_joints, qos)
 
     def _on_image(self, message: Any) -> None:
         number = int.from_bytes(bytes(message.data[:4]), "little")
-        self._stamps[number] = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+        self._stamps[number] = _seconds(message.header.stamp)
 
-    def _on_action(self, message: Any) -> None:
+    def _on_joints(self, message: Any) -> None:
+        self._joints.append((_seconds(message.header.stamp), float(message.position[0])))
+
+    def _on_action(self, message: Any, info: dict[str, Any]) -> None:
         named = named_by(message.data[6])
-        if named is None or named[0] not in self._stamps:
-            self.unknown += 1
-            return
-        age_s = (time.time_ns() - self._stamps[named[0]]) / 1e9
-        self.all.append(Row(time.monotonic(), age_s, named[0], named[2]))
+        assert named is not None, "every policy here names its images"
+        self._sent.append((int(info["source_timestamp"]) / 1e9, named[0], named[2]))
 
     def since(self, since_s: float, tag: int | None = None) -> list[Row]:
-        """Those after that time, of one policy or all."""
-        return [row for row in list(self.all) if row.at_s >= since_s and tag in (None, row.tag)]
+        """Actions after that time, of one policy or all."""
+        return [
+            Row(at_s, at_s - self._captured_s(image), image, by)
+            for at_s, image, by in list(self._sent)
+            if at_s >= since_s and tag in (None, by)
+        ]
+
+    def _captured_s(self, image: int) -> float:
+        """When an image was captured; by the nearest one that is known, where it was lost here."""
+        if image in self._stamps:
+            return self._stamps[image]
+        known = min(list(self._stamps), key=lambda number: abs(number - image))
+        return self._stamps[known] + (image - known) / RATE_HZ
+
+    def sees(self) -> bool:
+        """Whether images have come."""
+        return bool(self._stamps)
+
+    def joints(self, since_s: float) -> list[tuple[float, float]]:
+        """Time and position [m] of the first joint after that time."""
+        return [place for place in list(self._joints) if place[0] >= since_s]
+
+
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + stamp.nanosec / 1e9)
 
 
 class Site:
@@ -298,51 +325,40 @@ class Judge:
     """Watches one trial.
 
     Args:
-        witness: of the true joint.
-        rows: of the actions.
+        witness: of actions and the joint.
     """
 
-    def __init__(self, witness: JointWitness, rows: Rows, trial: Trial) -> None:
-        self._witness, self._rows, self._trial = witness, rows, trial
-        self._stood_s = 0.0
+    def __init__(self, witness: Witness, trial: Trial) -> None:
+        self._witness, self._trial = witness, trial
 
     def goes_on(self) -> bool:
         """The arm moves by its remote policy, and by nothing else."""
-        recent = self._rows.since(time.monotonic() - 0.5)
-        remote = len(recent) > 3 and all(row.tag == REMOTE for row in recent)
-        return remote and self._witness.moves()
-
-    def look(self, until: Callable[[], bool], most_s: float) -> bool:
-        """Wait for something; how long the arm stood meanwhile is kept."""
-        end_s = time.monotonic() + most_s
-        while not until():
-            self._stood_s = max(self._stood_s, self._witness.stood_s())
-            if time.monotonic() > end_s:
-                return False
-            time.sleep(0.02)
-        return True
+        if not self._witness.sees():
+            return False
+        since_s = time.time() - 0.5
+        recent = self._witness.since(since_s)
+        places = [x for _, x in self._witness.joints(since_s)]
+        is_remote = len(recent) > 3 and all(row.tag == REMOTE for row in recent)
+        return is_remote and max(places, default=0.0) - min(places, default=0.0) > STILL_M
 
     def run(self, site: Site) -> dict[str, Any]:
         """Let it happen, and judge it."""
         trial, drawn = self._trial, random.Random(self._trial.number)
         told: dict[str, Any] = {**trial._asdict(), "wrong": []}
-        if not self.look(self.goes_on, AGAIN_S):
+        if not holds_within(self.goes_on, AGAIN_S):
             return {**told, "wrong": ["it did not go on before the fault"]}
         time.sleep(drawn.uniform(0.0, 1.0))
-        self._stood_s = 0.0
-        lies, fault_s = site.lied(), time.monotonic()
+        lies, fault_s = site.lied(), time.time()
         lasts_s = drawn.choice((drawn.uniform(0.2, 1.0), drawn.uniform(LONG_S, 4.0)))
         with site.fault(trial.kind):
-            self.look(lambda: time.monotonic() > fault_s + lasts_s, lasts_s + 1.0)
-            end_s = time.monotonic()
-        # with a fallback whatever follows may still begin a moment later
-        self.look(lambda: time.monotonic() > end_s + 0.8, 2.0)
+            time.sleep(lasts_s)
+            end_s = time.time()
+        time.sleep(0.8)  # what follows may begin a moment later
         wrong = told["wrong"]
-        if not self.look(self.goes_on, AGAIN_S):
+        if not holds_within(self.goes_on, AGAIN_S):
             wrong.append("it did not go on by its remote policy")
-        now_s = time.monotonic()
-        told |= {"fault_s": round(end_s - fault_s, 2), "back_s": round(now_s - end_s, 2)}
-        told["stood_s"] = round(self._stood_s, 2)
+        told |= {"fault_s": round(end_s - fault_s, 2), "back_s": round(time.time() - end_s, 2)}
+        told["load"] = round(os.getloadavg()[0], 1)
         if trial.is_spoilt and site.lied() == lies and "handshake" not in trial.kind:
             wrong.append("nothing was spoilt")
         wrong += self._motion(fault_s, told)
@@ -350,30 +366,35 @@ class Judge:
         wrong += self._places(fault_s, end_s, told)
         return told
 
-    def _motion(self, since_s: float, told: dict[str, Any]) -> list[str]:
-        places = [place for place in self._witness.joints() if place[0] >= since_s - 1.0]
-        limits, wrong = gantry_profile().limits, []
+    def _motion(self, fault_s: float, told: dict[str, Any]) -> list[str]:
+        """Whether the joint kept its bounds; how long it stood is kept in `told`."""
+        places, wrong = self._witness.joints(fault_s - 1.0), []
+        limits = gantry_profile().limits
         assert limits is not None
         if not all(limits.lower[0] <= x <= limits.upper[0] for _, x in places):
             wrong.append("a joint left its limits")
-        told["step_mm"] = round(self._witness.largest_step_m(since_s - 1.0) * 1e3, 2)
+        steps = [abs(after[1] - before[1]) for before, after in pairwise(places)]
+        told["step_mm"] = round(max(steps, default=0.0) * 1e3, 2)
         if told["step_mm"] > STEP_M * 1e3:
             wrong.append("the arm jumped")
-        speeds, first = [0.0], 0
-        for at_s, x in places:
+        moved_s, stood_s, first, speed_m_s = fault_s, 0.0, 0, 0.0
+        for (at_s, x), step_m in zip(places[1:], steps, strict=True):
+            if step_m > STILL_M:
+                stood_s, moved_s = max(stood_s, at_s - max(moved_s, fault_s)), at_s
             while places[first][0] < at_s - 0.2:
                 first += 1
-            if at_s - places[first][0] > 0.1:
-                speeds.append(abs(x - places[first][1]) / (at_s - places[first][0]))
-        told["speed_m_s"] = round(max(speeds), 3)
-        if max(speeds) > SPEED_M_S:
+            since_s = at_s - places[first][0]
+            if since_s > 0.1:
+                speed_m_s = max(speed_m_s, abs(x - places[first][1]) / since_s)
+        told |= {"stood_s": round(stood_s, 2), "speed_m_s": round(speed_m_s, 3)}
+        if speed_m_s > SPEED_M_S:
             wrong.append("the arm was too fast")
         return wrong
 
     def _ages(self, since_s: float, told: dict[str, Any]) -> list[str]:
         """No row of an image that is too old, or older than that of a row before."""
         wrong, newest = [], {REMOTE: 0, LOCAL: 0}
-        rows = self._rows.since(since_s - 1.0)
+        rows = self._witness.since(since_s - 1.0)
         told["rows"] = len(rows)
         told["oldest_s"] = round(max((row.age_s for row in rows), default=0.0), 3)
         for row in rows:
@@ -388,13 +409,13 @@ class Judge:
     def _places(self, fault_s: float, end_s: float, told: dict[str, Any]) -> list[str]:
         """Who moved the arm when."""
         trial, wrong = self._trial, []
-        local = self._rows.since(fault_s, LOCAL)
+        local = self._witness.since(fault_s, LOCAL)
         told["took_over"] = bool(local)
         answers_ceased = trial.kind not in HARMLESS and end_s - fault_s > LONG_S
         if trial.kind == "model killed":  # it is back within a second or two
             answers_ceased = False
         if not trial.has_fallback:
-            late = [r for r in self._rows.since(fault_s + HOLDS_S) if r.at_s < end_s]
+            late = [r for r in self._witness.since(fault_s + HOLDS_S) if r.at_s < end_s]
             if answers_ceased and late:
                 wrong.append("it moved on without answers")
             if local:
@@ -403,10 +424,10 @@ class Judge:
         if answers_ceased:
             if not local or local[0].at_s > fault_s + TAKES_OVER_S:
                 wrong.append("the fallback did not take over")
-            elif self._stood_s > STOOD_S:
+            elif told["stood_s"] > STOOD_S:
                 wrong.append("the arm stood although there is a fallback")
         if local:
-            remote = self._rows.since(local[0].at_s, REMOTE)
+            remote = self._witness.since(local[0].at_s, REMOTE)
             back = [row for row in remote if row.at_s > local[-1].at_s]
             told["back_after_s"] = round(back[0].at_s - local[0].at_s, 2) if back else None
             if back and back[0].at_s - local[0].at_s < BACK_S - BUSY_S:
@@ -435,12 +456,12 @@ def work(folder: Path, numbers: Sequence[int], ledger: Path) -> None:
         site.start()
         try:
             with (
-                moving_cell(cell, RATE_HZ, **more) as (_, witness),
+                moving_cell(cell, RATE_HZ, **more),
                 spinning_node("gantry") as node,
             ):
-                rows = Rows(node)
+                seen = Witness(node)
                 for number in numbers:
-                    told = Judge(witness, rows, Trial.of(number)).run(site)
+                    told = Judge(seen, Trial.of(number)).run(site)
                     with ledger.open("a", encoding="utf-8") as file:
                         file.write(json.dumps(told) + "\n")
                     print(json.dumps(told), flush=True)

@@ -8,7 +8,6 @@ import json
 import subprocess
 import sys
 import time
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -44,45 +43,39 @@ def test_an_arm_keeps_its_bounds_whatever_becomes_of_its_remote_policy(tmp_path:
 
 
 class Seen:
-    """What a witness has seen, made up: an arm that goes 1 mm every 50 ms."""
+    """What a witness has seen, made up: an arm that goes 1 mm every 50 ms, and rows."""
 
-    def __init__(self, *more: tuple[float, float]) -> None:
-        now_s = time.monotonic()
-        self._joints = [(now_s - 2.0 + 0.05 * i, 0.001 * i) for i in range(40)] + list(more)
-
-    def joints(self) -> list[tuple[float, float]]:
-        return self._joints
-
-    def largest_step_m(self, since_s: float) -> float:
-        places = [x for at_s, x in self._joints if at_s >= since_s]
-        return max(abs(b - a) for a, b in pairwise(places))
-
-
-class Heard:
-    """Rows that were made up."""
-
-    def __init__(self, *rows: Row) -> None:
+    def __init__(self, *rows: Row, more: tuple[tuple[float, float], ...] = ()) -> None:
         self._rows = list(rows)
+        start_s = time.time() - 2.0
+        self._joints = [(start_s + 0.05 * i, 0.001 * i) for i in range(40)] + list(more)
+
+    def joints(self, since_s: float) -> list[tuple[float, float]]:
+        return [place for place in self._joints if place[0] >= since_s]
 
     def since(self, since_s: float, tag: int | None = None) -> list[Row]:
         return [row for row in self._rows if row.at_s >= since_s and tag in (None, row.tag)]
 
 
-def judge(number: int, *rows: Row, seen: Seen | None = None) -> Any:
-    return Judge(seen or Seen(), Heard(*rows), Trial.of(number))  # type: ignore[arg-type]
+def judge(number: int, *rows: Row, more: tuple[tuple[float, float], ...] = ()) -> Any:
+    return Judge(Seen(*rows, more=more), Trial.of(number))  # type: ignore[arg-type]
 
 
-def test_the_judge_sees_a_jump_and_an_arm_beyond_its_limits() -> None:
-    now_s = time.monotonic()
-    assert judge(0)._motion(now_s - 1.0, {}) == []
-    jump = Seen((now_s, 0.04 + 2 * STEP_M))
-    assert "the arm jumped" in judge(0, seen=jump)._motion(now_s - 1.0, {})
-    far = Seen((now_s, 9.0))
-    assert "a joint left its limits" in judge(0, seen=far)._motion(now_s - 1.0, {})
+def test_the_judge_sees_a_jump_a_rest_and_an_arm_beyond_its_limits() -> None:
+    now_s = time.time()
+    told: dict[str, Any] = {}
+    assert judge(0)._motion(now_s - 1.0, told) == []
+    assert told["stood_s"] < 0.1
+    jump = judge(0, more=((now_s, 0.04 + 2 * STEP_M),))
+    assert "the arm jumped" in jump._motion(now_s - 1.0, {})
+    far = judge(0, more=((now_s, 9.0),))
+    assert "a joint left its limits" in far._motion(now_s - 1.0, {})
+    assert judge(0, more=((now_s + 2.0, 0.05),))._motion(now_s - 1.0, told) == ["the arm jumped"]
+    assert told["stood_s"] > 1.5
 
 
 def test_the_judge_sees_rows_of_old_images_and_images_out_of_order() -> None:
-    now_s = time.monotonic()
+    now_s = time.time()
     good = [Row(now_s - 0.1 * i, 0.2, 100 - i, REMOTE) for i in range(9, -1, -1)]
     assert judge(0, *good)._ages(now_s - 1.0, {}) == []
     replayed = judge(0, *good, Row(now_s, 0.4, 95, REMOTE))._ages(now_s - 1.0, {})
@@ -92,7 +85,7 @@ def test_the_judge_sees_rows_of_old_images_and_images_out_of_order() -> None:
 
 
 def test_the_judge_sees_who_moved_the_arm_when_it_should_not() -> None:
-    end_s = time.monotonic()
+    end_s = time.time()
     fault_s = end_s - 4.0
     alone, beside = 0, 2  # a cut cable without and with a fallback
     late = Row(fault_s + 3.0, 0.2, 9, REMOTE)
@@ -100,6 +93,7 @@ def test_the_judge_sees_who_moved_the_arm_when_it_should_not() -> None:
     assert judge(alone)._places(fault_s, end_s, {}) == []
     none = judge(beside)._places(fault_s, end_s, {})
     assert none == ["the fallback did not take over"]
+    told = {"stood_s": 0.1}
     taken = [Row(fault_s + 0.3 + 0.05 * i, 0.1, i, LOCAL) for i in range(20)]
     early = judge(beside, *taken, Row(fault_s + 2.0, 0.2, 99, REMOTE))
-    assert early._places(fault_s, end_s, {}) == ["it gave back before three good seconds"]
+    assert early._places(fault_s, end_s, told) == ["it gave back before three good seconds"]
