@@ -58,7 +58,7 @@ class Seen:
 
 
 def judge(number: int, *rows: Row, more: tuple[tuple[float, float], ...] = ()) -> Any:
-    return Judge(Seen(*rows, more=more), Trial.of(number))  # type: ignore[arg-type]
+    return Judge(Seen(*rows, more=more), str, Trial.of(number))  # type: ignore[arg-type]
 
 
 def test_the_judge_sees_a_jump_a_rest_and_an_arm_beyond_its_limits() -> None:
