@@ -46,6 +46,7 @@ from link_machines import impossible, machines  # noqa: E402
 from policy_servers import RunningServer, link_of, pair  # noqa: E402
 from switch_plugin import named_by  # noqa: E402
 
+from rn_standard.selection.requests import StartChosenInference  # noqa: E402
 from rn_standard.tools_loop.instructing import give_instruction  # noqa: E402
 from rn_testing.fakes.robot import gantry_profile  # noqa: E402
 from rn_testing.spinning import spinning_node  # noqa: E402
@@ -185,11 +186,11 @@ class Witness:
         ]
 
     def _captured_s(self, image: int) -> float:
-        """When an image was captured; by the nearest one that is known, where it was lost here."""
+        """When an image was captured; at the latest, where it was lost here."""
         if image in self._stamps:
             return self._stamps[image]
-        known = min(list(self._stamps), key=lambda number: abs(number - image))
-        return self._stamps[known] + (image - known) / RATE_HZ
+        later = [number for number in list(self._stamps) if number > image]
+        return self._stamps[min(later)] if later else max(self._stamps.values())
 
     def sees(self) -> bool:
         """Whether images have come."""
@@ -459,7 +460,12 @@ class Judge:
 
 def instruct(loop: ClosedLoop) -> str:
     """Ask for motion anew after a stop that forbids it until somebody does; returns its reason."""
-    report = loop.modules.view("inference").report
+    view = loop.modules.view("inference")
+    if view.phase != "running":
+        with contextlib.suppress(RoboNeuronError):
+            loop.start("inference", StartChosenInference(instruction="move on", options={}))
+        return "the inference module had ended"
+    report = view.report
     if report is None or not report.needs_start:
         return ""
     with contextlib.suppress(RoboNeuronError):  # asked again as long as nothing moves
