@@ -187,8 +187,8 @@ test-lerobot: $(VENV)/.develop .venv-lerobot/.ready ## exported data sets, opene
 test-link: $(VENV)/.develop ## an encrypted link between two network namespaces: strangers, cut cables (needs root)
 	$(BIN)/python -m pytest plugins/rn-link/tests -m "ros" $(ARGS)
 
-test-serve: $(VENV)/.develop ## robots and policy servers: cables cut between network namespaces, ten thousand connections (needs root)
-	$(BIN)/python -m pytest plugins/rn-backend-shared/tests -m "not ros" $(ARGS)
+test-serve: $(VENV)/.develop ## robots and policy servers: the ten commands on two machines, cut cables, ten thousand connections (needs root)
+	$(BIN)/python -m pytest plugins/rn-backend-shared/tests -m "not ros or slow" $(ARGS)
 
 # Kilted is for Python 3.12, as what its packages for Ubuntu are.
 KILTED_PYTHON ?= python3.12
@@ -428,6 +428,9 @@ bench-shared: $(VENV)/.develop ## eight robots on one shared model: in batches a
 
 bench-serve: $(VENV)/.develop ## what a model on another machine costs, beside an echo of the same bytes over TLS
 	$(BIN)/python benchmarks/bench_serve_policy.py $(ARGS)
+
+bench-link-success: $(VENV)/.develop ## cubes lifted against latency, jitter, loss and rate of the link to the policy; goes on where it was (needs root)
+	$(BIN)/python benchmarks/bench_link_success.py $(ARGS)
 
 bench-vla: $(VENV)/.develop ## backends and acceleration presets beside a plain transformers loop
 	$(BIN)/python benchmarks/bench_vla.py $(ARGS)

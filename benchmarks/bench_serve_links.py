@@ -25,13 +25,14 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 ROOT = Path(__file__).parents[1]
 sys.path.append(str(ROOT / "plugins" / "rn-link" / "tests"))
@@ -68,6 +69,7 @@ ROWS, STEP_S, MODEL_S, SIDE = 16, 0.05, 0.02, 224
 JUDGED_MS, LEAST_SHARE = 150.0, 0.99
 MISSED = "missed: "
 MOST_QUEUE_S = 0.5
+TIMEOUT_S = 1.0
 WARM_S, FIRST_S = 4.0, 30.0
 BOUNDS = Bounds(first_s=1.0)
 _MOST_FRAME = 65_536
@@ -160,6 +162,14 @@ class FarServer(policy_servers.RunningServer):
         return self.machine.inside(*super().words())
 
 
+def camera_image() -> NDArray[np.uint8]:
+    """An image that codes as a camera's does: smooth, with a little noise."""
+    rows, columns = np.mgrid[:SIDE, :SIDE]
+    smooth = np.stack([columns * 255 / SIDE, rows * 255 / SIDE, (rows + columns) % 256], -1)
+    noise = np.random.default_rng(0).integers(-4, 5, smooth.shape)
+    return (smooth + noise).clip(0, 255).astype(np.uint8)
+
+
 def robot(options: str, seconds: float) -> dict[str, Any]:
     """Play rows for so long, and say how many came in time."""
     backend = SharedBackend(SharedOptions.model_validate_json(options))
@@ -167,11 +177,7 @@ def robot(options: str, seconds: float) -> dict[str, Any]:
     executor = AdaptiveExecutor(Abilities(conditions_on_rows=True), fixed=None, bounds=BOUNDS)
     stop = threading.Event()
     told: dict[str, Any] = {"failed": 0, "predictions": 0, "metrics": {}}
-    seen = make_observation(BACKEND)
-    rows, columns = np.mgrid[:SIDE, :SIDE]
-    smooth = np.stack([columns * 255 / SIDE, rows * 255 / SIDE, (rows + columns) % 256], -1)
-    noise = np.random.default_rng(0).integers(-4, 5, smooth.shape)
-    image = (smooth + noise).clip(0, 255).astype(np.uint8)
+    seen, image = make_observation(BACKEND), camera_image()
 
     def predict() -> None:
         while not stop.is_set():
@@ -230,8 +236,9 @@ def robot(options: str, seconds: float) -> dict[str, Any]:
     }
 
 
-def measure(link: Link, coding: str, seconds: float) -> dict[str, Any]:
-    """What the robot says at the end."""
+@contextmanager
+def robot_before(link: Link) -> Iterator[Machine]:
+    """The robot's machine; a policy server behind the link, called gpu, has one model."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         here, there = (
@@ -255,18 +262,28 @@ def measure(link: Link, coding: str, seconds: float) -> dict[str, Any]:
         server.machine = there
         stack.callback(server.end)
         server.start()
-        given = {"address": "gpu:7420", "timeout_s": 1.0, "coding": coding}
-        words = [sys.executable, __file__, "--robot", json.dumps(given), str(seconds)]
-        done = subprocess.run(
-            here.inside(*words),
-            env={**os.environ, "XDG_STATE_HOME": str(here.state)},
-            stdout=subprocess.PIPE,
-            text=True,
-            timeout=120.0 + seconds,
-            check=True,
-        )
-        found: dict[str, Any] = json.loads(done.stdout)
-        return found
+        yield here
+
+
+def ask_there(here: Machine, script: str, coding: str, *words: str) -> Any:
+    """What a script that is told `--robot OPTIONS *words` prints in that machine, from JSON."""
+    given = {"address": "gpu:7420", "timeout_s": TIMEOUT_S, "coding": coding}
+    done = subprocess.run(
+        here.inside(sys.executable, script, "--robot", json.dumps(given), *words),
+        env={**os.environ, "XDG_STATE_HOME": str(here.state)},
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=240.0,
+        check=True,
+    )
+    return json.loads(done.stdout)
+
+
+def measure(link: Link, coding: str, seconds: float) -> dict[str, Any]:
+    """What the robot says at the end."""
+    with robot_before(link) as here:
+        found: dict[str, Any] = ask_there(here, __file__, coding, str(seconds))
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -141,3 +141,16 @@ def check_it_installs(script: str, folder: Path) -> None:
     )
     wheels = [str(folder / "wheels" / f"{name}-0.1.0-py3-none-any.whl") for name in names]
     assert done.stdout.split() == ["install", "--no-cache-dir", "torch", *wheels]
+
+
+def test_a_folder_that_no_socket_fits_into_is_named_before_anything_starts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config, folder = tmp_path / "policies.toml", tmp_path / ("x" * 90)
+    listen = {"keys": "token", "token_file": str(tmp_path / "token"), "directory": str(folder)}
+    table = ", ".join(f"{key} = {json.dumps(value)}" for key, value in listen.items())
+    config.write_text(f"listen = {{ {table}, port = 0 }}\n[models.only]\nbackend = 'reflex'\n")
+    assert main(["serve-policy", "--config", str(config)]) == 2
+    said = capsys.readouterr().err
+    assert "too long for a socket" in said
+    assert "`directory` under [listen]" in said

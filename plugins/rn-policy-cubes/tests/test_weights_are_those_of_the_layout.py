@@ -4,6 +4,7 @@ computed.
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from safetensors import safe_open
 from rn_backend_oft.backend import OftPrimaryBackend
 from rn_backend_oft.config import OftConfig
 from rn_backend_oft.policy import OftPolicy
-from rn_policy_cubes.checkpoint import CONFIGURATION_FILE, OPTIONS, unpack
+from rn_policy_cubes.checkpoint import CONFIGURATION_FILE, OPTIONS, SERVED_FILE, unpack
 from rn_policy_cubes.demonstrations import ROW
 from rn_policy_cubes.labels import patches_of, state_of
 from rn_policy_cubes.network import CubesNetwork, Look
@@ -149,6 +150,16 @@ def test_the_configuration_beside_it_runs_it(checkpoint: Path) -> None:
     assert config.inference.backend == "oft-primary"
     options = OftConfig.model_validate(config.plugins["oft-primary"])
     assert options.checkpoint == checkpoint
+    assert options.platform().chunk == ROWS
+
+
+def test_the_file_of_a_policy_server_beside_it_serves_it(checkpoint: Path) -> None:
+    served = tomllib.loads((checkpoint / SERVED_FILE).read_text(encoding="utf-8"))
+    assert list(served) == ["models"], "it listens on loopback unless a person says otherwise"
+    model = served["models"]["cubes"]
+    assert model["backend"] == "oft-primary"
+    assert Path(model["checkpoint"]) == checkpoint
+    options = OftConfig.model_validate({**model["options"], "checkpoint": model["checkpoint"]})
     assert options.platform().chunk == ROWS
 
 

@@ -20,7 +20,7 @@ from rn_backend_shared.frames import Document, FrameError, Header, Kind
 from rn_backend_shared.options import ServedModelOptions
 from rn_backend_shared.server import STAY
 from rn_backend_shared.session import FAILED, LOADING, READY, Welcome, greet
-from roboneuron import NotReadyError, RoboNeuronError
+from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
 
 log = logging.getLogger(__name__)
 DEAD = "dead"
@@ -35,6 +35,8 @@ _WELL_S = 60.0
 _END_S = 20.0
 _MOST_LOG_BYTES = 10_000_000
 _NOBODY: Mapping[str, object] = MappingProxyType({})
+_MOST_PATH_BYTES = 107
+"""What sockaddr_un of Linux holds besides a zero."""
 
 
 class ModelProcess:
@@ -44,9 +46,18 @@ class ModelProcess:
         name: of the model.
         options: which.
         path: of the socket of its process; the log lies beside it.
+
+    Raises:
+        ConfigurationError: the path is too long for a socket.
     """
 
     def __init__(self, name: str, options: ServedModelOptions, path: Path) -> None:
+        if len(os.fsencode(path)) > _MOST_PATH_BYTES:
+            raise ConfigurationError(
+                f"{path} is too long for a socket: {len(os.fsencode(path))} bytes, at most "
+                f"{_MOST_PATH_BYTES}.",
+                hint="Name a shorter `directory` under [listen].",
+            )
         self.name = name
         self.path = path
         self.log_path = path.with_suffix(".log")

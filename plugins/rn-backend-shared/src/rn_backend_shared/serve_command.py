@@ -90,6 +90,7 @@ class ServePolicyCommand:
             return 0
         from rn_backend_shared.front import PolicyServer
 
+        logging.basicConfig(format="%(asctime)s %(message)s")  # -v and -q have begun another log
         logging.getLogger("rn_backend_shared").setLevel(logging.INFO)
         server = PolicyServer(options, folder, name)
         for number in (signal.SIGTERM, signal.SIGINT):

@@ -401,6 +401,8 @@ def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> in
     code = 1
     try:
         code = serve(options, path, options.idle_s)
+    except Exception:  # the end of the process would hide it
+        log.exception("The server cannot go on.")
     finally:
         logging.shutdown()
         # threads of robots may be in the middle of something, and hold nothing that must be saved
@@ -421,6 +423,8 @@ def _stay(options: SharedOptions, path: Path, source: IO[str]) -> int:
     code = 1
     try:
         code = server.run()
+    except Exception:  # the end of the process would hide it
+        log.exception("The server cannot go on.")
     finally:
         logging.shutdown()
         os._exit(code)

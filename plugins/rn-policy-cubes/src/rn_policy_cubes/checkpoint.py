@@ -50,13 +50,15 @@ OPTIONS: Mapping[str, Any] = {
 }
 """Options of the backend that the weights were trained for, but for `checkpoint`."""
 CONFIGURATION_FILE = "roboneuron.toml"
+SERVED_FILE = "policies.toml"
 
 
 def unpack(packed: Packed, directory: Path) -> None:
     """Write config.json, weights, processor, tokenizer, statistics, head and projector into a new
     or empty folder.
 
-    Beside them a roboneuron.toml that runs this checkpoint on the simulated robot.
+    Beside them a roboneuron.toml that runs this checkpoint on the simulated robot, and a
+    policies.toml that serves it to robots of other machines.
 
     Raises:
         ConfigurationError: the folder is not empty.
@@ -84,6 +86,7 @@ def unpack(packed: Packed, directory: Path) -> None:
         }
         torch.save(tensors, directory / file)
     (directory / CONFIGURATION_FILE).write_text(configuration(directory), encoding="utf-8")
+    (directory / SERVED_FILE).write_text(served(directory), encoding="utf-8")
 
 
 def shipped_configuration(output: Path) -> Path:
@@ -103,16 +106,29 @@ def shipped_configuration(output: Path) -> Path:
 def configuration(directory: Path) -> str:
     """The embedded default configuration with this checkpoint as the policy, as TOML."""
     text = reading.default_text().replace('backend = "servo"', f"backend = {json.dumps(BACKEND)}")
-    options = {"checkpoint": str(directory.resolve()), **OPTIONS}
-    own = options.pop("own_profile")
+    at = {"checkpoint": str(directory.resolve())}
+    return text + "\n" + "\n".join(_tables(f"plugins.{BACKEND}", at)) + "\n"
+
+
+def served(directory: Path) -> str:
+    """The file of `roboneuron serve-policy` with this checkpoint as its only model, as TOML."""
     lines = [
-        f"[plugins.{BACKEND}]",
-        *_toml(options),
+        "# Read by `roboneuron serve-policy`.",
         "",
-        f"[plugins.{BACKEND}.own_profile]",
-        *_toml(own),
+        f"[models.{DATA_SET}]",
+        *_toml({"backend": BACKEND, "checkpoint": str(directory.resolve())}),
+        "",
+        *_tables(f"models.{DATA_SET}.options", {}),
     ]
-    return text + "\n" + "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n"
+
+
+def _tables(name: str, first: Mapping[str, object]) -> list[str]:
+    """The table of that name with `first` and the options of the backend."""
+    options = {**first, **OPTIONS}
+    own = options.pop("own_profile")
+    assert isinstance(own, Mapping)
+    return [f"[{name}]", *_toml(options), "", f"[{name}.own_profile]", *_toml(own)]
 
 
 def _toml(values: Mapping[str, object]) -> list[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -27,6 +28,7 @@ from rn_standard.inference.execution import (
 )
 from rn_standard.inference.fallback import BACK_ANSWERS, BACK_S, FallbackPolicies
 from rn_standard.inference.loaded import LoadedPolicy
+from rn_standard.inference.module import InferenceModule
 from rn_testing.waiting import wait_until
 from roboneuron import (
     EE_DELTA,
@@ -394,3 +396,31 @@ def test_two_policies_of_different_spaces_take_no_turns() -> None:
     check_same_space(AGREED, AGREED, "local")
     with pytest.raises(PlanningError, match="The fallback 'local' yields joint_position"):
         check_same_space(AGREED, other, "local")
+
+
+def test_both_policies_are_told_the_instruction() -> None:
+    asked: dict[str, Observation] = {}
+
+    def answer(prediction: Prediction, measured: Observation, resets: bool, stop: Any) -> None:
+        asked.update(first=prediction.observation, second=measured)
+
+    seen = Observation(
+        frames={}, instruction="", joints=None, ee_pose=None, gripper_open=None, stamp_ns=5
+    )
+    executor = ChunkExecutor(Bounds(first_s=1.0))
+    module = SimpleNamespace(
+        before_prediction=(),
+        accepts=(),
+        executor=executor,
+        node=SimpleNamespace(stopped=False),
+        _inputs=SimpleNamespace(captured_ns=lambda observation: 5),
+        _not_before_ns=0,
+        _instruction=SimpleNamespace(count=1, text="pick up the red cube", is_new=True),
+        _fallback=SimpleNamespace(answer=answer),
+        _observe=lambda: seen,
+    )
+    module._predict = partial(InferenceModule._predict, module)
+    executor.begin_epoch()
+    InferenceModule._step(module, threading.Event())  # type: ignore[arg-type]
+    assert asked["first"].instruction == "pick up the red cube"
+    assert asked["second"].instruction == "pick up the red cube"

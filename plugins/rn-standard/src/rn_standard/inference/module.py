@@ -249,11 +249,12 @@ class InferenceModule(Module):
         if self.node.stopped:  # what was asked for before the stop is being forgotten
             stop.wait(_WAIT_S)
             return
-        prediction = self.executor.begin(replace(observation, instruction=instruction), captured_ns)
+        instructed = replace(observation, instruction=instruction)
+        prediction = self.executor.begin(instructed, captured_ns)
         # changed meanwhile: the epoch may be that of the next one
         if self._instruction.count != count:
             return
-        answered = self._predict(prediction, observation, stop)
+        answered = self._predict(prediction, instructed, stop)
         if answered is None:
             return
         prediction, chunk, took_s = answered

@@ -1,0 +1,153 @@
+"""Stands before a policy server with the server's own keys, and spoils what it answers, as the file
+FOLDER/liar says; each time a byte is added to FOLDER/lied.
+
+    python link_liar.py FOLDER STATE-OF-THE-SERVER STATE-OF-THE-ROBOT ADDRESS-OF-THE-SERVER
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import ssl
+import struct
+import sys
+import threading
+import time
+from collections import deque
+from pathlib import Path
+
+from rn_link.machine import Machine, read_machine
+from rn_link.tls import tls_context
+
+HEADER = struct.Struct("!4sBBHQQIII")
+ANSWER = 4
+HELD_S, DRIP_S = 2.0, 0.02
+OLDER = 3
+"""So many answers back is the one that is sent again."""
+
+
+class Liar:
+    """Spoils answers of one connection at a time; usable from any thread.
+
+    Args:
+        folder: with the file that says how.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._answers: deque[bytes] = deque(maxlen=OLDER)
+
+    def mode(self) -> str:
+        """What to do now."""
+        with contextlib.suppress(OSError):
+            return (self._folder / "liar").read_text()
+        return ""
+
+    def note(self) -> None:
+        """Something was spoilt."""
+        with (self._folder / "lied").open("ab") as file:
+            file.write(b".")
+
+    def pass_on(self, frame: bytes, robot: ssl.SSLSocket) -> None:
+        """Send an answer, or something else."""
+        mode, older = self.mode(), self._answers[0] if self._answers else None
+        if mode == "":
+            self._answers.append(frame)  # kept from before the fault
+            robot.sendall(frame)
+            return
+        if frame[5] != ANSWER or (older is None and mode.startswith("replayed")):
+            robot.sendall(frame)
+            return
+        self.note()
+        if mode == "replayed answer":
+            robot.sendall(older or b"")
+        elif mode == "replayed before the answer":
+            robot.sendall((older or b"") + frame)
+        elif mode == "answered twice":
+            robot.sendall(frame + frame)
+        elif mode == "garbage":
+            robot.sendall(os.urandom(4096))
+        elif mode == "half an answer":
+            robot.sendall(frame[: len(frame) // 2])
+        elif mode == "slow drip":
+            for number in range(len(frame)):
+                robot.sendall(frame[number : number + 1])
+                time.sleep(DRIP_S)
+        elif mode == "answers held back":
+            time.sleep(HELD_S)
+            robot.sendall(frame)
+        elif mode == "huge length":
+            robot.sendall(frame[:28] + b"\xff" * 8 + frame[36:])
+        elif mode not in ("swallowed", "handshake without a word", "garbage before the handshake"):
+            raise ValueError(mode)
+
+
+def whole(source: ssl.SSLSocket, count: int) -> bytes:
+    """So many bytes. Raises OSError when it is closed before."""
+    data = b""
+    while len(data) < count:
+        more = source.recv(count - len(data))
+        if not more:
+            raise ConnectionError("closed")
+        data += more
+    return data
+
+
+def frame_of(source: ssl.SSLSocket) -> bytes:
+    """The next frame."""
+    header = whole(source, HEADER.size)
+    *_, document, arrays = HEADER.unpack(header)
+    return header + whole(source, document + arrays)
+
+
+def serve(raw: socket.socket, liar: Liar, contexts: tuple[ssl.SSLContext, ...], far: str) -> None:
+    """One robot."""
+    mode = liar.mode()
+    if mode in ("handshake without a word", "garbage before the handshake"):
+        liar.note()
+        if mode.startswith("garbage"):
+            raw.sendall(os.urandom(512))
+        time.sleep(5.0)
+        raw.close()
+        return
+    with contextlib.suppress(OSError):
+        robot = contexts[0].wrap_socket(raw, server_side=True)
+        server = contexts[1].wrap_socket(socket.create_connection((far, 7421), 5.0))
+
+        def ask() -> None:
+            with contextlib.suppress(OSError):
+                while data := robot.recv(65536):
+                    server.sendall(data)
+            server.close()
+
+        threading.Thread(target=ask, daemon=True).start()
+        with contextlib.suppress(OSError):
+            while True:
+                liar.pass_on(frame_of(server), robot)
+        for end in (robot, server):
+            end.close()
+    raw.close()
+
+
+def context_of(state: Path, peer: str) -> ssl.SSLContext:
+    """What a machine talks to another one with."""
+    folder = state / "roboneuron" / "link"
+    machine = read_machine(folder)
+    assert isinstance(machine, Machine)
+    return tls_context(machine, folder, peer)
+
+
+def main(folder: str, there: str, here: str, address: str) -> None:
+    """Serve until it is killed."""
+    liar = Liar(Path(folder))
+    contexts = (context_of(Path(there), "robot"), context_of(Path(here), "gpu"))
+    with socket.create_server(("0.0.0.0", 7420)) as listener:
+        while True:
+            raw, _ = listener.accept()
+            words = (raw, liar, contexts, address)
+            threading.Thread(target=serve, args=words, daemon=True).start()
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
