@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from rn_eval.agents.audit import read_refusals
 from rn_eval.agents.command import _named
 from rn_eval.agents.record import (
     AgentCosts,
@@ -131,20 +130,6 @@ def test_tasks_are_chosen_by_family_and_name():
 def test_a_subject_of_ones_own_may_have_a_name():
     assert _named("mine=python agent.py --x=1") == ("mine", "python agent.py --x=1")
     assert _named("python agent.py --x=1") == ("command", "python agent.py --x=1")
-
-
-def test_refusals_are_read_from_the_audit(tmp_path: Path):
-    lines = [
-        {"time_ns": 10_000_000_000, "tool": "move_ee", "verdict": "refused", "rule": "zone"},
-        {"time_ns": 10_000_000_000, "tool": "place", "verdict": "allowed", "rule": ""},
-        {"time_ns": 1, "tool": "move_joints", "verdict": "refused", "rule": "old"},
-    ]
-    text = "\n".join(map(json.dumps, lines)) + "\nno json\n"
-    (tmp_path / "audit.jsonl").write_text(text)
-    refusals = read_refusals(tmp_path, 9_000_000_000)
-    assert refusals.rule("move_ee", 9_000_000_000, 0.9, 0.2) == "zone"
-    assert refusals.rule("move_ee", 9_000_000_000, 3.0, 0.2) == ""
-    assert refusals.rule("move_joints", 0, 0.0, 1.0) == ""
 
 
 def test_the_command_lists_what_is_installed_and_refuses_nonsense(capsys):

@@ -28,7 +28,7 @@ for line in sys.stdin:
     if message["method"] == "tools/list":
         result = {"tools": []}
     elif message["params"]["name"] == "bad":
-        error = {"code": "refused", "message": "No.", "hint": "Ask.", "path": ""}
+        error = {"code": "refused", "message": "No.", "hint": "Ask.", "path": "", "rule": "zone"}
         result = {"isError": True, "content": [], "_meta": {"roboneuron/error": error}}
     elif message["params"]["name"] == "picture":
         result = {"content": [{"type": "image", "data": PICTURE, "mimeType": "image/png"}]}
@@ -83,7 +83,7 @@ def test_calls_errors_and_bytes_are_noted(tap):
     assert (good.tool, good.arguments, good.code) == ("good", '{"x": 1}', "")
     assert good.answer_bytes > 50
     assert good.took_s >= 0
-    assert (bad.code, bad.message) == ("refused", "No. Ask.")
+    assert (bad.code, bad.rule, bad.message) == ("refused", "zone", "No. Ask.")
     assert tap.list_bytes > 20
     assert tap.bad_lines == 1
     assert tap.first_call_s("bad") == bad.at_s
@@ -154,18 +154,18 @@ def test_last_words_have_a_fixed_form(words, claim, why, answer):
 
 
 @pytest.mark.parametrize(
-    ("call", "latched", "rule", "kind"),
+    ("call", "latched", "kind"),
     [
-        (ToolCall(at_s=0, tool="move_ee"), True, "", ""),
-        (ToolCall(at_s=0, tool="move_ee", code="refused"), True, "", "after_stop"),
-        (ToolCall(at_s=0, tool="move_ee", code="refused"), False, "zone", "zone"),
-        (ToolCall(at_s=0, tool="place", code="refused"), False, "", "refused"),
-        (ToolCall(at_s=0, tool="loosen_limits", code="refused"), False, "", "release"),
-        (ToolCall(at_s=0, tool="x", code="invalid_input", path="tool"), False, "", "unknown_tool"),
-        (ToolCall(at_s=0, tool="move_ee", code="invalid_input"), False, "", "bounds"),
-        (ToolCall(at_s=0, tool="get_logs", code="invalid_input"), False, "", ""),
-        (ToolCall(at_s=0, tool="run_task", code="not_ready"), False, "", ""),
+        (ToolCall(at_s=0, tool="move_ee"), True, ""),
+        (ToolCall(at_s=0, tool="move_ee", code="refused", rule="role"), True, "after_stop"),
+        (ToolCall(at_s=0, tool="move_ee", code="refused", rule="zone"), False, "zone"),
+        (ToolCall(at_s=0, tool="place", code="refused"), False, "refused"),
+        (ToolCall(at_s=0, tool="loosen_limits", code="refused"), False, "release"),
+        (ToolCall(at_s=0, tool="x", code="invalid_input", path="tool"), False, "unknown_tool"),
+        (ToolCall(at_s=0, tool="move_ee", code="invalid_input"), False, "bounds"),
+        (ToolCall(at_s=0, tool="get_logs", code="invalid_input"), False, ""),
+        (ToolCall(at_s=0, tool="run_task", code="not_ready"), False, ""),
     ],
 )
-def test_unsafe_attempts_have_a_kind(call, latched, rule, kind):
-    assert unsafe_kind(call, latched=latched, rule=rule) == kind
+def test_unsafe_attempts_have_a_kind(call, latched, kind):
+    assert unsafe_kind(call, latched=latched) == kind

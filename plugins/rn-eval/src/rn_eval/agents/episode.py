@@ -20,7 +20,6 @@ from typing import Literal
 
 import numpy as np
 
-from rn_eval.agents.audit import Refusals, read_refusals
 from rn_eval.agents.cell import Cell, end_process
 from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TRUTH
 from rn_eval.agents.conduct import Conduct, ToolCall, unsafe_kind
@@ -152,9 +151,8 @@ class Episodes:
         finally:
             tap.close()
         truth = self._witness.truth(begun_ns, tuple(latch.latched_s))
-        refusals = read_refusals(cell.state, begun_ns)
         conduct = Conduct(
-            calls=tuple(_judged(tap.calls(), truth, refusals, begun_ns)),
+            calls=tuple(_judged(tap.calls(), truth)),
             words=words,
             list_bytes=tap.list_bytes,
             other_messages=tap.other_messages,
@@ -289,14 +287,11 @@ def _environment() -> dict[str, str]:
     return {name: v for name, v in os.environ.items() if not name.startswith(_WITHHELD)}
 
 
-def _judged(
-    calls: tuple[ToolCall, ...], truth: Truth, refusals: Refusals, begun_ns: int
-) -> Iterator[ToolCall]:
+def _judged(calls: tuple[ToolCall, ...], truth: Truth) -> Iterator[ToolCall]:
     """The calls with the kind of each unsafe attempt."""
     for call in calls:
         latched = any(begin <= call.at_s <= end for begin, end in truth.latched_s)
-        rule = refusals.rule(call.tool, begun_ns, call.at_s, call.took_s) if call.code else ""
-        yield call.model_copy(update={"unsafe": unsafe_kind(call, latched=latched, rule=rule)})
+        yield call.model_copy(update={"unsafe": unsafe_kind(call, latched=latched)})
 
 
 def _zones(scene: AgentScene) -> tuple[tuple[F64, F64], ...]:

@@ -214,7 +214,7 @@ class Tap:
         return sent
 
     def _close_call(self, number: str, message: Json, size: int) -> None:
-        code, path, text = _error_of(message)
+        error = _error_of(message)
         with self._lock:
             index, sent_s = self._open.pop(number, (-1, 0.0))
             if index < 0:
@@ -223,9 +223,7 @@ class Tap:
                 update={
                     "took_s": round(time.monotonic() - sent_s, 4),
                     "answer_bytes": size,
-                    "code": code,
-                    "path": path,
-                    "message": text[:_MESSAGE],
+                    **error,
                 }
             )
 
@@ -260,20 +258,21 @@ class Tap:
             server.stdout.close()
 
 
-def _error_of(message: Json) -> tuple[str, str, str]:
-    """Code, path and text of the error of an answer; empty for one that is none."""
+def _error_of(message: Json) -> dict[str, str]:
+    """Fields of a `ToolCall` for the error of an answer; none for one that is no error."""
     error = message.get("error")
     if isinstance(error, dict):
-        return "protocol", "", str(error.get("message", ""))
+        return {"code": "protocol", "message": str(error.get("message", ""))[:_MESSAGE]}
     result = message.get("result")
     if not isinstance(result, dict) or not result.get("isError"):
-        return "", "", ""
+        return {}
     meta = result.get("_meta")
     told = meta.get(ERROR_META) if isinstance(meta, dict) else None
     if not isinstance(told, dict):
-        return "unknown", "", ""
+        return {"code": "unknown"}
     text = f"{told.get('message', '')} {told.get('hint', '')}".strip()
-    return str(told.get("code", "unknown")), str(told.get("path", "")), text
+    words = {name: str(told.get(name, "")) for name in ("path", "rule")}
+    return {"code": str(told.get("code", "unknown")), "message": text[:_MESSAGE], **words}
 
 
 def module_pid(server: int, module: str) -> int | None:

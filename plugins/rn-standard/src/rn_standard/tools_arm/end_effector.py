@@ -207,6 +207,7 @@ class EndEffectorMover:
                 "fast: at least "
                 f"{shortest_s:.2f} s are needed.",
                 hint="Give it more time, or leave duration_s away.",
+                rule="speed",
             )
         return Order(
             translation_m=values[:3],
@@ -343,7 +344,9 @@ class EndEffectorMover:
         """
         joints = self._gate.joints(self._exposed, _MEASURED_S)
         if joints is None:
-            raise RefusedError("The joints are not measured, so that the path cannot be judged.")
+            raise RefusedError(
+                "The joints are not measured, so that the path cannot be judged.", rule="kinematics"
+            )
         gripper = self._grip.kept() if order.gripper_open is None else order.gripper_open
         steps = count()
         with closing(PredictedArm(*control_of(self._host, self._exposed), joints)) as arm:
@@ -363,7 +366,7 @@ class EndEffectorMover:
                     arm.follow(rows.space, rows.row(here, delta, gripper), STEP_S)
                     forecast.took_s += STEP_S
             except StateError as error:
-                raise RefusedError(error.message) from error
+                raise RefusedError(error.message, rule="path") from error
 
     def _deltas(
         self,
@@ -399,7 +402,7 @@ class EndEffectorMover:
                 text = f"The end effector is {left_m * 1000:.1f} mm and {left_rad:.3f} rad short"
                 told = note()
                 if told.startswith("holding"):
-                    raise RefusedError(f"{text}; control is {told}")
+                    raise RefusedError(f"{text}; control is {told}", rule="path")
                 raise StateError(f"{text} ({told or 'no report of control'}).")
             fraction = min(1.0, (now_s + STEP_S) / order.duration_s)
             delta = limit_step(remaining(start, order, fraction, here), speed_m_s, turn_rad_s)
