@@ -133,6 +133,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
         "XDG_DATA_HOME": str(tmp_path / "data"),
         "XDG_CACHE_HOME": str(tmp_path / "cache"),
         "ROS_DOMAIN_ID": str(free_ros_domain()),
+        "ROBONEURON_SIMULATOR_TRUTH": "on",
     }
     environment.pop(PREFIXES)
     made = Bench(tmp_path, environment)

@@ -43,7 +43,7 @@ PUBLISHED = {
     "control": "module planning",
     "direct_path": "allow_list arbiter delivery derived exposed fields joints limits peers places "
     "speeds "
-    "twists type_hashes transforms",
+    "truth twists type_hashes transforms",
     "execution": "adaptive mode",
     "http": "addresses authentication bounded_server connections feature listener operator_lease "
     "options origins plugin tokens",

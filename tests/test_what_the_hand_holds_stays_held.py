@@ -149,7 +149,8 @@ def test_a_cube_stays_held_until_it_is_put_down(
     ]
 
     async def scenario() -> None:
-        server = StdioServerParameters(command=sys.executable, args=command, env=environment)
+        judged = {**environment, "ROBONEURON_SIMULATOR_TRUTH": "on"}
+        server = StdioServerParameters(command=sys.executable, args=command, env=judged)
         async with Client(server) as client:
             for step in steps:
                 await step(Agent(client))

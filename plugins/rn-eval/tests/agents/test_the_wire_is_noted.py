@@ -16,7 +16,7 @@ from PIL import Image
 
 from rn_eval.agents import tap as tap_module
 from rn_eval.agents.conduct import ToolCall, parse_words, unsafe_kind
-from rn_eval.agents.tap import Tap, end_module, module_pid, without_truth
+from rn_eval.agents.tap import Tap, end_module, module_pid
 
 SERVER = """
 import json, sys
@@ -33,7 +33,7 @@ for line in sys.stdin:
     elif message["params"]["name"] == "picture":
         result = {"content": [{"type": "image", "data": PICTURE, "mimeType": "image/png"}]}
     else:
-        status = {"modules": [{"detail": {"cubes": "{}", "seed": "1"}}]}
+        status = {"modules": [{"detail": {"engine": "mujoco"}}]}
         text = json.dumps(status)
         result = {"structuredContent": status, "content": [{"type": "text", "text": text}]}
     print(json.dumps({"jsonrpc": "2.0", "id": message["id"], "result": result}), flush=True)
@@ -90,21 +90,13 @@ def test_calls_errors_and_bytes_are_noted(tap):
     assert tap.first_call_s("other") is None
 
 
-def test_the_agent_gets_neither_truth_nor_a_clean_picture(tap):
-    status, shown = talk(tap, call(1, "get_status"), call(2, "picture"))
-    result = status["result"]
-    assert result["structuredContent"]["modules"][0]["detail"] == {"seed": "1"}
-    assert "cubes" not in result["content"][0]["text"]
+def test_the_agent_gets_no_clean_picture(tap):
+    (shown,) = talk(tap, call(1, "picture"))
     data = base64.b64decode(shown["result"]["content"][0]["data"])
     with Image.open(io.BytesIO(data)) as drawn:
         assert drawn.size == (64, 64)
         assert drawn.getpixel((32, 5)) == (10, 20, 30)
         assert drawn.getpixel((3, 62)) == (255, 255, 255)
-
-
-def test_only_the_detail_of_a_module_is_hidden():
-    kept = {"cubes": 3, "text": "three cubes", "list": ["cubes"]}
-    assert without_truth(kept) == kept
 
 
 def test_a_server_that_hangs_is_killed(tmp_path, monkeypatch):

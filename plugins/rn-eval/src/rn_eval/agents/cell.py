@@ -19,6 +19,7 @@ import anyio
 from rn_eval.agents.client import Tools
 from rn_eval.agents.tap import end_module, module_pid
 from rn_eval.agents.task import AgentScene, Fault
+from rn_simulation.ground_truth import SWITCH as TRUTH_SWITCH
 from rn_standard.console.client import spawned_server
 from roboneuron import NotReadyError
 from roboneuron.command import estop
@@ -90,9 +91,15 @@ class Cell:
         return [sys.executable, "-P", "-m", "roboneuron.cli.main", *options, "--log-level", "error"]
 
     def environment(self) -> dict[str, str]:
-        """Of its server: that of this process; a recorder only where one is needed."""
+        """Of its server: that of this process, without the simulator's truth; a recorder only where
+        one is needed.
+        """
         needs = self._scene.records or self._scene.recorded_note
-        return {**os.environ, "ROBONEURON_RECORDER": "on" if needs else "off"}
+        return {
+            **os.environ,
+            "ROBONEURON_RECORDER": "on" if needs else "off",
+            TRUTH_SWITCH: "off",
+        }
 
     def is_latched(self) -> bool:
         """Whether the latch file is there; looks at nothing else."""

@@ -29,24 +29,6 @@ ERROR_META = "roboneuron/error"
 Json = dict[str, object]
 
 
-def without_truth(value: object) -> object:
-    """The same JSON without what a simulator reports of the cubes in a module's `detail`, also
-    where it stands as text.
-    """
-    if isinstance(value, dict):
-        kept = {name: without_truth(inner) for name, inner in value.items()}
-        detail = kept.get("detail")
-        if isinstance(detail, dict):
-            kept["detail"] = {name: inner for name, inner in detail.items() if name != "cubes"}
-        return kept
-    if isinstance(value, list):
-        return [without_truth(inner) for inner in value]
-    if isinstance(value, str) and value[:1] in "{[" and '"cubes"' in value:
-        with suppress(ValueError):
-            return json.dumps(without_truth(json.loads(value)), indent=2)
-    return value
-
-
 class Tap:
     """One server process for one agent. Started by `start`, ended by `close`.
 
@@ -199,10 +181,8 @@ class Tap:
         if not isinstance(message, dict):
             return line
         sent = line
-        if b"cubes" in line or (self._sign and b'"image"' in line):
-            message = without_truth(message)
-            if self._sign:
-                message = with_sign(message, self._sign)
+        if self._sign and b'"image"' in line:
+            message = with_sign(message, self._sign)
             sent = json.dumps(message, separators=(",", ":")).encode() + b"\n"
         assert isinstance(message, dict)
         if "method" not in message:

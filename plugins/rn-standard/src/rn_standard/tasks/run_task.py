@@ -9,6 +9,7 @@ from typing import Literal, cast
 
 from pydantic import Field
 
+from rn_standard.direct_path import truth
 from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.tasks.approval import Approval
@@ -37,6 +38,7 @@ from roboneuron import (
     Host,
     InvalidInputError,
     NotReadyError,
+    RefusedError,
     Reply,
     Result,
     RoboNeuronError,
@@ -269,11 +271,18 @@ def topics_of(predicate: Predicate) -> Mapping[str, str]:
 
     Raises:
         InvalidInputError: a topic, type or field cannot be, or one topic is named with two types.
+        RefusedError: a topic carries the simulator's truth.
     """
     topics: dict[str, str] = {}
     for part in flat(predicate):
         if isinstance(part, FieldIs):
             _check_field(part)
+            if truth.is_withheld(part.topic):
+                raise RefusedError(
+                    f"{part.topic} carries what only the simulator knows.",
+                    hint="Judge by the robot's own measurements or by a monitor.",
+                    rule="simulator_truth",
+                )
             if topics.setdefault(part.topic, part.type) != part.type:
                 raise InvalidInputError(f"{part.topic} is named with two types.", path="until")
     return topics
