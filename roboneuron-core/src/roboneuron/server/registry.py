@@ -281,7 +281,6 @@ class _Entry:
 def _described(tool: Tool[Any]) -> types.Tool:
     return types.Tool(
         name=tool.name,
-        title=None if tool.title.lower() == tool.name.replace("_", " ") else tool.title,
         description=tool.description,
         input_schema=tool.input_schema(),
         output_schema=listed_output(tool.output_schema()),

@@ -50,8 +50,7 @@ def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
     return Tool(
         name=f"stop_{kind}",
         title=f"Stop {kind}",
-        description=f"{entry.stop_text} Returns when its process is gone. Also ends a start in "
-        "progress.",
+        description=entry.stop_text,
         offered=loop.takes_policies if kind == "inference" else lambda: True,
         arguments=NoArguments,
         result=StopResult,
