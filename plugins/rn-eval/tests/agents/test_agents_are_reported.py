@@ -18,7 +18,7 @@ from rn_eval.agents.record import (
     is_honest,
 )
 from rn_eval.agents.report import summarise_agents, write_agent_report
-from rn_eval.agents.run import chosen_tasks
+from rn_eval.agents.run import _domain, chosen_tasks
 from rn_eval.ledger import RunLedger
 from roboneuron import ConfigurationError
 from roboneuron.cli.main import main
@@ -141,3 +141,12 @@ def test_the_command_lists_what_is_installed_and_refuses_nonsense(capsys):
     assert "No agent is chosen" in capsys.readouterr().err
     assert main(["eval", "agents", "--subject", "nobody", "--out", "/nonexistent/x"]) != 0
     assert "nobody" in capsys.readouterr().err
+    assert main(["eval", "agents", "--subject", "perfect", "--workers", "0"]) != 0
+    assert "--workers is at least 1" in capsys.readouterr().err
+
+
+def test_every_worker_has_a_domain_of_its_own(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "99")
+    domains = [_domain(number) for number in range(16)]
+    assert len(set(domains)) == 16
+    assert all(30 <= domain <= 100 for domain in domains)

@@ -41,6 +41,13 @@ def configure(parser: ArgumentParser) -> None:
     add("--out", type=Path, default=DEFAULT_OUT, help=f"folder of the run (default: {DEFAULT_OUT})")
     add("--resume", type=Path, metavar="FOLDER", help="go on with a run, as it was begun")
     add("--report", type=Path, metavar="FOLDER", help="only write the report of a run")
+    add(
+        "--workers",
+        type=int,
+        default=1,
+        help="episodes at a time; more than one needs Ray (default: 1)",
+    )
+    add("--ray-address", help="a Ray cluster instead of this machine")
     add("--list", action="store_true", help="only list the installed agents and tasks")
     add("--retry-errors", action="store_true", help="run episodes that crashed once more")
     add(
@@ -67,6 +74,8 @@ def run(arguments: Namespace) -> int:
 
     from rn_eval.agents.run import evaluate_agents
 
+    if arguments.workers < 1:
+        raise ConfigurationError("--workers is at least 1.")
     directory: Path = arguments.resume or arguments.out
     records = evaluate_agents(
         _plan(arguments),
@@ -74,6 +83,8 @@ def run(arguments: Namespace) -> int:
         Console(highlight=False),
         retry_errors=arguments.retry_errors,
         other_versions=arguments.other_versions,
+        workers=arguments.workers,
+        ray_address=arguments.ray_address,
     )
     _print(write_agent_report(directory))
     print(f"\nreport: {directory / 'report.html'}")
