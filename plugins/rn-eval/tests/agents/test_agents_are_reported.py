@@ -96,7 +96,18 @@ def test_the_report_names_what_must_not_be(tmp_path: Path):
 
 def test_numbers_are_means_of_an_episode():
     row = summarise_agents([record(), record(seed=1)]).scores.rows[0]
-    assert row[-3:] == ("3.0", "5.0", "2.0")
+    assert row[-5:] == ("3.0", "5.0", "-", "-", "2.0")
+
+
+def test_tokens_and_recovery_are_means_of_the_episodes_that_have_them():
+    counted = {"list_tokens": 900, "answer_tokens": 90, "request_tokens": 10}
+    costs = [
+        AgentCosts(**counted, recovery_s=4.0),
+        AgentCosts(recovery_s=8.0),
+        AgentCosts(list_tokens=5),
+    ]
+    records = [record(seed=n).model_copy(update={"costs": cost}) for n, cost in enumerate(costs)]
+    assert summarise_agents(records).scores.rows[0][-3:-1] == ("1000", "6.0")
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from typing import Literal
 
 import numpy as np
 
+from rn_eval.agents.breakage import Breakage
 from rn_eval.agents.cell import Cell, end_process
 from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TRUTH
 from rn_eval.agents.conduct import Conduct, ToolCall, unsafe_kind
@@ -33,8 +34,8 @@ from rn_eval.agents.record import (
     first_calls,
     is_honest,
 )
-from rn_eval.agents.tap import Tap, end_module, module_pid
-from rn_eval.agents.task import AgentScene, AgentTask, Fault
+from rn_eval.agents.tap import Tap
+from rn_eval.agents.task import AgentScene, AgentTask
 from rn_eval.agents.truth import F64, Truth
 from rn_eval.agents.witness import Witness
 from rn_eval.hooks import AgentTaskSpec
@@ -141,10 +142,11 @@ class Episodes:
         tap = Tap(cell.command(), cell.environment(), folder, scene.sign)
         limit_s = min(filter(None, (task.time_limit_s, self._time_limit_s)))
         begun_ns = time.time_ns()
+        breakage = Breakage(scene.fault)
         try:
             tap.start()
             with LatchWatch(cell.is_latched, tap.now_s) as latch:
-                ended, words = self._let_act(key, scene, cell, tap, folder, limit_s)
+                ended, words = self._let_act(key, scene, cell, tap, folder, limit_s, breakage)
                 wall_s = tap.now_s()
                 time.sleep(_WATCHED_AFTER_S)  # what is looked for is that nothing moves
             server_died = tap.has_ended
@@ -176,7 +178,10 @@ class Episodes:
         if "outside" in forbidden:
             far = f" The hand was up to {1000 * beyond_m(truth, borders):.0f} mm outside."
             outcome = outcome.model_copy(update={"reason": outcome.reason + far})
-        return outcome, _costs(truth, conduct), conduct
+        costs = _costs(truth, conduct).model_copy(
+            update={**tap.texts.counted(), "recovery_s": breakage.recovery_s(truth)}
+        )
+        return outcome, costs, conduct
 
     def _let_act(
         self,
@@ -186,6 +191,7 @@ class Episodes:
         tap: Tap,
         folder: Path,
         limit_s: float,
+        breakage: Breakage,
     ) -> tuple[Literal["exited", "failed", "timed out"], str]:
         """Start the agent, break what is to break meanwhile, and end it when its time is up."""
         command, knows_truth = self._subject(key.subject)
@@ -198,7 +204,6 @@ class Episodes:
             TRUTH: key.task if knows_truth else "",
         }
         output = folder / "words.txt"
-        faults = [scene.fault] if scene.fault is not None else []
         released = scene.release_after_s <= 0.0
         with output.open("wb") as words, (folder / "agent.log").open("wb") as errors:
             process = subprocess.Popen(
@@ -211,7 +216,7 @@ class Episodes:
             )
             try:
                 while process.poll() is None and tap.now_s() < limit_s:
-                    faults = [fault for fault in faults if not _happened(fault, tap)]
+                    breakage.look(tap)
                     if not released and tap.now_s() >= scene.release_after_s:
                         released = True
                         threading.Thread(target=cell.release_as_person, daemon=True).start()
@@ -266,18 +271,6 @@ def _costs(truth: Truth, conduct: Conduct) -> AgentCosts:
         request_bytes=sum(call.request_bytes for call in conduct.calls),
         samples=int(truth.t_s.size),
     )
-
-
-def _happened(fault: Fault, tap: Tap) -> bool:
-    """Whether a fault was due and has been caused."""
-    called_s = tap.first_call_s(fault.after_tool)
-    if called_s is None or tap.now_s() < called_s + fault.delay_s:
-        return False
-    pid = module_pid(tap.pid, fault.module)
-    if pid is None:  # it is not started yet, or starting again
-        return False
-    end_module(pid, fault.kind)
-    return True
 
 
 def _environment() -> dict[str, str]:

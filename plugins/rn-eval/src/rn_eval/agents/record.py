@@ -116,6 +116,10 @@ class AgentCosts(BaseModel):
         answer_bytes: of the answers to calls.
         request_bytes: of calls.
         samples: of the simulator's state that were seen.
+        list_tokens, answer_tokens, request_tokens: of the same, as a language model reads them:
+            without pictures and structured copies; None where tiktoken is missing.
+        recovery_s: from the fault of the episode until the arm moved again [s]; None without a
+            fault, or where it did not.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -125,6 +129,10 @@ class AgentCosts(BaseModel):
     answer_bytes: int = 0
     request_bytes: int = 0
     samples: int = 0
+    list_tokens: int | None = None
+    answer_tokens: int | None = None
+    request_tokens: int | None = None
+    recovery_s: float | None = None
 
 
 class AgentRecord(BaseModel):

@@ -17,6 +17,7 @@ from pathlib import Path
 
 from rn_eval.agents.conduct import ToolCall
 from rn_eval.agents.sign import with_sign
+from rn_eval.agents.tokens import ReadTexts
 from roboneuron import StateError
 
 _CHUNK = 65536
@@ -37,6 +38,9 @@ class Tap:
         environment: all of its environment.
         folder: for the socket and the server's log.
         sign: text that is put into every picture of a camera; "" for none.
+
+    Attributes:
+        texts: what passed, for counting tokens after the episode.
     """
 
     def __init__(
@@ -52,6 +56,7 @@ class Tap:
         self._open: dict[str, tuple[int, float]] = {}
         self._lists: set[str] = set()
         self.list_bytes = self.other_messages = self.bad_lines = 0
+        self.texts = ReadTexts()
         self._server: subprocess.Popen[bytes] | None = None
         self._listener: socket.socket | None = None
         self._links: list[socket.socket] = []
@@ -161,6 +166,7 @@ class Tap:
             return
         parameters = message.get("params")
         asked = parameters if isinstance(parameters, dict) else {}
+        self.texts.note(self.texts.requests, asked)
         call = ToolCall(
             at_s=round(self.now_s(), 4),
             tool=str(asked.get("name"))[:100],
@@ -190,6 +196,7 @@ class Tap:
             if number in self._lists:
                 self._lists.discard(number)
                 self.list_bytes += len(line)
+                self.texts.note(self.texts.lists, message.get("result"))
             self._close_call(number, message, len(line))
         return sent
 
@@ -206,6 +213,7 @@ class Tap:
                     **error,
                 }
             )
+        self.texts.note_answer(message.get("result"))
 
     def close(self) -> None:
         """End the server as a client does, by closing its input; what hangs is killed. May be
