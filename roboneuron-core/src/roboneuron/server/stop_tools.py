@@ -118,10 +118,8 @@ def emergency_tool(loop: ClosedLoop) -> Tool[Any]:
         title="Emergency stop",
         description=(
             "For danger: stop all motion at once. Nothing moves until a person releases it, "
-            "even after restarts. For an ordinary stop use stop_inference or stop_all. "
-            "Returns when "
-            "every running module "
-            "has confirmed it; an error names those that have not."
+            "even after restarts. Returns when every running module has confirmed it; an error "
+            "names those that have not."
         ),
         arguments=EmergencyStopArguments,
         result=EmergencyStopResult,

@@ -125,12 +125,14 @@ class TaskTool:
         move_to: MoveTo,
         names: Callable[[], Iterable[str]],
         ended: Callable[[str, TaskEnd], object],
+        failed: Callable[[str, RoboNeuronError], object],
     ) -> None:
         """Args:
         host, options, arbiter, approval: of the feature.
         move_to: goes to a posture or place, for `on_end`.
         names: those that `move_to` knows.
         ended: told of every task's end, with its instruction.
+        failed: told of a task that could not be carried out.
         """
         self._host = host
         self._options = options
@@ -139,6 +141,7 @@ class TaskTool:
         self._move_to = move_to
         self._names = names
         self._ended = ended
+        self._failed = failed
         self._monitors: dict[str, Monitor] = {}
 
     def is_offered(self) -> bool:
@@ -191,7 +194,11 @@ class TaskTool:
             for cell in holder:
                 cell.cancel()
 
-        end = await context.run(work, on_cancel=cancel, on_leave=cancel)
+        try:
+            end = await context.run(work, on_cancel=cancel, on_leave=cancel)
+        except RoboNeuronError as error:
+            self._failed(instruction, error)
+            raise
         ended_with = await self._finish(arguments.on_end, end, context)
         return Reply(result=_result(end, ended_with), pictures=(*end.before, *end.after))
 
