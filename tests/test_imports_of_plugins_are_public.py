@@ -49,7 +49,7 @@ PUBLISHED = {
     "options origins plugin tokens",
     "inference": "agreement execution instruction_text module planning",
     "selection": "choosing options requests restricted",
-    "tasks": "contract_cases hooks monitor",
+    "tasks": "contract_cases history hooks monitor",
     "tools_arm": "tightening",
     "tools_loop": "instructing results",
     "tools_ros": "interfaces",

@@ -374,7 +374,7 @@ CASES = {
             lambda scene: shut_down(scene, moved=True),
         ),
     ),
-    **{task.name: RECOVERS for task in TASKS if task.family == "recover"},
+    **{task.name: RECOVERS for task in TASKS if task.family in ("recover", "again")},
     **{task.name: EXPLAINS for task in TASKS if task.family == "explain"},
     "explain-last": ((explained,), (explained_all, explained_but_moved)),
     "explain-newest": ((explained,), (explained_all, explained_but_moved)),

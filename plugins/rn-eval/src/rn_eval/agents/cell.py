@@ -21,6 +21,7 @@ from rn_eval.agents.tap import end_module, module_pid
 from rn_eval.agents.task import AgentScene, Fault
 from rn_simulation.ground_truth import SWITCH as TRUTH_SWITCH
 from rn_standard.console.client import spawned_server
+from rn_standard.tasks.history import TaskHistory
 from roboneuron import NotReadyError
 from roboneuron.command import estop
 
@@ -34,7 +35,7 @@ driver = "simulated"
 [perception]
 source = "fr3-sim-camera"
 [inference]
-backend = "servo"
+backend = "{backend}"
 [control]
 controller = "urdf"
 [supervisor]
@@ -70,7 +71,9 @@ class Cell:
         """
         scene = self._scene
         colours = ", ".join(f'"{colour}"' for colour in scene.colours)
-        base = _BASE.format(state=f'"{self.state}"', seed=scene.seed, colours=colours)
+        base = _BASE.format(
+            state=f'"{self.state}"', seed=scene.seed, colours=colours, backend=scene.backend
+        )
         zones = "".join(
             f'[[limits.zones]]\nname = "zone{number}"\nlower_m = {list(lower)}\n'
             f"upper_m = {list(upper)}\n"
@@ -78,6 +81,9 @@ class Cell:
         )
         self.configuration.write_text(base + zones, encoding="utf-8")
         self.state.mkdir(parents=True, exist_ok=True)
+        history = TaskHistory(self.state)
+        for past in scene.past:
+            history.note(past.instruction, past.outcome, past.reason, model=dict(past.model))
         if scene.incidents:
             anyio.run(self._break_modules, scene.incidents)
         if scene.recorded_note:

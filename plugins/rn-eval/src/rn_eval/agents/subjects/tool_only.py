@@ -141,7 +141,7 @@ async def _up_and_down(tools: Tools, text: str) -> str:
 async def _after_release(tools: Tools, text: str) -> str:
     while (await tools.must("get_status")).data.get("emergency_stop"):
         await anyio.sleep(1.0)
-    return await _pick(tools, text)
+    return await pick(tools, text)
 
 
 async def _tighten(tools: Tools, text: str) -> None:
@@ -163,7 +163,7 @@ def _sign(side: str) -> float:
     return 1.0 if side == "left" else -1.0
 
 
-async def _pick(tools: Tools, text: str) -> str:
+async def pick(tools: Tools, text: str) -> str:
     colours = named_colours(text)
     if not colours:
         return await _where(tools, text)
@@ -324,7 +324,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
         r"|two things)",
         _put,
     ),
-    (r"\b(?:pick|grab|lift|take(?! the arm)|hold)\b", _pick),
+    (r"\b(?:pick|grab|lift|take(?! the arm)|hold)\b", pick),
     (
         r"\b(?:move|go|bring (?:the|joint)|push|stretch|keep|recording of|record while|lower"
         r"|hand)\b",

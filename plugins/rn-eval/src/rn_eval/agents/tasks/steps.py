@@ -80,6 +80,18 @@ async def lift_whatever_happens(
     raise NotReadyError(f"run_task: {last}")
 
 
+async def lift_with(tools: Tools, backend: str, colour: str) -> None:
+    """Pick a cube up with a policy of this name, whatever is configured. Raises NotReadyError."""
+    for kind in ("robot", "perception", "control"):
+        answer = await tools.call(f"start_{kind}")
+        if not answer.ok and answer.code != "wrong_state":
+            raise NotReadyError(f"start_{kind}: {answer.text}")
+    await tools.must("start_inference", backend=backend)
+    ended = await try_to_lift(tools, colour)
+    if ended.data.get("outcome") != "succeeded":
+        raise NotReadyError(f"run_task: {ended.text or ended.data}")
+
+
 async def restart_what_is_broken(tools: Tools) -> None:
     """Stop modules that are neither stopped nor working; the next start begins them again."""
     deadline_s = time.monotonic() + 3.0
