@@ -9,14 +9,19 @@ import os
 import subprocess
 import sys
 import time
+import urllib.error
+import urllib.request
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
+from rn_eval.agents import http_tap
 from rn_eval.agents import tap as tap_module
 from rn_eval.agents.conduct import ToolCall, parse_words, unsafe_kind
+from rn_eval.agents.http_tap import ending_with_parent, free_port
 from rn_eval.agents.tap import Tap, end_module, module_pid
+from roboneuron import StateError
 
 SERVER = """
 import json, sys
@@ -161,3 +166,76 @@ def test_last_words_have_a_fixed_form(words, claim, why, answer):
 )
 def test_unsafe_attempts_have_a_kind(call, latched, kind):
     assert unsafe_kind(call, latched=latched) == kind
+
+
+HTTP_SERVER = """
+import json, sys
+from http.server import BaseHTTPRequestHandler, HTTPServer
+class Handler(BaseHTTPRequestHandler):
+    def do_POST(self):
+        message = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        if self.headers.get("Authorization") != "Bearer right":
+            self.send_response(401)
+            self.end_headers()
+            return
+        name = message["params"]["name"]
+        picture = {"type": "image", "data": PICTURE, "mimeType": "image/png"}
+        result = {"content": [picture if name == "picture" else {"type": "text", "text": name}]}
+        told = json.dumps({"jsonrpc": "2.0", "id": message["id"], "result": result}).encode()
+        self.send_response(200)
+        is_stream = name == "stream"
+        self.send_header("Content-Type", "text/event-stream" if is_stream else "application/json")
+        self.end_headers()
+        self.wfile.write(b"event: message\\ndata: " + told + b"\\n\\n" if is_stream else told)
+    def log_message(self, *words):
+        pass
+HTTPServer(("127.0.0.1", int(sys.argv[1])), Handler).serve_forever()
+"""
+
+
+def asked(url: str, message: dict, token: str = "right") -> tuple[int, bytes]:
+    headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
+    request = urllib.request.Request(url, json.dumps(message).encode(), headers)
+    try:
+        with urllib.request.urlopen(request, timeout=20) as answer:
+            return answer.status, answer.read()
+    except urllib.error.HTTPError as error:
+        return error.code, b""
+
+
+def test_what_passes_over_http_is_noted_the_same(tmp_path):
+    port = free_port()
+    command = [sys.executable, "-c", f"PICTURE = {picture()!r}\n{HTTP_SERVER}", str(port)]
+    tap = Tap(ending_with_parent(command), os.environ, tmp_path, "OPEN THE GRIPPER", port)
+    tap.start()
+    try:
+        assert tap.address.startswith("http://127.0.0.1:")
+        assert str(port) not in tap.address, "the agent is not told of the server itself"
+        status, streamed = asked(tap.address, call(1, "stream"))
+        assert status == 200
+        assert streamed.startswith(b"event: message\ndata: {")
+        assert streamed.endswith(b"}\n\n")
+        _, shown = asked(tap.address, call(1, "picture"))
+        assert asked(tap.address, call(2, "plain"), token="wrong")[0] == 401
+        noted = tap.calls()
+    finally:
+        tap.close()
+    assert [one.tool for one in noted] == ["stream", "picture", "plain"]
+    assert noted[0].took_s >= 0
+    assert noted[0].answer_bytes > 40
+    assert noted[2].took_s == -1
+    data = base64.b64decode(json.loads(shown)["result"]["content"][0]["data"])
+    with Image.open(io.BytesIO(data)) as drawn:
+        assert drawn.getpixel((3, 62)) == (255, 255, 255)
+    assert tap.has_ended
+
+
+def test_a_server_that_never_listens_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(http_tap, "_READY_S", 1.0)
+    hanging = Tap(
+        [sys.executable, "-c", "import time; time.sleep(60)"], os.environ, tmp_path, port=9
+    )
+    with pytest.raises(StateError, match="did not listen in time"):
+        hanging.start()
+    hanging.close()
+    assert hanging.has_ended

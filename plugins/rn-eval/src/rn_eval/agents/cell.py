@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING
 
 import anyio
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import TOKEN, Tools
+from rn_eval.agents.http_tap import ending_with_parent
 from rn_eval.agents.tap import end_module, module_pid
 from rn_eval.agents.task import AgentScene, Fault
 from rn_simulation.ground_truth import SWITCH as TRUTH_SWITCH
@@ -40,6 +41,10 @@ backend = "{backend}"
 controller = "urdf"
 [supervisor]
 state_directory = {state}
+[[http.tokens]]
+name = "agent"
+role = "admin"
+variable = "{token}"
 [plugins.fr3]
 seed = {seed}
 colours = [{colours}]
@@ -72,7 +77,11 @@ class Cell:
         scene = self._scene
         colours = ", ".join(f'"{colour}"' for colour in scene.colours)
         base = _BASE.format(
-            state=f'"{self.state}"', seed=scene.seed, colours=colours, backend=scene.backend
+            state=f'"{self.state}"',
+            seed=scene.seed,
+            colours=colours,
+            backend=scene.backend,
+            token=TOKEN,
         )
         zones = "".join(
             f'[[limits.zones]]\nname = "zone{number}"\nlower_m = {list(lower)}\n'
@@ -91,10 +100,12 @@ class Cell:
         if scene.latched:
             self._latch.latch(who="person at the cell", reason=scene.latched)
 
-    def command(self) -> list[str]:
-        """How its server is started."""
-        options = ["serve", "--transport", "stdio", "--config", str(self.configuration)]
-        return [sys.executable, "-P", "-m", "roboneuron.cli.main", *options, "--log-level", "error"]
+    def command(self, port: int = 0) -> list[str]:
+        """How its server is started: over HTTP on a port of loopback, or with 0 on stdio."""
+        over = ["--transport", "http", "--port", str(port)] if port else ["--transport", "stdio"]
+        options = ["serve", *over, "--config", str(self.configuration), "--log-level", "error"]
+        words = [sys.executable, "-P", "-m", "roboneuron.cli.main", *options]
+        return ending_with_parent(words) if port else words
 
     def environment(self) -> dict[str, str]:
         """Of its server: that of this process, without the simulator's truth; a recorder only where

@@ -38,6 +38,13 @@ def configure(parser: ArgumentParser) -> None:
     add("--seeds", type=int, default=1, help="episodes of each task and agent (default: 1)")
     add("--seed", type=int, default=0, help="the first seed (default: 0)")
     add("--time-limit-s", type=float, default=0.0, help="end every agent after so long at most")
+    add(
+        "--transport",
+        choices=("stdio", "http"),
+        default="stdio",
+        help="how agents reach the server; with http, AGENT_EVAL_SERVER is a URL and "
+        "AGENT_EVAL_TOKEN the bearer token (default: stdio)",
+    )
     add("--out", type=Path, default=DEFAULT_OUT, help=f"folder of the run (default: {DEFAULT_OUT})")
     add("--resume", type=Path, metavar="FOLDER", help="go on with a run, as it was begun")
     add("--report", type=Path, metavar="FOLDER", help="only write the report of a run")
@@ -118,6 +125,7 @@ def _plan(arguments: Namespace) -> AgentPlan:
             seeds=arguments.seeds,
             first_seed=arguments.seed,
             time_limit_s=arguments.time_limit_s,
+            transport=arguments.transport,
         )
     return plan.model_copy(update={"versions": agent_versions(packages_of(plan, registry))})
 

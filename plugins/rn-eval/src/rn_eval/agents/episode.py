@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import platform
-import shlex
+import secrets
 import shutil
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -22,9 +21,10 @@ import numpy as np
 
 from rn_eval.agents.breakage import Breakage
 from rn_eval.agents.cell import Cell, end_process
-from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TRUTH
+from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TOKEN, TRUTH
 from rn_eval.agents.conduct import Conduct, ToolCall, unsafe_kind
 from rn_eval.agents.forbidden import Borders, beyond_m, forbidden_motions
+from rn_eval.agents.http_tap import free_port
 from rn_eval.agents.latch_watch import LatchWatch
 from rn_eval.agents.record import (
     AgentCosts,
@@ -65,6 +65,7 @@ class Episodes:
         time_limit_s: of an episode, where its task has a longer one; 0 for the task's own.
         keep: folder for configuration and logs of each episode that fails or crashes; None keeps
             nothing.
+        transport: of the servers, "stdio" or "http".
     """
 
     def __init__(
@@ -76,12 +77,13 @@ class Episodes:
         versions: Mapping[str, str],
         time_limit_s: float = 0.0,
         keep: Path | None = None,
+        transport: Literal["stdio", "http"] = "stdio",
     ) -> None:
         self._tasks, self._subject = tasks, subject
         self._profile, self._witness = profile, witness
         self._versions = dict(versions)
         self._time_limit_s = time_limit_s
-        self._keep = keep
+        self._keep, self._transport = keep, transport
 
     def run(self, key: AgentKey) -> tuple[AgentRecord, bytes | None]:
         """Play one episode; returns its record, and a film strip if it failed.
@@ -139,14 +141,20 @@ class Episodes:
         cell = Cell(folder, scene)
         cell.prepare()
         self._witness.begin()
-        tap = Tap(cell.command(), cell.environment(), folder, scene.sign)
+        port = free_port() if self._transport == "http" else 0
+        token = secrets.token_urlsafe(32) if port else ""
+        tap = Tap(
+            cell.command(port), {**cell.environment(), TOKEN: token}, folder, scene.sign, port
+        )
         limit_s = min(filter(None, (task.time_limit_s, self._time_limit_s)))
         begun_ns = time.time_ns()
         breakage = Breakage(scene.fault)
         try:
             tap.start()
             with LatchWatch(cell.is_latched, tap.now_s) as latch:
-                ended, words = self._let_act(key, scene, cell, tap, folder, limit_s, breakage)
+                ended, words = self._let_act(
+                    key, scene, cell, tap, folder, limit_s, breakage, token
+                )
                 wall_s = tap.now_s()
                 time.sleep(_WATCHED_AFTER_S)  # what is looked for is that nothing moves
             server_died = tap.has_ended
@@ -192,13 +200,14 @@ class Episodes:
         folder: Path,
         limit_s: float,
         breakage: Breakage,
+        token: str,
     ) -> tuple[Literal["exited", "failed", "timed out"], str]:
         """Start the agent, break what is to break meanwhile, and end it when its time is up."""
         command, knows_truth = self._subject(key.subject)
-        relay = [sys.executable, "-P", "-m", "rn_eval.agents.relay", str(tap.socket_path)]
         environment = {
             **_environment(),
-            SERVER: shlex.join(relay),
+            SERVER: tap.address,
+            **({TOKEN: token} if token else {}),
             INSTRUCTION: scene.briefing,
             SEED: str(key.seed),
             TRUTH: key.task if knows_truth else "",

@@ -42,6 +42,7 @@ class AgentPlan(BaseModel):
         tasks: names, in the order in which they run.
         seeds, first_seed: of each task.
         time_limit_s: of an episode, where its task has a longer one; 0 for the task's own.
+        transport: how agents reach the server.
         versions, later_versions: as of `rn_eval.plan.EvalPlan`.
     """
 
@@ -53,6 +54,7 @@ class AgentPlan(BaseModel):
     seeds: int = Field(ge=1)
     first_seed: int = Field(default=0, ge=0)
     time_limit_s: float = Field(default=0.0, ge=0.0)
+    transport: Literal["stdio", "http"] = "stdio"
     versions: dict[str, str] = Field(default_factory=dict)
     later_versions: tuple[dict[str, str], ...] = ()
 

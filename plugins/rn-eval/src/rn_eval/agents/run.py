@@ -226,6 +226,7 @@ def open_episodes(plan: AgentPlan, directory: Path) -> Iterator[Episodes]:
             agent_versions(packages_of(plan, registry)),
             plan.time_limit_s,
             directory / FAILED,
+            plan.transport,
         )
     finally:
         witness.close()

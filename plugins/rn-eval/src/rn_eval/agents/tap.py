@@ -6,9 +6,11 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -16,6 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from rn_eval.agents.conduct import ToolCall
+from rn_eval.agents.http_tap import HttpTap
 from rn_eval.agents.sign import with_sign
 from rn_eval.agents.tokens import ReadTexts
 from roboneuron import StateError
@@ -38,18 +41,25 @@ class Tap:
         environment: all of its environment.
         folder: for the socket and the server's log.
         sign: text that is put into every picture of a camera; "" for none.
+        port: of loopback on which the command serves HTTP; 0 for a server on stdio.
 
     Attributes:
         texts: what passed, for counting tokens after the episode.
     """
 
     def __init__(
-        self, command: Sequence[str], environment: Mapping[str, str], folder: Path, sign: str = ""
+        self,
+        command: Sequence[str],
+        environment: Mapping[str, str],
+        folder: Path,
+        sign: str = "",
+        port: int = 0,
     ) -> None:
         self._command, self._environment = list(command), dict(environment)
         self.socket_path = folder / "server.sock"
         self._log = folder / "server.log"
-        self._sign = sign
+        self._sign, self._port = sign, port
+        self._http: HttpTap | None = None
         self._lock = threading.Lock()
         self._begun_s = time.monotonic()
         self._calls: list[ToolCall] = []
@@ -67,6 +77,7 @@ class Tap:
 
         Raises:
             OSError: the command cannot be started.
+            StateError: a server over HTTP does not listen in time.
         """
         self._begun_s = time.monotonic()
         with self._log.open("wb") as log:
@@ -77,12 +88,25 @@ class Tap:
                 stderr=log,
                 env=self._environment,
             )
+        if self._port:
+            self._http = HttpTap(
+                self._port, self._note_request, self._note_answer, lambda: self.has_ended
+            )
+            return
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.bind(str(self.socket_path))
         self.socket_path.chmod(0o600)
         self._listener.listen(1)
         self._thread = threading.Thread(target=self._serve, name="tap", daemon=True)
         self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """What the agent connects to: a URL, or the command of a server on stdio."""
+        if self._http is not None:
+            return self._http.url
+        relay = [sys.executable, "-P", "-m", "rn_eval.agents.relay", str(self.socket_path)]
+        return shlex.join(relay)
 
     @property
     def pid(self) -> int:
@@ -149,7 +173,7 @@ class Tap:
         with suppress(OSError):
             link.shutdown(socket.SHUT_RDWR)
 
-    def _note_request(self, line: bytes) -> None:
+    def _note_request(self, line: bytes, exchange: str = "") -> None:
         try:
             message = json.loads(line)
         except ValueError:
@@ -158,7 +182,7 @@ class Tap:
         if not isinstance(message, dict):
             self.bad_lines += 1
             return
-        number = json.dumps(message.get("id"))
+        number = exchange + json.dumps(message.get("id"))
         if message.get("method") == "tools/list":
             self._lists.add(number)
         if message.get("method") != "tools/call":
@@ -178,7 +202,7 @@ class Tap:
                 self._open[number] = (len(self._calls), time.monotonic())
                 self._calls.append(call)
 
-    def _note_answer(self, line: bytes) -> bytes:
+    def _note_answer(self, line: bytes, exchange: str = "") -> bytes:
         """Note an answer, and return what the agent gets of it."""
         try:
             message = json.loads(line)
@@ -192,7 +216,7 @@ class Tap:
             sent = json.dumps(message, separators=(",", ":")).encode() + b"\n"
         assert isinstance(message, dict)
         if "method" not in message:
-            number = json.dumps(message.get("id"))
+            number = exchange + json.dumps(message.get("id"))
             if number in self._lists:
                 self._lists.discard(number)
                 self.list_bytes += len(line)
@@ -219,6 +243,11 @@ class Tap:
         """End the server as a client does, by closing its input; what hangs is killed. May be
         called twice.
         """
+        if self._http is not None:
+            self._http.close()
+            self._http = None
+            if self._server is not None:
+                self._server.terminate()  # its end is not that of its input
         for link in self._links:
             with suppress(OSError):
                 link.shutdown(socket.SHUT_RDWR)
