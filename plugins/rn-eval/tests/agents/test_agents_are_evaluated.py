@@ -112,3 +112,14 @@ def test_two_workers_share_the_episodes_and_their_ledger(
     assert {record.outcome.status for record in records} == {"success"}
     assert len({record.pid for record in records}) == 3
     assert "episodes are left" not in evaluate(folder, environment, *options)
+
+
+def test_agents_may_reach_the_server_over_http(tmp_path: Path, environment: dict[str, str]):
+    folder = tmp_path / "run"
+    options = ("--subject", "perfect", "--tasks", "look-count", "--transport", "http")
+    evaluate(folder, environment, *options)
+    (record,) = read_records_of(folder, AgentRecord)
+    assert record.outcome.status == "success", record.outcome
+    assert [call.code for call in record.calls] == ["", "", ""]
+    assert record.costs.answer_bytes > 2000
+    assert read_plan_of(folder, AgentPlan).transport == "http"
