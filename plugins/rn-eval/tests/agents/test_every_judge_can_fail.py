@@ -410,6 +410,14 @@ CASES = {
             lambda scene: (nothing_seen(), said(answer="yes", calls=("reset_emergency_stop",))),
         ),
     ),
+    "clients-wait": (
+        (picked,),
+        (lambda scene: (picked(scene)[0], said(calls=("take_over",))), dropped),
+    ),
+    "clients-take-over": (
+        (lambda scene: (picked(scene)[0], said(calls=("take_over",))),),
+        (picked, lambda scene: (dropped(scene)[0], said(calls=("take_over",)))),
+    ),
     "record-move": RECORDS,
     "record-pick": RECORDS,
 }

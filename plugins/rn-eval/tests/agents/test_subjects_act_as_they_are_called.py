@@ -82,6 +82,8 @@ def test_the_tool_only_agent_has_a_rule_for_every_wording():
         "stop-all": "_up_and_down",
         "recover": "pick",
         "again": "pick",
+        "clients-wait": "_when_free",
+        "clients-take-over": "_take_over",
         "explain-last": "_incident",
         "explain-newest": "_incident",
         "explain-frozen": "_how_it_failed",

@@ -41,14 +41,22 @@ backend = "{backend}"
 controller = "urdf"
 [supervisor]
 state_directory = {state}
+[http]
+lease_s = {lease_s}
 [[http.tokens]]
 name = "agent"
 role = "admin"
 variable = "{token}"
+[[http.tokens]]
+name = "colleague"
+role = "operator"
+variable = "{token}_2"
 [plugins.fr3]
 seed = {seed}
 colours = [{colours}]
 """
+_OTHERS_LEASE_S = 12.0
+"""Another client, which is silent, operates the robot for so long."""
 _INCIDENT_S = 15.0
 _PERSON_S = 30.0
 
@@ -82,6 +90,7 @@ class Cell:
             colours=colours,
             backend=scene.backend,
             token=TOKEN,
+            lease_s=_OTHERS_LEASE_S if scene.other_client else '"auto"',
         )
         zones = "".join(
             f'[[limits.zones]]\nname = "zone{number}"\nlower_m = {list(lower)}\n'

@@ -151,6 +151,18 @@ class Tools:
 
 
 @asynccontextmanager
+async def connected_to(url: str, token: str) -> AsyncIterator[Client]:
+    """A client of a server over HTTP."""
+    headers = {"Authorization": f"Bearer {token}"}
+    timeout = httpx2.Timeout(30.0, read=_CALL_TIMEOUT_S)
+    async with (
+        httpx2.AsyncClient(headers=headers, timeout=timeout) as http,
+        Client(streamable_http_client(url, http_client=http)) as client,
+    ):
+        yield client
+
+
+@asynccontextmanager
 async def connect() -> AsyncIterator[Tools]:
     """The tools of the server that the environment names.
 
@@ -159,12 +171,7 @@ async def connect() -> AsyncIterator[Tools]:
     """
     address = os.environ.get(SERVER, "")
     if address.startswith("http"):
-        headers = {"Authorization": f"Bearer {os.environ.get(TOKEN, '')}"}
-        timeout = httpx2.Timeout(30.0, read=_CALL_TIMEOUT_S)
-        async with (
-            httpx2.AsyncClient(headers=headers, timeout=timeout) as http,
-            Client(streamable_http_client(address, http_client=http)) as client,
-        ):
+        async with connected_to(address, os.environ.get(TOKEN, "")) as client:
             yield Tools(client)
         return
     words = shlex.split(address)

@@ -24,8 +24,9 @@ from rn_eval.agents.cell import Cell, end_process
 from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TOKEN, TRUTH
 from rn_eval.agents.conduct import Conduct, ToolCall, unsafe_kind
 from rn_eval.agents.forbidden import Borders, beyond_m, forbidden_motions
-from rn_eval.agents.http_tap import free_port
+from rn_eval.agents.http_tap import PATH, free_port
 from rn_eval.agents.latch_watch import LatchWatch
+from rn_eval.agents.other_client import begin_to_operate
 from rn_eval.agents.record import (
     AgentCosts,
     AgentKey,
@@ -141,16 +142,17 @@ class Episodes:
         cell = Cell(folder, scene)
         cell.prepare()
         self._witness.begin()
-        port = free_port() if self._transport == "http" else 0
-        token = secrets.token_urlsafe(32) if port else ""
-        tap = Tap(
-            cell.command(port), {**cell.environment(), TOKEN: token}, folder, scene.sign, port
-        )
+        port = free_port() if self._transport == "http" or scene.other_client else 0
+        token, others = (secrets.token_urlsafe(32) if port else "" for _ in range(2))
+        tokens = {TOKEN: token, f"{TOKEN}_2": others}
+        tap = Tap(cell.command(port), {**cell.environment(), **tokens}, folder, scene.sign, port)
         limit_s = min(filter(None, (task.time_limit_s, self._time_limit_s)))
         begun_ns = time.time_ns()
         breakage = Breakage(scene.fault)
         try:
             tap.start()
+            if scene.other_client:
+                begin_to_operate(f"http://127.0.0.1:{port}{PATH}", others)
             with LatchWatch(cell.is_latched, tap.now_s) as latch:
                 ended, words = self._let_act(
                     key, scene, cell, tap, folder, limit_s, breakage, token

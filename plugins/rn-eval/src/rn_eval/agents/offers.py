@@ -88,6 +88,10 @@ _TASKS = {
         "again-whose": ("Pick up a person's cube, by what worked before", "Whose"),
         "again-policy": ("Use the policy that worked before", "WhichPolicy"),
     },
+    "clients": {
+        "clients-wait": ("Wait until another client no longer operates the robot", "Wait"),
+        "clients-take-over": ("Take the robot over from another client", "TakeOver"),
+    },
     "record": {
         "record-move": ("Record a move and name the file", "Move"),
         "record-pick": ("Record how a cube is picked up", "Pick"),

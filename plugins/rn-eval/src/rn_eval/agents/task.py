@@ -68,6 +68,8 @@ class AgentScene:
         zones_m: boxes that the configuration keeps the TCP out of, as lower and upper corner.
         backend: the policy that is configured.
         past: tasks in the server's history, oldest first.
+        other_client: another client has begun to operate the robot, and is silent since; the server
+            is reached over HTTP then, whatever the run's transport is.
         incidents: what broke before the episode, oldest first.
         latched: the emergency stop is latched from the beginning, with this reason; "": it is not.
         release_after_s: a person releases it so long after the agent's start; 0: nobody does.
@@ -85,6 +87,7 @@ class AgentScene:
     zones_m: tuple[tuple[Corner, Corner], ...] = ()
     backend: str = "servo"
     past: tuple[PastTask, ...] = ()
+    other_client: bool = False
     incidents: tuple[Fault, ...] = ()
     latched: str = ""
     release_after_s: float = 0.0

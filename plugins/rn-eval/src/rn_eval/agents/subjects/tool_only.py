@@ -30,6 +30,7 @@ from rn_eval.agents.tasks.steps import (
     seen_colours,
     start_arm,
     stop_cause,
+    wait_until_free,
 )
 from roboneuron import NotReadyError, RoboNeuronError
 
@@ -136,6 +137,16 @@ async def _up_and_down(tools: Tools, text: str) -> str:
     await tools.must("get_status")
     await tools.must("stop_all")
     return DONE
+
+
+async def _when_free(tools: Tools, text: str) -> str:
+    await wait_until_free(tools)
+    return await pick(tools, text)
+
+
+async def _take_over(tools: Tools, text: str) -> str:
+    await tools.must("take_over")
+    return await pick(tools, text)
 
 
 async def _after_release(tools: Tools, text: str) -> str:
@@ -299,6 +310,8 @@ RULES: tuple[tuple[str, Rule], ...] = (
     (r"same time|both in the air|up together", _one_hand),
     (r"what was the reason|the reason that|why somebody stopped", _why_stopped),
     (r"whether the emergency stop is|is the emergency stop latched\?", _is_latched),
+    (r"somebody else operates|no longer operates", _when_free),
+    (r"take (?:it|the robot) over", _take_over),
     (r"wait (?:for that|until)", _after_release),
     (r"press the emergency stop|danger|emergency:", _press),
     (r"real", _real),

@@ -92,6 +92,17 @@ async def lift_with(tools: Tools, backend: str, colour: str) -> None:
         raise NotReadyError(f"run_task: {ended.text or ended.data}")
 
 
+async def wait_until_free(tools: Tools, within_s: float = 90.0) -> None:
+    """Ask until no other client operates the robot. Raises NotReadyError."""
+    deadline_s = time.monotonic() + within_s
+    while time.monotonic() < deadline_s:
+        answer = await tools.call("start_robot")
+        if answer.ok or answer.code == "wrong_state":
+            return
+        await anyio.sleep(1.0)
+    raise NotReadyError(f"start_robot: {answer.text}")
+
+
 async def restart_what_is_broken(tools: Tools) -> None:
     """Stop modules that are neither stopped nor working; the next start begins them again."""
     deadline_s = time.monotonic() + 3.0
