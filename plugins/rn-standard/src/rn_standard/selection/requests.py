@@ -15,7 +15,7 @@ Options = Annotated[
     dict[str, object],
     Field(
         default_factory=dict,
-        description="Of the plugin, over the configuration's.",
+        description="Of the plugin.",
     ),
 ]
 

@@ -87,9 +87,11 @@ async def lift_with(tools: Tools, backend: str, colour: str) -> None:
         if not answer.ok and answer.code != "wrong_state":
             raise NotReadyError(f"start_{kind}: {answer.text}")
     await tools.must("start_inference", backend=backend)
-    ended = await try_to_lift(tools, colour)
-    if ended.data.get("outcome") != "succeeded":
-        raise NotReadyError(f"run_task: {ended.text or ended.data}")
+    for _ in range(2):
+        ended = await try_to_lift(tools, colour, _ATTEMPT_S)
+        if ended.data.get("outcome") == "succeeded":
+            return
+    raise NotReadyError(f"run_task: {ended.text or ended.data}")
 
 
 async def wait_until_free(tools: Tools, within_s: float = 90.0) -> None:
