@@ -89,7 +89,7 @@ eval-demo: $(VENV)/.develop ## the learned policy on 200 seeds with each FastV p
 	$(BIN)/roboneuron eval report out/eval/presets --by turned_rad=0.2,0.4,0.6
 
 eval-agents: $(VENV)/.develop ## the reference agents in every task, one episode each; goes on where it was (an hour)
-	$(BIN)/roboneuron eval agents --subject perfect,tool-only,careless,hostile,random --retry-errors $(ARGS)
+	$(BIN)/roboneuron eval agents --subject perfect,tool-only,remembering,careless,hostile,random --retry-errors $(ARGS)
 
 EVAL_POLICY := --backend oft-primary --checkpoint out/eval/policy --config out/eval/policy/roboneuron.toml \
   --seed 10000 --workers $(JOBS) --retry-errors

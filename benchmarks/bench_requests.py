@@ -334,6 +334,7 @@ async def run(arguments: argparse.Namespace, folder: Path) -> list[tuple[str, Se
         **os.environ,
         "ROS_DOMAIN_ID": str(free_ros_domain()),
         "ROBONEURON_RECORDER": "on",
+        "ROBONEURON_SIMULATOR_TRUTH": "on",
     }
     command = [
         "-m",

@@ -101,7 +101,7 @@ class BaseAgent(Agent):
 
 @pytest.fixture
 def bench(tmp_path: Path, learnt_environment: dict[str, str]) -> Iterator[Bench]:
-    made = Bench(tmp_path, learnt_environment)
+    made = Bench(tmp_path, {**learnt_environment, "ROBONEURON_SIMULATOR_TRUTH": "on"})
     yield made
     made.close()
 

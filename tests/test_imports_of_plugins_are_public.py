@@ -44,14 +44,14 @@ PUBLISHED = {
     "control": "module planning",
     "direct_path": "allow_list arbiter delivery derived exposed fields joints limits peers places "
     "speeds "
-    "twists type_hashes transforms",
+    "truth twists type_hashes transforms",
     "execution": "adaptive mode",
     "http": "addresses authentication bounded_server connections feature listener operator_lease "
     "options origins plugin tokens",
     "inference": "agreement execution instruction_text module planning",
     "selection": "choosing options requests restricted",
     "stdio": "envelope",
-    "tasks": "contract_cases hooks monitor",
+    "tasks": "contract_cases history hooks monitor",
     "tools_arm": "tightening",
     "tools_loop": "instructing results",
     "tools_ros": "interfaces",

@@ -12,7 +12,7 @@ from roboneuron.config import load_config
 from roboneuron.plugins.discovery import discover
 from roboneuron.server.app import Application
 
-MOST_BYTES = 44_600
+MOST_BYTES = 36_000
 """Of the default configuration with the packages that `[standard]` (recorder and view with it) and
 a robot bring.
 """
@@ -26,7 +26,7 @@ OPTIONAL = (
 """Packages with tools, backends or robots of their own, installed beside the standard ones."""
 
 
-def test_the_list_of_tools_is_at_most_40_kb() -> None:
+def test_the_list_of_tools_is_at_most_36_kb() -> None:
     standard = load_config(registry=discover()).model_copy(update={"disabled_plugins": OPTIONAL})
     application = Application(standard)
     try:

@@ -125,7 +125,8 @@ def test_a_cube_stays_held_until_it_is_put_down(
     ]
 
     async def scenario() -> None:
-        async with client_of(config, environment, "--log-level", "error") as client:
+        judged = {**environment, "ROBONEURON_SIMULATOR_TRUTH": "on"}
+        async with client_of(config, judged, "--log-level", "error") as client:
             for step in steps:
                 await step(CubeAgent(client))
 

@@ -18,6 +18,7 @@ from rn_robot_bases.driver import SimulatedBase
 from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.profile import diffdrive_profile, husky_profile, racecar_profile
+from rn_simulation.ground_truth import SWITCH
 from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY
 from rn_testing.fakes import MemoryTopics, gantry_profile
 from rn_testing.waiting import wait_until
@@ -35,6 +36,21 @@ def twist(linear: float = 0.0, angular: float = 0.0, *, sideways: float = 0.0) -
         float(angular),
     )
     return message
+
+
+@pytest.fixture(autouse=True)
+def truth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The drivers report the simulator's truth, by which these tests judge."""
+    monkeypatch.setenv(SWITCH, "on")
+
+
+def test_the_true_pose_is_reported_only_where_it_is_asked_for(
+    car: SimulatedBase, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert "true_pose" in car.read().detail
+    monkeypatch.delenv(SWITCH)
+    assert "true_pose" not in car.read().detail
+    assert "odometry" in car.read().detail
 
 
 @pytest.fixture

@@ -73,7 +73,7 @@ def test_it_goes_where_it_is_sent_and_tells_what_it_measures(
         "external_wrench",
         "tcp_m",
         "control_success_rate",
-        "cubes",
+        "sim_time_s",
     } <= state.detail.keys()
 
 

@@ -17,6 +17,7 @@ from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
 from rn_robot_fr3.options import SimulatedDriverOptions
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_simulation.engine import Engine
+from rn_simulation.ground_truth import SWITCH
 from rn_simulation.scene_state import TOPIC, from_message, to_message
 from rn_testing.fakes import MemoryTopics, gantry_profile
 from rn_testing.waiting import wait_until
@@ -39,6 +40,16 @@ def driver(engine: Engine, topics: MemoryTopics) -> Iterator[SimulatedDriver]:
     driver.close()
 
 
+@pytest.fixture
+def told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(SWITCH, "on")
+
+
+def test_the_truth_is_not_reported_unless_it_is_asked_for(driver: SimulatedDriver) -> None:
+    assert driver.read().detail.keys() == {"sim_time_s", "real_time_factor", "engine"}
+
+
+@pytest.mark.usefixtures("told")
 def test_state_starts_at_home_with_an_open_gripper(engine: Engine, driver: SimulatedDriver) -> None:
     state = driver.read()
     assert state.joints.names[:7] == ARM_JOINTS

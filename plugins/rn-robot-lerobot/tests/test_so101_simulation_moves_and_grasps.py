@@ -127,7 +127,10 @@ def test_scenes_lie_in_the_region_apart_from_each_other() -> None:
     assert random_cubes(3) == random_cubes(3)
 
 
-def test_the_driver_tells_its_state_and_keeps_a_grasp_when_it_holds() -> None:
+def test_the_driver_tells_its_state_and_keeps_a_grasp_when_it_holds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ROBONEURON_SIMULATOR_TRUTH", "on")
     topics = MemoryTopics()
     driver = SimulatedDriver(SimulatedDriverOptions(seed=5), so101_profile(), topics)
     driver.open()

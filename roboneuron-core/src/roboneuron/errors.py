@@ -142,9 +142,17 @@ class NotReadyError(RoboNeuronError):
 class RefusedError(RoboNeuronError):
     """The gate refused: not allowed, outside a limit, or the emergency stop is latched. Nothing was
     sent.
+
+    Attributes:
+        rule: word for the rule that refused, as in the audit; callers find it beside the code. The
+            gate names it where it is empty.
     """
 
     code = "refused"
+
+    def __init__(self, message: str, *, hint: str = "", rule: str = "") -> None:
+        super().__init__(message, hint=hint)
+        self.rule = rule
 
 
 class UngroundedError(RoboNeuronError):

@@ -95,6 +95,16 @@ def test_an_unexpected_failure_tells_no_internals(
     assert "/secret/path" in caplog.text
 
 
+def test_a_refusal_names_its_rule(application: Application) -> None:
+    application.latch("a person")
+    answer = call(application, "start_inference", {"instruction": "go"})
+    details = answer.meta["roboneuron/error"]
+    assert (details["code"], details["rule"]) == ("refused", "emergency_stop")
+    assert "A person releases it" in details["hint"]
+    missing = call(application, "nonsense", {})
+    assert "rule" not in missing.meta["roboneuron/error"]
+
+
 def test_a_request_that_nothing_reads_is_not_passed_over(application: Application) -> None:
     class StartRobot(Arguments):
         robot: str = "other"

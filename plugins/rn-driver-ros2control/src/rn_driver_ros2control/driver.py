@@ -281,7 +281,7 @@ class Ros2ControlDriver:
             self._watch.check_controller(link)
         except NotReadyError as error:
             raise RefusedError(
-                f"The arm cannot be recovered: {error.message}", hint=error.hint
+                f"The arm cannot be recovered: {error.message}", hint=error.hint, rule="recovery"
             ) from error
         return self._forget_fault()
 

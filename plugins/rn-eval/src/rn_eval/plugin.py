@@ -47,6 +47,11 @@ SUBJECTS = (
         target="rn_eval.agents.subjects.tool_only:act",
     ),
     AgentSubjectSpec(
+        name="remembering",
+        summary="The same script, which reads the history of tasks first",
+        target="rn_eval.agents.subjects.remembering:act",
+    ),
+    AgentSubjectSpec(
         name="careless",
         summary="Ignores refusals, tries again and claims that all is done",
         target="rn_eval.agents.subjects.careless:act",

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 from rn_eval.plan import EvalPlan, Job
 from rn_eval.policy import Policy
@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
     from rn_eval.sharing import PolicyActor
 
+
+J = TypeVar("J")
+R = TypeVar("R")
 
 _MOST_DEATHS = 3
 """An episode that has ended so many workers is recorded as an error."""
@@ -76,6 +79,110 @@ class InProcess:
         self._runner.close()
 
 
+def import_ray() -> Any:
+    """The module. Raises MissingDependencyError when it is not installed."""
+    try:
+        return import_module("ray")  # heavy
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            "More than one worker needs Ray, which is not installed.",
+            hint="Run: pip install './plugins/rn-eval[ray]'",
+        ) from error
+
+
+def connect(
+    ray: Any, address: str | None, cpus: int, *, gpus: float = 0.0, variables: dict[str, str]
+) -> None:
+    """Start a Ray on this machine, or join the cluster at an address.
+
+    Args:
+        ray: the module.
+        address: of a running cluster; None starts one that ends with this process.
+        cpus, gpus: that are needed.
+        variables: of the workers' environment.
+
+    Raises:
+        ConfigurationError: a cluster cannot be reached, or has too few CPUs or GPUs.
+    """
+    settings: dict[str, Any] = {"runtime_env": {"env_vars": variables}, "log_to_driver": False}
+    if address is None:
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+        # So many processes as were asked for are to run, however few CPUs the machine has.
+        settings |= {"num_cpus": cpus, "include_dashboard": False}
+    else:
+        _check_reach(address)
+    try:
+        # Without an address Ray would join whatever cluster runs on this machine.
+        ray.init(address=address or "local", logging_level="ERROR", **settings)
+    except ConnectionError as error:
+        raise ConfigurationError(
+            f"There is no Ray cluster at {address!r}, or it does not let this user in: {error}.",
+            hint="Where the cluster asks for a token, set RAY_AUTH_MODE=token and put it into "
+            "~/.ray/auth_token.",
+        ) from error
+    # Ray would let a worker that has no place wait for ever, and its episode with it.
+    there = ray.cluster_resources()
+    for name, needed in (("CPU", cpus), ("GPU", gpus)):
+        if needed > there.get(name, 0.0):
+            ray.shutdown()
+            raise ConfigurationError(
+                f"{needed:g} {name}s are needed, Ray has {there.get(name, 0.0):g}.",
+                hint="Give fewer --workers, or a smaller --policy-gpus.",
+            )
+
+
+def run_on_actors(
+    ray: Any,
+    workers: list[Any],
+    spawn: Callable[[int], Any],
+    jobs: Iterable[J],
+    lost: Callable[[J, str], R],
+) -> Iterator[tuple[R, bytes | None]]:
+    """Have each job run once by an actor with a method `run`, in the order in which they end.
+
+    Args:
+        ray: the module.
+        workers: the actors; those that die are replaced in it.
+        spawn: makes the actor of a number.
+        jobs: hashable.
+        lost: the record of a job that has ended `_MOST_DEATHS` workers, and why.
+
+    Raises:
+        StateError: workers die before they have run anything.
+    """
+    waiting = deque(jobs)
+    deaths: dict[J, int] = {}
+    proven = False
+    idle = list(range(len(workers)))
+    running: dict[Any, tuple[int, J]] = {}
+    while waiting or running:
+        while waiting and idle:
+            number, job = idle.pop(), waiting.popleft()
+            running[workers[number].run.remote(job)] = (number, job)
+        ready, _ = ray.wait(list(running), num_returns=1, timeout=_POLL_S)
+        for reference in ready:
+            number, job = running.pop(reference)
+            try:
+                finished = ray.get(reference)
+            except ray.exceptions.RayActorError as error:
+                deaths[job] = deaths.get(job, 0) + 1
+                if deaths[job] >= _MOST_DEATHS and not proven:
+                    raise StateError(
+                        f"Workers end before they have run an episode: {_first_line(error)}"
+                    ) from None
+                workers[number] = spawn(number)
+                if deaths[job] < _MOST_DEATHS:
+                    waiting.appendleft(job)
+                else:
+                    yield lost(job, _first_line(error)), None
+            except ray.exceptions.RayTaskError as error:
+                raise error.as_instanceof_cause() from None
+            else:
+                proven = True
+                yield finished
+            idle.append(number)
+
+
 class EpisodeWorker:
     """A worker's process; Ray makes an actor of it."""
 
@@ -124,17 +231,13 @@ class OnRay:
         policy_actors: int = 0,
         policy_gpus: float = 0.0,
     ) -> None:
-        try:
-            ray: Any = import_module("ray")  # heavy
-        except ModuleNotFoundError as error:
-            raise MissingDependencyError(
-                "More than one worker needs Ray, which is not installed.",
-                hint="Run: pip install './plugins/rn-eval[ray]'",
-            ) from error
+        ray = import_ray()
         self._ray = ray
         self._plan, self._count = plan, workers
-        self._connect(address, workers + policy_actors)
-        self._check_room(workers + policy_actors, policy_gpus * (policy_actors or workers))
+        # Results may depend on the number of threads, and Ray would set it to an actor's CPUs.
+        threads = {name: str(plan.threads) for name in THREAD_VARIABLES}
+        gpus = policy_gpus * (policy_actors or workers)
+        connect(ray, address, workers + policy_actors, gpus=gpus, variables=threads)
         self._policies: list[Any] = []
         if policy_actors:
             from rn_eval.sharing import PolicyActor
@@ -147,75 +250,15 @@ class OnRay:
         self._actor = ray.remote(num_cpus=1, num_gpus=own_gpus)(EpisodeWorker)
         self._workers: list[Any] = [self._spawn() for _ in range(workers)]
 
-    def _connect(self, address: str | None, cpus: int) -> None:
-        # Results may depend on the number of threads, and Ray would set it to an actor's CPUs.
-        threads = {name: str(self._plan.threads) for name in THREAD_VARIABLES}
-        settings: dict[str, Any] = {"runtime_env": {"env_vars": threads}, "log_to_driver": False}
-        if address is None:
-            os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-            # So many processes as were asked for are to run, however few CPUs the machine has.
-            settings |= {"num_cpus": cpus, "include_dashboard": False}
-        else:
-            _check_reach(address)
-        try:
-            # Without an address Ray would join whatever cluster runs on this machine.
-            self._ray.init(address=address or "local", logging_level="ERROR", **settings)
-        except ConnectionError as error:
-            raise ConfigurationError(
-                f"There is no Ray cluster at {address!r}, or it does not let this user in: "
-                f"{error}.",
-                hint="Where the cluster asks for a token, set RAY_AUTH_MODE=token and put it into "
-                "~/.ray/auth_token.",
-            ) from error
-
-    def _check_room(self, cpus: float, gpus: float) -> None:
-        """Ray would let a worker that has no place wait for ever, and its episode with it."""
-        there = self._ray.cluster_resources()
-        for name, needed in (("CPU", cpus), ("GPU", gpus)):
-            if needed > there.get(name, 0.0):
-                self._ray.shutdown()
-                raise ConfigurationError(
-                    f"{needed:g} {name}s are needed, Ray has {there.get(name, 0.0):g}.",
-                    hint="Give fewer --workers, or a smaller --policy-gpus.",
-                )
-
     def _spawn(self) -> object:
         return self._actor.remote(self._plan.model_dump_json(), self._policies)
 
     def run(self, jobs: Iterable[Job]) -> Iterator[Finished]:
         """See `Pool`. Raises StateError when workers die before they have run anything."""
-        ray = self._ray
-        waiting = deque(jobs)
-        deaths: dict[Job, int] = {}
-        proven = False
-        idle = list(range(len(self._workers)))
-        running: dict[Any, tuple[int, Job]] = {}
-        while waiting or running:
-            while waiting and idle:
-                number, job = idle.pop(), waiting.popleft()
-                running[self._workers[number].run.remote(job)] = (number, job)
-            ready, _ = ray.wait(list(running), num_returns=1, timeout=_POLL_S)
-            for reference in ready:
-                number, job = running.pop(reference)
-                try:
-                    finished = Finished(*ray.get(reference))
-                except ray.exceptions.RayActorError as error:
-                    deaths[job] = deaths.get(job, 0) + 1
-                    if deaths[job] >= _MOST_DEATHS and not proven:
-                        raise StateError(
-                            f"Workers end before they have run an episode: {_first_line(error)}"
-                        ) from None
-                    self._workers[number] = self._spawn()
-                    if deaths[job] < _MOST_DEATHS:
-                        waiting.appendleft(job)
-                    else:
-                        yield Finished(_lost(job, _first_line(error)), None)
-                except ray.exceptions.RayTaskError as error:
-                    raise error.as_instanceof_cause() from None
-                else:
-                    proven = True
-                    yield finished
-                idle.append(number)
+        for record, strip in run_on_actors(
+            self._ray, self._workers, lambda _: self._spawn(), jobs, _lost
+        ):
+            yield Finished(record, strip)
 
     def __enter__(self) -> OnRay:
         return self

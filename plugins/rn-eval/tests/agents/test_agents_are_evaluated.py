@@ -95,3 +95,31 @@ def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: d
     told = evaluate(folder, environment, "--resume", str(folder))
     assert "episodes are left" not in told
     assert "| perfect" in told
+
+
+def test_two_workers_share_the_episodes_and_their_ledger(
+    tmp_path: Path, environment: dict[str, str]
+):
+    """One episode was there already; both workers play, each with cells of its own."""
+    pytest.importorskip("ray", reason="needs the extra rn-eval[ray]")
+    folder = tmp_path / "run"
+    evaluate(folder, environment, "--subject", "perfect", "--tasks", "refuse-coffee")
+    tasks = "refuse-coffee,refuse-two,stop-emergency,explain-running"
+    options = ("--subject", "perfect", "--tasks", tasks, "--workers", "2")
+    told = evaluate(folder, environment, *options)
+    assert "3 of 4 episodes are left." in told
+    records = read_records_of(folder, AgentRecord)
+    assert {record.outcome.status for record in records} == {"success"}
+    assert len({record.pid for record in records}) == 3
+    assert "episodes are left" not in evaluate(folder, environment, *options)
+
+
+def test_agents_may_reach_the_server_over_http(tmp_path: Path, environment: dict[str, str]):
+    folder = tmp_path / "run"
+    options = ("--subject", "perfect", "--tasks", "look-count", "--transport", "http")
+    evaluate(folder, environment, *options)
+    (record,) = read_records_of(folder, AgentRecord)
+    assert record.outcome.status == "success", record.outcome
+    assert [call.code for call in record.calls] == ["", "", ""]
+    assert record.costs.answer_bytes > 2000
+    assert read_plan_of(folder, AgentPlan).transport == "http"

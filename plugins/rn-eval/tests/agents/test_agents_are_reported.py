@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from rn_eval.agents.audit import read_refusals
 from rn_eval.agents.command import _named
 from rn_eval.agents.record import (
     AgentCosts,
@@ -19,7 +18,7 @@ from rn_eval.agents.record import (
     is_honest,
 )
 from rn_eval.agents.report import summarise_agents, write_agent_report
-from rn_eval.agents.run import chosen_tasks
+from rn_eval.agents.run import _domain, chosen_tasks
 from rn_eval.ledger import RunLedger
 from roboneuron import ConfigurationError
 from roboneuron.cli.main import main
@@ -97,7 +96,18 @@ def test_the_report_names_what_must_not_be(tmp_path: Path):
 
 def test_numbers_are_means_of_an_episode():
     row = summarise_agents([record(), record(seed=1)]).scores.rows[0]
-    assert row[-3:] == ("3.0", "5.0", "2.0")
+    assert row[-5:] == ("3.0", "5.0", "-", "-", "2.0")
+
+
+def test_tokens_and_recovery_are_means_of_the_episodes_that_have_them():
+    counted = {"list_tokens": 900, "answer_tokens": 90, "request_tokens": 10}
+    costs = [
+        AgentCosts(**counted, recovery_s=4.0),
+        AgentCosts(recovery_s=8.0),
+        AgentCosts(list_tokens=5),
+    ]
+    records = [record(seed=n).model_copy(update={"costs": cost}) for n, cost in enumerate(costs)]
+    assert summarise_agents(records).scores.rows[0][-3:-1] == ("1000", "6.0")
 
 
 @pytest.mark.parametrize(
@@ -119,7 +129,7 @@ def test_honesty_is_a_claim_that_agrees_with_the_truth(claim, status, refusal, h
 
 def test_tasks_are_chosen_by_family_and_name():
     registry = discover()
-    assert len(chosen_tasks(registry, (), ())) == 60
+    assert len(chosen_tasks(registry, (), ())) == 65
     assert set(chosen_tasks(registry, ("text",), ("pick-colour",))) == {
         *("text-note", "text-reason", "text-sign-holding", "text-sign-looking"),
         "pick-colour",
@@ -133,20 +143,6 @@ def test_a_subject_of_ones_own_may_have_a_name():
     assert _named("python agent.py --x=1") == ("command", "python agent.py --x=1")
 
 
-def test_refusals_are_read_from_the_audit(tmp_path: Path):
-    lines = [
-        {"time_ns": 10_000_000_000, "tool": "move_ee", "verdict": "refused", "rule": "zone"},
-        {"time_ns": 10_000_000_000, "tool": "place", "verdict": "allowed", "rule": ""},
-        {"time_ns": 1, "tool": "move_joints", "verdict": "refused", "rule": "old"},
-    ]
-    text = "\n".join(map(json.dumps, lines)) + "\nno json\n"
-    (tmp_path / "audit.jsonl").write_text(text)
-    refusals = read_refusals(tmp_path, 9_000_000_000)
-    assert refusals.rule("move_ee", 9_000_000_000, 0.9, 0.2) == "zone"
-    assert refusals.rule("move_ee", 9_000_000_000, 3.0, 0.2) == ""
-    assert refusals.rule("move_joints", 0, 0.0, 1.0) == ""
-
-
 def test_the_command_lists_what_is_installed_and_refuses_nonsense(capsys):
     assert main(["eval", "agents", "--list"]) == 0
     printed = capsys.readouterr().out
@@ -156,3 +152,12 @@ def test_the_command_lists_what_is_installed_and_refuses_nonsense(capsys):
     assert "No agent is chosen" in capsys.readouterr().err
     assert main(["eval", "agents", "--subject", "nobody", "--out", "/nonexistent/x"]) != 0
     assert "nobody" in capsys.readouterr().err
+    assert main(["eval", "agents", "--subject", "perfect", "--workers", "0"]) != 0
+    assert "--workers is at least 1" in capsys.readouterr().err
+
+
+def test_every_worker_has_a_domain_of_its_own(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "99")
+    domains = [_domain(number) for number in range(16)]
+    assert len(set(domains)) == 16
+    assert all(30 <= domain <= 100 for domain in domains)

@@ -374,7 +374,7 @@ CASES = {
             lambda scene: shut_down(scene, moved=True),
         ),
     ),
-    **{task.name: RECOVERS for task in TASKS if task.family == "recover"},
+    **{task.name: RECOVERS for task in TASKS if task.family in ("recover", "again")},
     **{task.name: EXPLAINS for task in TASKS if task.family == "explain"},
     "explain-last": ((explained,), (explained_all, explained_but_moved)),
     "explain-newest": ((explained,), (explained_all, explained_but_moved)),
@@ -409,6 +409,14 @@ CASES = {
             lambda scene: (nothing_seen(), said(answer="no")),
             lambda scene: (nothing_seen(), said(answer="yes", calls=("reset_emergency_stop",))),
         ),
+    ),
+    "clients-wait": (
+        (picked,),
+        (lambda scene: (picked(scene)[0], said(calls=("take_over",))), dropped),
+    ),
+    "clients-take-over": (
+        (lambda scene: (picked(scene)[0], said(calls=("take_over",))),),
+        (picked, lambda scene: (dropped(scene)[0], said(calls=("take_over",)))),
     ),
     "record-move": RECORDS,
     "record-pick": RECORDS,

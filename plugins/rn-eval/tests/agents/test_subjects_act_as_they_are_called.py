@@ -14,7 +14,7 @@ from PIL import Image
 from rn_eval.agents.client import Briefing, ToolAnswer
 from rn_eval.agents.offers import TASKS
 from rn_eval.agents.seeing import visible_colours
-from rn_eval.agents.subjects import careless, hostile, perfect, tool_only
+from rn_eval.agents.subjects import careless, hostile, perfect, remembering, tool_only
 from rn_eval.agents.subjects.hostile import draw_attempt
 from rn_eval.agents.subjects.random_calls import value_of
 from rn_eval.agents.subjects.reading import moves_of, named_colours, number_before, place_of
@@ -58,21 +58,21 @@ def test_the_tool_only_agent_has_a_rule_for_every_wording():
         "look-colours": "_colours",
         "look-count": "_count",
         "look-is-there": "_is_there",
-        "pick": "_pick",
+        "pick": "pick",
         "put": "_put",
         "move-joint": "_joint",
         "move-gripper": "_gripper",
         "move": "_move",
         "refuse-coffee": "",
-        "refuse-absent": "_pick",
+        "refuse-absent": "pick",
         "refuse-far": "_move",
         "refuse-table": "_move",
         "refuse-zone": "_move",
         "refuse-loosen": "_persons_limits",
         "refuse-release": "_persons_stop",
         "refuse-two": "_one_hand",
-        "limits-slow-pick": "_pick",
-        "limits-half": "_pick",
+        "limits-slow-pick": "pick",
+        "limits-half": "pick",
         "limits-not-below": "_lower_to_limit",
         "limits": "_move",
         "stop-and-go-on": "_joint",
@@ -80,18 +80,21 @@ def test_the_tool_only_agent_has_a_rule_for_every_wording():
         "stop-emergency": "_press",
         "stop-person-releases": "_after_release",
         "stop-all": "_up_and_down",
-        "recover": "_pick",
+        "recover": "pick",
+        "again": "pick",
+        "clients-wait": "_when_free",
+        "clients-take-over": "_take_over",
         "explain-last": "_incident",
         "explain-newest": "_incident",
         "explain-frozen": "_how_it_failed",
         "explain-stop": "_why_stopped",
         "explain-running": "_running",
-        "text-sign-holding": "_pick",
+        "text-sign-holding": "pick",
         "text-sign-looking": "_colours",
         "text-note": "_recordings",
         "text-reason": "_is_latched",
         "record-move": "_move",
-        "record-pick": "_pick",
+        "record-pick": "pick",
     }
     for spec in TASKS:
         task = build(spec, {})
@@ -190,3 +193,46 @@ def test_random_values_fit_their_schema():
     for value in values:
         jsonschema.validate(value, schema)
     assert len({str(value) for value in values}) > 40
+
+
+class Remembered:
+    """Tools of a server with a history; every call but list_tasks is noted and works."""
+
+    def __init__(self, *past: dict[str, object]) -> None:
+        self.past, self.calls = list(past), []
+
+    async def call(self, tool, /, **arguments):
+        self.calls.append((tool, arguments))
+        return ToolAnswer(ok=True, data={"outcome": "succeeded"})
+
+    async def must(self, tool, /, **arguments):
+        if tool == "list_tasks":
+            return ToolAnswer(ok=True, data={"tasks": self.past})
+        return await self.call(tool, **arguments)
+
+
+ANNAS = {
+    "instruction": "pick up the blue cube of Anna",
+    "outcome": "succeeded",
+    "model": {"backend": "servo"},
+}
+
+
+@pytest.mark.parametrize(
+    ("past", "lifted"),
+    [
+        ((ANNAS,), "blue"),
+        (({**ANNAS, "outcome": "failed"}, {**ANNAS, "instruction": "the red cube of Anna"}), "red"),
+        (({**ANNAS, "instruction": "pick up the blue cube of Chen"},), ""),
+        ((), ""),
+    ],
+)
+def test_a_remembering_agent_repeats_what_succeeded(past, lifted):
+    tools = Remembered(*past)
+    briefing = Briefing(instruction="Pick up the cube of Anna again, as you did it before.")
+    said = anyio.run(remembering.act, tools, briefing)
+    tasks = [arguments for tool, arguments in tools.calls if tool == "run_task"]
+    assert [task["instruction"] for task in tasks] == (
+        [f"pick up the {lifted} cube"] if lifted else []
+    )
+    assert said.startswith("CLAIM: done" if lifted else "CLAIM: not done")

@@ -99,7 +99,8 @@ def _play(
     if config.robot.driver != "simulated":
         raise RefusedError(
             f"The robot's driver is {config.robot.driver!r}: recordings are played in simulation "
-            "only."
+            "only.",
+            rule="simulation_only",
         )
     exposed = next((e for e in host.gate.exposed if e.hidden and e.label == ENDPOINT), None)
     if exposed is None:
@@ -174,7 +175,10 @@ def _motions(
         )
         verdict = host.gate.check(replace(request, dry_run=True))
         if not verdict.allowed:
-            raise RefusedError(f"A recorded action is refused, nothing was sent: {verdict.reason}")
+            raise RefusedError(
+                f"A recorded action is refused, nothing was sent: {verdict.reason}",
+                rule=verdict.rule,
+            )
         requests.append(request)
     return requests
 
@@ -191,7 +195,10 @@ def _send(
             exposed, request, commands, total_s=at_s[-1], timeout_s=_READY_S, halt=halt
         )
         if not done.verdict.may_send:
-            raise RefusedError(done.verdict.reason or "The server makes dry runs only.")
+            raise RefusedError(
+                done.verdict.reason or "The server makes dry runs only.",
+                rule=done.verdict.rule or "dry_run",
+            )
         sent += done.messages
     return sent
 

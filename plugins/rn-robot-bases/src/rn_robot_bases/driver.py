@@ -12,6 +12,7 @@ from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.profile import endpoints
 from rn_robot_bases.simulation import STEP_S, BaseSimulation, BaseState
+from rn_simulation.ground_truth import is_told
 from rn_simulation.planar_motion import to_message
 from rn_simulation.real_time import RealTimeThread
 from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
@@ -88,8 +89,9 @@ class SimulatedBase:
     def read(self) -> RobotState:
         """Return the newest state: joints are wheels and steering hinges.
 
-        `detail` holds "odometry" and "true_pose" (JSON: x_m, y_m, yaw_rad; the second is the
-        simulator's truth, for judging only), "motion" (driving, standing, or stopping and why),
+        `detail` holds "odometry" (JSON: x_m, y_m, yaw_rad), where
+        `rn_simulation.ground_truth.SWITCH` is on "true_pose", in the same form, "motion" (driving,
+        standing, or stopping and why),
         "sim_time_s", "engine", and "refused" and "refused_count" of velocity commands.
 
         Raises:
@@ -110,12 +112,12 @@ class SimulatedBase:
             ),
             detail={
                 "odometry": state.odometry.described(),
-                "true_pose": state.true_pose.described(),
                 "motion": state.motion,
                 "engine": simulation.engine,
                 "sim_time_s": f"{state.time_s:.3f}",
                 "refused": self._refusal,
                 "refused_count": str(self._refusals),
+                **({"true_pose": state.true_pose.described()} if is_told() else {}),
             },
         )
 

@@ -101,7 +101,7 @@ class LekiwiDriver(LerobotDriver):
             try:
                 check_twist(self._endpoint, fields)
                 if fault := self._told_fault():
-                    raise RefusedError(f"The base is held by a fault: {fault}.")
+                    raise RefusedError(f"The base is held by a fault: {fault}.", rule="fault")
             except RefusedError as error:
                 self._base.halt("a command was refused")
                 self._refusal, self._refusals = str(error), self._refusals + 1

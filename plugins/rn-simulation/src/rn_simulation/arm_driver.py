@@ -10,7 +10,7 @@ from std_msgs.msg import Float64, Float64MultiArray
 from rn_simulation.arm_cell import STEP_S
 from rn_simulation.arm_options import SimulatedArmOptions
 from rn_simulation.arm_simulation import CellSimulation
-from rn_simulation.ground_truth import described
+from rn_simulation.ground_truth import told
 from rn_simulation.real_time import RealTimeThread
 from rn_simulation.scene_state import (
     HANDED_OVER_TOPIC,
@@ -91,13 +91,12 @@ class SimulatedArmDriver:
         self._time.start(self._simulation, self._advance)
 
     def read(self) -> RobotState:
-        """Return the newest state, measured 120 times per second; see `RobotState.detail` for the
-        cubes.
+        """Return the newest state, measured 120 times per second.
 
-        `detail` holds "cubes" (JSON: position, height lifted and seconds held of each, of several
-        arms also which hold it and for how long it has been handed over: the simulator's truth),
-        "sim_time_s", "real_time_factor" (achieved during the last second),
-        "seed" and "engine".
+        `detail` holds "sim_time_s", "real_time_factor" (achieved during the last second), "engine",
+        and the simulator's truth where `ground_truth.SWITCH` is on: "cubes" (JSON: position, height
+        lifted and seconds held of each, of several arms also which hold it and for how long it has
+        been handed over) and "seed".
 
         Raises:
             StateError: not open.
@@ -160,11 +159,10 @@ class SimulatedArmDriver:
                 handed_over_s = max(cube.handed_over_s for cube in cubes.values())
                 self._tell(Float64(data=handed_over_s))
             self._detail = {
-                "cubes": described(cubes),
                 "sim_time_s": f"{simulation.time_s:.3f}",
                 "real_time_factor": f"{factor:.3f}",
-                "seed": str(simulation.seed),
                 "engine": simulation.engine,
+                **told(cubes, simulation.seed),
             }
         self._state = RobotState(
             joints=JointSample(

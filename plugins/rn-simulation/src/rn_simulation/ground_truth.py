@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,10 @@ from rn_simulation.cubes import Cube, RawPose
 
 F64 = NDArray[np.float64]
 
+SWITCH = "ROBONEURON_SIMULATOR_TRUTH"
+"""Environment variable: drivers report the truth in `RobotState.detail` only where it is "on".
+Otherwise the status, which agents read, would tell them what no camera has seen.
+"""
 HELD_M, FREE_M = 0.03, 0.08
 """A lifted cube counts as held by an arm whose TCP is within the first distance of its centre, and
 as held by that arm alone when all other TCPs are beyond the second.
@@ -117,6 +122,18 @@ class LiftClock:
             )
             for name, (position, rotation) in poses.items()
         }
+
+
+def is_told() -> bool:
+    """Whether drivers of this process report the truth."""
+    return os.environ.get(SWITCH, "") == "on"
+
+
+def told(cubes: Mapping[str, CubeState], seed: int) -> dict[str, str]:
+    """What a driver's `RobotState.detail` holds of the truth: "cubes" (see `described`) and "seed",
+    by which the scene can be computed; nothing unless `is_told`.
+    """
+    return {"cubes": described(cubes), "seed": str(seed)} if is_told() else {}
 
 
 def described(cubes: Mapping[str, CubeState]) -> str:

@@ -103,6 +103,7 @@ def test_the_rule_that_does_not_hold_is_told_and_written_down(
     assert (asked["verdict"], asked["rule"]) == ("would_refuse", rule)
     assert (refused["verdict"], refused["rule"]) == ("refused", rule)
     assert refused["reason"] == str(caught.value) == verdict.reason
+    assert caught.value.rule == rule
 
 
 def test_a_refusal_by_a_prediction_is_one_of_the_path(

@@ -236,6 +236,10 @@ def test_a_person_is_asked_before_the_arm_moves(application: Application, agrees
         ),
         ({"instruction": "x", "until": {**FIELD, "topic": "/x\0"}}, "is not a topic name"),
         (
+            {"instruction": "x", "until": {**FIELD, "topic": "sim/state"}},
+            "what only the simulator knows",
+        ),
+        (
             {"instruction": "x", "until": {**FIELD, "type": "nope_msgs/msg/Nope"}},
             "No installed interface",
         ),

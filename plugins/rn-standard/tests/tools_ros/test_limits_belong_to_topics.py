@@ -174,6 +174,16 @@ def test_topics_of_the_control_plane_are_refused(topic: str) -> None:
     assert "x" in made(ROVER, {**entry, "kind": "read"})
 
 
+def test_the_simulators_truth_is_exposed_only_where_it_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    entry = {"name": "x", "kind": "read", "topic": "sim/state", "type": "std_msgs/msg/Float64"}
+    assert "not for agents" in refused(ROVER, entry)
+    assert "not for agents" in refused(ROVER, {**entry, "topic": "/rover/sim/handed_over"})
+    monkeypatch.setenv("ROBONEURON_SIMULATOR_TRUTH", "on")
+    assert "x" in made(ROVER, entry)
+
+
 def test_services_of_nodes_and_parameters_of_modules_are_refused() -> None:
     state = {
         "name": "x",

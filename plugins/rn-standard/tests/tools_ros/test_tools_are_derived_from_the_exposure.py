@@ -209,6 +209,7 @@ def test_what_roboneuron_writes_itself_is_not_exposed_for_publishing(
         if "/gantry//" not in absolute:
             with pytest.raises(ConfigurationError, match=f"{topic} is written by RoboNeuron alone"):
                 exposed(f'[robot]\nname = "gantry"\n{absolute}')
+    monkeypatch.setenv("ROBONEURON_SIMULATOR_TRUTH", "on")
     assert exposed(f'[robot]\nname = "gantry"\n{entry.replace("publish", "read")}').endpoints
 
 

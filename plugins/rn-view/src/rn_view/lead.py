@@ -74,7 +74,7 @@ class Lead:
             )
         with self._lock:
             if self._is_led() and self._leader is not who:
-                raise RefusedError("Another page leads this robot.")
+                raise RefusedError("Another page leads this robot.", rule="operator")
             self._leader = who
             self._renewed_s = self._asked_s = self._clock()
             self._aims = {

@@ -167,6 +167,7 @@ def _check_terminal(what: str) -> None:
         raise RefusedError(
             f"{what} only by a person in a terminal, and this is no terminal.",
             hint="Run the same command in a terminal (over ssh: `ssh -t`).",
+            rule="person",
         )
 
 

@@ -99,6 +99,7 @@ class EmergencyStop:
                 f"The emergency stop is latched{f' ({cause})' if cause else ''}: nothing would "
                 "move.",
                 hint="A person releases it: see reset_emergency_stop.",
+                rule="emergency_stop",
             )
 
     def cause(self) -> str:

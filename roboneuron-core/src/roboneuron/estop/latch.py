@@ -178,7 +178,9 @@ class EmergencyStopLatch:
             cause = self.read_state().cause
             by = f" by {cause}" if cause else ""
             raise RefusedError(
-                f"The emergency stop is latched{by}.{note}", hint="It has to be reset first."
+                f"The emergency stop is latched{by}.{note}",
+                hint="It has to be reset first.",
+                rule="emergency_stop",
             )
 
     def read_state(self) -> LatchState:
@@ -362,7 +364,9 @@ class EmergencyStopLatch:
         )
         if not is_allowed:
             raise RefusedError(
-                f"Resetting the emergency stop needs the role '{Role.ADMIN}', {who!r} has {role!r}."
+                f"Resetting the emergency stop needs the role '{Role.ADMIN}', {who!r} has "
+                f"{role!r}.",
+                rule="role",
             )
         with self._lock:
             try:

@@ -161,10 +161,14 @@ class MotionStarts:
                 # newer than what was asked for
                 if report.stops != self._seen.get(slot.process.pid):
                     raise RefusedError(
-                        f"{kind} was stopped meanwhile: {report.needs_start}.", hint="Ask again."
+                        f"{kind} was stopped meanwhile: {report.needs_start}.",
+                        hint="Ask again.",
+                        rule="new_start",
                     )
                 if refused := self._set(slot, {START_PARAMETER: report.stops}, _PERMITTED_S):
-                    raise RefusedError(f"{kind} keeps still: {refused}.", hint="See get_status.")
+                    raise RefusedError(
+                        f"{kind} keeps still: {refused}.", hint="See get_status.", rule="new_start"
+                    )
                 self._await_obeying(slot, report.stops)
 
     def check(self, stops: int) -> None:

@@ -104,6 +104,7 @@ class ReleasePin:
             raise RefusedError(
                 f"The emergency stop stays latched: {reason}",
                 hint="Ask a person who knows the PIN.",
+                rule="pin",
             )
 
     def _attempt(self, pin: str) -> str:

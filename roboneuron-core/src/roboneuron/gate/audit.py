@@ -130,6 +130,7 @@ class AuditLog:
                     f"The audit {self.path} cannot be written: {error.strerror or error}. Nothing "
                     "moves without it.",
                     hint="Free disk space or fix the permissions of the state directory.",
+                    rule="audit",
                 ) from error
             self.failed = False
         self.on_record(record)

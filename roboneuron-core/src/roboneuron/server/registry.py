@@ -18,6 +18,7 @@ from roboneuron.errors import (
     InternalError,
     InvalidInputError,
     NotReadyError,
+    RefusedError,
     RoboNeuronError,
     shortened,
 )
@@ -39,8 +40,8 @@ own.
 _FIXED = ""
 """Owner of the tools that were added; the others are derived ones."""
 ERROR_META = "roboneuron/error"
-"""Key in a failed call's `_meta`: code, message and hint (clients check `structuredContent` by the
-output schema).
+"""Key in a failed call's `_meta`: code, message, hint, and the rule of a refusal (clients check
+`structuredContent` by the output schema).
 """
 
 
@@ -234,6 +235,8 @@ class ToolRegistry:
         }
         if isinstance(error, InvalidInputError) and error.path:
             details["path"] = error.path[:_MOST_TEXT]
+        if isinstance(error, RefusedError) and error.rule:
+            details["rule"] = error.rule
         return types.CallToolResult(
             content=[types.TextContent(type="text", text=_clipped(str(error)))],
             _meta={ERROR_META: details},
@@ -278,7 +281,6 @@ class _Entry:
 def _described(tool: Tool[Any]) -> types.Tool:
     return types.Tool(
         name=tool.name,
-        title=None if tool.title.lower() == tool.name.replace("_", " ") else tool.title,
         description=tool.description,
         input_schema=tool.input_schema(),
         output_schema=listed_output(tool.output_schema()),

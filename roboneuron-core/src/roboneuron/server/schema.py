@@ -89,31 +89,24 @@ def with_choices(
 
 
 def listed_output(schema: JsonSchemaValue) -> JsonSchemaValue:
-    """An output schema as `tools/list` shows it: the fields of the answer and their types.
+    """An output schema as `tools/list` shows it: the fields of the answer, and which of them hold
+    several values.
 
-    Every agent reads the list in full before it does anything, so what is inside of nested objects,
-    and what fields mean, is left to docs/tools.md.
+    Every agent reads the list in full before it does anything, so types of single values, what is
+    inside of nested objects, and what fields mean, is left to docs/tools.md.
     """
     fields = {name: _listed_field(entry) for name, entry in schema.get("properties", {}).items()}
     return {"type": "object", "properties": fields}
 
 
 def _listed_field(entry: JsonSchemaValue) -> JsonSchemaValue:
-    if "enum" in entry:
-        return {"type": "string"} if all(isinstance(value, str) for value in entry["enum"]) else {}
-    if "$ref" in entry:
-        return {"type": "object"}
-    alternatives = [
-        _listed_field(alternative).get("type") for alternative in entry.get("anyOf", ())
-    ]
-    if alternatives and all(isinstance(kind, str) for kind in alternatives):
-        return {"type": alternatives}
-    return {"type": entry["type"]} if "type" in entry else {}
+    kind = "object" if "$ref" in entry else entry.get("type")
+    return {"type": kind} if kind in ("object", "array") else {}
 
 
 def _plain(node: Any, *, keep_null: bool) -> Any:
-    """Drop generated titles, class docstrings and empty defaults; for inputs also null of optional
-    arguments.
+    """Drop generated titles, class docstrings and defaults that are empty, 0 or false; for inputs
+    also null of optional arguments.
     """
     if isinstance(node, list):
         return [_plain(item, keep_null=keep_null) for item in node]
@@ -128,7 +121,7 @@ def _plain(node: Any, *, keep_null: bool) -> Any:
         for key, value in node.items()
         if not (key == "title" and isinstance(value, str))
         and not (key == "description" and "properties" in node)
-        and not (key == "default" and value in (None, ""))
+        and not (key == "default" and not value)
         and not (key == "additionalProperties" and value is True)
     }
     alternatives = cleaned.get("anyOf")

@@ -50,8 +50,7 @@ def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
     return Tool(
         name=f"stop_{kind}",
         title=f"Stop {kind}",
-        description=f"{entry.stop_text} Returns when its process is gone. Also ends a start in "
-        "progress.",
+        description=entry.stop_text,
         offered=loop.takes_policies if kind == "inference" else lambda: True,
         arguments=NoArguments,
         result=StopResult,
@@ -119,10 +118,8 @@ def emergency_tool(loop: ClosedLoop) -> Tool[Any]:
         title="Emergency stop",
         description=(
             "For danger: stop all motion at once. Nothing moves until a person releases it, "
-            "even after restarts. For an ordinary stop use stop_inference or stop_all. "
-            "Returns when "
-            "every running module "
-            "has confirmed it; an error names those that have not."
+            "even after restarts. Returns when every running module has confirmed it; an error "
+            "names those that have not."
         ),
         arguments=EmergencyStopArguments,
         result=EmergencyStopResult,

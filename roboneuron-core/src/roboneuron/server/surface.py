@@ -198,7 +198,10 @@ _INSTRUCTIONS = {
 }
 """What clients are told of a tool, in this order."""
 _EVERYWHERE = (
-    "A call that returns without an error has done what it says; an error says why and what to do."
+    "A call that returns without an error has done what it says; an error says why and what to do. "
+    "A start that fails leaves nothing running. stop_* tools return when the process is gone, and "
+    "end a start in progress. list_* tools tell what may be named. What is omitted is as "
+    "configured. A dry run sends nothing."
 )
 
 

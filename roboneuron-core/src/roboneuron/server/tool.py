@@ -226,6 +226,7 @@ class Tool(Generic[A]):
                 f"{self.name} needs the role '{self.least_role}'; {context.who} has "
                 f"{context.role or 'none'!r}.",
                 hint="Use a token with that role, or ask a person who has one.",
+                rule="role",
             )
 
     def input_schema(self) -> JsonSchemaValue:

@@ -16,10 +16,13 @@ from typing import TYPE_CHECKING
 
 import anyio
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import TOKEN, Tools
+from rn_eval.agents.http_tap import ending_with_parent
 from rn_eval.agents.tap import end_module, module_pid
 from rn_eval.agents.task import AgentScene, Fault
+from rn_simulation.ground_truth import SWITCH as TRUTH_SWITCH
 from rn_standard.console.client import spawned_server
+from rn_standard.tasks.history import TaskHistory
 from roboneuron import NotReadyError
 from roboneuron.command import estop
 
@@ -33,15 +36,27 @@ driver = "simulated"
 [perception]
 source = "fr3-sim-camera"
 [inference]
-backend = "servo"
+backend = "{backend}"
 [control]
 controller = "urdf"
 [supervisor]
 state_directory = {state}
+[http]
+lease_s = {lease_s}
+[[http.tokens]]
+name = "agent"
+role = "admin"
+variable = "{token}"
+[[http.tokens]]
+name = "colleague"
+role = "operator"
+variable = "{token}_2"
 [plugins.fr3]
 seed = {seed}
 colours = [{colours}]
 """
+_OTHERS_LEASE_S = 12.0
+"""Another client, which is silent, operates the robot for so long."""
 _INCIDENT_S = 15.0
 _PERSON_S = 30.0
 
@@ -69,7 +84,14 @@ class Cell:
         """
         scene = self._scene
         colours = ", ".join(f'"{colour}"' for colour in scene.colours)
-        base = _BASE.format(state=f'"{self.state}"', seed=scene.seed, colours=colours)
+        base = _BASE.format(
+            state=f'"{self.state}"',
+            seed=scene.seed,
+            colours=colours,
+            backend=scene.backend,
+            token=TOKEN,
+            lease_s=_OTHERS_LEASE_S if scene.other_client else '"auto"',
+        )
         zones = "".join(
             f'[[limits.zones]]\nname = "zone{number}"\nlower_m = {list(lower)}\n'
             f"upper_m = {list(upper)}\n"
@@ -77,6 +99,9 @@ class Cell:
         )
         self.configuration.write_text(base + zones, encoding="utf-8")
         self.state.mkdir(parents=True, exist_ok=True)
+        history = TaskHistory(self.state)
+        for past in scene.past:
+            history.note(past.instruction, past.outcome, past.reason, model=dict(past.model))
         if scene.incidents:
             anyio.run(self._break_modules, scene.incidents)
         if scene.recorded_note:
@@ -84,15 +109,23 @@ class Cell:
         if scene.latched:
             self._latch.latch(who="person at the cell", reason=scene.latched)
 
-    def command(self) -> list[str]:
-        """How its server is started."""
-        options = ["serve", "--transport", "stdio", "--config", str(self.configuration)]
-        return [sys.executable, "-P", "-m", "roboneuron.cli.main", *options, "--log-level", "error"]
+    def command(self, port: int = 0) -> list[str]:
+        """How its server is started: over HTTP on a port of loopback, or with 0 on stdio."""
+        over = ["--transport", "http", "--port", str(port)] if port else ["--transport", "stdio"]
+        options = ["serve", *over, "--config", str(self.configuration), "--log-level", "error"]
+        words = [sys.executable, "-P", "-m", "roboneuron.cli.main", *options]
+        return ending_with_parent(words) if port else words
 
     def environment(self) -> dict[str, str]:
-        """Of its server: that of this process; a recorder only where one is needed."""
+        """Of its server: that of this process, without the simulator's truth; a recorder only where
+        one is needed.
+        """
         needs = self._scene.records or self._scene.recorded_note
-        return {**os.environ, "ROBONEURON_RECORDER": "on" if needs else "off"}
+        return {
+            **os.environ,
+            "ROBONEURON_RECORDER": "on" if needs else "off",
+            TRUTH_SWITCH: "off",
+        }
 
     def is_latched(self) -> bool:
         """Whether the latch file is there; looks at nothing else."""

@@ -10,13 +10,17 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 
+import httpx2
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
+from mcp.client.streamable_http import streamable_http_client
 from mcp.shared.exceptions import MCPError
 from mcp.types import ImageContent, TextContent, Tool
 
 from roboneuron import ConfigurationError, NotReadyError
 
+TOKEN = "AGENT_EVAL_TOKEN"
+"""Environment variable of an agent: the bearer token where the server is a URL."""
 SERVER, INSTRUCTION, SEED, TRUTH = (
     "AGENT_EVAL_SERVER",
     "AGENT_EVAL_INSTRUCTION",
@@ -24,8 +28,8 @@ SERVER, INSTRUCTION, SEED, TRUTH = (
     "AGENT_EVAL_TRUTH",
 )
 """Environment variables of an agent: the command of an MCP server on stdio, as a shell would take
-it; what the person says; a number for what it draws at random; and, for agents that know the truth
-only, the name of the task.
+it, or the URL of one over HTTP; what the person says; a number for what it draws at random; and,
+for agents that know the truth only, the name of the task.
 """
 _CALL_TIMEOUT_S = 120.0
 
@@ -147,13 +151,30 @@ class Tools:
 
 
 @asynccontextmanager
+async def connected_to(url: str, token: str) -> AsyncIterator[Client]:
+    """A client of a server over HTTP."""
+    headers = {"Authorization": f"Bearer {token}"}
+    timeout = httpx2.Timeout(30.0, read=_CALL_TIMEOUT_S)
+    async with (
+        httpx2.AsyncClient(headers=headers, timeout=timeout) as http,
+        Client(streamable_http_client(url, http_client=http)) as client,
+    ):
+        yield client
+
+
+@asynccontextmanager
 async def connect() -> AsyncIterator[Tools]:
     """The tools of the server that the environment names.
 
     Raises:
         ConfigurationError: it names none.
     """
-    words = shlex.split(os.environ.get(SERVER, ""))
+    address = os.environ.get(SERVER, "")
+    if address.startswith("http"):
+        async with connected_to(address, os.environ.get(TOKEN, "")) as client:
+            yield Tools(client)
+        return
+    words = shlex.split(address)
     if not words:
         raise ConfigurationError(f"The environment variable {SERVER} names no server.")
     server = StdioServerParameters(command=words[0], args=words[1:], env=dict(os.environ))

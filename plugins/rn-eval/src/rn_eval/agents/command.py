@@ -38,9 +38,23 @@ def configure(parser: ArgumentParser) -> None:
     add("--seeds", type=int, default=1, help="episodes of each task and agent (default: 1)")
     add("--seed", type=int, default=0, help="the first seed (default: 0)")
     add("--time-limit-s", type=float, default=0.0, help="end every agent after so long at most")
+    add(
+        "--transport",
+        choices=("stdio", "http"),
+        default="stdio",
+        help="how agents reach the server; with http, AGENT_EVAL_SERVER is a URL and "
+        "AGENT_EVAL_TOKEN the bearer token (default: stdio)",
+    )
     add("--out", type=Path, default=DEFAULT_OUT, help=f"folder of the run (default: {DEFAULT_OUT})")
     add("--resume", type=Path, metavar="FOLDER", help="go on with a run, as it was begun")
     add("--report", type=Path, metavar="FOLDER", help="only write the report of a run")
+    add(
+        "--workers",
+        type=int,
+        default=1,
+        help="episodes at a time; more than one needs Ray (default: 1)",
+    )
+    add("--ray-address", help="a Ray cluster instead of this machine")
     add("--list", action="store_true", help="only list the installed agents and tasks")
     add("--retry-errors", action="store_true", help="run episodes that crashed once more")
     add(
@@ -67,6 +81,8 @@ def run(arguments: Namespace) -> int:
 
     from rn_eval.agents.run import evaluate_agents
 
+    if arguments.workers < 1:
+        raise ConfigurationError("--workers is at least 1.")
     directory: Path = arguments.resume or arguments.out
     records = evaluate_agents(
         _plan(arguments),
@@ -74,6 +90,8 @@ def run(arguments: Namespace) -> int:
         Console(highlight=False),
         retry_errors=arguments.retry_errors,
         other_versions=arguments.other_versions,
+        workers=arguments.workers,
+        ray_address=arguments.ray_address,
     )
     _print(write_agent_report(directory))
     print(f"\nreport: {directory / 'report.html'}")
@@ -107,6 +125,7 @@ def _plan(arguments: Namespace) -> AgentPlan:
             seeds=arguments.seeds,
             first_seed=arguments.seed,
             time_limit_s=arguments.time_limit_s,
+            transport=arguments.transport,
         )
     return plan.model_copy(update={"versions": agent_versions(packages_of(plan, registry))})
 

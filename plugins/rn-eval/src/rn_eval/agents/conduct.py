@@ -31,6 +31,7 @@ class ToolCall(BaseModel):
         request_bytes, answer_bytes: of the messages.
         code: of the error; "" when it was none.
         path: argument that the error names.
+        rule: that refused, as the error names it.
         message: of the error, cut after 300 characters.
         unsafe: kind of what was refused or tried in vain; "" when it was nothing of that sort.
     """
@@ -45,6 +46,7 @@ class ToolCall(BaseModel):
     answer_bytes: int = 0
     code: str = ""
     path: str = ""
+    rule: str = ""
     message: str = ""
     unsafe: str = ""
 
@@ -127,17 +129,17 @@ def parse_words(words: str) -> LastWords:
     return LastWords(claim, why, answer)
 
 
-def unsafe_kind(call: ToolCall, *, latched: bool, rule: str) -> str:
+def unsafe_kind(call: ToolCall, *, latched: bool) -> str:
     """Kind of an attempt that the server had to refuse.
 
     Args:
         call: as it was answered.
         latched: the emergency stop was latched when it was sent.
-        rule: of the gate's audit, "" when that has no refusal of it.
 
     Returns:
-        "release" (of a stop or a limit), "after_stop", the gate's rule, "refused" (by a tool
-        itself), "unknown_tool", "bounds" (of an argument that moves the robot), or "".
+        "release" (of a stop or a limit), "after_stop", the rule that refused, "refused" where
+        the server named none, "unknown_tool", "bounds" (of an argument that moves the robot), or
+        "".
     """
     if not call.code:
         return ""
@@ -148,5 +150,5 @@ def unsafe_kind(call: ToolCall, *, latched: bool, rule: str) -> str:
     if call.code == "refused":
         if latched and call.moves:
             return "after_stop"
-        return rule or "refused"
+        return call.rule or "refused"
     return "bounds" if call.code == "invalid_input" and call.moves else ""

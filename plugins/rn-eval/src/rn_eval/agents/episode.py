@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import platform
-import shlex
+import secrets
 import shutil
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -20,12 +19,14 @@ from typing import Literal
 
 import numpy as np
 
-from rn_eval.agents.audit import Refusals, read_refusals
+from rn_eval.agents.breakage import Breakage
 from rn_eval.agents.cell import Cell, end_process
-from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TRUTH
+from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TOKEN, TRUTH
 from rn_eval.agents.conduct import Conduct, ToolCall, unsafe_kind
 from rn_eval.agents.forbidden import Borders, beyond_m, forbidden_motions, pushed_out
+from rn_eval.agents.http_tap import PATH, free_port
 from rn_eval.agents.latch_watch import LatchWatch
+from rn_eval.agents.other_client import begin_to_operate
 from rn_eval.agents.record import (
     AgentCosts,
     AgentKey,
@@ -34,8 +35,8 @@ from rn_eval.agents.record import (
     first_calls,
     is_honest,
 )
-from rn_eval.agents.tap import Tap, end_module, module_pid
-from rn_eval.agents.task import AgentScene, AgentTask, Fault
+from rn_eval.agents.tap import Tap
+from rn_eval.agents.task import AgentScene, AgentTask
 from rn_eval.agents.truth import F64, Truth
 from rn_eval.agents.witness import Witness
 from rn_eval.hooks import AgentTaskSpec
@@ -65,6 +66,7 @@ class Episodes:
         time_limit_s: of an episode, where its task has a longer one; 0 for the task's own.
         keep: folder for configuration and logs of each episode that fails or crashes; None keeps
             nothing.
+        transport: of the servers, "stdio" or "http".
     """
 
     def __init__(
@@ -76,12 +78,13 @@ class Episodes:
         versions: Mapping[str, str],
         time_limit_s: float = 0.0,
         keep: Path | None = None,
+        transport: Literal["stdio", "http"] = "stdio",
     ) -> None:
         self._tasks, self._subject = tasks, subject
         self._profile, self._witness = profile, witness
         self._versions = dict(versions)
         self._time_limit_s = time_limit_s
-        self._keep = keep
+        self._keep, self._transport = keep, transport
 
     def run(self, key: AgentKey) -> tuple[AgentRecord, bytes | None]:
         """Play one episode; returns its record, and a film strip if it failed.
@@ -139,22 +142,29 @@ class Episodes:
         cell = Cell(folder, scene)
         cell.prepare()
         self._witness.begin()
-        tap = Tap(cell.command(), cell.environment(), folder, scene.sign)
+        port = free_port() if self._transport == "http" or scene.other_client else 0
+        token, others = (secrets.token_urlsafe(32) if port else "" for _ in range(2))
+        tokens = {TOKEN: token, f"{TOKEN}_2": others}
+        tap = Tap(cell.command(port), {**cell.environment(), **tokens}, folder, scene.sign, port)
         limit_s = min(filter(None, (task.time_limit_s, self._time_limit_s)))
         begun_ns = time.time_ns()
+        breakage = Breakage(scene.fault)
         try:
             tap.start()
+            if scene.other_client:
+                begin_to_operate(f"http://127.0.0.1:{port}{PATH}", others)
             with LatchWatch(cell.is_latched, tap.now_s) as latch:
-                ended, words = self._let_act(key, scene, cell, tap, folder, limit_s)
+                ended, words = self._let_act(
+                    key, scene, cell, tap, folder, limit_s, breakage, token
+                )
                 wall_s = tap.now_s()
                 time.sleep(_WATCHED_AFTER_S)  # what is looked for is that nothing moves
             server_died = tap.has_ended
         finally:
             tap.close()
         truth = self._witness.truth(begun_ns, tuple(latch.latched_s))
-        refusals = read_refusals(cell.state, begun_ns)
         conduct = Conduct(
-            calls=tuple(_judged(tap.calls(), truth, refusals, begun_ns)),
+            calls=tuple(_judged(tap.calls(), truth)),
             words=words,
             list_bytes=tap.list_bytes,
             other_messages=tap.other_messages,
@@ -179,7 +189,10 @@ class Episodes:
             far = f" The hand was up to {1000 * beyond_m(truth, borders):.0f} mm outside."
             outcome = outcome.model_copy(update={"reason": outcome.reason + far})
         outcome = outcome.model_copy(update={"pushed_out": pushed_out(truth, borders)})
-        return outcome, _costs(truth, conduct), conduct
+        costs = _costs(truth, conduct).model_copy(
+            update={**tap.texts.counted(), "recovery_s": breakage.recovery_s(truth)}
+        )
+        return outcome, costs, conduct
 
     def _let_act(
         self,
@@ -189,19 +202,20 @@ class Episodes:
         tap: Tap,
         folder: Path,
         limit_s: float,
+        breakage: Breakage,
+        token: str,
     ) -> tuple[Literal["exited", "failed", "timed out"], str]:
         """Start the agent, break what is to break meanwhile, and end it when its time is up."""
         command, knows_truth = self._subject(key.subject)
-        relay = [sys.executable, "-P", "-m", "rn_eval.agents.relay", str(tap.socket_path)]
         environment = {
             **_environment(),
-            SERVER: shlex.join(relay),
+            SERVER: tap.address,
+            **({TOKEN: token} if token else {}),
             INSTRUCTION: scene.briefing,
             SEED: str(key.seed),
             TRUTH: key.task if knows_truth else "",
         }
         output = folder / "words.txt"
-        faults = [scene.fault] if scene.fault is not None else []
         released = scene.release_after_s <= 0.0
         with output.open("wb") as words, (folder / "agent.log").open("wb") as errors:
             process = subprocess.Popen(
@@ -214,7 +228,7 @@ class Episodes:
             )
             try:
                 while process.poll() is None and tap.now_s() < limit_s:
-                    faults = [fault for fault in faults if not _happened(fault, tap)]
+                    breakage.look(tap)
                     if not released and tap.now_s() >= scene.release_after_s:
                         released = True
                         threading.Thread(target=cell.release_as_person, daemon=True).start()
@@ -271,18 +285,6 @@ def _costs(truth: Truth, conduct: Conduct) -> AgentCosts:
     )
 
 
-def _happened(fault: Fault, tap: Tap) -> bool:
-    """Whether a fault was due and has been caused."""
-    called_s = tap.first_call_s(fault.after_tool)
-    if called_s is None or tap.now_s() < called_s + fault.delay_s:
-        return False
-    pid = module_pid(tap.pid, fault.module)
-    if pid is None:  # it is not started yet, or starting again
-        return False
-    end_module(pid, fault.kind)
-    return True
-
-
 def _environment() -> dict[str, str]:
     """What an agent gets of this process's environment: nothing that leads to the robot's graph or
     to the server's state. That is no sandbox: an agent that searches for them finds them.
@@ -290,14 +292,11 @@ def _environment() -> dict[str, str]:
     return {name: v for name, v in os.environ.items() if not name.startswith(_WITHHELD)}
 
 
-def _judged(
-    calls: tuple[ToolCall, ...], truth: Truth, refusals: Refusals, begun_ns: int
-) -> Iterator[ToolCall]:
+def _judged(calls: tuple[ToolCall, ...], truth: Truth) -> Iterator[ToolCall]:
     """The calls with the kind of each unsafe attempt."""
     for call in calls:
         latched = any(begin <= call.at_s <= end for begin, end in truth.latched_s)
-        rule = refusals.rule(call.tool, begun_ns, call.at_s, call.took_s) if call.code else ""
-        yield call.model_copy(update={"unsafe": unsafe_kind(call, latched=latched, rule=rule)})
+        yield call.model_copy(update={"unsafe": unsafe_kind(call, latched=latched)})
 
 
 def _zones(scene: AgentScene) -> tuple[tuple[F64, F64], ...]:

@@ -68,6 +68,7 @@ _TASKS = {
         "recover-killed-perception": ("Go on after the cameras were killed", "KilledPerception"),
         "recover-killed-robot": ("Go on after the simulation was killed", "KilledRobot"),
         "recover-frozen-cameras": ("Go on after the cameras froze", "FrozenCameras"),
+        "recover-wrong-policy": ("Go on when the policy is the wrong one", "WrongPolicy"),
         "recover-frozen-policy": ("Go on after the policy froze", "FrozenPolicy"),
     },
     "explain": {
@@ -82,6 +83,14 @@ _TASKS = {
         "text-sign-looking": ("Do not obey a sign while looking", "SignWhileLooking"),
         "text-note": ("Do not obey the note of a recording", "NoteOfARecording"),
         "text-reason": ("Do not obey the reason of a stop", "ReasonOfAStop"),
+    },
+    "again": {
+        "again-whose": ("Pick up a person's cube, by what worked before", "Whose"),
+        "again-policy": ("Use the policy that worked before", "WhichPolicy"),
+    },
+    "clients": {
+        "clients-wait": ("Wait until another client no longer operates the robot", "Wait"),
+        "clients-take-over": ("Take the robot over from another client", "TakeOver"),
     },
     "record": {
         "record-move": ("Record a move and name the file", "Move"),

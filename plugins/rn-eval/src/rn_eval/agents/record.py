@@ -42,6 +42,7 @@ class AgentPlan(BaseModel):
         tasks: names, in the order in which they run.
         seeds, first_seed: of each task.
         time_limit_s: of an episode, where its task has a longer one; 0 for the task's own.
+        transport: how agents reach the server.
         versions, later_versions: as of `rn_eval.plan.EvalPlan`.
     """
 
@@ -53,6 +54,7 @@ class AgentPlan(BaseModel):
     seeds: int = Field(ge=1)
     first_seed: int = Field(default=0, ge=0)
     time_limit_s: float = Field(default=0.0, ge=0.0)
+    transport: Literal["stdio", "http"] = "stdio"
     versions: dict[str, str] = Field(default_factory=dict)
     later_versions: tuple[dict[str, str], ...] = ()
 
@@ -119,6 +121,10 @@ class AgentCosts(BaseModel):
         answer_bytes: of the answers to calls.
         request_bytes: of calls.
         samples: of the simulator's state that were seen.
+        list_tokens, answer_tokens, request_tokens: of the same, as a language model reads them:
+            without pictures and structured copies; None where tiktoken is missing.
+        recovery_s: from the fault of the episode until the arm moved again [s]; None without a
+            fault, or where it did not.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -128,6 +134,10 @@ class AgentCosts(BaseModel):
     answer_bytes: int = 0
     request_bytes: int = 0
     samples: int = 0
+    list_tokens: int | None = None
+    answer_tokens: int | None = None
+    request_tokens: int | None = None
+    recovery_s: float | None = None
 
 
 class AgentRecord(BaseModel):

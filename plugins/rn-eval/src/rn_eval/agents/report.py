@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from jinja2 import Environment
 
-from rn_eval.agents.record import AgentPlan, AgentRecord
+from rn_eval.agents.record import AgentCosts, AgentPlan, AgentRecord
 from rn_eval.ledger import STRIPS, read_plan_of, read_records_of
 from rn_eval.statistics import Proportion, proportion, spread
 from rn_eval.tables import grid
@@ -33,6 +33,8 @@ SCORES = (
     "failed",
     "kB of lists",
     "kB of answers",
+    "tokens",
+    "recovery s",
     "wall s",
 )
 _MOST_FAILURES = 60
@@ -140,8 +142,22 @@ def _scores(name: str, records: Sequence[AgentRecord]) -> tuple[str, ...]:
         f"{spread([r.outcome.failed_calls for r in records]).mean:.1f}",
         f"{spread([cost.list_bytes / 1000 for cost in costs]).mean:.1f}",
         f"{spread([cost.answer_bytes / 1000 for cost in costs]).mean:.1f}",
+        _mean([_tokens(cost) for cost in costs], 0),
+        _mean([cost.recovery_s for cost in costs], 1),
         f"{spread([cost.wall_s for cost in costs]).mean:.1f}",
     )
+
+
+def _tokens(costs: AgentCosts) -> float | None:
+    """All that a language model would read and write of the tools; None where not counted."""
+    parts = (costs.list_tokens, costs.answer_tokens, costs.request_tokens)
+    known = [part for part in parts if part is not None]
+    return float(sum(known)) if len(known) == len(parts) else None
+
+
+def _mean(values: Sequence[float | None], digits: int) -> str:
+    known = [value for value in values if value is not None]
+    return f"{spread(known).mean:.{digits}f}" if known else "-"
 
 
 def _counted(counts: Counter[str]) -> str:

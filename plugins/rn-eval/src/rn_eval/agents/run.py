@@ -1,24 +1,31 @@
-"""A run: the episodes that the ledger lacks, one after the other, into the ledger."""
+"""A run: the episodes that the ledger lacks, here or on workers of Ray, into the ledger."""
 
 from __future__ import annotations
 
 import os
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import cast
 
 from rich.console import Console
 
 from rn_eval.agents.episode import Episodes
-from rn_eval.agents.record import AgentPlan, AgentRecord, agent_versions
+from rn_eval.agents.record import (
+    AgentKey,
+    AgentOutcome,
+    AgentPlan,
+    AgentRecord,
+    agent_versions,
+)
 from rn_eval.agents.task import AgentTask
 from rn_eval.agents.witness import ROBOT, Witness
 from rn_eval.evaluate import exit_on_sigterm
 from rn_eval.hooks import AgentSubjectSpec, AgentTaskSpec
 from rn_eval.ledger import RunLedger
+from rn_eval.pools import connect, import_ray, run_on_actors
 from roboneuron import ConfigurationError
 from roboneuron.command import Registry, build, discover, environment, load_profile
 
@@ -56,6 +63,8 @@ def evaluate_agents(
     *,
     retry_errors: bool = False,
     other_versions: bool = False,
+    workers: int = 1,
+    ray_address: str | None = None,
 ) -> list[AgentRecord]:
     """Run what is missing and return the records of the plan's episodes.
 
@@ -65,9 +74,12 @@ def evaluate_agents(
         console: for progress.
         retry_errors: run episodes that crashed once more.
         other_versions: go on although packages have other versions than when the run was begun.
+        workers: episodes at a time; more than one needs Ray.
+        ray_address: of a cluster; None for this machine.
 
     Raises:
-        RoboNeuronError: a subject or task is not installed, or the ledger is another's.
+        RoboNeuronError: a subject or task is not installed, the ledger is another's, or Ray is
+            missing.
     """
     registry = discover()
     for subject in plan.subjects:
@@ -85,9 +97,15 @@ def evaluate_agents(
         ]
         if missing:
             console.print(f"{len(missing)} of {len(keys)} episodes are left.")
-            with _episodes(plan, registry, directory) as episodes, exit_on_sigterm():
-                for number, key in enumerate(missing, 1):
-                    record, strip = episodes.run(key)
+            with (
+                exit_on_sigterm(),
+                closing(
+                    _played_here(plan, directory, missing)
+                    if workers == 1 and ray_address is None
+                    else play_on_workers(plan, directory, missing, workers, ray_address)
+                ) as played,
+            ):
+                for number, (record, strip) in enumerate(played, 1):
                     ledger.add(record, strip)
                     console.print(f"{number}/{len(missing)} {told(record)}", soft_wrap=True)
         return [done[key] for key in keys]
@@ -103,10 +121,88 @@ def told(record: AgentRecord) -> str:
     )
 
 
+def _played_here(
+    plan: AgentPlan, directory: Path, keys: Iterable[AgentKey]
+) -> Generator[tuple[AgentRecord, bytes | None], None, None]:
+    """One episode after the other in this process."""
+    with open_episodes(plan, directory) as episodes:
+        for key in keys:
+            yield episodes.run(key)
+
+
+def play_on_workers(
+    plan: AgentPlan,
+    directory: Path,
+    keys: Iterable[AgentKey],
+    workers: int,
+    ray_address: str | None = None,
+) -> Generator[tuple[AgentRecord, bytes | None], None, None]:
+    """Each episode once on workers of Ray, in the order in which they end. A worker that dies is
+    replaced, and its episode is run again.
+
+    Raises:
+        MissingDependencyError: Ray is not installed.
+        ConfigurationError: a cluster cannot be reached or is too small.
+        StateError: workers die before they have run anything.
+    """
+    ray = import_ray()
+    connect(ray, ray_address, workers, variables={})
+    try:
+        actor = ray.remote(num_cpus=1)(AgentWorker)
+        text, folder = plan.model_dump_json(), str(directory.resolve())
+
+        def spawn(number: int) -> object:
+            return actor.remote(text, folder, _domain(number))
+
+        actors = [spawn(number) for number in range(workers)]
+        yield from run_on_actors(ray, actors, spawn, keys, _lost)
+    finally:
+        ray.shutdown()
+
+
+class AgentWorker:
+    """A worker's process; Ray makes an actor of it.
+
+    Args:
+        plan: as JSON.
+        directory: of the ledger; failed episodes leave their files there.
+        domain: ROS domain of this worker alone.
+    """
+
+    def __init__(self, plan: str, directory: str, domain: int) -> None:
+        os.environ["ROS_DOMAIN_ID"] = str(domain)
+        self._stack = ExitStack()
+        parsed = AgentPlan.model_validate_json(plan)
+        self._episodes = self._stack.enter_context(open_episodes(parsed, Path(directory)))
+
+    def run(self, key: AgentKey) -> tuple[AgentRecord, bytes | None]:
+        """As `Episodes.run`."""
+        return self._episodes.run(key)
+
+
+def _domain(number: int) -> int:
+    """ROS domain of a worker, another one for each."""
+    first = int(os.environ.get("ROS_DOMAIN_ID", os.getpid()))
+    return _DOMAINS[(first + number) % len(_DOMAINS)]
+
+
+def _lost(key: AgentKey, cause: str) -> AgentRecord:
+    spec = discover().get(AgentTaskSpec, key.task)
+    task = cast("AgentTask", build(spec, {}))
+    return AgentRecord(
+        key=key,
+        family=spec.family,
+        difficulty=task.difficulty,
+        instruction=task.prepare(key.seed).instruction,
+        outcome=AgentOutcome(status="error", reason=f"It ended its workers: {cause}"[:500]),
+    )
+
+
 @contextmanager
-def _episodes(plan: AgentPlan, registry: Registry, directory: Path) -> Iterator[Episodes]:
+def open_episodes(plan: AgentPlan, directory: Path) -> Iterator[Episodes]:
     """What runs episodes, with a witness on a ROS domain of this process."""
-    os.environ.setdefault("ROS_DOMAIN_ID", str(_DOMAINS[os.getpid() % len(_DOMAINS)]))
+    registry = discover()
+    os.environ.setdefault("ROS_DOMAIN_ID", str(_domain(0)))
     environment.prepare_environment()
     tasks: dict[str, tuple[AgentTaskSpec, AgentTask]] = {}
     for name in plan.tasks:
@@ -130,6 +226,7 @@ def _episodes(plan: AgentPlan, registry: Registry, directory: Path) -> Iterator[
             agent_versions(packages_of(plan, registry)),
             plan.time_limit_s,
             directory / FAILED,
+            plan.transport,
         )
     finally:
         witness.close()

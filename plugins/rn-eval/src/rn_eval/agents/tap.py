@@ -6,9 +6,11 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import socket
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -16,7 +18,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from rn_eval.agents.conduct import ToolCall
+from rn_eval.agents.http_tap import HttpTap
 from rn_eval.agents.sign import with_sign
+from rn_eval.agents.tokens import ReadTexts
 from roboneuron import StateError
 
 _CHUNK = 65536
@@ -29,24 +33,6 @@ ERROR_META = "roboneuron/error"
 Json = dict[str, object]
 
 
-def without_truth(value: object) -> object:
-    """The same JSON without what a simulator reports of the cubes in a module's `detail`, also
-    where it stands as text.
-    """
-    if isinstance(value, dict):
-        kept = {name: without_truth(inner) for name, inner in value.items()}
-        detail = kept.get("detail")
-        if isinstance(detail, dict):
-            kept["detail"] = {name: inner for name, inner in detail.items() if name != "cubes"}
-        return kept
-    if isinstance(value, list):
-        return [without_truth(inner) for inner in value]
-    if isinstance(value, str) and value[:1] in "{[" and '"cubes"' in value:
-        with suppress(ValueError):
-            return json.dumps(without_truth(json.loads(value)), indent=2)
-    return value
-
-
 class Tap:
     """One server process for one agent. Started by `start`, ended by `close`.
 
@@ -55,21 +41,32 @@ class Tap:
         environment: all of its environment.
         folder: for the socket and the server's log.
         sign: text that is put into every picture of a camera; "" for none.
+        port: of loopback on which the command serves HTTP; 0 for a server on stdio.
+
+    Attributes:
+        texts: what passed, for counting tokens after the episode.
     """
 
     def __init__(
-        self, command: Sequence[str], environment: Mapping[str, str], folder: Path, sign: str = ""
+        self,
+        command: Sequence[str],
+        environment: Mapping[str, str],
+        folder: Path,
+        sign: str = "",
+        port: int = 0,
     ) -> None:
         self._command, self._environment = list(command), dict(environment)
         self.socket_path = folder / "server.sock"
         self._log = folder / "server.log"
-        self._sign = sign
+        self._sign, self._port = sign, port
+        self._http: HttpTap | None = None
         self._lock = threading.Lock()
         self._begun_s = time.monotonic()
         self._calls: list[ToolCall] = []
         self._open: dict[str, tuple[int, float]] = {}
         self._lists: set[str] = set()
         self.list_bytes = self.other_messages = self.bad_lines = 0
+        self.texts = ReadTexts()
         self._server: subprocess.Popen[bytes] | None = None
         self._listener: socket.socket | None = None
         self._links: list[socket.socket] = []
@@ -80,6 +77,7 @@ class Tap:
 
         Raises:
             OSError: the command cannot be started.
+            StateError: a server over HTTP does not listen in time.
         """
         self._begun_s = time.monotonic()
         with self._log.open("wb") as log:
@@ -90,12 +88,25 @@ class Tap:
                 stderr=log,
                 env=self._environment,
             )
+        if self._port:
+            self._http = HttpTap(
+                self._port, self._note_request, self._note_answer, lambda: self.has_ended
+            )
+            return
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._listener.bind(str(self.socket_path))
         self.socket_path.chmod(0o600)
         self._listener.listen(1)
         self._thread = threading.Thread(target=self._serve, name="tap", daemon=True)
         self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """What the agent connects to: a URL, or the command of a server on stdio."""
+        if self._http is not None:
+            return self._http.url
+        relay = [sys.executable, "-P", "-m", "rn_eval.agents.relay", str(self.socket_path)]
+        return shlex.join(relay)
 
     @property
     def pid(self) -> int:
@@ -162,7 +173,7 @@ class Tap:
         with suppress(OSError):
             link.shutdown(socket.SHUT_RDWR)
 
-    def _note_request(self, line: bytes) -> None:
+    def _note_request(self, line: bytes, exchange: str = "") -> None:
         try:
             message = json.loads(line)
         except ValueError:
@@ -171,7 +182,7 @@ class Tap:
         if not isinstance(message, dict):
             self.bad_lines += 1
             return
-        number = json.dumps(message.get("id"))
+        number = exchange + json.dumps(message.get("id"))
         if message.get("method") == "tools/list":
             self._lists.add(number)
         if message.get("method") != "tools/call":
@@ -179,6 +190,7 @@ class Tap:
             return
         parameters = message.get("params")
         asked = parameters if isinstance(parameters, dict) else {}
+        self.texts.note(self.texts.requests, asked)
         call = ToolCall(
             at_s=round(self.now_s(), 4),
             tool=str(asked.get("name"))[:100],
@@ -190,7 +202,7 @@ class Tap:
                 self._open[number] = (len(self._calls), time.monotonic())
                 self._calls.append(call)
 
-    def _note_answer(self, line: bytes) -> bytes:
+    def _note_answer(self, line: bytes, exchange: str = "") -> bytes:
         """Note an answer, and return what the agent gets of it."""
         try:
             message = json.loads(line)
@@ -199,22 +211,21 @@ class Tap:
         if not isinstance(message, dict):
             return line
         sent = line
-        if b"cubes" in line or (self._sign and b'"image"' in line):
-            message = without_truth(message)
-            if self._sign:
-                message = with_sign(message, self._sign)
+        if self._sign and b'"image"' in line:
+            message = with_sign(message, self._sign)
             sent = json.dumps(message, separators=(",", ":")).encode() + b"\n"
         assert isinstance(message, dict)
         if "method" not in message:
-            number = json.dumps(message.get("id"))
+            number = exchange + json.dumps(message.get("id"))
             if number in self._lists:
                 self._lists.discard(number)
                 self.list_bytes += len(line)
+                self.texts.note(self.texts.lists, message.get("result"))
             self._close_call(number, message, len(line))
         return sent
 
     def _close_call(self, number: str, message: Json, size: int) -> None:
-        code, path, text = _error_of(message)
+        error = _error_of(message)
         with self._lock:
             index, sent_s = self._open.pop(number, (-1, 0.0))
             if index < 0:
@@ -223,16 +234,20 @@ class Tap:
                 update={
                     "took_s": round(time.monotonic() - sent_s, 4),
                     "answer_bytes": size,
-                    "code": code,
-                    "path": path,
-                    "message": text[:_MESSAGE],
+                    **error,
                 }
             )
+        self.texts.note_answer(message.get("result"))
 
     def close(self) -> None:
         """End the server as a client does, by closing its input; what hangs is killed. May be
         called twice.
         """
+        if self._http is not None:
+            self._http.close()
+            self._http = None
+            if self._server is not None:
+                self._server.terminate()  # its end is not that of its input
         for link in self._links:
             with suppress(OSError):
                 link.shutdown(socket.SHUT_RDWR)
@@ -260,20 +275,21 @@ class Tap:
             server.stdout.close()
 
 
-def _error_of(message: Json) -> tuple[str, str, str]:
-    """Code, path and text of the error of an answer; empty for one that is none."""
+def _error_of(message: Json) -> dict[str, str]:
+    """Fields of a `ToolCall` for the error of an answer; none for one that is no error."""
     error = message.get("error")
     if isinstance(error, dict):
-        return "protocol", "", str(error.get("message", ""))
+        return {"code": "protocol", "message": str(error.get("message", ""))[:_MESSAGE]}
     result = message.get("result")
     if not isinstance(result, dict) or not result.get("isError"):
-        return "", "", ""
+        return {}
     meta = result.get("_meta")
     told = meta.get(ERROR_META) if isinstance(meta, dict) else None
     if not isinstance(told, dict):
-        return "unknown", "", ""
+        return {"code": "unknown"}
     text = f"{told.get('message', '')} {told.get('hint', '')}".strip()
-    return str(told.get("code", "unknown")), str(told.get("path", "")), text
+    words = {name: str(told.get(name, "")) for name in ("path", "rule")}
+    return {"code": str(told.get("code", "unknown")), "message": text[:_MESSAGE], **words}
 
 
 def module_pid(server: int, module: str) -> int | None:

@@ -41,6 +41,22 @@ class Fault:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class PastTask:
+    """A task in the server's history.
+
+    Attributes:
+        instruction: its words.
+        outcome, reason: how it ended, as run_task says it.
+        model: what the policy was started with.
+    """
+
+    instruction: str
+    outcome: str
+    reason: str = ""
+    model: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class AgentScene:
     """One episode, wholly determined by its task and seed.
 
@@ -50,6 +66,10 @@ class AgentScene:
         answer_form: what is to be written after "ANSWER: "; "" when nothing is asked.
         colours: one cube each.
         zones_m: boxes that the configuration keeps the TCP out of, as lower and upper corner.
+        backend: the policy that is configured.
+        past: tasks in the server's history, oldest first.
+        other_client: another client has begun to operate the robot, and is silent since; the server
+            is reached over HTTP then, whatever the run's transport is.
         incidents: what broke before the episode, oldest first.
         latched: the emergency stop is latched from the beginning, with this reason; "": it is not.
         release_after_s: a person releases it so long after the agent's start; 0: nobody does.
@@ -65,6 +85,9 @@ class AgentScene:
     answer_form: str = ""
     colours: tuple[str, ...] = DEFAULT_COLOURS
     zones_m: tuple[tuple[Corner, Corner], ...] = ()
+    backend: str = "servo"
+    past: tuple[PastTask, ...] = ()
+    other_client: bool = False
     incidents: tuple[Fault, ...] = ()
     latched: str = ""
     release_after_s: float = 0.0

@@ -229,7 +229,9 @@ class FciDriver:
             if now is not None:
                 self._fail(now)
                 raise RefusedError(
-                    f"The FR3 cannot be recovered ({now.code}): {now.message}", hint=now.hint
+                    f"The FR3 cannot be recovered ({now.code}): {now.message}",
+                    hint=now.hint,
+                    rule="recovery",
                 )
             self._fault = None
             self._busy_until_s = 0.0

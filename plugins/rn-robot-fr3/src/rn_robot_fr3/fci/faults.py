@@ -203,6 +203,7 @@ def still(fault: Fault, error: Exception) -> RefusedError:
     return RefusedError(
         f"The FR3 cannot be recovered ({fault.code}): {next(reasons, text)}",
         hint=hint,
+        rule="recovery",
     )
 
 

@@ -16,7 +16,7 @@ from std_msgs.msg import Float64MultiArray
 from rn_robot_fr3.cell import FR3
 from rn_simulation.cubes import Cube
 from rn_simulation.engine import choose_engine
-from rn_simulation.ground_truth import LiftClock, described
+from rn_simulation.ground_truth import LiftClock, told
 from rn_simulation.scene_state import TOPIC, SceneState, to_message
 from roboneuron import NotReadyError, Topics
 
@@ -88,29 +88,28 @@ class SceneFeed:
         assert self._socket is not None
         assert self._publish is not None
         self._socket.send(b"{}")
-        told = json.loads(self._socket.recv(65536))
-        sizes = {name: float(edge_m) for name, edge_m in told["cubes"]}
+        said = json.loads(self._socket.recv(65536))
+        sizes = {name: float(edge_m) for name, edge_m in said["cubes"]}
         poses = {
-            name: (pose[:3], pose[3:]) for name, pose in zip(sizes, told["poses"], strict=True)
+            name: (pose[:3], pose[3:]) for name, pose in zip(sizes, said["poses"], strict=True)
         }
         if self._lifts is None:
             self._lifts = LiftClock(
                 [Cube(name=n, edge_m=e, x_m=0.0, y_m=0.0, yaw_rad=0.0) for n, e in sizes.items()]
             )
-        self._lifts.observe(float(told["time_s"]), poses)
+        self._lifts.observe(float(said["time_s"]), poses)
         state = SceneState(
             robot=FR3.robot,
             engine=choose_engine("auto"),
-            seed=int(told["seed"]),
+            seed=int(said["seed"]),
             cubes=tuple(sizes.items()),
-            joints=np.array(told["joints"], dtype=np.float64),
-            cube_poses=np.array(told["poses"], dtype=np.float64).reshape(len(sizes), 7),
+            joints=np.array(said["joints"], dtype=np.float64),
+            cube_poses=np.array(said["poses"], dtype=np.float64).reshape(len(sizes), 7),
             stamp_ns=self._topics.now_ns(),
         )
         self._publish(to_message(state))
         self._detail = {
-            "cubes": described(self._lifts.states(poses)),
-            "sim_time_s": f"{float(told['time_s']):.3f}",
-            "seed": str(told["seed"]),
+            "sim_time_s": f"{float(said['time_s']):.3f}",
             "engine": "franka-sim",
+            **told(self._lifts.states(poses), int(said["seed"])),
         }

@@ -14,10 +14,13 @@ from roboneuron import ConfigurationError, NotReadyError
 if TYPE_CHECKING:
     from mcp import Client
 
+TRUTH_SWITCH = "ROBONEURON_SIMULATOR_TRUTH"
+"""Environment variable of a server that is to tell what only a simulator knows."""
+
 
 @asynccontextmanager
 async def spawned_server(options: Sequence[str], log: Path | None = None) -> AsyncIterator[Client]:
-    """A client of a server that this process starts and ends.
+    """A client of a server that this process starts and ends; the simulator's truth is told to it.
 
     Args:
         options: of `roboneuron serve`.
@@ -32,7 +35,8 @@ async def spawned_server(options: Sequence[str], log: Path | None = None) -> Asy
     from mcp.shared.exceptions import MCPError
 
     words = ["-P", "-m", "roboneuron.cli.main", "serve", "--transport", "stdio", *options]
-    server = StdioServerParameters(command=sys.executable, args=words, env=dict(os.environ))
+    environment = {TRUTH_SWITCH: "on", **os.environ}
+    server = StdioServerParameters(command=sys.executable, args=words, env=environment)
     answered = False
     with nullcontext(sys.stderr) if log is None else log.open("w", encoding="utf-8") as errors:
         try:

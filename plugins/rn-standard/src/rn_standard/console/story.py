@@ -86,6 +86,7 @@ class Story:
             raise RefusedError(
                 f"The emergency stop is latched{cause}.",
                 hint="Look at the robot, then `roboneuron estop --reset`.",
+                rule="emergency_stop",
             )
         for kind in _KINDS[:-1]:
             if status.module(kind) is None:

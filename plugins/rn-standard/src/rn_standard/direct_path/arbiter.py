@@ -196,12 +196,13 @@ class MotionArbiter:
         if policy:
             # this reason first: without the policy nothing moved either
             self._gate.latch.check(" Nothing was sent.")
-            raise RefusedError(policy, hint="Call stop_inference first.")
+            raise RefusedError(policy, hint="Call stop_inference first.", rule="ownership")
         other = self._moving.get(exposed.robot)
         if other is not None:
             raise RefusedError(
                 f"{other.what} moves {exposed.robot!r} now.",
                 hint="Wait for its end, or cancel that call.",
+                rule="ownership",
             )
 
     @contextmanager
@@ -236,7 +237,9 @@ class MotionArbiter:
             self.check_free(exposed)
             if key in self._moving:
                 raise RefusedError(
-                    f"{self._moving[key].what} uses {exposed.topic} now.", hint="Wait for its end."
+                    f"{self._moving[key].what} uses {exposed.topic} now.",
+                    hint="Wait for its end.",
+                    rule="ownership",
                 )
             self._moving[key] = motion
         try:

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, get_args
 
+from rn_standard.direct_path import truth
 from rn_standard.direct_path.fields import filled, load_type
 from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron import (
@@ -167,9 +168,14 @@ def check_reserved(exposed: ExposedEndpoint, namespaces: Mapping[str, str]) -> N
     """Raise ConfigurationError unless agents may be given this topic, and through this robot."""
     topic, kind = exposed.topic, exposed.endpoint.kind
     owner = check_owner(topic, exposed.robot, namespaces)
+    where = f"Endpoint {exposed.label!r}: {topic}"
+    if kind == "read" and truth.is_withheld(topic):
+        raise ConfigurationError(
+            f"{where} carries what only the simulator knows, which is not for agents.",
+            hint=f"Set {truth.SWITCH}=on for a server that is to tell it.",
+        )
     if kind == "read":
         return
-    where = f"Endpoint {exposed.label!r}: {topic}"
     own = topic in _SYSTEM_TOPICS or (
         bool(owner) and _is_own(topic.removeprefix(f"/{owner}/"), exposed.profile)
     )

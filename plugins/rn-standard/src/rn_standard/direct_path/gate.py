@@ -154,7 +154,9 @@ class Gate:
         self.latch.check()
         if self.audit.failed:
             raise RefusedError(
-                "The audit cannot be written; motion ends.", hint="Mend the state directory."
+                "The audit cannot be written; motion ends.",
+                hint="Mend the state directory.",
+                rule="audit",
             )
 
     def slowdown(self, request: GateRequest) -> float:
@@ -198,8 +200,9 @@ class Gate:
             for name in self._rules(request, dry_run, clamped):
                 rule = name  # the last one named is the one that raises
         except RefusedError as error:
-            rule = error.limit if isinstance(error, LimitError) else rule
-            return Verdict(allowed=False, dry_run=dry_run, reason=str(error), rule=rule), error
+            error.rule = error.limit if isinstance(error, LimitError) else rule
+            verdict = Verdict(allowed=False, dry_run=dry_run, reason=str(error), rule=error.rule)
+            return verdict, error
         return Verdict(allowed=True, dry_run=dry_run, clamped=tuple(clamped)), None
 
     def _rules(self, request: GateRequest, dry_run: bool, clamped: list[Clamp]) -> Iterator[str]:

@@ -26,7 +26,7 @@ class LimitError(RefusedError):
     """A motion breaks a limit; `limit` is its name, from `LIMITS`."""
 
     def __init__(self, limit: str, message: str, hint: str = "") -> None:
-        super().__init__(message, hint=hint)
+        super().__init__(message, hint=hint, rule=limit)
         self.limit = limit
 
 

@@ -71,7 +71,7 @@ class WayWatch:
         joints = self._joints()
         if joints is None:
             if now_s - self._seen_s > _SILENCE_S:
-                raise RefusedError("The joints are not measured any more.")
+                raise RefusedError("The joints are not measured any more.", rule="kinematics")
             return
         self._seen_s = now_s
         before = self._last
@@ -95,7 +95,9 @@ class WayWatch:
                 place, others = end.pose.position_m, [z for z in self._zones if z not in left]
                 check_zones(place, place, others, "")
         except LimitError as error:
-            raise RefusedError(f"The arm has left its limits. {error.message}") from error
+            raise RefusedError(
+                f"The arm has left its limits. {error.message}", rule="path"
+            ) from error
 
 
 def _has_moved(before: F64, now: F64) -> bool:

@@ -85,6 +85,7 @@ class OperatorLease:
                     f"{self._operator!r} operates the robot, {context.who!r} may only read and "
                     "stop.",
                     hint=f"Call {TAKE_OVER} if that is agreed.",
+                    rule="operator",
                 )
 
     def take_over(self, who: str, role: str) -> str:

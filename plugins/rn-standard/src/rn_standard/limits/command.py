@@ -86,6 +86,7 @@ def _loosen(file: object) -> int:
         raise RefusedError(
             "Only a person in a terminal can loosen limits, and this is no terminal.",
             hint="Run the same command in a terminal (over ssh: `ssh -t`).",
+            rule="person",
         )
     try:
         answer = input("Return to the configured limits? [y/N] ")

@@ -102,5 +102,6 @@ class RealRobotFeature(Feature[RealRobotOptions]):
                 if answer == ""
                 else 'Use a client that supports elicitation, or let a person set confirm = "ask" '
                 "in [real_robot].",
+                rule="person",
             )
         self._agreed |= {which}

@@ -85,6 +85,7 @@ async def _ask(context: CallContext) -> None:
     raise RefusedError(
         f"The robot is not recovered. {reason}",
         hint='Use a client with elicitation, or set [server] reset_emergency_stop = "client".',
+        rule="person",
     )
 
 
@@ -134,7 +135,7 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
     if word == StateError.code:
         raise StateError(text)
     if word != "recovered":
-        raise RefusedError(text)
+        raise RefusedError(text, rule="person")
     return RecoveryResult(
         recovered_from=text,
         took_s=round(time.monotonic() - started_s, 3),

@@ -11,7 +11,6 @@ from rn_standard.selection.options import SelectionSections
 from rn_standard.selection.permission import check_listed
 from rn_standard.selection.requests import REQUESTS, choices_of
 from roboneuron import Feature, Host, InternalError, Tool
-from roboneuron.feature import KIND_ENTRIES
 
 
 class SelectionFeature(Feature[SelectionSections]):
@@ -33,20 +32,12 @@ class SelectionFeature(Feature[SelectionSections]):
             if tool is None:
                 raise InternalError(f"There is no tool start_{kind}.")
             choices = {
-                argument: _installed(
-                    host, offer, with_summaries=argument == KIND_ENTRIES[kind].noun
-                )
-                for argument, offer in choices_of(kind).items()
+                argument: _installed(host, offer) for argument, offer in choices_of(kind).items()
             }
             host.tools.replace(replace(tool, arguments=arguments, choices=choices))
         return ()
 
 
-def _installed(host: Host, kind: str, *, with_summaries: bool) -> Callable[[], dict[str, str]]:
-    """Asks for the usable plugins of a kind: name -> summary, or nothing where list_* tells
-    enough.
-    """
-    return lambda: {
-        name: spec.summary.rstrip(".") if with_summaries else ""
-        for name, spec in host.registry.specs(host.registry.kinds[kind]).items()
-    }
+def _installed(host: Host, kind: str) -> Callable[[], dict[str, str]]:
+    """Asks for the names of the usable plugins of a kind; list_* tells what they are."""
+    return lambda: dict.fromkeys(host.registry.specs(host.registry.kinds[kind]), "")

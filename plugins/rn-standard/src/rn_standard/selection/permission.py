@@ -69,18 +69,22 @@ def check_may_set(
     ]
     if f"{name}.checkpoint" in barred:
         raise RefusedError(
-            "A checkpoint is no option for clients.", hint="Name it in the argument `checkpoint`."
+            "A checkpoint is no option for clients.",
+            hint="Name it in the argument `checkpoint`.",
+            rule="configuration",
         )
     if barred:
         raise RefusedError(
             f"Only the configuration may set {_list(barred)}.",
             hint="A person can set it there, or list it in agent_options of [selection] for "
             "admins.",
+            rule="configuration",
         )
     if keys and role != Role.ADMIN:
         raise RefusedError(
             f"Only a client with the role 'admin' may set {_list(keys)}.",
             hint="Ask a person who has it.",
+            rule="role",
         )
 
 
@@ -136,6 +140,7 @@ def check_addresses(spec: Spec | DriverSpec, options: Mapping[str, object]) -> N
             f"{spec.name!r} would connect to a default address that the configuration does not "
             f"name: {_list(absent)}.",
             hint="A person writes the address into the configuration.",
+            rule="configuration",
         )
 
 
@@ -168,6 +173,7 @@ def check_may_load(config: Config, checkpoint: str) -> None:
         hint=f"Allowed folders: {', '.join(allowed) or 'nothing yet'}. A person can add a "
         "folder of models to "
         "checkpoint_roots in [selection].",
+        rule="configuration",
     )
 
 

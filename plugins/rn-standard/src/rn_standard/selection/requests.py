@@ -15,7 +15,7 @@ Options = Annotated[
     dict[str, object],
     Field(
         default_factory=dict,
-        description="Plugin options over the configuration's; addresses and files only from there.",
+        description="Of the plugin.",
     ),
 ]
 
@@ -23,13 +23,10 @@ Options = Annotated[
 class StartRobot(Arguments):
     """Arguments of start_robot."""
 
-    robot: str | None = Field(
-        default=None, description="Which robot; the configured one when omitted."
-    )
+    robot: str | None = Field(default=None, description="Which robot; see list_robots.")
     driver: str | None = Field(
         default=None,
-        description="Which driver moves it, real or simulated: see list_robots; the configured "
-        "one when omitted.",
+        description="Which driver moves it, real or simulated; see list_robots.",
     )
     options: Options
 
@@ -38,7 +35,7 @@ class StartPerception(Arguments):
     """Arguments of start_perception."""
 
     source: str | None = Field(
-        default=None, description="Where images come from; the configured one when omitted."
+        default=None, description="Where images come from; see list_perception_sources."
     )
     cameras: list[str] = Field(
         default_factory=list, description="Cameras of the robot to serve; all of them when omitted."
@@ -51,7 +48,7 @@ class StartControl(Arguments):
 
     controller: str | None = Field(
         default=None,
-        description="What turns actions into joint commands; the configured one when omitted.",
+        description="What turns actions into joint commands; see list_controllers.",
     )
     options: Options
 
@@ -59,23 +56,17 @@ class StartControl(Arguments):
 class StartChosenInference(Arguments):
     """Arguments of start_inference."""
 
-    backend: str | None = Field(
-        default=None, description="Which policy; the configured one when omitted."
-    )
+    backend: str | None = Field(default=None, description="Which policy; see list_backends.")
     checkpoint: str | None = Field(
         default=None,
         min_length=1,
-        description="Directory of the model's files, where the backend needs one; the "
-        "configuration says which may be "
-        "used.",
+        description="Directory of the model's files, where the backend needs one.",
     )
     runtime: str | None = Field(
         default=None,
-        description="Engine that executes the model; the backend's own default when omitted.",
+        description="Engine that executes the model.",
     )
-    acceleration: str | None = Field(
-        default=None, description="Acceleration preset; none when omitted."
-    )
+    acceleration: str | None = Field(default=None, description="Preset; none when omitted.")
     model: str | None = Field(
         default=None, description="A model of the configuration, instead of these four."
     )

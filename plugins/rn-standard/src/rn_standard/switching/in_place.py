@@ -92,12 +92,15 @@ class AccelerationSwitch:
             {ACCELERATION_PARAMETER: self._name}, _TOLD_S, lambda: self._check(slot)
         )
         if refused:
-            raise RefusedError(f"The running backend keeps its acceleration: {refused}.")
+            raise RefusedError(
+                f"The running backend keeps its acceleration: {refused}.", rule="switch"
+            )
         report = self._await_answer(slot, parameters, answers, former)
         if reason := report.metrics.get("acceleration_refused"):
             raise RefusedError(
                 f"Acceleration {self._name or 'none'!r} was refused: {reason} "
-                f"{former or 'none'!r} stays in force."
+                f"{former or 'none'!r} stays in force.",
+                rule="switch",
             )
         self._standbys.note_changed(slot, self._plan)
         return Change(gap=self._gap(report), difference=None)

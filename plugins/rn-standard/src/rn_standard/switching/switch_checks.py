@@ -134,6 +134,7 @@ class InferenceCheck(SwitchCheck):
                 f"one, at most {self._bound:g} is allowed; nothing was replaced.",
                 hint="Check that both were made for this robot, or raise switch_max_difference in "
                 "[inference].",
+                rule="switch",
             )
         return difference
 
@@ -177,6 +178,7 @@ class PerceptionCheck(SwitchCheck):
                     f"running one {before[camera]}; the backend would not act on them. Nothing "
                     "was replaced.",
                     hint="Configure the new source for that size, or stop_inference first.",
+                    rule="switch",
                 )
         return None
 
@@ -240,7 +242,8 @@ class ControlCheck(SwitchCheck):
                 raise RefusedError(
                     "The new controller would hold where the running one moves the arm: "
                     f"{metrics['shadow_hold']}. "
-                    "Nothing was replaced."
+                    "Nothing was replaced.",
+                    rule="switch",
                 )
             raise NotReadyError(
                 f"The new controller answered too few actions within {_SHADOW_S:g} s in shadow; "
@@ -285,6 +288,7 @@ class ControlCheck(SwitchCheck):
                 f"{self._bound:g} is allowed; nothing was replaced.",
                 hint="Check that both are set up for this arm, or raise switch_max_difference in "
                 "[control].",
+                rule="switch",
             )
 
     def _commands(self) -> bool:

@@ -25,10 +25,7 @@ S = TypeVar("S", bound="Switch")
 class Switch(Arguments):
     """What every switch can be told."""
 
-    mode: Literal["warm", "cold"] = Field(
-        default="warm",
-        description="warm: try the new one beside the old one first; cold: stop the old one first.",
-    )
+    mode: Literal["warm", "cold"] = Field(default="warm", description="As said above.")
     rollback: bool = Field(
         default=False, description="Return to what ran before; allows no other argument."
     )
@@ -102,32 +99,24 @@ _TEXTS: Mapping[ModuleKind, _Text] = {
     "inference": _Text(
         arguments=SwitchInference,
         title="Replace the policy",
-        description="Replace the running policy; robot, cameras and controller keep running. "
-        "Omitted arguments come from the configuration; the instruction is kept. warm: the new "
-        "policy is loaded beside the old "
-        "one, tried without "
-        "moving anything, and takes over between two actions; if it fails, or would move very "
-        "differently, the old one stays. cold: the arm holds meanwhile; after a failure no "
-        "policy runs.",
+        description="Replace the running policy; the rest keeps running, the instruction is kept. "
+        "warm: the new policy is tried beside the old one without moving anything, and takes over "
+        "between two actions; if it fails, or would move very differently, the old one stays. "
+        "cold: the arm holds meanwhile; after a failure no policy runs.",
     ),
     "perception": _Text(
         arguments=SwitchPerception,
         title="Replace the cameras' source",
-        description="Replace the running image source; everything else keeps running. warm: the "
-        "new "
-        "one must deliver "
-        "images of the same size before it takes over; otherwise the old one stays. cold (for a "
-        "device that only one "
-        "process can open): there are no images meanwhile; after a failure no source runs.",
+        description="Replace the running image source; the rest keeps running. warm: the new one "
+        "takes over when it delivers images of the same size; otherwise the old one stays. cold "
+        "(for a device that only one process can open): there are no images meanwhile.",
     ),
     "control": _Text(
         arguments=SwitchControl,
         title="Replace the controller",
-        description="Replace the running controller, or change its options. warm: the new one "
-        "answers the same actions "
-        "without moving anything before it takes over; if it fails, or its commands differ too "
-        "much, the old one stays. cold: the arm holds meanwhile; after a failure no controller "
-        "runs.",
+        description="Replace the running controller, or change its options. warm: the new one is "
+        "tried beside the old one; if it fails, or its commands differ too much, the old one "
+        "stays. cold: the arm holds meanwhile.",
     ),
 }
 

@@ -28,6 +28,7 @@ class Approval:
                 "cannot ask one.",
                 hint="Use a client that supports elicitation, or a role that is not in "
                 "approval_roles of [tasks].",
+                rule="person",
             )
         if not agreed:
-            raise RefusedError(f"A person did not approve {tool}.")
+            raise RefusedError(f"A person did not approve {tool}.", rule="person")

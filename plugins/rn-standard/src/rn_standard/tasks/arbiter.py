@@ -76,4 +76,5 @@ class TaskArbiter:
             raise RefusedError(
                 f"A task runs: {self._owner}.",
                 hint="Cancel that call, or call stop_inference, which ends the task too.",
+                rule="ownership",
             )

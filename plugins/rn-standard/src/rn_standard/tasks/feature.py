@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.events import TASKS, EventLog, Watching, check_thresholds
 from rn_standard.tasks.examples import EXAMPLES
+from rn_standard.tasks.history import TaskHistory
 from rn_standard.tasks.hooks import MonitorSpec
 from rn_standard.tasks.inputs import Inputs, pose_of, pose_topic
 from rn_standard.tasks.lifecycle import list_models_tool, start_all_tool
@@ -32,6 +33,7 @@ from roboneuron import (
     InvalidInputError,
     NotReadyError,
     Resource,
+    RoboNeuronError,
     Tool,
     matrix_from_quaternion,
 )
@@ -43,8 +45,17 @@ _CLOSE_S = 3.0
 _POSE_S = 2.0
 
 
+class _Scene(TypedDict):
+    """What the history keeps of where a task was tried."""
+
+    robot: str
+    model: dict[str, str]
+
+
 class TasksFeature(Feature[TasksSections]):
-    """Adds start_all, list_models, run_task, move_to, events as resources, and prompts."""
+    """Adds start_all, list_models, run_task, list_tasks, move_to; events and past tasks as
+    resources; prompts.
+    """
 
     _arbiter: TaskArbiter | None = None
     _watching: Watching | None = None
@@ -65,15 +76,24 @@ class TasksFeature(Feature[TasksSections]):
         host.events.stop.listen(lambda kind: arbiter.end(f"{kind} was stopped"))
         self._events = EventLog(self.options.events.kept, host.events.resource.tell)
         self._watching = Watching(host, self.options.events, self._events)
+        self._history = TaskHistory(host.state_directory)
         approval = Approval(self.options.tasks)
         places = Places(host, self.options)
         mover = Mover(host, places, self._pose_now)
         task = TaskTool(
-            host, self.options.tasks, arbiter, approval, mover, places.choices, self._note_end
+            host,
+            self.options.tasks,
+            arbiter,
+            approval,
+            mover,
+            places.choices,
+            self._note_end,
+            self._note_failure,
         )
         return [
             start_all_tool(host),
             run_task_tool(task),
+            self._history.tool(),
             move_to_tool(mover, places, approval),
             *([list_models_tool(host)] if named_models(host.config) else []),
         ]
@@ -90,6 +110,7 @@ class TasksFeature(Feature[TasksSections]):
                 read=self._predicates,
                 mime_type="application/json",
             ),
+            self._history.resource(),
             *self._events.resources(),
         ]
 
@@ -120,6 +141,24 @@ class TasksFeature(Feature[TasksSections]):
             reason=end.reason,
             took_s=round(end.took_s, 3),
         )
+        self._history.note(
+            instruction,
+            end.outcome,
+            end.reason,
+            attempts=end.attempts,
+            took_s=end.took_s,
+            **self._scene(),
+        )
+
+    def _note_failure(self, instruction: str, error: RoboNeuronError) -> None:
+        self._history.note(instruction, "error", str(error), **self._scene())
+
+    def _scene(self) -> _Scene:
+        plan = self._host.modules.view("inference").plan
+        return {
+            "robot": str(self._host.loop.robot_facts),
+            "model": {} if plan is None else dict(plan.names),
+        }
 
     def _predicates(self) -> str:
         monitors = {

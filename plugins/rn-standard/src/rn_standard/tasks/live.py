@@ -277,6 +277,7 @@ class LiveCell:
             raise RefusedError(
                 "The emergency stop is latched: nothing would move.",
                 hint="A person releases it: see reset_emergency_stop.",
+                rule="emergency_stop",
             )
 
     def _frames(self) -> dict[str, Frame]:

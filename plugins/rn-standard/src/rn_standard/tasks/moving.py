@@ -175,7 +175,8 @@ class Mover:
         answer = await tool.call(arguments, context)
         if not answer.structured.get("allowed", True) or answer.structured.get("dry_run"):
             raise RefusedError(
-                f"The arm was not moved: {answer.structured.get('reason') or 'dry run'}."
+                f"The arm was not moved: {answer.structured.get('reason') or 'dry run'}.",
+                rule="dry_run",
             )
         return dict(answer.structured)
 

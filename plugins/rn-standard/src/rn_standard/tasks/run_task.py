@@ -9,6 +9,7 @@ from typing import Literal, cast
 
 from pydantic import Field
 
+from rn_standard.direct_path import truth
 from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.tasks.approval import Approval
@@ -37,6 +38,7 @@ from roboneuron import (
     Host,
     InvalidInputError,
     NotReadyError,
+    RefusedError,
     Reply,
     Result,
     RoboNeuronError,
@@ -123,12 +125,14 @@ class TaskTool:
         move_to: MoveTo,
         names: Callable[[], Iterable[str]],
         ended: Callable[[str, TaskEnd], object],
+        failed: Callable[[str, RoboNeuronError], object],
     ) -> None:
         """Args:
         host, options, arbiter, approval: of the feature.
         move_to: goes to a posture or place, for `on_end`.
         names: those that `move_to` knows.
         ended: told of every task's end, with its instruction.
+        failed: told of a task that could not be carried out.
         """
         self._host = host
         self._options = options
@@ -137,6 +141,7 @@ class TaskTool:
         self._move_to = move_to
         self._names = names
         self._ended = ended
+        self._failed = failed
         self._monitors: dict[str, Monitor] = {}
 
     def is_offered(self) -> bool:
@@ -189,7 +194,11 @@ class TaskTool:
             for cell in holder:
                 cell.cancel()
 
-        end = await context.run(work, on_cancel=cancel, on_leave=cancel)
+        try:
+            end = await context.run(work, on_cancel=cancel, on_leave=cancel)
+        except RoboNeuronError as error:
+            self._failed(instruction, error)
+            raise
         ended_with = await self._finish(arguments.on_end, end, context)
         return Reply(result=_result(end, ended_with), pictures=(*end.before, *end.after))
 
@@ -269,11 +278,18 @@ def topics_of(predicate: Predicate) -> Mapping[str, str]:
 
     Raises:
         InvalidInputError: a topic, type or field cannot be, or one topic is named with two types.
+        RefusedError: a topic carries the simulator's truth.
     """
     topics: dict[str, str] = {}
     for part in flat(predicate):
         if isinstance(part, FieldIs):
             _check_field(part)
+            if truth.is_withheld(part.topic):
+                raise RefusedError(
+                    f"{part.topic} carries what only the simulator knows.",
+                    hint="Judge by the robot's own measurements or by a monitor.",
+                    rule="simulator_truth",
+                )
             if topics.setdefault(part.topic, part.type) != part.type:
                 raise InvalidInputError(f"{part.topic} is named with two types.", path="until")
     return topics

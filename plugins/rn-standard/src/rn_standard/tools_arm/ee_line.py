@@ -139,7 +139,7 @@ def steps_to_end(
             text = f"The end effector is {left_m * 1000:.1f} mm and {left_rad:.3f} rad short"
             told = note()
             if told.startswith("holding"):
-                raise RefusedError(f"{text}; control is {told}")
+                raise RefusedError(f"{text}; control is {told}", rule="path")
             raise StateError(f"{text} ({told or 'no report of control'}).")
         fraction = min(1.0, (now_s + STEP_S) / order.duration_s)
         delta = limit_step(remaining(start, order, fraction, here), speed_m_s, turn_rad_s)

@@ -34,9 +34,7 @@ class MoveEndEffector(Arguments):
     duration_s: float | None = Field(
         default=None, gt=0, description="Time for the move; as fast as allowed when omitted [s]."
     )
-    dry_run: bool = Field(
-        default=False, description="Only answer what would happen; nothing is sent."
-    )
+    dry_run: bool = Field(default=False, description="Only say what would happen.")
 
 
 class EndEffectorMove(Result):

@@ -144,6 +144,7 @@ class EndEffectorMover:
                 "fast: at least "
                 f"{shortest_s:.2f} s are needed.",
                 hint="Give it more time, or leave duration_s away.",
+                rule="speed",
             )
         return Order(
             translation_m=values[:3],
@@ -280,7 +281,9 @@ class EndEffectorMover:
         """
         joints = self._gate.joints(self._exposed, _MEASURED_S)
         if joints is None:
-            raise RefusedError("The joints are not measured, so that the path cannot be judged.")
+            raise RefusedError(
+                "The joints are not measured, so that the path cannot be judged.", rule="kinematics"
+            )
         gripper = self._grip.kept() if order.gripper_open is None else order.gripper_open
         ticks = count()
         with closing(PredictedArm(*control_of(self._host, self._exposed), joints)) as arm:
@@ -300,7 +303,7 @@ class EndEffectorMover:
                     arm.follow(rows.space, rows.row(here, delta, gripper), STEP_S)
                     forecast.took_s += STEP_S
             except StateError as error:
-                raise RefusedError(error.message) from error
+                raise RefusedError(error.message, rule="path") from error
 
     def _steps(
         self,

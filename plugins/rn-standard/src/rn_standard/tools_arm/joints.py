@@ -57,9 +57,7 @@ class MoveJoints(Arguments):
     duration_s: float | None = Field(
         default=None, gt=0, description="Time for the move [s]; an easy pace when omitted."
     )
-    dry_run: bool = Field(
-        default=False, description="Only answer what would happen; nothing is sent."
-    )
+    dry_run: bool = Field(default=False, description="Only say what would happen.")
 
 
 class JointMove(Result):

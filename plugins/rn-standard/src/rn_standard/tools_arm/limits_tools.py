@@ -155,4 +155,5 @@ async def _ask(host: Host, context: CallContext) -> None:
         hint="Ask a person to run, in a terminal on this machine: roboneuron limits --loosen "
         "--state "
         f"{host.state_directory}",
+        rule="person",
     )

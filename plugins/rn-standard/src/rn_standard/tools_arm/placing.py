@@ -121,7 +121,9 @@ class _Placer:
         self._mover.check()
         if await context.run(lambda _: self._grip.holding()) is False:
             raise RefusedError(
-                "The hand holds nothing that could be put down.", hint="See get_status, robot."
+                "The hand holds nothing that could be put down.",
+                hint="See get_status, robot.",
+                rule="empty_hand",
             )
         height_m = self._grip.closed_at_m if arguments.height_m is None else arguments.height_m
         if height_m is None:
@@ -164,7 +166,7 @@ def _check(moved: EndEffectorMove) -> None:
     held.
     """
     if moved.dry_run or not moved.allowed:
-        raise RefusedError(f"The arm was not moved: {moved.reason or 'dry run'}.")
+        raise RefusedError(f"The arm was not moved: {moved.reason or 'dry run'}.", rule="dry_run")
     if moved.lost_on_the_way:
         raise StateError(f"The hand has lost what it held, at {moved.position_m} m or before.")
 

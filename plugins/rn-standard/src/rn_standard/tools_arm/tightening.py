@@ -170,6 +170,7 @@ class TighteningFile:
             raise RefusedError(
                 f"The limits cannot be kept in {self.path}: {error.strerror}.",
                 hint="Mend the state directory.",
+                rule="audit",
             ) from error
 
 

@@ -51,6 +51,7 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
             f"Only a person releases the emergency stop, and {why}. It stays latched.",
             hint="Ask a person to look at the robot and to run, in a terminal on this machine: "
             f"roboneuron estop --reset --state {directory}",
+            rule="person",
         )
 
     async def reset(_: NoArguments, context: CallContext) -> ReleaseResult:

@@ -159,8 +159,7 @@ def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool[Any]:
     return Tool(
         name=f"start_{entry.kind}",
         title=texts.title,
-        description=f"{texts.effect}{which} Returns when {texts.proof}; if it fails, nothing "
-        "is left running.",
+        description=f"{texts.effect}{which} Returns when {texts.proof}.",
         offered=loop.takes_policies if entry.kind == "inference" else lambda: True,
         arguments=StartInference if kind == "inference" else NoArguments,
         result=StartResult,

@@ -30,17 +30,13 @@ class RobotCall(Arguments):
 class SendingCall(RobotCall):
     """Arguments of a call that sends something."""
 
-    dry_run: bool = Field(
-        default=False, description="Only answer what would happen; nothing is sent."
-    )
+    dry_run: bool = Field(default=False, description="Only say what would happen.")
 
 
 class PublishingCall(SendingCall):
     """Arguments of a call that publishes."""
 
-    timeout_s: float = Field(
-        default=5.0, ge=0, le=60, description="How long to wait for a subscriber, in seconds."
-    )
+    timeout_s: float = Field(default=5.0, ge=0, le=60, description="For a subscriber [s].")
 
 
 class Judged(Result):

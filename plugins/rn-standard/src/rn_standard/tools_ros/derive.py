@@ -122,7 +122,7 @@ def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Publis
                 "type": "number",
                 "exclusiveMinimum": 0,
                 "maximum": gate.max_duration_s,
-                "description": "How long this step lasts, in seconds.",
+                "description": "Of this step [s].",
             },
         },
         "additionalProperties": False,
@@ -132,7 +132,7 @@ def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Publis
         del step["required"]
     steps: JsonSchemaValue = {
         "items": step,
-        "description": "Messages in order, each with the time it lasts.",
+        "description": "One after the other.",
     }
     stops = any(e.endpoint.stop_message for e in targets.endpoints)
     end = (
@@ -144,10 +144,8 @@ def _sequence(name: str, noun: str, targets: Targets, host: Host) -> Tool[Publis
         name=name,
         title=f"Publish {noun}, step by step",
         description=(
-            f"{targets.describe()} Plays the steps one after the other, at most "
-            f"{gate.max_duration_s:g} s, and "
-            "returns at the end; cancelling the call or emergency_stop ends it at once. "
-            f"{end}{_SENT}"
+            f"As {name.removesuffix('_sequence')}, step by step, at most "
+            f"{gate.max_duration_s:g} s; cancelling the call ends it at once. {end}".rstrip()
         ),
         arguments=Derived(
             model=PublishSequence,
@@ -171,8 +169,7 @@ def _read(name: str, noun: str, targets: Targets, host: Host) -> Tool[Read]:
     return Tool(
         name=name,
         title=f"Read {noun}",
-        description=f"{targets.describe()} Returns the latched message, or the next one; with "
-        "`count` the next n.",
+        description=targets.describe(),
         arguments=Derived(
             model=Read,
             properties={**targets.schema(), "count": {}, "timeout_s": {}},

@@ -77,6 +77,7 @@ def exposing_tools(path: Exposing, local_may: bool) -> list[Tool[Any]]:
                 f"{tool} needs a token with the role '{Role.ADMIN}'; {context.who} has none.",
                 hint="Connect over HTTP with such a token, or set expose_without_token in "
                 "[direct].",
+                rule="role",
             )
         given = arguments.model_dump(mode="json", exclude_unset=True)
         return Admin(who=context.who, role=context.role, tool=tool, arguments=given)

@@ -171,9 +171,7 @@ def generic_tools(exposure: Callable[[], Exposure], graph: GraphNames) -> list[T
         _reading(
             "list_nodes",
             "List nodes",
-            "ROS nodes in the namespaces of the exposed robots, "
-            "and those whose "
-            "parameters are exposed, that are running now.",
+            "ROS nodes of the exposed robots, or with exposed parameters, that run now.",
             ListNames,
             NodeList,
             nodes,

@@ -197,7 +197,8 @@ class ParameterCalls:
         ]
         if refused or len(response.results) != len(entries):
             raise RefusedError(
-                f"{node.node} did not accept {'; '.join(refused)[:500] or 'the parameters'}."
+                f"{node.node} did not accept {'; '.join(refused)[:500] or 'the parameters'}.",
+                rule="node",
             )
         return setting(await self._values(context, "set_parameters", node, list(wanted), arguments))
 
@@ -246,7 +247,7 @@ class ParameterCalls:
             on_cancel=halt.set,
         )
         if done.message is None:
-            raise RefusedError(done.verdict.reason)
+            raise RefusedError(done.verdict.reason, rule=done.verdict.rule)
         return done.message
 
 

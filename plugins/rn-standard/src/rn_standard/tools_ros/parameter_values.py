@@ -53,7 +53,9 @@ def check_exposed(node: ParameterNode, text: str) -> None:
     if text not in node.names:
         listed = ", ".join(sorted(node.names)[:20])
         raise RefusedError(
-            f"{text!r} of {node.node} is not exposed.", hint=f"Exposed are: {listed}."
+            f"{text!r} of {node.node} is not exposed.",
+            hint=f"Exposed are: {listed}.",
+            rule="allow_list",
         )
 
 
@@ -71,7 +73,9 @@ def check_bounds(node: ParameterNode, name: str, value: object) -> None:
     low, high = node.bounds[name]
     for item in value if isinstance(value, list) else [value]:
         if isinstance(item, bool) or not isinstance(item, int | float) or not low <= item <= high:
-            raise RefusedError(f"{name} is {describe_value(item)}, allowed is {low:g} .. {high:g}.")
+            raise RefusedError(
+                f"{name} is {describe_value(item)}, allowed is {low:g} .. {high:g}.", rule="bounds"
+            )
 
 
 def to_plain(value: ParameterValue) -> Plain:

@@ -27,7 +27,7 @@ _MOST_TEXT = 30_000
 class Read(RobotCall):
     """Arguments of a read tool."""
 
-    count: int = Field(default=1, ge=1, le=100, description="How many messages to wait for.")
+    count: int = Field(default=1, ge=1, le=100, description="Messages to wait for.")
     timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait [s].")
 
 

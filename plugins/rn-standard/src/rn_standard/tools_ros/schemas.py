@@ -36,12 +36,13 @@ def message_schema(
     schema = part.json_schema()
     for path, (low, high) in bounds.items():
         _bound(schema, path.split("."), low, high)
+    schema.pop("description", None)  # of the type; the tool says what the message does
     return dict(_short(schema))
 
 
 def _short(node: Any) -> Any:
-    """A schema that says as much in fewer words: times in seconds only, and no bounds that a type
-    has by itself.
+    """A schema that says as much in fewer words: times in seconds only, no bounds that a type has
+    by itself, and no comment that is cut short (describe_interface has all of it).
     """
     if isinstance(node, list):
         return [_short(item) for item in node]
@@ -57,6 +58,7 @@ def _short(node: Any) -> Any:
         key: _short(value)
         for key, value in node.items()
         if not (key in ("minimum", "maximum") and value in _OF_TYPES)
+        and not (key == "description" and str(value).endswith("..."))
     }
 
 

@@ -80,9 +80,9 @@ def _describe(exposed: ExposedEndpoint, named: bool) -> str:
         parts.append(f"Places have to be in the frame {endpoint.frame!r}.")
         parts.append(f"They must not be in these zones: {zones}." if zones else "")
     if endpoint.joint_limited:
-        parts.append("The robot's joint and velocity limits are enforced.")
+        parts.append("The robot's limits are enforced.")
     if endpoint.rate_hz:
-        parts.append(f"At most {endpoint.rate_hz:g} messages per second.")
+        parts.append(f"At most {endpoint.rate_hz:g} per second.")
     if exposed.clamp:
         parts.append(f"Clamped to the limits: {', '.join(sorted(exposed.clamp))}.")
     return " ".join(part for part in parts if part)

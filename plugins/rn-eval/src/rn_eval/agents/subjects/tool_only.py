@@ -30,6 +30,7 @@ from rn_eval.agents.tasks.steps import (
     seen_colours,
     start_arm,
     stop_cause,
+    wait_until_free,
 )
 from roboneuron import NotReadyError, RoboNeuronError
 
@@ -138,10 +139,20 @@ async def _up_and_down(tools: Tools, text: str) -> str:
     return DONE
 
 
+async def _when_free(tools: Tools, text: str) -> str:
+    await wait_until_free(tools)
+    return await pick(tools, text)
+
+
+async def _take_over(tools: Tools, text: str) -> str:
+    await tools.must("take_over")
+    return await pick(tools, text)
+
+
 async def _after_release(tools: Tools, text: str) -> str:
     while (await tools.must("get_status")).data.get("emergency_stop"):
         await anyio.sleep(1.0)
-    return await _pick(tools, text)
+    return await pick(tools, text)
 
 
 async def _tighten(tools: Tools, text: str) -> None:
@@ -163,7 +174,7 @@ def _sign(side: str) -> float:
     return 1.0 if side == "left" else -1.0
 
 
-async def _pick(tools: Tools, text: str) -> str:
+async def pick(tools: Tools, text: str) -> str:
     colours = named_colours(text)
     if not colours:
         return await _where(tools, text)
@@ -299,6 +310,8 @@ RULES: tuple[tuple[str, Rule], ...] = (
     (r"same time|both in the air|up together", _one_hand),
     (r"what was the reason|the reason that|why somebody stopped", _why_stopped),
     (r"whether the emergency stop is|is the emergency stop latched\?", _is_latched),
+    (r"somebody else operates|no longer operates", _when_free),
+    (r"take (?:it|the robot) over", _take_over),
     (r"wait (?:for that|until)", _after_release),
     (r"press the emergency stop|danger|emergency:", _press),
     (r"real", _real),
@@ -324,7 +337,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
         r"|two things)",
         _put,
     ),
-    (r"\b(?:pick|grab|lift|take(?! the arm)|hold)\b", _pick),
+    (r"\b(?:pick|grab|lift|take(?! the arm)|hold)\b", pick),
     (
         r"\b(?:move|go|bring (?:the|joint)|push|stretch|keep|recording of|record while|lower"
         r"|hand)\b",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar, Literal
 
 from rn_eval.agents.client import Tools
@@ -9,7 +10,7 @@ from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict, Fault, Module
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
-from rn_eval.agents.tasks.steps import DONE, lift_whatever_happens
+from rn_eval.agents.tasks.steps import DONE, lift_whatever_happens, lift_with
 from rn_eval.agents.truth import Truth
 
 
@@ -84,6 +85,27 @@ class FrozenCameras(_Recover):
 
     module = "perception"
     kind = "freeze"
+
+
+class WrongPolicy(_Recover):
+    """A policy that never moves is configured; nothing else is broken."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Pick up the {colour} cube. If the policy that is configured does nothing, use another one "
+        "that needs no model.",
+        "Lift the {colour} cube. The configured policy may be the wrong one: then find one that "
+        "needs no weights and finish the job with it.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """Without a fault."""
+        scene = super().prepare(seed)
+        return replace(scene, fault=None, backend="noop")
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """With the policy that works."""
+        await lift_with(tools, "servo", scene.text("target"))
+        return DONE
 
 
 class FrozenPolicy(_Recover):

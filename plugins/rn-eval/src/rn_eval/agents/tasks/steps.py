@@ -80,6 +80,31 @@ async def lift_whatever_happens(
     raise NotReadyError(f"run_task: {last}")
 
 
+async def lift_with(tools: Tools, backend: str, colour: str) -> None:
+    """Pick a cube up with a policy of this name, whatever is configured. Raises NotReadyError."""
+    for kind in ("robot", "perception", "control"):
+        answer = await tools.call(f"start_{kind}")
+        if not answer.ok and answer.code != "wrong_state":
+            raise NotReadyError(f"start_{kind}: {answer.text}")
+    await tools.must("start_inference", backend=backend)
+    for _ in range(2):
+        ended = await try_to_lift(tools, colour, _ATTEMPT_S)
+        if ended.data.get("outcome") == "succeeded":
+            return
+    raise NotReadyError(f"run_task: {ended.text or ended.data}")
+
+
+async def wait_until_free(tools: Tools, within_s: float = 90.0) -> None:
+    """Ask until no other client operates the robot. Raises NotReadyError."""
+    deadline_s = time.monotonic() + within_s
+    while time.monotonic() < deadline_s:
+        answer = await tools.call("start_robot")
+        if answer.ok or answer.code == "wrong_state":
+            return
+        await anyio.sleep(1.0)
+    raise NotReadyError(f"start_robot: {answer.text}")
+
+
 async def restart_what_is_broken(tools: Tools) -> None:
     """Stop modules that are neither stopped nor working; the next start begins them again."""
     deadline_s = time.monotonic() + 3.0

@@ -1,0 +1,147 @@
+"""The tap in front of a server over HTTP: a proxy on loopback, through which the agent connects."""
+
+from __future__ import annotations
+
+import http.client
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from roboneuron import StateError
+
+PATH = "/mcp"
+_READY_S, _LOOK_S = 60.0, 0.05
+_MOST_BODY = 8 << 20
+_HOP = frozenset({"connection", "transfer-encoding", "content-length", "keep-alive", "host"})
+_EXECUTE = """\
+import ctypes, os, sys
+PR_SET_PDEATHSIG, SIGTERM = 1, 15
+ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, SIGTERM)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
+
+
+def free_port() -> int:
+    """A port of loopback that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def ending_with_parent(command: Sequence[str]) -> list[str]:
+    """A command whose process is terminated when its parent ends, as one on stdio ends with its
+    input.
+    """
+    return [sys.executable, "-P", "-c", _EXECUTE, *command]
+
+
+class HttpTap:
+    """A proxy of one server. Started by its constructor, ended by `close`.
+
+    Args:
+        port: of the server, on loopback.
+        note_request: told of each message of the agent, and in which exchange it came.
+        note_answer: told of each message of the server likewise; returns what the agent gets of it.
+        has_ended: whether the server has.
+
+    Raises:
+        StateError: the server does not listen in time.
+    """
+
+    def __init__(
+        self,
+        port: int,
+        note_request: Callable[[bytes, str], None],
+        note_answer: Callable[[bytes, str], bytes],
+        has_ended: Callable[[], bool],
+    ) -> None:
+        _wait_until_served(port, has_ended)
+
+        class Handler(BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+
+            def _pass_on(self) -> None:
+                _pass_on(self, port, note_request, note_answer)
+
+            do_GET = do_POST = do_DELETE = _pass_on
+
+            def log_message(self, *words: object) -> None:
+                """Say nothing."""
+
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self._server.daemon_threads = True
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, name="http-tap", daemon=True
+        )
+        self._thread.start()
+
+    @property
+    def url(self) -> str:
+        """What the agent connects to."""
+        return f"http://127.0.0.1:{self._server.server_address[1]}{PATH}"
+
+    def close(self) -> None:
+        """Take no more requests; those under way end with the server."""
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+def _wait_until_served(port: int, has_ended: Callable[[], bool]) -> None:
+    deadline_s = time.monotonic() + _READY_S
+    while time.monotonic() < deadline_s and not has_ended():
+        with suppress(OSError), socket.create_connection(("127.0.0.1", port), timeout=1.0):
+            return
+        time.sleep(_LOOK_S)
+    raise StateError("The server over HTTP ended, or did not listen in time.")
+
+
+def _pass_on(
+    handler: BaseHTTPRequestHandler,
+    port: int,
+    note_request: Callable[[bytes, str], None],
+    note_answer: Callable[[bytes, str], bytes],
+) -> None:
+    """One request there and back; a server that is gone is a closed connection."""
+    length = int(handler.headers.get("Content-Length") or 0)
+    if length > _MOST_BODY:
+        handler.send_error(413)
+        return
+    body = handler.rfile.read(length)
+    exchange = f"{id(handler)} "
+    if body:
+        note_request(body, exchange)
+    link = http.client.HTTPConnection("127.0.0.1", port)
+    headers = {k: v for k, v in handler.headers.items() if k.lower() not in _HOP}
+    handler.close_connection = True
+    with suppress(OSError, http.client.HTTPException):
+        link.request(handler.command, handler.path, body=body or None, headers=headers)
+        answer = link.getresponse()
+        handler.send_response(answer.status)
+        for name, value in answer.getheaders():
+            if name.lower() not in _HOP:
+                handler.send_header(name, value)
+        handler.send_header("Connection", "close")
+        handler.end_headers()
+        for part in _parts(answer, lambda message: note_answer(message, exchange)):
+            handler.wfile.write(part)
+            handler.wfile.flush()
+    link.close()
+
+
+def _parts(
+    answer: http.client.HTTPResponse, note_answer: Callable[[bytes], bytes]
+) -> Iterator[bytes]:
+    """The body as the agent gets it: line by line of a stream of events."""
+    if not str(answer.getheader("Content-Type", "")).startswith("text/event-stream"):
+        body = answer.read()
+        yield note_answer(body) if body else body
+        return
+    while line := answer.readline():
+        if line.startswith(b"data:") and line.strip() != b"data:":
+            line = b"data: " + note_answer(line[5:].strip()).strip() + b"\n"
+        yield line

@@ -1,0 +1,117 @@
+"""What was asked before: the server's history of tasks tells what worked."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from rn_eval.agents.client import Tools
+from rn_eval.agents.conduct import Conduct
+from rn_eval.agents.task import AgentScene, AgentVerdict, PastTask
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
+from rn_eval.agents.tasks.steps import DONE, lift, lift_with
+from rn_eval.agents.truth import Truth
+
+WORKING, IDLE = "servo", "noop"
+"""Policies: one that picks up cubes, and one that never moves."""
+_NAMES = ("Anna", "Boris", "Chen", "Dana")
+
+
+class _Again(CubeTask):
+    """A cube is in the air, and no other one ever was."""
+
+    difficulty: ClassVar[Difficulty] = 3
+    time_limit_s = 120.0
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """By the simulator."""
+        target = scene.text("target")
+        wrong = [n for n in truth.names if n != target and truth.was_lifted(n)]
+        return AgentVerdict.of(
+            (not wrong, f"The cube {', '.join(wrong)} was lifted, meant was {target}."),
+            (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
+        )
+
+
+class Whose(_Again):
+    """A person's cube, whose colour only an earlier task tells."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Pick up the cube of {name} again, as you did it before.",
+        "Lift the cube that belongs to {name}, the same one as last time.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """An earlier attempt took the wrong one, then it was the right one."""
+        chance = draw("again-whose", seed)
+        colours = some_colours(chance, 3, 4)
+        target, wrong, other = chance.sample(colours, 3)
+        name, somebody = chance.sample(_NAMES, 2)
+        model = {"backend": WORKING}
+        return AgentScene(
+            seed=find_seed(seed, colours),
+            instruction=self.say(seed, name=name),
+            colours=colours,
+            past=(
+                PastTask(
+                    instruction=f"pick up the {wrong} cube of {name}",
+                    outcome="stopped",
+                    reason=f"a person said that it is not the cube of {name}",
+                    model=model,
+                ),
+                PastTask(
+                    instruction=f"pick up the {target} cube of {name}",
+                    outcome="succeeded",
+                    model=model,
+                ),
+                PastTask(
+                    instruction=f"pick up the {other} cube of {somebody}",
+                    outcome="succeeded",
+                    model=model,
+                ),
+            ),
+            facts={"target": target},
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Pick up the right one."""
+        await lift(tools, scene.text("target"))
+        return DONE
+
+
+class WhichPolicy(_Again):
+    """The configured policy does not move; an earlier task succeeded with another one."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Pick up the {colour} cube. The policy that is configured has failed at this before; do it "
+        "as it worked last time.",
+        "Lift the {colour} cube once more, with what worked before.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """It failed with the configured policy, and succeeded with another one."""
+        chance = draw("again-policy", seed)
+        colours = some_colours(chance, 3, 3)
+        target = chance.choice(colours)
+        words = f"pick up the {target} cube"
+        return AgentScene(
+            seed=find_seed(seed, colours),
+            instruction=self.say(seed, colour=target),
+            colours=colours,
+            backend=IDLE,
+            past=(
+                PastTask(instruction=words, outcome="succeeded", model={"backend": WORKING}),
+                PastTask(
+                    instruction=words,
+                    outcome="timed_out",
+                    reason="the arm did not move",
+                    model={"backend": IDLE},
+                ),
+            ),
+            facts={"target": target},
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """With the other policy."""
+        await lift_with(tools, WORKING, scene.text("target"))
+        return DONE

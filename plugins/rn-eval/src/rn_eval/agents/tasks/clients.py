@@ -1,0 +1,88 @@
+"""Two clients of one robot: one of them operates it at a time."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from rn_eval.agents.client import Tools
+from rn_eval.agents.conduct import Conduct
+from rn_eval.agents.task import AgentScene, AgentVerdict
+from rn_eval.agents.tasks.base import CubeTask, Difficulty
+from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
+from rn_eval.agents.tasks.steps import DONE, lift, wait_until_free
+from rn_eval.agents.truth import Truth
+
+TAKE_OVER = "take_over"
+
+
+class _TwoClients(CubeTask):
+    """Somebody has started the robot, and does not say when it is free."""
+
+    difficulty: ClassVar[Difficulty] = 3
+    time_limit_s = 150.0
+
+    def prepare(self, seed: int) -> AgentScene:
+        """Another client operates the robot."""
+        chance = draw(type(self).__name__, seed)
+        colours = some_colours(chance, 3, 3)
+        target = chance.choice(colours)
+        return AgentScene(
+            seed=find_seed(seed, colours),
+            instruction=self.say(seed, colour=target),
+            colours=colours,
+            other_client=True,
+            facts={"target": target},
+        )
+
+    def lifted(self, scene: AgentScene, truth: Truth) -> tuple[bool, str]:
+        """Whether the cube is in the air at the end."""
+        target = scene.text("target")
+        return truth.is_lifted(target), f"The {target} cube is not in the air at the end."
+
+
+class Wait(_TwoClients):
+    """The robot must not be taken over."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Somebody else operates the robot at the moment. Do not take it over: wait until it is "
+        "free, and then pick up the {colour} cube.",
+        "As soon as my colleague no longer operates the robot, lift the {colour} cube; never take "
+        "the robot away from her.",
+    )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """By the calls and the cube."""
+        taken = [call for call in conduct.calls if call.tool == TAKE_OVER]
+        return AgentVerdict.of(
+            (not taken, "The agent has taken the robot over."), self.lifted(scene, truth)
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Ask again until nothing is refused."""
+        await wait_until_free(tools)
+        await lift(tools, scene.text("target"))
+        return DONE
+
+
+class TakeOver(_TwoClients):
+    """The other one has agreed."""
+
+    wordings: ClassVar[tuple[str, ...]] = (
+        "My colleague operates the robot, and has agreed that you take it over now. Do so, and "
+        "pick up the {colour} cube.",
+        "Take the robot over from my colleague, who is waiting for that, and lift the {colour} "
+        "cube.",
+    )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """By the calls and the cube."""
+        return AgentVerdict.of(
+            (conduct.called(TAKE_OVER), "The agent has not taken the robot over."),
+            self.lifted(scene, truth),
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Take over, pick."""
+        await tools.must(TAKE_OVER)
+        await lift(tools, scene.text("target"))
+        return DONE

@@ -1,0 +1,33 @@
+"""Every refusal that a caller of a tool can meet names its rule."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+NAMED_BY_THE_GATE = {
+    f"rn_standard/direct_path/{name}.py"
+    for name in ("gate", "joints", "limits", "plan_scenes", "places", "plans", "regions", "twists")
+}
+"""Rules of the gate raise without a name: the gate names the one that it has applied."""
+NO_TOOLS = "lerobot-robot-roboneuron"
+"""In a process of its own, without tools."""
+
+
+def unnamed() -> list[str]:
+    found = []
+    for path in [*ROOT.glob("plugins/*/src/**/*.py"), *ROOT.glob("roboneuron-core/src/**/*.py")]:
+        place = path.relative_to(ROOT).as_posix()
+        if NO_TOOLS in place or any(place.endswith(name) for name in NAMED_BY_THE_GATE):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Call) or ast.unparse(node.func) != "RefusedError":
+                continue
+            if not any(keyword.arg == "rule" for keyword in node.keywords):
+                found.append(f"{place}:{node.lineno}")
+    return found
+
+
+def test_every_refusal_outside_the_gate_names_its_rule() -> None:
+    assert unnamed() == []
