@@ -41,6 +41,8 @@ ACTION_LABEL, POSES_LABEL = "ee_delta", "ee_pose"
 """Label of the hidden endpoint that is the action topic of one arm, and of several: each message
 says where all of them are to be.
 """
+LEAD_LABEL = "lead"
+"""Label of the hidden endpoint of teleoperation, to whose rows control gives way."""
 ACTION_LABELS = (ACTION_LABEL, POSES_LABEL)
 _FARTHEST_M = 10.0
 """No TCP is farther from its base; poses of several arms are in the frame of one of them."""
@@ -110,6 +112,32 @@ def action_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
         endpoint=endpoint,
         profile=profile,
         hidden=True,
+    )
+
+
+def lead_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
+    """The topic by which a person leads the arm of the robot of `exposed`, when that has one."""
+    profile = exposed.profile
+    if profile is None or not profile.arm_joints:
+        return None
+    endpoint = Endpoint(
+        name=LEAD_LABEL,
+        kind="publish",
+        topic=topics.LEAD,
+        type=_ACTION_TYPE,
+        summary="Rows of a person who leads, for control.",
+        bounds={"data": (-_FARTHEST_M, _FARTHEST_M)},
+        rate_hz=200.0,
+    )
+    return replace(
+        exposed,
+        label=LEAD_LABEL,
+        endpoint=endpoint,
+        hidden=True,
+        clamp=frozenset(),
+        nonfinite=frozenset(),
+        require_subscriber=True,
+        moves=True,
     )
 
 
