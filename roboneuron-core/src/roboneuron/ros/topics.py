@@ -42,7 +42,9 @@ def camera_info(name: str) -> str:
 
 _WRITTEN = re.compile(
     "|".join(
-        (ACTION, LEAD, ACTING, JOINT_STATES, EE_POSE, PREDICTIONS)
-        + (camera_image("[^/]+"), camera_info("[^/]+"))
+        (
+            *(ACTION, LEAD, ACTING, JOINT_STATES, EE_POSE, PREDICTIONS),
+            *(camera_image("[^/]+"), camera_info("[^/]+")),
+        )
     )
 )

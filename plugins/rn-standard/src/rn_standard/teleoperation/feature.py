@@ -89,9 +89,7 @@ class Teleoperation(Feature[None]):
         host.events.fault.tell(
             "control",
             "taken_over",
-            {
-                "explanation": f"{context.who} leads the arm by {arguments.source} ({arguments.mode})"
-            },
+            {"explanation": f"{context.who} leads by {arguments.source} ({arguments.mode})"},
         )
         return LeadResult(
             leads=context.who, source=arguments.source, mode=arguments.mode, policy=text

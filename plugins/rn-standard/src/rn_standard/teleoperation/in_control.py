@@ -56,8 +56,9 @@ def _extend(module: Module) -> None:
 
 
 class LeadInControl:
-    """Executes the rows of a lead, and lets the policy act when nobody leads; used on the executor's
-    thread.
+    """Executes the rows of a lead, and lets the policy act when nobody leads.
+
+    Used on the executor's thread.
     """
 
     def __init__(self, control: ControlModule) -> None:
@@ -326,13 +327,17 @@ def space_row(space: ControlSpace, row: LeadRow, joints: JointSample) -> F64:
     unknown = sorted(set(named) - {channel.name for channel in space.channels})
     if unknown:
         raise InvalidInputError(f"{', '.join(unknown)} are no joints of the arm that is led.")
-    still = {} if space.kind == "joint_velocity" else dict(zip(joints.names, joints.position))
+    still = (
+        {}
+        if space.kind == "joint_velocity"
+        else dict(zip(joints.names, joints.position.tolist(), strict=False))
+    )
     opening = 0.0 if row.gripper_open is None else row.gripper_open
     return np.array(
         [
             opening
             if channel.name == GRIPPER
-            else named.get(channel.name, float(still.get(channel.name, 0.0)))
+            else named.get(channel.name, still.get(channel.name, 0.0))
             for channel in space.channels
         ]
     )

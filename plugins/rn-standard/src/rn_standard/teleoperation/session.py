@@ -264,7 +264,7 @@ class LeadSession:
         return bounded
 
     def _joint_speed(self, name: str, asked: float) -> float:
-        most = self._speeds.joint_share * self.scale * self._velocities[name]
+        most: float = self._speeds.joint_share * self.scale * self._velocities[name]
         return min(max(asked * self.scale, -most), most)
 
     def _approach(
