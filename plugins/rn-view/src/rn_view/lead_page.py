@@ -83,6 +83,7 @@ _BODY = """
   <div class="row">
    <button id="rn-lead-go" type="button" class="main">Lead the arm</button>
    <button id="rn-lead-blend" type="button">Correct the policy</button>
+   <button id="rn-lead-operate" type="button" hidden>Become the operator</button>
    <button id="rn-lead-back" type="button" class="main" hidden>Hand back</button>
    <span class="grow"></span>
    <span id="rn-lead-numbers" aria-label="Delay from this page to the joint command and back"></span>
@@ -115,12 +116,13 @@ _SCRIPT = """
   const el = id => document.getElementById(id), lead = el("rn-lead"), state = el("rn-lead-state");
   let socket = null, key = "", leads = false, asking = false, number = 0, gripper = null, joints = {}, lastEcho = 0, delays = [];
   const sent = new Map(), keys = new Set(), sticks = {a: [0, 0, false], b: [0, 0, false]};
-  let jog = 0;
+  let jog = 0, mayOperate = false;
   const say = (text, word = "") => { if (state.textContent !== text) state.textContent = text; state.className = word; };
   const show = () => {
     lead.classList.toggle("idle", !leads);
     el("rn-lead-go").hidden = el("rn-lead-blend").hidden = leads;
     el("rn-lead-back").hidden = !leads;
+    el("rn-lead-operate").hidden = leads || !mayOperate;
     el("rn-lead-go").disabled = el("rn-lead-blend").disabled = asking || !socket || socket.readyState !== 1;
     el("rn-lead-scale").disabled = leads;
     for (const id of ["rn-grip-open", "rn-grip-close", "rn-joint-less", "rn-joint-more"]) el(id).disabled = !leads;
@@ -154,7 +156,10 @@ _SCRIPT = """
       asking = false; leads = told.led; gripper = null;
       if (leads) say("You lead. Hold a stick, Space, or a shoulder button of a gamepad.");
       else say(told.text || "Handed back.", told.text ? "bad" : "");
+      mayOperate = /take_over/.test(told.text || "");
       show();
+    } else if (told.operates) {
+      mayOperate = false; say("You operate the robot now. Lead the arm when you are ready."); show();
     } else if (told.echo) {
       const [count, who, limits, note] = told.echo, at = sent.get(count);
       for (const old of sent.keys()) if (old <= count) sent.delete(old);
@@ -179,6 +184,7 @@ _SCRIPT = """
   el("rn-lead-close").onclick = () => { if (leads) send({back: 1}); lead.classList.remove("open"); el("rn-lead-open").focus(); };
   el("rn-lead-go").onclick = () => begin("person");
   el("rn-lead-blend").onclick = () => begin("blend");
+  el("rn-lead-operate").onclick = () => send({operate: 1});
   el("rn-lead-back").onclick = () => send({back: 1});
   for (const id of ["rn-lead-turn", "rn-lead-tool"]) el(id).onclick = () => {
     const one = el(id); one.setAttribute("aria-pressed", one.getAttribute("aria-pressed") !== "true"); show();

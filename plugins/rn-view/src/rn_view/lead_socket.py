@@ -210,6 +210,8 @@ class _Seat:
                 self._begin(told["begin"])
             elif "back" in told:
                 self._ask("hand_back", {})
+            elif "operate" in told:
+                self._ask("take_over", {})
             else:
                 self.source.put(told, now_s)
 
@@ -224,6 +226,8 @@ class _Seat:
             failure = str(future.exception() or "") or future.result()
             if tool == "lead_arm":
                 self._from_thread({"led": not failure, "text": failure})
+            elif tool == "take_over" and not failure:
+                self._from_thread({"operates": True})
             elif failure:
                 self._from_thread({"led": False, "text": failure})
 

@@ -38,10 +38,7 @@ _STALE_S = 0.15
 _AHEAD_S = 0.1
 _SHARE_OF_REST = 0.5
 """As for the rows of a policy: how much of what is left of a row the next one gets."""
-_LOST = (
-    "whoever led the arm is gone; lead it again, or give an instruction",
-    "the lead was lost",
-)
+_LOST = "the lead was lost: lead the arm again, or give an instruction"
 
 
 def join(host: ModuleHost) -> None:
@@ -138,14 +135,17 @@ class LeadInControl:
             self._control.status.drop("other_lead")
             return
         self._authority.row = row
+        if row.mode == "lost":
+            self._hold("lead_lost", _LOST)
         self._release(source_ns)
         if row.mode == "lost":
             self._require_start()
         self._tell("policy" if row.mode == "back" else "nobody", source_ns)
 
     def _release(self, now_ns: int) -> None:
-        """From here on the policy acts by its next action; until then the arm holds."""
-        self._hold("handed_back", "The lead is over.")
+        """From here on the policy acts by its next action. What was sent comes to its end: a hold
+        would be a jerk.
+        """
         self._correction.reset()
         self._authority.release(now_ns)
 
@@ -164,8 +164,7 @@ class LeadInControl:
         moves the arm.
         """
         if self._control.is_active and self._control.handover.is_ours(time.time_ns()):
-            hint, what = _LOST
-            self._node.require_start(f"{what}: {hint}")
+            self._node.require_start(_LOST)
 
     def _hold(self, code: str, reason: str) -> None:
         if self._control.is_active:

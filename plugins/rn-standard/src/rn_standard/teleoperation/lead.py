@@ -27,7 +27,7 @@ _SUBSCRIBER_S = 2.0
 _BEGIN_S = 3.0
 """Longest wait for control's first answer."""
 _END_S = 2.0
-_LATENCIES = 500
+_BRAKE_S = 0.2
 
 
 class Lead:
@@ -38,7 +38,6 @@ class Lead:
         who: the client that leads.
         source_name: what it leads by.
         acting: control's newest answer; None before the first.
-        delays_s: from samples to control's answers, the newest ones.
         reason: why it has ended; empty while it runs, and when it was handed back.
     """
 
@@ -54,7 +53,6 @@ class Lead:
     ) -> None:
         self.session, self.who, self.source_name = session, context.who, source_name
         self.acting: Acting | None = None
-        self.delays_s: list[float] = []
         self.reason = ""
         self._source, self._gate, self._exposed = source, gate, exposed
         self._on_end = on_end
@@ -171,6 +169,11 @@ class Lead:
                 raise
             due_s = max(due_s, time.monotonic()) + period_s
             yield _command(row.to_message())
+        # the arm is braked within its limits, before the policy moves it
+        for _ in range(round(_BRAKE_S / period_s) if self.session.mode == "person" else 0):
+            yield TimedCommand(
+                message=self.session.still_row().to_message(), due_s=time.monotonic() + period_s
+            )
         yield _command(self.session.end_row("back").to_message())
         deadline_s = time.monotonic() + _END_S / 2
         while not self._hears_back.is_set() and time.monotonic() < deadline_s:

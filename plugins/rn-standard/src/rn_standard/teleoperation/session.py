@@ -141,23 +141,25 @@ class LeadSession:
         if self.why_still or sample is None:
             self._goals = {}
             kind: RowKind = "still" if now_s - self._moved_s < _BRAKE_S else "rest"
-            return self._made(kind, (), np.zeros(0), None, now_s)
+            return self._made(kind, (), np.zeros(0), None)
         self._moved_s = now_s
         opening = sample.gripper_open
         if sample.twist is not None:
-            return self._made("twist", (sample.frame,), self._bounded(sample.twist), opening, now_s)
+            return self._made("twist", (sample.frame,), self._bounded(sample.twist), opening)
         if sample.positions:
             goals = self._approach(sample.positions, measured)
-            names = tuple(goals)
-            return self._made(
-                "joint_position", names, np.array(list(goals.values())), opening, now_s
-            )
+            values = np.array(list(goals.values()))
+            return self._made("joint_position", tuple(goals), values, opening)
         if sample.velocities:
             names = tuple(sample.velocities)
             values = np.array([self._joint_speed(name, sample.velocities[name]) for name in names])
-            return self._made("joint_velocity", names, values, opening, now_s)
+            return self._made("joint_velocity", names, values, opening)
         # the gripper alone
-        return self._made("twist", ("base",), np.zeros(6), opening, now_s)
+        return self._made("twist", ("base",), np.zeros(6), opening)
+
+    def still_row(self) -> LeadRow:
+        """A row that brakes the arm."""
+        return self._made("still", (), np.zeros(0), None)
 
     def end_row(self, mode: Mode) -> LeadRow:
         """The last row: "back" or "lost"."""
@@ -185,7 +187,6 @@ class LeadSession:
         keys: tuple[str, ...],
         values: F64,
         gripper_open: float | None,
-        now_s: float,
     ) -> LeadRow:
         self._number += 1
         if self._sample is not None:
