@@ -185,8 +185,9 @@ def test_the_arm_follows_a_page_and_rests_when_it_is_lost(cell: Cell) -> None:
         page.push(AHEAD, 1.0)
         page.push(STILL, 0.5, held=False)
         moved = cell.poses[-1][1] - start
-        # a busy machine delays the first and the last sample
-        assert moved == pytest.approx([0.1, 0.0, 0.0], abs=0.02)
+        # a busy machine delays samples: it moves less, and never more
+        assert 0.04 < moved[0] < 0.11
+        assert moved[1:] == pytest.approx([0.0, 0.0], abs=0.01)
         assert page.echoes[-1][1:4] == ("person", "", "the switch is released")
         page.push(AHEAD, 0.5)
         lost_s = time.monotonic()

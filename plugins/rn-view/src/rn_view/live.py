@@ -13,7 +13,7 @@ import anyio
 from anyio import to_thread
 
 from rn_standard.http.operator_lease import OperatorLease
-from rn_standard.teleoperation.feature import Teleoperation
+from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from rn_standard.tools_loop.results import ModuleStatus
 from rn_view.event_list import AuditReader, EventList, add_record, failure_of
 from rn_view.lead_page import RATE_HZ
@@ -188,7 +188,7 @@ class LiveOperator:
 
     def lend(self, name: str, source: PageTeleoperator | None) -> bool:
         """See Operator."""
-        feature = self._host.features.loaded.get("teleoperation")
+        feature = self._host.features.loaded.get(TELEOPERATION)
         if not isinstance(feature, Teleoperation):
             return False
         if source is None:

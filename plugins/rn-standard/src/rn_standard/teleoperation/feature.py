@@ -31,21 +31,32 @@ from roboneuron.node import settings
 if TYPE_CHECKING:
     from std_msgs.msg import Float64MultiArray
 
+TELEOPERATION = "teleoperation"
+"""Name of the feature."""
 _TOLD_S = 2.0
 
 
 class Teleoperation(Feature[None]):
-    """lead_arm and hand_back. Features may lend teleoperators that are there only for a while."""
+    """lead_arm and hand_back. Features may lend teleoperators that are there only for a while.
+
+    Attributes:
+        changes: called with what has happened ("taken_over", "handed_back", "lead_lost") and a
+            sentence about it; from any thread.
+    """
 
     _host: Host
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
-        """See `Feature.tools`."""
-        self._host = host
+    def __init__(self, options: None) -> None:
+        super().__init__(options)
+        self.changes: list[Callable[[str, str], object]] = []
         self._lock = threading.Lock()
         self._lent: dict[str, tuple[Teleoperator, float]] = {}
         self._lead: Lead | None = None
         self._unsubscribe: Callable[[], None] | None = None
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """See `Feature.tools`."""
+        self._host = host
         return lead_tools(self.begin, self.hand_back, self._choices)
 
     @property
@@ -86,10 +97,8 @@ class Teleoperation(Feature[None]):
             self._lead = lead
         lead.begin()
         text = host.loop.starts.instruction
-        host.events.fault.tell(
-            "control",
-            "taken_over",
-            {"explanation": f"{context.who} leads by {arguments.source} ({arguments.mode})"},
+        self._tell(
+            "taken_over", f"{context.who} leads the arm by {arguments.source} ({arguments.mode})"
         )
         return LeadResult(
             leads=context.who, source=arguments.source, mode=arguments.mode, policy=text
@@ -109,23 +118,19 @@ class Teleoperation(Feature[None]):
         lead.hand_back()
         return LeadResult(policy=text)
 
-    def end_motion(self, reason: str, timeout_s: float) -> bool:
-        """See `Feature.end_motion`: the gate ends the motion of a lead."""
-        return True
-
     def close(self) -> None:
         """See `Feature.close`."""
-        lead = getattr(self, "_lead", None)
-        if lead is not None and lead.is_running:
+        lead = self.lead
+        if lead is not None:
             lead.end()
-        unsubscribe, self._unsubscribe = getattr(self, "_unsubscribe", None), None
+        unsubscribe, self._unsubscribe = self._unsubscribe, None
         if unsubscribe is not None:
             unsubscribe()
 
     @property
     def is_moving(self) -> bool:
         """See `Feature.is_moving`."""
-        return getattr(self, "_lead", None) is not None and self.lead is not None
+        return self.lead is not None
 
     def _begin_anew(self) -> str:
         """Have the policy drop what it planned while somebody else moved the arm; returns its
@@ -208,7 +213,13 @@ class Teleoperation(Feature[None]):
             lead.note(Acting.from_message(message))
 
     def _on_end(self, lead: Lead) -> None:
-        what, text = ("lead_lost", lead.reason) if lead.reason else ("handed_back", "handed back")
-        self._host.events.fault.tell(
-            "control", what, {"explanation": f"{lead.who} leads no more: {text}"}
-        )
+        if not lead.reason:
+            self._tell("handed_back", f"{lead.who} leads no more")
+            return
+        text = f"{lead.who} leads no more: {lead.reason}"
+        self._tell("lead_lost", text)
+        self._host.events.fault.tell("control", "lead_lost", {"explanation": text})
+
+    def _tell(self, what: str, text: str) -> None:
+        for listener in self.changes:
+            listener(what, text)
