@@ -26,7 +26,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "reading": "parse_tables robot_folder",
         "settings": "EMERGENCY_STOP_TOPIC",
         "task_space": "TaskSpace",
-        "topics": "ACTING ACTION DIAGNOSTICS JOINT_STATES LEAD is_written_by_modules",
+        "topics": "ACTION DIAGNOSTICS JOINT_STATES is_written_by_modules",
     }.items()
 }
 """What may be used of the modules among these names; a contract rule of packages checks it."""

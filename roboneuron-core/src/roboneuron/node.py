@@ -19,7 +19,7 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "qos": "NEWEST",
         "settings": "FUTURE_S INSTRUCTION_PARAMETER LIMITS_PARAMETER",
         "task_space": "angle_rad distance_m",
-        "topics": "ACTING ACTION EE_POSE JOINT_STATES LEAD PREDICTIONS camera_image camera_info",
+        "topics": "ACTION EE_POSE JOINT_STATES PREDICTIONS camera_image camera_info",
     }.items()
 }
 """What may be used of the modules among these names; a contract rule of packages checks it."""

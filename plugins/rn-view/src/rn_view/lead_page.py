@@ -27,7 +27,7 @@ _STYLE = """
 #rn-lead button.main { background: #1864ab; border-color: #1864ab; color: #fff; font-weight: 600; }
 #rn-lead button[aria-pressed=true] { background: #d0ebff; border-color: #1864ab; font-weight: 600; }
 #rn-lead button:disabled, #rn-lead select:disabled { opacity: .55; cursor: default; }
-#rn-lead-box { width: min(640px, 100%); background: #fff; border: 1px solid #adb5bd; border-radius: 10px; padding: 12px; box-sizing: border-box;
+#rn-lead-box { width: min(720px, 100%); background: #fff; border: 1px solid #adb5bd; border-radius: 10px; padding: 12px; box-sizing: border-box;
   box-shadow: 0 4px 18px #0003; display: none; max-height: calc(100dvh - var(--rn-bar) - 24px); overflow: auto; }
 #rn-lead.open #rn-lead-box { display: block; }
 #rn-lead.open #rn-lead-open { display: none; }
@@ -41,7 +41,8 @@ _STYLE = """
 #rn-lead-state.moves { background: #d3f9d8; }
 #rn-lead-state.limit { background: #fff3bf; }
 #rn-lead-state.bad { background: #ffe3e3; }
-#rn-lead .sticks { display: flex; gap: 16px; justify-content: space-around; align-items: flex-start; }
+#rn-lead .middle { display: flex; gap: 16px; align-items: center; margin: 10px 0; }
+#rn-lead .sticks { display: flex; gap: 16px; flex: 1 1 auto; justify-content: space-around; align-items: flex-start; }
 #rn-lead .stickbox { text-align: center; font-size: 13px; color: #495057; }
 .rn-stick { position: relative; width: 128px; height: 128px; border-radius: 50%; background: #f1f3f5; border: 2px solid #868e96; touch-action: none;
   margin: 0 auto 4px; cursor: grab; }
@@ -54,25 +55,16 @@ _STYLE = """
 #rn-lead .hint { font-size: 13px; color: #495057; }
 #rn-lead kbd { border: 1px solid #adb5bd; border-radius: 3px; padding: 0 4px; font: inherit; font-size: 12px; }
 #rn-lead-numbers { font-variant-numeric: tabular-nums; white-space: nowrap; }
+@media (max-width: 1250px) { #rn-lead .middle { flex-direction: column; align-items: stretch; } }
 @media (max-width: 1100px) { #rn-lead { left: 12px; } }
 @media (max-width: 576px) {
   #rn-lead { left: 0; right: 0; bottom: 0; }
-  #rn-lead.there:not(.open) { bottom: 56px; }
+  #rn-lead.there:not(.open) { top: calc(var(--rn-bar) + 8px); bottom: auto; left: auto; right: 8px; }
+  #rn-lead .controls { display: flex; flex-wrap: wrap; gap: 8px 14px; }
+  #rn-lead .controls .row { margin: 0; flex-wrap: nowrap; }
   #rn-lead-box { border-radius: 12px 12px 0 0; padding: 10px; width: 100%; }
   #rn-lead .hint { display: none; }
   .rn-stick { width: 116px; height: 116px; }
-}
-@media (prefers-color-scheme: dark) {
-  #rn-lead-box { background: #1f2326; color: #f1f3f5; border-color: #495057; }
-  #rn-lead button, #rn-lead select { background: #2b3035; color: #f1f3f5; border-color: #868e96; }
-  #rn-lead button.main { background: #1971c2; }
-  #rn-lead button[aria-pressed=true] { background: #1864ab; }
-  #rn-lead .stickbox, #rn-lead .hint { color: #ced4da; }
-  .rn-stick { background: #2b3035; }
-  #rn-lead-state { background: #343a40; }
-  #rn-lead-state.moves { background: #14532d; }
-  #rn-lead-state.limit { background: #664d03; }
-  #rn-lead-state.bad { background: #7a1f1f; }
 }
 """  # noqa: E501
 
@@ -90,22 +82,32 @@ _BODY = """
    <button id="rn-lead-close" type="button" aria-label="Close this panel">&times;</button>
    <div id="rn-lead-state" role="status">Nobody leads from this page.</div>
   </div>
-  <div class="row sticks">
+  <div class="middle">
+  <div class="sticks">
    <div class="stickbox"><div class="rn-stick" id="rn-stick-a" tabindex="-1" role="img" aria-label="Stick: forwards, sideways"><i></i></div><span id="rn-name-a"></span></div>
    <div class="stickbox"><div class="rn-stick" id="rn-stick-b" tabindex="-1" role="img" aria-label="Stick: up, turn"><i></i></div><span id="rn-name-b"></span></div>
   </div>
+  <div class="controls">
   <div class="row">
    <button id="rn-lead-turn" type="button" aria-pressed="false">Turn</button>
    <button id="rn-lead-tool" type="button" aria-pressed="false">Tool frame</button>
-   <button id="rn-grip-open" type="button">Open</button>
-   <button id="rn-grip-close" type="button">Close</button>
+  </div>
+  <div class="row">
+   <span>Gripper</span>
+   <button id="rn-grip-open" type="button" aria-label="Open the gripper">Open</button>
+   <button id="rn-grip-close" type="button" aria-label="Close the gripper">Close</button>
+  </div>
+  <div class="row">
    <label>Speed <input id="rn-lead-scale" type="range" min="10" max="100" step="10" value="50"><output id="rn-lead-percent">50 %</output></label>
   </div>
   <div class="row">
    <label>Joint <select id="rn-lead-joint"></select></label>
    <button id="rn-joint-less" type="button" aria-label="Joint backwards, while held">&minus;</button>
    <button id="rn-joint-more" type="button" aria-label="Joint forwards, while held">+</button>
-   <span class="hint">Hold a stick, or <kbd>Space</kbd> with <kbd>W</kbd><kbd>A</kbd><kbd>S</kbd><kbd>D</kbd> <kbd>R</kbd><kbd>F</kbd>, arrows and <kbd>Q</kbd><kbd>E</kbd> to turn, <kbd>O</kbd><kbd>C</kbd> gripper; a gamepad: hold a shoulder button.</span>
+  </div>
+  </div>
+  </div>
+  <div class="row"><span class="hint">Hold a stick, or <kbd>Space</kbd> with <kbd>W</kbd><kbd>A</kbd><kbd>S</kbd><kbd>D</kbd> <kbd>R</kbd><kbd>F</kbd>, arrows and <kbd>Q</kbd><kbd>E</kbd> to turn, <kbd>O</kbd><kbd>C</kbd> gripper; a gamepad: hold a shoulder button.</span>
   </div>
  </div>
 </section>
@@ -168,7 +170,6 @@ _SCRIPT = """
         if (delays.length > 100) delays.shift();
         const sorted = [...delays].sort((x, y) => x - y);
         el("rn-lead-numbers").textContent = sorted[sorted.length >> 1].toFixed(0) + " ms, p99 " + sorted[Math.floor(sorted.length * .99)].toFixed(0) + " ms";
-        CONFIG.delays = delays;
       }
       if (limits) say("Limit: " + limits.replaceAll(",", ", ") + (note ? ". " + note : ""), "limit");
       else if (note) say(note[0].toUpperCase() + note.slice(1) + ".", who === "nobody" ? "bad" : "");
@@ -262,7 +263,7 @@ _SCRIPT = """
   };
   setInterval(sample, 1000 / CONFIG.rate);
   setInterval(connect, 500);
-  window.rnLead = {delays: () => delays, leads: () => leads};
+  window.rnLead = {delays: () => delays, flood: send};
   show();
 })();
 """  # noqa: E501

@@ -4,11 +4,6 @@ import re
 
 ACTION = "action"
 """std_msgs/Float64MultiArray, from inference to control: one action."""
-LEAD = "lead"
-"""std_msgs/Float64MultiArray, from the server to control: what a person who leads the arm asks."""
-ACTING = "acting"
-"""std_msgs/Float64MultiArray, from control: who has moved the arm by each action or row of a lead.
-"""
 JOINT_STATES = "joint_states"
 """sensor_msgs/JointState, from the robot: what is measured, by name."""
 EE_POSE = "ee_pose"
@@ -42,9 +37,6 @@ def camera_info(name: str) -> str:
 
 _WRITTEN = re.compile(
     "|".join(
-        (
-            *(ACTION, LEAD, ACTING, JOINT_STATES, EE_POSE, PREDICTIONS),
-            *(camera_image("[^/]+"), camera_info("[^/]+")),
-        )
+        (ACTION, JOINT_STATES, EE_POSE, PREDICTIONS, camera_image("[^/]+"), camera_info("[^/]+"))
     )
 )

@@ -43,6 +43,8 @@ says where all of them are to be.
 """
 LEAD_LABEL = "lead"
 """Label of the hidden endpoint of teleoperation, to whose rows control gives way."""
+LEAD_TOPIC, ACTING_TOPIC = "lead", "acting"
+"""Rows of a person who leads, for control; and who has moved the arm, by control."""
 ACTION_LABELS = (ACTION_LABEL, POSES_LABEL)
 _FARTHEST_M = 10.0
 """No TCP is farther from its base; poses of several arms are in the frame of one of them."""
@@ -123,7 +125,7 @@ def lead_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
     endpoint = Endpoint(
         name=LEAD_LABEL,
         kind="publish",
-        topic=topics.LEAD,
+        topic=LEAD_TOPIC,
         type=_ACTION_TYPE,
         summary="Rows of a person who leads, for control.",
         bounds={"data": (-_FARTHEST_M, _FARTHEST_M)},
@@ -223,6 +225,8 @@ def _is_own(topic: str, profile: RobotProfile | None) -> bool:
     """Whether a topic in a robot's namespace is written by a module, a driver or a simulation of
     RoboNeuron; a second writer would pass for it.
     """
+    if topic in (LEAD_TOPIC, ACTING_TOPIC):
+        return True
     if topics.is_written_by_modules(topic) or _TRANSITION.fullmatch(topic):
         return True
     if profile is None:

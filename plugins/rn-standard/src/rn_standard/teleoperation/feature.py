@@ -8,7 +8,7 @@ import uuid
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
-from rn_standard.direct_path.exposed import LEAD_LABEL
+from rn_standard.direct_path.exposed import ACTING_TOPIC, LEAD_LABEL
 from rn_standard.teleoperation.hooks import TeleoperatorSpec
 from rn_standard.teleoperation.lead import Lead, named
 from rn_standard.teleoperation.rows import Acting
@@ -25,7 +25,7 @@ from roboneuron import (
     StateError,
     Tool,
 )
-from roboneuron.feature import build, load_profile, topics
+from roboneuron.feature import build, load_profile
 from roboneuron.node import settings
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ class Teleoperation(Feature[None]):
             from std_msgs.msg import Float64MultiArray  # heavy
 
             self._unsubscribe = self._host.subscribe(
-                Float64MultiArray, topics.ACTING, self._on_acting
+                Float64MultiArray, ACTING_TOPIC, self._on_acting
             )
 
     def _on_acting(self, message: Float64MultiArray) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from std_msgs.msg import Float64MultiArray
 
 from rn_standard.control.module import ControlModule
+from rn_standard.direct_path.exposed import ACTING_TOPIC, LEAD_TOPIC
 from rn_standard.teleoperation.authority import Authority
 from rn_standard.teleoperation.correction import Correction
 from rn_standard.teleoperation.rows import Acting, LeadRow
@@ -30,7 +31,7 @@ from roboneuron import (
     SpaceController,
     matrix_from_quaternion,
 )
-from roboneuron.node import Asked, LimitedCommand, Module, ModuleHost, topics
+from roboneuron.node import Asked, LimitedCommand, Module, ModuleHost
 
 _LOOK_S = 0.02
 _STALE_S = 0.15
@@ -64,8 +65,8 @@ class LeadInControl:
         self._authority = Authority()
         self._correction = Correction()
         self._limited: LimitedCommand | None = None
-        self._acting = self._node.advertise(Float64MultiArray, topics.ACTING)
-        self._node.subscribe(Float64MultiArray, topics.LEAD, self._on_lead)
+        self._acting = self._node.advertise(Float64MultiArray, ACTING_TOPIC)
+        self._node.subscribe(Float64MultiArray, LEAD_TOPIC, self._on_lead)
         self._node.repeat(_LOOK_S, self._look)
         control.on_limited.append(self._note_limited)
         control.deliver = self._deliver
