@@ -240,5 +240,10 @@ def joint_case() -> TeleoperatorCase:
     return TeleoperatorCase(spec=_spec("joint-topic"), act=act)
 
 
-CASES: tuple[Callable[[], TeleoperatorCase], ...] = (twist_case, joint_case)
+def spacemouse_case() -> TeleoperatorCase:
+    """A device that is not here; the tests of this package read a file in its place."""
+    return TeleoperatorCase(spec=_spec("spacemouse"))
+
+
+CASES: tuple[Callable[[], TeleoperatorCase], ...] = (twist_case, joint_case, spacemouse_case)
 """Cases of the shipped teleoperators."""

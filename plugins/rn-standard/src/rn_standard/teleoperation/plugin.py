@@ -31,6 +31,13 @@ TELEOPERATORS = (
         gives="joint_position",
         case="rn_standard.teleoperation.contract_cases:joint_case",
     ),
+    TeleoperatorSpec(
+        name="spacemouse",
+        summary="A 3Dconnexion SpaceMouse; its first button is the switch.",
+        target="rn_standard.teleoperation.spacemouse:SpaceMouse",
+        config="rn_standard.teleoperation.spacemouse:SpaceMouseOptions",
+        case="rn_standard.teleoperation.contract_cases:spacemouse_case",
+    ),
 )
 """Descriptors of the teleoperators."""
 
