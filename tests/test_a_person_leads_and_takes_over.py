@@ -218,8 +218,9 @@ def test_a_person_takes_over_corrects_and_hands_back(cell: Cell) -> None:
 
 
 def follow(cell: Cell, page: LeadPage) -> np.ndarray:
-    """How far the arm has gone while it was pushed ahead for a second [m]. On a busy machine samples
-    come so late that the lead brakes, and the switch has to be pressed again.
+    """How far the arm has gone while it was pushed ahead for a second [m].
+
+    On a busy machine samples may come so late that the lead brakes, and the switch is needed anew.
     """
     for _ in range(8):
         page.press()
