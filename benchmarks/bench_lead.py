@@ -27,7 +27,7 @@ import numpy as np
 from anyio.from_thread import start_blocking_portal
 
 ROOT = Path(__file__).parents[1]
-sys.path[:0] = [str(ROOT / "plugins" / "rn-view" / "tests"), str(ROOT / "tests")]
+sys.path.insert(0, str(ROOT / "plugins" / "rn-view" / "tests"))
 
 from lead_client import LeadPage  # noqa: E402
 

@@ -19,10 +19,8 @@ import pytest
 from anyio.from_thread import start_blocking_portal
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "plugins" / "rn-view" / "tests"))
-sys.path.insert(0, str(Path(__file__).parent))
 from lead_client import LeadPage
 
-sys.path.pop(0)
 sys.path.pop(0)
 
 from rn_standard.console.client import spawned_server
@@ -52,6 +50,7 @@ port = 0
 AHEAD, LEFT, STILL = [0.1, 0, 0, 0, 0, 0], [0, 0.1, 0.05, 0, 0, 0], [0.0] * 6
 LIMITS = (2.62, 10.0)
 """Of the FR3's slower joints [rad/s, rad/s^2]."""
+SPACING_S = 0.02
 REST_M_S = 0.005
 REST_S = 0.2
 """From the last sample of a person who is lost to the rest of the arm."""
@@ -212,7 +211,7 @@ def test_a_person_takes_over_corrects_and_hands_back(cell: Cell) -> None:
             assert cell.module("inference")["instruction"] == INSTRUCTION
             velocity, acceleration = greatest(cell.joints[before[0] :])
             assert velocity < LIMITS[0]
-            # second differences of positions 8 ms apart: the policy alone shows as much
+            # second differences of positions: the policy alone shows as much
             assert acceleration < 2.0 * max(usual, 3.0 * LIMITS[1])
     assert cell.module("control")["dropped_by"]["taken_over"] > 0
 
@@ -235,7 +234,14 @@ def follow(cell: Cell, page: LeadPage) -> np.ndarray:
 
 def greatest(joints: list[tuple[float, np.ndarray]]) -> tuple[float, float]:
     """Greatest velocity [rad/s] and acceleration [rad/s^2] of measured joints."""
-    times, places = np.array([at for at, _ in joints]), np.array([place for _, place in joints])
+    apart = joints[:1]
+    for (
+        at,
+        place,
+    ) in joints:  # stamps that are close together make large differences of small errors
+        if at - apart[-1][0] >= SPACING_S:
+            apart.append((at, place))
+    times, places = np.array([at for at, _ in apart]), np.array([place for _, place in apart])
     steps = np.diff(times)[:, None]
     velocities = np.diff(places, axis=0) / steps
     accelerations = np.diff(velocities, axis=0) / steps[1:]
