@@ -98,6 +98,7 @@ BENCHMARKS = (
     Benchmark(script="bench_interfaces", quick=("--rounds", "3")),
     Benchmark(script="bench_link", quick=("--seconds", "2", "--delays", "0")),
     Benchmark(script="bench_view", quick=("--seconds", "5")),
+    Benchmark(script="bench_lead", quick=("--quick",)),
     Benchmark(script="bench_full_ports", quick=("--trials", "3")),
 )
 

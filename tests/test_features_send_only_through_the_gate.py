@@ -72,7 +72,10 @@ def test_features_send_only_through_the_gate():
     assert {"tools_ros", "tools_arm", "tasks", "ops", "http", "rn_recorder", "rn_view"} <= looked_at
 
 
-IN_MODULES = {STANDARD / "inference" / "polled.py"}
+IN_MODULES = {
+    STANDARD / "inference" / "polled.py",
+    STANDARD / "teleoperation" / "in_control.py",
+}
 """What a class of modules uses beside its own file, and nothing in the server does."""
 
 

@@ -5,6 +5,7 @@ arm.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from rn_recorder_runs.files import Record, RunFile, write_json
 from rn_recorder_runs.images import to_string
 from rn_recorder_runs.predictions import prediction_record
 from rn_recorder_runs.store import RUN_FILE, Run, Store
+from rn_standard.teleoperation.rows import Acting
 from roboneuron import ActionChunk, Frame, JointSample, Observation, Pose
 from roboneuron.ros.messages import to_action_message, to_image, to_joint_state, to_pose_stamped
 
@@ -75,8 +77,11 @@ def record_run(
     instructions: list[tuple[str, str]],
     rows: int = 8,
     start_ns: int = 1_700_000_000_000_000_000,
+    acting: Mapping[int, str] | None = None,
 ) -> Run:
-    """A run of episodes (instruction, outcome), and its files in the store."""
+    """A run of episodes (instruction, outcome), and its files in the store; `acting` says who moved
+    the arm by which action.
+    """
     folder = store.recordings / name
     folder.mkdir(parents=True)
     file = RunFile(
@@ -116,6 +121,9 @@ def record_run(
                 to_string(text),
             )
             send("/toy/action", to_action_message(action(number)), seen.stamp_ns + 30_000_000)
+            if acting is not None and number in acting:
+                told = Acting(who=acting[number], session="one", number=number)
+                send("/toy/acting", told.to_message(), seen.stamp_ns + 31_000_000)
             number += 1
         end = {
             "what": "episode_end",

@@ -146,6 +146,11 @@ class FakeOperator:
         self.left: list[str] = []
         self.open: list[str] = []
         self.called = threading.Event()
+        self.lent: dict[str, Any] = {}
+
+    def lend(self, name: str, source: Any) -> bool:
+        self.lent[name] = source
+        return True
 
     def call(self, holder: Holder, tool: str, arguments: dict[str, Any]) -> Future[str]:
         done: Future[str] = Future()

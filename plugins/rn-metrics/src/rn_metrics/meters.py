@@ -18,7 +18,7 @@ OK = "ok"
 UNKNOWN = "unknown"
 """Label of a tool that there is not: clients could make any number of labels otherwise."""
 TASK_TOOL = "run_task"
-OUTCOMES = ("succeeded", "failed", "timed_out", "stopped", "unclear")
+OUTCOMES = ("succeeded", "failed", "timed_out", "stopped", "unclear", "taken_over")
 """Of rn-tasks. There is a counter for each from the beginning, so that a rate has something to
 begin from.
 """

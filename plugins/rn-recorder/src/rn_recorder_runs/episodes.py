@@ -30,6 +30,12 @@ UNKNOWN = "unknown"
 POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
+POLICY = "policy"
+"""Who moves the arm where nothing else is told."""
+_TOLD_NS = 250_000_000
+"""What control tells later is of another action."""
+
+
 @dataclass(frozen=True, slots=True)
 class RecordedAction:
     """One action that was sent.
@@ -57,6 +63,8 @@ class EpisodeRow:
         joints: float64 (n,), rad or m; empty when there were none.
         ee_pose: float64 (7 n,), x y z [m] and quaternion x y z w of each arm, see
             `Streams.pose_names`; empty when one of them was not measured.
+        who: who moved the arm then: "policy", "person" (the policy's action was not executed),
+            "blend" (with a person's correction added) or "nobody".
     """
 
     action: F64
@@ -65,6 +73,7 @@ class EpisodeRow:
     images: dict[str, int]
     joints: F64
     ee_pose: F64
+    who: str = POLICY
 
 
 @dataclass(slots=True)
@@ -100,7 +109,8 @@ class Streams:
     """The numbers of a run, in order of time; images by their stamps.
 
     Predictions from images that came before the run began are left out. `poses` are those of the
-    first arm; `arm_poses` those of each of several arms by its name.
+    first arm; `arm_poses` those of each of several arms by its name. `acting` says who moved the
+    arm, by control.
     """
 
     actions: list[RecordedAction] = field(default_factory=list)
@@ -110,6 +120,7 @@ class Streams:
     arm_poses: dict[str, list[tuple[int, F64]]] = field(default_factory=dict)
     images: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
     events: list[dict[str, Any]] = field(default_factory=list)
+    acting: list[tuple[int, str]] = field(default_factory=list)
     joint_names: tuple[str, ...] = ()
 
     @property
@@ -134,7 +145,7 @@ def stamp_of(data: bytes) -> int:
 def read_streams(files: Sequence[Path]) -> Streams:
     """Read everything but pixels."""
     found = Streams()
-    names = ("action", "predictions", "joint_states", "ee_pose")
+    names = ("action", "acting", "predictions", "joint_states", "ee_pose")
     poses: dict[str, list[tuple[int, F64]]] = {}
     for entry in iterate(
         files, lambda topic: topic == EVENTS or camera_of(topic) != "", decode=False
@@ -158,6 +169,8 @@ def read_streams(files: Sequence[Path]) -> Streams:
             if len(data) == len(channel_keys(label)):
                 values = np.array(data, dtype=np.float64)
                 found.actions.append(RecordedAction(record.publish_ns, values, label))
+        elif name == "acting":
+            found.acting.append((record.publish_ns, _who(message)))
         elif name == "predictions":
             found.predictions.append(
                 RecordedPrediction(record.publish_ns, json.loads(message.data), record.sequence)
@@ -172,6 +185,7 @@ def read_streams(files: Sequence[Path]) -> Streams:
             poses.setdefault(record.topic, []).append((record.log_ns, pose))
     _sort_poses(found, poses)
     found.actions.sort(key=lambda action: action.sent_ns)
+    found.acting.sort()
     first_ns = {
         camera: min(stamp_ns for _, stamp_ns in seen) for camera, seen in found.images.items()
     }
@@ -184,6 +198,15 @@ def read_streams(files: Sequence[Path]) -> Streams:
         )
     ]
     return found
+
+
+def _who(message: Any) -> str:
+    """Who has moved the arm, by a message of the topic `acting`; see
+    `rn_standard.teleoperation.rows.Acting`.
+    """
+    dims = message.layout.dim
+    word, _, who = (dims[0].label if dims else "").partition(":")
+    return who if word == "acting" else POLICY
 
 
 def _sort_poses(found: Streams, poses: dict[str, list[tuple[int, F64]]]) -> None:
@@ -264,6 +287,7 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
     joint_times = [at for at, _ in streams.joints]
     pose_streams = streams.pose_streams
     pose_times = {arm: [at for at, _ in seen] for arm, seen in pose_streams.items()}
+    told = [at for at, _ in streams.acting]
     rows: list[EpisodeRow] = []
     used = -1
     for index in range(bisect_right(times, begin_ns - 1), len(times)):
@@ -291,7 +315,11 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
         if len(images) == len(image_times):
             is_whole = all(pose.size for pose in poses.values())
             pose = np.concatenate(list(poses.values())) if is_whole else np.zeros(0)
-            rows.append(EpisodeRow(action.values, action.label, sent_ns, images, joints, pose))
+            # control tells it once it has executed the action, or a row of a person meanwhile
+            place = bisect_right(told, sent_ns)
+            is_told = place < len(told) and told[place] - sent_ns < _TOLD_NS
+            who = streams.acting[place][1] if is_told else POLICY
+            rows.append(EpisodeRow(action.values, action.label, sent_ns, images, joints, pose, who))
     return rows
 
 

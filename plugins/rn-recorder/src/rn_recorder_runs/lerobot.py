@@ -244,6 +244,7 @@ def _values(episode: RecordedEpisode) -> dict[str, list[Any]]:
         columns["observation.ee_pose"] = [row.ee_pose.astype(np.float32) for row in rows]
     columns["action"] = [row.action.astype(np.float32) for row in rows]
     columns["roboneuron.action"] = [row.action for row in rows]
+    columns["intervention"] = [row.who in ("person", "blend") for row in rows]
     columns["roboneuron.sent_ns"] = [np.int64(row.sent_ns) for row in rows]
     columns["roboneuron.seen_ns"] = [np.int64(row.images[leading]) for row in rows]
     return columns

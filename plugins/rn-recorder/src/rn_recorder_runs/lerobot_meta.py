@@ -78,6 +78,7 @@ def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) ->
             "shape": list(shape),
             "names": ["height", "width", "channels"],
         }
+    features["intervention"] = {"dtype": "bool", "shape": [1], "names": None}
     # none has "image" in its name, because lerobot takes such a feature for a camera's
     for name in ("roboneuron.sent_ns", "roboneuron.seen_ns"):
         features[name] = _COUNTER
@@ -90,7 +91,12 @@ def _feature(dtype: str, names: Sequence[str]) -> dict[str, object]:
 
 def array(pa: Any, values: list[Any], feature: Mapping[str, Any]) -> Any:
     """A column of a table of pyarrow, `pa`."""
-    kinds = {"float32": pa.float32(), "float64": pa.float64(), "int64": pa.int64()}
+    kinds = {
+        "float32": pa.float32(),
+        "float64": pa.float64(),
+        "int64": pa.int64(),
+        "bool": pa.bool_(),
+    }
     kind, size = kinds[feature["dtype"]], feature["shape"][0]
     if feature["names"] is None:
         return pa.array(values, type=kind)
@@ -161,6 +167,8 @@ def origin(
         "action_space": sources[0].episodes[0].labels[0],
         "rows": "one for each action that was sent; timestamp is frame_index / fps, "
         "roboneuron.sent_ns the time itself",
+        "intervention": "a person moved the arm, alone or with the policy; action is what the "
+        "policy asked for, which was not executed where the person was alone",
         "config": json.loads(about.get("config", "{}")),
         "roboneuron": about.get("roboneuron", ""),
         "episodes": [

@@ -77,7 +77,7 @@ def drive(application: Application) -> ExposedEndpoint:
 
 def test_the_profile_is_exposed_when_no_feature_has_exposed_others(make: Make) -> None:
     gate = make(FEATURE).host.gate
-    assert [e.label for e in gate.exposed if e.hidden] == ["ee_delta"]
+    assert [e.label for e in gate.exposed if e.hidden] == ["ee_delta", "lead"]
     assert {e.endpoint.name for e in gate.exposed if not e.hidden} == {
         e.name for e in gantry_profile().endpoints
     }

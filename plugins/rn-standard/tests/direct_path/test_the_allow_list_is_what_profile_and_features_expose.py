@@ -11,7 +11,7 @@ import pytest
 
 from rn_standard.direct_path import allow_list as allow_list_module
 from rn_standard.direct_path.allow_list import AllowList, ArmPaths
-from rn_standard.direct_path.exposed import ACTION_LABEL
+from rn_standard.direct_path.exposed import ACTION_LABEL, LEAD_LABEL
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.path_limits import Leg, LimitError
 from rn_testing.fakes import FAKE_CONTROLLER, fake_registry, gantry_profile
@@ -100,9 +100,13 @@ def test_the_profile_of_the_present_robot_is_exposed_with_the_actions_of_its_arm
     cell: Cell,
 ) -> None:
     cell.list.refresh()
-    assert cell.names == ["joint_states", ACTION_LABEL]
-    assert cell.allowed == [("gantry", "joint_states"), ("gantry", ACTION_LABEL)]
-    assert [one.hidden for one in cell.list.exposed] == [False, True]
+    assert cell.names == ["joint_states", ACTION_LABEL, LEAD_LABEL]
+    assert cell.allowed == [
+        ("gantry", "joint_states"),
+        ("gantry", ACTION_LABEL),
+        ("gantry", LEAD_LABEL),
+    ]
+    assert [one.hidden for one in cell.list.exposed] == [False, True, True]
     assert cell.told == 1
 
 
@@ -114,7 +118,7 @@ def test_a_robot_that_no_plugin_knows_exposes_nothing(gate: Gate) -> None:
 
 def test_a_feature_exposes_more_or_something_else_instead(cell: Cell) -> None:
     cell.list.expose("ros", [exposed(DRIVE)])
-    assert cell.names == ["joint_states", "drive", ACTION_LABEL]
+    assert cell.names == ["joint_states", "drive", ACTION_LABEL, LEAD_LABEL]
     cell.list.expose("ros", [exposed(DRIVE)], instead_of_profile=True)
     assert cell.names == ["drive"]
     assert cell.told == 2
@@ -128,9 +132,9 @@ def test_features_expose_side_by_side_each_its_own(cell: Cell) -> None:
     horn = replace(DRIVE, name="horn", topic="horn")
     cell.list.expose("first", [exposed(DRIVE)])
     cell.list.expose("second", [exposed(horn)])
-    assert cell.names == ["joint_states", "drive", "horn", ACTION_LABEL]
+    assert cell.names == ["joint_states", "drive", "horn", ACTION_LABEL, LEAD_LABEL]
     cell.list.expose("first", [])
-    assert cell.names == ["joint_states", "horn", ACTION_LABEL]
+    assert cell.names == ["joint_states", "horn", ACTION_LABEL, LEAD_LABEL]
 
 
 def test_the_actions_of_an_arm_are_those_of_the_present_robot_alone(cell: Cell) -> None:
@@ -138,7 +142,7 @@ def test_the_actions_of_an_arm_are_those_of_the_present_robot_alone(cell: Cell) 
     cell.list.expose("ros", [exposed(DRIVE, "base", profile=other)], instead_of_profile=True)
     assert cell.names == ["drive"]
     cell.list.expose("ros", [exposed(DRIVE, "base", profile=other), exposed(MOVE, profile=PROFILE)])
-    assert cell.names == ["drive", "move", ACTION_LABEL]
+    assert cell.names == ["drive", "move", ACTION_LABEL, LEAD_LABEL]
     assert cell.list.exposed[-1].robot == "gantry"
 
 
@@ -253,12 +257,12 @@ AT_ZERO = JointSample(names=PROFILE.arm_joints, position=np.zeros(6))
 
 def test_limits_that_have_changed_hold_for_joint_motions_once_they_are_told(cell: Cell) -> None:
     cell.list.expose("ros", [exposed(MOVE, profile=PROFILE)], instead_of_profile=True)
-    (entry, _) = cell.gate.allowed()
+    (entry, *_) = cell.gate.allowed()
     assert entry.path is not None
     entry.path().check([leg(0.4)], AT_ZERO)
     cell.limits = LimitsConfig(max_speed_m_s=0.1)
     cell.list.relimit()
-    (entry, _) = cell.gate.allowed()
+    (entry, *_) = cell.gate.allowed()
     assert entry.path is not None
     assert entry.rules is not None
     assert entry.rules.max_speed_m_s == 0.1
@@ -272,7 +276,7 @@ def test_limits_that_cannot_be_leave_the_old_ones(cell: Cell) -> None:
     cell.limits = LimitsConfig.model_validate({"workspace_upper_m": [5.0, 5.0, 5.0]})
     with pytest.raises(ConfigurationError):
         cell.list.relimit()
-    (entry, _) = cell.gate.allowed()
+    (entry, *_) = cell.gate.allowed()
     assert entry.rules is not None
     assert entry.rules.upper_m.tolist() == [0.9] * 3
 

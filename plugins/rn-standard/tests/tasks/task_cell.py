@@ -37,6 +37,7 @@ class FakeCell:
     began_s: float = 0.0
     failure: str = ""
     taken: str = ""
+    led: str = ""
     ended_s: float | None = None
     on_wait: Callable[[FakeCell], object] = lambda cell: None
     looks: list[Snapshot] = field(default_factory=list)
@@ -58,7 +59,9 @@ class FakeCell:
         self.moving = not self.halted
 
     def policy(self) -> PolicyState:
-        return PolicyState(has_acted=self.acts, failure=self.failure, taken=self.taken)
+        return PolicyState(
+            has_acted=self.acts, failure=self.failure, taken=self.taken, led=self.led
+        )
 
     def look(self) -> Snapshot:
         still_s = 0.0 if self.moving else 10.0

@@ -87,6 +87,8 @@ class Robot:
             case 3:  # another client starts a task
                 with pytest.raises(StateError), self.arbiter.claim("another", threading.Event()):
                     pass
+            case 5:  # a person takes the arm over, or hands it back
+                cell.led = self.random.choice(["", "Ada"])
             case 4:  # or changes what the policy does
                 with pytest.raises(RefusedError):
                     self.arbiter.admit(SET_INSTRUCTION, None)  # type: ignore[arg-type]

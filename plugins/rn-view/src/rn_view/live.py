@@ -13,8 +13,11 @@ import anyio
 from anyio import to_thread
 
 from rn_standard.http.operator_lease import OperatorLease
+from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from rn_standard.tools_loop.results import ModuleStatus
 from rn_view.event_list import AuditReader, EventList, add_record, failure_of
+from rn_view.lead_page import RATE_HZ
+from rn_view.lead_socket import PageTeleoperator
 from rn_view.source import ModuleRow, PageState
 from roboneuron import Host, RobotProfile
 from roboneuron.feature import (
@@ -182,6 +185,17 @@ class LiveOperator:
         """See Operator; somebody with a token may have other clients."""
         if holder.client and self._lease is not None:
             self._lease.release(holder.who)
+
+    def lend(self, name: str, source: PageTeleoperator | None) -> bool:
+        """See Operator."""
+        feature = self._host.features.loaded.get(TELEOPERATION)
+        if not isinstance(feature, Teleoperation):
+            return False
+        if source is None:
+            feature.take_back(name)
+        else:
+            feature.lend(name, source, RATE_HZ)
+        return True
 
     async def _call(self, holder: Holder, tool: str, arguments: dict[str, object]) -> str:
         result = await self._host.tools.call(tool, arguments, _Context(holder))

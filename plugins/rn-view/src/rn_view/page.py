@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from rn_view import markup
 from rn_view.lead import Lead
+from rn_view.lead_page import FULL_SHARE, key_html
 from rn_view.lead_panel import LeadPanel
+from rn_view.lead_socket import LeadSeats, PageTeleoperator
 from rn_view.measured import MeasuredTopics
 from rn_view.player import Player
 from rn_view.plots import History, Plots
@@ -54,6 +56,12 @@ class Operator(Protocol):
         """The page of this holder was closed."""
         ...
 
+    def lend(self, name: str, source: PageTeleoperator | None) -> bool:
+        """Offer a teleoperator under a name, or take it back with None; whether arms can be led
+        here.
+        """
+        ...
+
 
 class Page:
     """The page of one client.
@@ -69,6 +77,7 @@ class Page:
         admit: Callable[[str], Holder | None],
         on_choice: Callable[[Page], object],
         on_lead: Callable[[Page, Lead, object], object],
+        seats: LeadSeats,
     ) -> None:
         """Args:
         sources: what can be shown by the robot's name, the first one first; of several one is
@@ -78,6 +87,7 @@ class Page:
         admit: whose token a text is; None for nobody's.
         on_choice: called when another robot was chosen.
         on_lead: called when this page begins to lead, with what it leads as.
+        seats: where pages that may lead by hand are known.
         """
         self.client = client
         self.holder: Holder | None = None
@@ -86,7 +96,7 @@ class Page:
         self._operators = operators
         self._operator = operators.get(next(iter(sources)))
         self._admit = admit
-        self._on_lead = on_lead
+        self._on_lead, self._seats = on_lead, seats
         self._lock = threading.Lock()
         self._content: _Content | None = None
         self._tries = _TRIES
@@ -173,6 +183,8 @@ class Page:
 
         with self._lock:
             self._content = _Content(self.client, self._source, profile, history, buttons, add_lead)
+        if buttons is not None:
+            self._let_lead(profile)
 
     def say_full(self, most: int) -> None:
         """Too many pages are open for this one to show more than the stop."""
@@ -233,20 +245,44 @@ class Page:
                 self._content.end_lead()
         self._leave_robot()
 
+    def _let_lead(self, profile: RobotProfile) -> None:
+        """Let whoever looks lead the arm by hand, where the server can."""
+        operator, limits = self._operator, profile.limits
+        if operator is None or limits is None or not profile.arm_joints:
+            return
+        name, source = f"page-{self.client.client_id}", PageTeleoperator()
+        if not operator.lend(name, source):
+            return
+        self._presence.callback(operator.lend, name, None)
+        key = self._seats.add(name, source, self._start_call)
+        self._presence.callback(self._seats.remove, key)
+        speeds = (FULL_SHARE * np.asarray(limits.velocity)).tolist()
+        html = key_html(key, dict(zip(profile.arm_joints, speeds, strict=True)))
+        place = self.client.gui.add_html(html)
+        self._presence.callback(self._forget, place)
+
+    def _forget(self, place: viser.GuiHtmlHandle) -> None:
+        if not self._is_gone:
+            place.remove()
+
     def _leave_robot(self) -> None:
         self._presence.close()
         if self._operator is not None and self.holder is not None:
             self._operator.leave(self.holder)
 
-    def _call(self, tool: str, arguments: dict[str, object]) -> None:
+    def _start_call(self, tool: str, arguments: dict[str, object]) -> Future[str]:
+        """Call a tool as whoever looks."""
         assert self._operator is not None
         assert self.holder is not None
+        return self._operator.call(self.holder, tool, arguments)
+
+    def _call(self, tool: str, arguments: dict[str, object]) -> None:
 
         def told(future: Future[str]) -> None:
             failure = str(future.exception() or "") or future.result()
             self.tell(tool, failure or "done", is_bad=bool(failure))
 
-        self._operator.call(self.holder, tool, arguments).add_done_callback(told)
+        self._start_call(tool, arguments).add_done_callback(told)
 
 
 class _Content:

@@ -18,6 +18,7 @@ from rn_standard.http.addresses import bind
 from rn_standard.http.listener import BoundedListener, other_bounds
 from rn_view.access import Admission
 from rn_view.lead import RENEWED_S, Lead
+from rn_view.lead_socket import LeadSeats
 from rn_view.measured import MeasuredTopics
 from rn_view.options import ViewOptions
 from rn_view.page import Operator, Page
@@ -82,6 +83,7 @@ class Viewer:
         }
         self._shown: dict[Page, str] = {}
         self._proofs: set[Future[None]] = set()
+        self._seats = LeadSeats()
 
     @property
     def measured(self) -> MeasuredTopics | None:
@@ -117,7 +119,7 @@ class Viewer:
         bound = bind("view", self._options.host, self._options.port, self._admission.tokens)
         self._listener = BoundedListener(bound, other_bounds(_CONNECTIONS))
         with (
-            served_by(self._listener, web),
+            served_by(self._listener, web, self._seats),
             contextlib.redirect_stdout(io.StringIO()),
         ):  # a banner; stdout may be a protocol
             self._server = _Server(
@@ -203,6 +205,7 @@ class Viewer:
             self._admission.tokens.find,
             self._choose,
             self._on_lead,
+            self._seats,
         )
         page.holder = self._admission.visitor(client.client_id)
         with self._lock:

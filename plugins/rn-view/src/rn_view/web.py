@@ -24,6 +24,8 @@ from rn_standard.http.listener import BACKLOG, BoundedListener
 from rn_view import stop_bar
 from rn_view.access import Admission
 from rn_view.lead import LEAD_PATH
+from rn_view.lead_page import with_lead
+from rn_view.lead_socket import LeadSeats
 from rn_view.source import Source
 from roboneuron import RoboNeuronError
 
@@ -112,6 +114,7 @@ class Web:
                     [name or one.config().namespace for name, one in self._robots().items()],
                 )
             )
+            page = page if recorded else with_lead(page)
             self._pages[names] = page.encode(), gzip.compress(page.encode())
         plain, packed = self._pages[names]
         headers = {**_PAGE_HEADERS, "Set-Cookie": self._visited(request)}
@@ -154,8 +157,9 @@ class Web:
 
 
 @contextmanager
-def served_by(listener: BoundedListener, web: Web) -> Iterator[None]:
-    """Within the block viser's websockets server listens on this socket, and asks `web` first.
+def served_by(listener: BoundedListener, web: Web, seats: LeadSeats) -> Iterator[None]:
+    """Within the block viser's websockets server listens on this socket, and asks `web` and `seats`
+    first.
 
     viser passes neither a socket nor a time-out nor a handler of requests on to websockets.
     """
@@ -169,13 +173,20 @@ def served_by(listener: BoundedListener, web: Web) -> Iterator[None]:
             viser_says: Response | None = process_request(connection, request)
             return viser_says
 
+        async def handle(connection: ServerConnection) -> None:
+            if seats.is_asked(connection):
+                listener.prove(connection.remote_address[:2])
+                await seats.serve(connection)
+            else:
+                await handler(connection)
+
         limits = {
             "open_timeout": _OPEN_S,
             "max_size": _MOST_BYTES,
             "logger": _silent,
             "backlog": BACKLOG,
         }
-        return original(handler, sock=listener, process_request=process, **{**options, **limits})
+        return original(handle, sock=listener, process_request=process, **{**options, **limits})
 
     with _patching:
         websockets_server.serve = serve  # type: ignore[assignment,misc]

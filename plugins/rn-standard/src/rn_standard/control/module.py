@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
@@ -53,7 +54,16 @@ log = logging.getLogger(__name__)
 
 
 class ControlModule(HoldingModule):
-    """Works out commands for actions one by one; everything happens in the executor's thread."""
+    """Works out commands for actions one by one; everything happens in the executor's thread.
+
+    A feature may come between an action and its execution.
+
+    Attributes:
+        deliver: executes an action of the policy, as `act`.
+        controller: what works commands out; not thread-safe.
+        spaces: that control executes, by label.
+        space: of the newest action; None before the first, so that its label is always looked at.
+    """
 
     def __init__(self, node: ModuleHost) -> None:
         """Load the controller and subscribe.
@@ -69,15 +79,15 @@ class ControlModule(HoldingModule):
             self.registry, self.profile.name, self.config.robot.driver, is_elsewhere=True
         )
         spec = find_controller(self.registry, self.section.controller, robot)
-        self._controller = cast(
+        self.controller = cast(
             "Controller", build(spec, self.config.options(spec.name), self.profile)
         )
-        node.resources.callback(self._controller.close)
-        self._controller.load()
-        self._spaces = _executed_spaces(spec, self._controller, self.profile)
-        # of the newest action; None before the first, so that its label is always looked at
-        self._space: ControlSpace | None = None
-        self.limit_with(self._controller)
+        node.resources.callback(self.controller.close)
+        self.controller.load()
+        self.spaces = _executed_spaces(spec, self.controller, self.profile)
+        self.space: ControlSpace | None = None
+        self.deliver: Callable[[int, Callable[[], Asked]], None] = self.act
+        self.limit_with(self.controller)
         self._report_collision_check()
         self._ee_pose = node.advertise(PoseStamped, topics.EE_POSE)
         self._arm_poses = [
@@ -90,7 +100,7 @@ class ControlModule(HoldingModule):
     def _report_collision_check(self) -> None:
         """Say whether commands are checked for collisions, which not every controller can."""
         has_bodies = self.profile.collision is not None
-        is_checked = has_bodies and isinstance(self._controller, PostureInspector)
+        is_checked = has_bodies and isinstance(self.controller, PostureInspector)
         if has_bodies and not is_checked:
             log.warning(
                 "The controller tells no distances: collisions of %s are not checked.",
@@ -136,7 +146,7 @@ class ControlModule(HoldingModule):
         """Execute an action, or count why not. Its age is that since it was sent, by the time stamp
         that DDS adds: the message has none.
         """
-        self.act(int(info["source_timestamp"]), partial(self._read, message))
+        self.deliver(int(info["source_timestamp"]), partial(self._read, message))
 
     def _read(self, message: Float64MultiArray) -> Asked:
         """What an action asks for.
@@ -146,9 +156,9 @@ class ControlModule(HoldingModule):
             UnsafeError: it is not finite.
         """
         label, values = messages.row_from_action_message(message)
-        space = self._space
+        space = self.space
         if space is None or label != space.label:
-            space = self._space = self._agreed_space(label)
+            space = self.space = self._agreed_space(label)
         now = partial(self._compute, space, space.check(values))
         planned = messages.PlannedRows.from_action_message(message)
         if planned is None:
@@ -159,7 +169,7 @@ class ControlModule(HoldingModule):
         if not space.is_absolute:
             return Asked(now=now)
         # `_executed_spaces` has looked
-        controller = cast("SpaceController", self._controller)
+        controller = cast("SpaceController", self.controller)
         later = tuple(partial(_execute, controller, space, row) for row in rows)
         return Asked(now=now, later=later, step_s=planned.step_s)
 
@@ -168,14 +178,14 @@ class ControlModule(HoldingModule):
         does not execute.
         """
         name, rate_hz = _split(label)
-        space = self._spaces.get(name)
+        space = self.spaces.get(name)
         if space is not None and rate_hz:
             space = replace(space, rate_hz=rate_hz)
         # the second: a rate that is none, or one of a space that has none
         if space is None or space.label != label:
             raise InvalidInputError(
                 f"An action is labelled {label!r}; this control executes "
-                f"{', '.join(map(repr, self._spaces))}."
+                f"{', '.join(map(repr, self.spaces))}."
             )
         if space.kind == "joint_velocity" and not rate_hz:
             raise InvalidInputError(
@@ -189,9 +199,9 @@ class ControlModule(HoldingModule):
     ) -> JointCommand | Hold:
         """The controller's answer to one row."""
         if space.kind == EE_DELTA.kind:
-            return self._controller.compute(Action.from_vector(row), joints, step_s)
+            return self.controller.compute(Action.from_vector(row), joints, step_s)
         # `_executed_spaces` has looked
-        controller = cast("SpaceController", self._controller)
+        controller = cast("SpaceController", self.controller)
         # A velocity holds for one period of the policy, whenever its message arrives. Positions
         # are to be reached by when the next row is due.
         if space.rate_hz:

@@ -15,6 +15,7 @@ from rn_standard.direct_path.exposed import (
     allowed_endpoint,
     check_reserved,
     check_stop,
+    lead_endpoint,
     profile_endpoints,
     same_for_each_topic,
 )
@@ -225,8 +226,8 @@ class AllowList:
         arm = next(
             (e for e in listed if e.robot == config.robot.name and e.profile is not None), None
         )
-        action = action_endpoint(arm) if arm is not None else None
-        made = (*listed, action) if action is not None else tuple(listed)
+        hidden = [] if arm is None else [action_endpoint(arm), lead_endpoint(arm)]
+        made = (*listed, *(exposed for exposed in hidden if exposed is not None))
         self._gate.replace(map(self._allowed, made))
         self.exposed = made
 

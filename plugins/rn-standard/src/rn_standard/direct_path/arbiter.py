@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
-from rn_standard.direct_path.exposed import ACTION_LABELS
+from rn_standard.direct_path.exposed import ACTION_LABELS, LEAD_LABEL
 from rn_standard.direct_path.gate import Gate
 from roboneuron import NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.feature import ClosedLoop, ExposedEndpoint
@@ -243,7 +243,7 @@ class MotionArbiter:
                 )
             self._moving[key] = motion
         try:
-            if exposed.moves and exposed.label not in ACTION_LABELS:
+            if exposed.moves and exposed.label not in (*ACTION_LABELS, LEAD_LABEL):
                 self._await_hold(motion)
             yield motion
         finally:

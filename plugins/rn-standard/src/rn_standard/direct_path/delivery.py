@@ -13,7 +13,7 @@ import numpy as np
 from opentelemetry import trace
 
 from rn_standard.direct_path.arbiter import ActiveMotion, Ending, MotionEnd
-from rn_standard.direct_path.exposed import ACTION_LABELS, stop_message
+from rn_standard.direct_path.exposed import ACTION_LABELS, LEAD_LABEL, stop_message
 from rn_standard.direct_path.gate import Gate
 from roboneuron import (
     JointCommand,
@@ -130,7 +130,7 @@ def _end(
     if message is not None:
         writer.publish(message)
         return Ending.STOP_MESSAGE
-    if exposed.hidden and exposed.label in ACTION_LABELS:
+    if exposed.hidden and exposed.label in (*ACTION_LABELS, LEAD_LABEL):
         return Ending.CONTROL
     if not exposed.endpoint.joint_limited or not (moving or _is_velocity(last)):
         return Ending.NONE

@@ -42,6 +42,10 @@ ACTION_LABEL, POSES_LABEL = "ee_delta", "ee_pose"
 """Label of the hidden endpoint that is the action topic of one arm, and of several: each message
 says where all of them are to be.
 """
+LEAD_LABEL = "lead"
+"""Label of the hidden endpoint of teleoperation, to whose rows control gives way."""
+LEAD_TOPIC, ACTING_TOPIC = "lead", "acting"
+"""Rows of a person who leads, for control; and who has moved the arm, by control."""
 ACTION_LABELS = (ACTION_LABEL, POSES_LABEL)
 _FARTHEST_M = 10.0
 """No TCP is farther from its base; poses of several arms are in the frame of one of them."""
@@ -111,6 +115,32 @@ def action_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
         endpoint=endpoint,
         profile=profile,
         hidden=True,
+    )
+
+
+def lead_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
+    """The topic by which a person leads the arm of the robot of `exposed`, when that has one."""
+    profile = exposed.profile
+    if profile is None or not profile.arm_joints:
+        return None
+    endpoint = Endpoint(
+        name=LEAD_LABEL,
+        kind="publish",
+        topic=LEAD_TOPIC,
+        type=_ACTION_TYPE,
+        summary="Rows of a person who leads, for control.",
+        bounds={"data": (-_FARTHEST_M, _FARTHEST_M)},
+        rate_hz=200.0,
+    )
+    return replace(
+        exposed,
+        label=LEAD_LABEL,
+        endpoint=endpoint,
+        hidden=True,
+        clamp=frozenset(),
+        nonfinite=frozenset(),
+        require_subscriber=True,
+        moves=True,
     )
 
 
@@ -201,6 +231,8 @@ def _is_own(topic: str, profile: RobotProfile | None) -> bool:
     """Whether a topic in a robot's namespace is written by a module, a driver or a simulation of
     RoboNeuron; a second writer would pass for it.
     """
+    if topic in (LEAD_TOPIC, ACTING_TOPIC):
+        return True
     if topics.is_written_by_modules(topic) or _TRANSITION.fullmatch(topic):
         return True
     if profile is None:

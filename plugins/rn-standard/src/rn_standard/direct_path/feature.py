@@ -11,6 +11,7 @@ from typing import Any
 
 from rn_standard.direct_path.allow_list import AllowList
 from rn_standard.direct_path.arbiter import MotionArbiter
+from rn_standard.direct_path.exposed import LEAD_LABEL
 from rn_standard.direct_path.fields import load_type
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.health_diagnostics import HealthDiagnostics
@@ -133,7 +134,11 @@ class DirectPath(Feature[DirectPathOptions]):
             self._host.loop.starts.permit()
 
     def _policy(self, exposed: ExposedEndpoint) -> str:
-        """Which policy moves the robot now, as a sentence; empty when none does."""
+        """Which policy moves the robot now, as a sentence; empty when none does. A person who leads
+        need not wait for it: control lets one of them act.
+        """
+        if exposed.hidden and exposed.label == LEAD_LABEL:
+            return ""
         view = self._host.modules.view("inference")
         if view.phase not in ("starting", "running") or view.plan is None:
             return ""

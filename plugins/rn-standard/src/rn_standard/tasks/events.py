@@ -26,10 +26,12 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 URI = "roboneuron://events/"
 INCIDENTS, TASKS, BATTERY, THRESHOLDS = "incidents", "tasks", "battery", "thresholds"
+LEADS = "leads"
 KINDS: Mapping[str, str] = {
     INCIDENTS: "New incidents: a module that fails, stalls, falls silent or ends; restarts; "
     "lapsed leases.",
     TASKS: "Tasks of run_task that have ended, with their outcomes.",
+    LEADS: "A person took the arm over, handed it back, or was lost.",
     BATTERY: "A battery that became low, or is charged again.",
     THRESHOLDS: "Crossings of the thresholds in [events.thresholds] of the configuration.",
 }

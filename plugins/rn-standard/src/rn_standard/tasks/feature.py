@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rn_standard.selection.options import named_models
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
-from rn_standard.tasks.events import TASKS, EventLog, Watching, check_thresholds
+from rn_standard.tasks.events import LEADS, TASKS, EventLog, Watching, check_thresholds
 from rn_standard.tasks.examples import EXAMPLES
 from rn_standard.tasks.history import TaskHistory
 from rn_standard.tasks.hooks import MonitorSpec
@@ -26,6 +26,7 @@ from rn_standard.tasks.prompts import offer_prompts
 from rn_standard.tasks.run_task import TaskTool, run_task_tool
 from rn_standard.tasks.runner import TaskEnd
 from rn_standard.tasks.task_calls import TaskCalls
+from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from roboneuron import (
     ConfigurationError,
     Feature,
@@ -113,6 +114,14 @@ class TasksFeature(Feature[TasksSections]):
             self._history.resource(),
             *self._events.resources(),
         ]
+
+    def complete(self, host: Host) -> None:
+        """See `Feature.complete`."""
+        feature = host.features.loaded.get(TELEOPERATION)
+        if isinstance(feature, Teleoperation):
+            feature.changes.append(
+                lambda what, text: self._events.add(LEADS, what=what, explanation=text)
+            )
 
     def attach(self, host: Host) -> None:
         """See `Feature.attach`."""

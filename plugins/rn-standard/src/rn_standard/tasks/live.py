@@ -12,6 +12,7 @@ from rn_standard.selection.requests import StartChosenInference
 from rn_standard.tasks.inputs import Inputs, pose_of, pose_topic
 from rn_standard.tasks.runner import PolicyState
 from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot, StillClock
+from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from roboneuron import (
     Frame,
     GripperProfile,
@@ -170,14 +171,21 @@ class LiveCell:
             )
         if taken := self._why() or self._lost():
             return PolicyState(has_acted=False, taken=taken)
+        led = self._led()
         view = self._host.modules.view("inference")
         report = self._report_of_this(view)
         if report is None:
-            return PolicyState(has_acted=False)
+            return PolicyState(has_acted=False, led=led)
         errors = self._errors if self._is_same(view) else 0
         failure = report.failure() if report.error_count > errors else None
         told = "" if failure is None or isinstance(failure, NotReadyError) else str(failure)
-        return PolicyState(has_acted=report.actions_for_instruction > 0, failure=told)
+        return PolicyState(has_acted=report.actions_for_instruction > 0, failure=told, led=led)
+
+    def _led(self) -> str:
+        """Who leads the arm by hand while the policy waits; empty for nobody."""
+        feature = self._host.features.loaded.get(TELEOPERATION)
+        lead = feature.lead if isinstance(feature, Teleoperation) else None
+        return lead.who if lead is not None and lead.session.mode == "person" else ""
 
     def _lost(self) -> str:
         """Which module the task has lost, or what has ended its instruction; empty while it has all

@@ -96,11 +96,13 @@ class FinalState(FinalArm):
 class TaskResult(Result):
     """How a task ended; images from before and after come beside it, in this order."""
 
-    outcome: Literal["succeeded", "failed", "timed_out", "stopped", "unclear"] = Field(
-        description="succeeded: the predicate was true, also with the arm at rest; failed: no "
-        "attempt succeeded; timed_out: the last one ran out of time; stopped: by someone; "
-        "unclear: it cannot be "
-        "judged, see the images"
+    outcome: Literal["succeeded", "failed", "timed_out", "stopped", "unclear", "taken_over"] = (
+        Field(
+            description="succeeded: the predicate was true, also with the arm at rest; failed: no "
+            "attempt succeeded; timed_out: the last one ran out of time; stopped: by someone; "
+            "unclear: it cannot be "
+            "judged, see the images"
+        )
     )
     attempts: int = Field(description="0: it was done before anything moved")
     reason: str

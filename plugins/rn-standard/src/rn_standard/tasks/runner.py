@@ -21,6 +21,8 @@ _CONFIRM_S = 1.5
 _MOST_AGAIN_S = 5.0
 _STANDS_S = 0.2
 _CANCELLED = "the call was cancelled, or its connection was lost"
+_LED_S = 600.0
+"""A person may lead for so long within one task."""
 _TOLD_S = 2.0
 """A motionless task still tells its caller now and then how it is."""
 
@@ -33,6 +35,7 @@ class Outcome(StrEnum):
     TIMED_OUT = "timed_out"
     STOPPED = "stopped"
     UNCLEAR = "unclear"
+    TAKEN_OVER = "taken_over"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -44,11 +47,13 @@ class PolicyState:
         failure: why it gave up; empty while it works.
         taken: why it does not work for this task any more (stopped, another instruction); empty
             while it does.
+        led: who leads the arm by hand instead of it, for a while; empty for nobody.
     """
 
     has_acted: bool
     failure: str = ""
     taken: str = ""
+    led: str = ""
 
 
 class Cell(Protocol):
@@ -258,11 +263,18 @@ class Task:
         while True:
             snapshot = cell.look()
             judgement = self._look(snapshot)
-            if judgement.value is True:
-                return self._confirm(judgement, snapshot.now_s)
             state = cell.policy()
+            if judgement.value is True and not state.led:
+                return self._confirm(judgement, snapshot.now_s)
             if state.taken:
                 return _Attempt(outcome=Outcome.STOPPED, reason=state.taken)
+            if state.led:
+                if (end := self._lead(state.led)) is not None:
+                    return end
+                # the policy had no part in this time
+                deadline_s += cell.now_s() - snapshot.now_s
+                done, failing = _Lasting(), _Lasting()
+                continue
             if failing.held_s(snapshot.now_s, bool(state.failure)) >= plan.give_up_s:
                 # nothing has moved: whatever cannot be seen, the policy has not done it
                 if not state.has_acted:
@@ -283,6 +295,28 @@ class Task:
             if snapshot.now_s - told_s >= _TOLD_S:
                 told_s = snapshot.now_s
                 self._say(judgement.reason)
+            if cell.wait(plan.period_s):
+                return self._ended()
+
+    def _lead(self, who: str) -> _Attempt | None:
+        """Wait while a person leads the arm; the end of the task, or None when it goes on."""
+        cell, plan = self._cell, self._plan
+        self._say(f"{who} leads the arm; the policy waits")
+        began_s = cell.now_s()
+        while True:
+            snapshot = cell.look()
+            judgement, state = self._look(snapshot), cell.policy()
+            if state.taken:
+                return _Attempt(outcome=Outcome.STOPPED, reason=state.taken)
+            if not state.led:
+                self._say("the arm is handed back; the policy goes on")
+                return None
+            if judgement.value is True:
+                reason = f"{who} brought it about: {judgement.reason}"
+                return _Attempt(outcome=Outcome.TAKEN_OVER, reason=reason)
+            if snapshot.now_s - began_s > _LED_S:
+                reason = f"{who} has led for {_LED_S:g} s; {judgement.reason}"
+                return _Attempt(outcome=Outcome.TAKEN_OVER, reason=reason)
             if cell.wait(plan.period_s):
                 return self._ended()
 

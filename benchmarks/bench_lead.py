@@ -1,0 +1,149 @@
+"""How soon a joint command follows when a person who leads by the page presses, and when it is let
+go.
+
+    .venv/bin/python benchmarks/bench_lead.py [--presses 60]
+
+A page without a browser sends samples at 50 Hz to a server whose simulated FR3 is led. From the
+sample that presses the switch to the first joint command that moves, as a node beside the modules
+receives it; the echo is the way to control and back that the page shows. All clocks are this
+machine's. The floor is one period of the lead, 20 ms: a sample waits for none of it when it comes
+in time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import statistics
+import sys
+import tempfile
+import threading
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from anyio.from_thread import start_blocking_portal
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "plugins" / "rn-view" / "tests"))
+
+from lead_client import LeadPage  # noqa: E402
+
+from rn_standard.console.client import spawned_server  # noqa: E402
+from rn_testing.domain import free_ros_domain  # noqa: E402
+from rn_testing.waiting import wait_until  # noqa: E402
+from roboneuron.ros.environment import prepare_environment  # noqa: E402
+
+PERIOD_MS = 20.0
+CONFIG = """
+[robot]
+name = "fr3"
+[control]
+controller = "urdf"
+[view]
+enabled = true
+port = 0
+[supervisor]
+state_directory = "{state}"
+"""
+PUSH = [0.05, 0.0, 0.0, 0.0, 0.0, 0.0]
+_MOVES_RAD = 1e-5
+
+
+class Commands:
+    """When commands came that lead the joints elsewhere than the one before."""
+
+    def __init__(self) -> None:
+        self.moved_s: list[float] = []
+        self._last: np.ndarray | None = None
+
+    def take(self, message: object) -> None:
+        """A JointTrajectory has come."""
+        position = np.array(message.points[-1].positions)  # type: ignore[attr-defined]
+        if self._last is not None and np.abs(position - self._last).max() > _MOVES_RAD:
+            self.moved_s.append(time.monotonic())
+        self._last = position
+
+
+def watch(commands: Commands, stack: ExitStack) -> None:
+    """Receive joint commands until the stack is closed."""
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.qos import qos_profile_sensor_data
+    from trajectory_msgs.msg import JointTrajectory
+
+    context = rclpy.Context()
+    context.init()
+    node = rclpy.create_node("onlooker", context=context)
+    node.create_subscription(
+        JointTrajectory, "/fr3/joint_trajectory", commands.take, qos_profile_sensor_data
+    )
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    threading.Thread(target=executor.spin, daemon=True).start()
+    stack.callback(context.shutdown)
+    stack.callback(executor.shutdown)
+
+
+def measure(url: str, commands: Commands, presses: int) -> tuple[list[float], list[float]]:
+    """Delays from presses to commands, and of echoes [ms]."""
+    found: list[float] = []
+    with LeadPage(url) as page:
+        if refused := page.lead():
+            raise SystemExit(refused)
+        sign = 1.0
+        for _ in range(presses):
+            page.push([0.0] * 6, 0.5, held=False)
+            pressed_s, sign = time.monotonic(), -sign
+            page.push([sign * value for value in PUSH], 0.3)
+            after = [at_s for at_s in commands.moved_s if at_s >= pressed_s]
+            if after:
+                found.append((after[0] - pressed_s) * 1e3)
+        echoes = [echo[4] * 1e3 for echo in page.echoes if echo[4] == echo[4]]
+        page.ask({"back": 1})
+    return sorted(found), sorted(echoes)
+
+
+def main() -> int:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--presses", type=int, default=60)
+    parser.add_argument("--quick", action="store_true", help="only whether it works")
+    arguments = parser.parse_args()
+    folder = Path(tempfile.mkdtemp())
+    os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
+    (folder / "roboneuron.toml").write_text(CONFIG.format(state=folder / "state"))
+    prepare_environment(folder / "log")
+    with ExitStack() as stack:
+        portal = stack.enter_context(start_blocking_portal())
+        server = spawned_server(["--config", str(folder / "roboneuron.toml")], folder / "log.txt")
+        client = stack.enter_context(portal.wrap_async_context_manager(server))
+        for module in ("robot", "control"):
+            portal.call(client.call_tool, f"start_{module}", {})
+        pattern, log = r"live view is at (http://[\d.]+:\d+)", folder / "log.txt"
+        wait_until(lambda: bool(re.search(pattern, log.read_text())), 60.0)
+        commands = Commands()
+        watch(commands, stack)
+        presses = 5 if arguments.quick else arguments.presses
+        url = re.findall(pattern, log.read_text())[0]
+        found, echoes = measure(url, commands, presses)
+        portal.call(client.call_tool, "stop_all", {})
+    for name, values in (("press -> joint command", found), ("page -> control -> page", echoes)):
+        if not values:
+            print(f"missed: no {name}")
+            continue
+        median, p99 = (
+            statistics.median(values),
+            values[min(len(values) - 1, len(values) * 99 // 100)],
+        )
+        print(
+            f"{name}: n {len(values)}, median {median:.1f} ms ({median / PERIOD_MS:.2f} periods), "
+            f"p99 {p99:.1f} ms ({p99 / PERIOD_MS:.2f} periods), max {values[-1]:.1f} ms"
+        )
+    return 0 if len(found) == presses else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

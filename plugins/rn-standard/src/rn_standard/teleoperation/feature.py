@@ -1,0 +1,225 @@
+"""The feature: leads by teleoperators, each through the gate to control."""
+
+from __future__ import annotations
+
+import threading
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, cast
+
+from rn_standard.direct_path.exposed import ACTING_TOPIC, LEAD_LABEL
+from rn_standard.teleoperation.hooks import TeleoperatorSpec
+from rn_standard.teleoperation.lead import Lead, named
+from rn_standard.teleoperation.rows import Acting
+from rn_standard.teleoperation.samples import Teleoperator
+from rn_standard.teleoperation.session import LeadSession, LeadSpeeds
+from rn_standard.teleoperation.tools import LeadArm, LeadResult, lead_tools
+from roboneuron import (
+    CallContext,
+    Feature,
+    Host,
+    InvalidInputError,
+    RefusedError,
+    RobotProfile,
+    StateError,
+    Tool,
+)
+from roboneuron.feature import build, load_profile
+from roboneuron.node import settings
+
+if TYPE_CHECKING:
+    from std_msgs.msg import Float64MultiArray
+
+TELEOPERATION = "teleoperation"
+"""Name of the feature."""
+_TOLD_S = 2.0
+
+
+class Teleoperation(Feature[None]):
+    """lead_arm and hand_back. Features may lend teleoperators that are there only for a while.
+
+    Attributes:
+        changes: called with what has happened ("taken_over", "handed_back", "lead_lost") and a
+            sentence about it; from any thread.
+    """
+
+    _host: Host
+
+    def __init__(self, options: None) -> None:
+        super().__init__(options)
+        self.changes: list[Callable[[str, str], object]] = []
+        self._lock = threading.Lock()
+        self._lent: dict[str, tuple[Teleoperator, float]] = {}
+        self._lead: Lead | None = None
+        self._unsubscribe: Callable[[], None] | None = None
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """See `Feature.tools`."""
+        self._host = host
+        return lead_tools(self.begin, self.hand_back, self._choices)
+
+    @property
+    def lead(self) -> Lead | None:
+        """The lead that runs; None without."""
+        lead = self._lead
+        return lead if lead is not None and lead.is_running else None
+
+    def lend(self, name: str, source: Teleoperator, rate_hz: float = 50.0) -> None:
+        """Offer a teleoperator under a name of its own, such as that of an open page."""
+        with self._lock:
+            self._lent = {**self._lent, name: (source, rate_hz)}
+
+    def take_back(self, name: str) -> None:
+        """Offer it no more; a lead by it goes on until its source is silent."""
+        with self._lock:
+            self._lent = {key: value for key, value in self._lent.items() if key != name}
+
+    def begin(self, arguments: LeadArm, context: CallContext) -> LeadResult:
+        """Begin a lead; blocks until control obeys it.
+
+        Raises:
+            InvalidInputError: there is no such teleoperator, or it cannot lead this robot.
+            RefusedError: somebody leads already; or as the gate.
+            StateError: control does not run.
+            NotReadyError: the source or control does not answer.
+        """
+        host = self._host
+        host.modules.require_running("control")
+        host.loop.emergency_stop.check()
+        with self._lock:
+            led = self.lead
+            if led is not None:
+                raise RefusedError(
+                    f"{led.who} leads the arm by {led.source_name}.", hint="Call hand_back first."
+                )
+            lead = self._made(arguments, context)
+            self._lead = lead
+        lead.begin()
+        text = host.loop.starts.instruction
+        self._tell(
+            "taken_over", f"{context.who} leads the arm by {arguments.source} ({arguments.mode})"
+        )
+        return LeadResult(
+            leads=context.who, source=arguments.source, mode=arguments.mode, policy=text
+        )
+
+    def hand_back(self, context: CallContext) -> LeadResult:
+        """End the lead; the policy goes on by what it sees from now on. Blocks.
+
+        Raises:
+            StateError: nobody leads.
+            NotReadyError: the policy does not take its instruction again; it does not act then.
+        """
+        lead = self.lead
+        if lead is None:
+            raise StateError("Nobody leads the arm.")
+        text = self._begin_anew()
+        lead.hand_back()
+        return LeadResult(policy=text)
+
+    def close(self) -> None:
+        """See `Feature.close`."""
+        lead = self.lead
+        if lead is not None:
+            lead.end()
+        unsubscribe, self._unsubscribe = self._unsubscribe, None
+        if unsubscribe is not None:
+            unsubscribe()
+
+    @property
+    def is_moving(self) -> bool:
+        """See `Feature.is_moving`."""
+        return self.lead is not None
+
+    def _begin_anew(self) -> str:
+        """Have the policy drop what it planned while somebody else moved the arm; returns its
+        instruction.
+        """
+        text = self._host.loop.starts.instruction
+        if not text or self._host.modules.view("inference").phase != "running":
+            return ""
+        values = {settings.INSTRUCTION_PARAMETER: text}
+        refused = self._host.loop.set_parameters("inference", values, _TOLD_S, _TOLD_S)
+        if refused:
+            raise StateError(f"The policy refuses to begin anew: {refused}.")
+        return text
+
+    def _made(self, arguments: LeadArm, context: CallContext) -> Lead:
+        """A lead that has not begun. Raises as `begin`."""
+        host = self._host
+        robot = host.config.robot.name
+        exposed = named(host.gate.exposed, robot, LEAD_LABEL)
+        profile = load_profile(host.registry, robot)
+        self._listen()
+        source, rate_hz = self._source(arguments, profile)
+        source.open(host.subscribe)
+        session = LeadSession(
+            uuid.uuid4().hex[:12],
+            arguments.mode,
+            profile,
+            self._speeds(),
+            time.monotonic(),
+            rate_hz=rate_hz,
+            scale=arguments.scale,
+        )
+        return Lead(session, source, arguments.source, host.gate, exposed, context, self._on_end)
+
+    def _speeds(self) -> LeadSpeeds:
+        """Speeds of a lead, within the limits in force."""
+        limits, usual = self._host.loop.limits, LeadSpeeds()
+        return LeadSpeeds(
+            linear_m_s=min(usual.linear_m_s, limits.max_speed_m_s),
+            angular_rad_s=min(usual.angular_rad_s, limits.max_turn_rad_s),
+        )
+
+    def _source(self, arguments: LeadArm, profile: RobotProfile) -> tuple[Teleoperator, float]:
+        lent = self._lent.get(arguments.source)
+        if lent is not None:
+            return lent
+        registry = self._host.registry
+        if arguments.source not in registry.specs(TeleoperatorSpec):
+            names = ", ".join(self._choices()) or "none"
+            raise InvalidInputError(
+                f"There is no teleoperator {arguments.source[:60]!r}; there are: {names}.",
+                path="source",
+            )
+        spec = registry.get(TeleoperatorSpec, arguments.source)
+        if spec.gives == "joint_position" and arguments.mode == "blend":
+            raise InvalidInputError(
+                f"{spec.name!r} gives positions, which cannot be added to a policy's actions.",
+                hint="Lead with mode = 'person', or by a source of velocities.",
+                path="mode",
+            )
+        options = self._host.config.options(spec.name)
+        return cast("Teleoperator", build(spec, options, profile)), spec.rate_hz
+
+    def _choices(self) -> dict[str, str]:
+        specs = self._host.registry.specs(TeleoperatorSpec)
+        lent = dict.fromkeys(self._lent, "A page that is open.")
+        return {**{name: spec.summary for name, spec in specs.items()}, **lent}
+
+    def _listen(self) -> None:
+        if self._unsubscribe is None:
+            from std_msgs.msg import Float64MultiArray  # heavy
+
+            self._unsubscribe = self._host.subscribe(
+                Float64MultiArray, ACTING_TOPIC, self._on_acting
+            )
+
+    def _on_acting(self, message: Float64MultiArray) -> None:
+        lead = self._lead
+        if lead is not None:
+            lead.note(Acting.from_message(message))
+
+    def _on_end(self, lead: Lead) -> None:
+        if not lead.reason:
+            self._tell("handed_back", f"{lead.who} leads no more")
+            return
+        text = f"{lead.who} leads no more: {lead.reason}"
+        self._tell("lead_lost", text)
+        self._host.events.fault.tell("control", "lead_lost", {"explanation": text})
+
+    def _tell(self, what: str, text: str) -> None:
+        for listener in self.changes:
+            listener(what, text)

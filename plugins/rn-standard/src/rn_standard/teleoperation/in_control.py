@@ -1,0 +1,343 @@
+"""A lead in the process of control: its rows become joint commands as actions do, while the policy
+waits, or is corrected by them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+from std_msgs.msg import Float64MultiArray
+
+from rn_standard.control.module import ControlModule
+from rn_standard.direct_path.exposed import ACTING_TOPIC, LEAD_TOPIC
+from rn_standard.teleoperation.authority import Authority
+from rn_standard.teleoperation.correction import Correction
+from rn_standard.teleoperation.rows import Acting, LeadRow
+from rn_standard.teleoperation.samples import F64
+from roboneuron import (
+    GRIPPER,
+    Action,
+    ControlSpace,
+    Hold,
+    InvalidInputError,
+    JointCommand,
+    JointSample,
+    RoboNeuronError,
+    SpaceController,
+    matrix_from_quaternion,
+)
+from roboneuron.node import Asked, LimitedCommand, Module, ModuleHost
+
+_LOOK_S = 0.02
+_STALE_S = 0.15
+"""An older row was held up on its way: what the person asks for now is another one."""
+_AHEAD_S = 0.1
+_SHARE_OF_REST = 0.5
+"""As for the rows of a policy: how much of what is left of a row the next one gets."""
+_LOST = "the lead was lost: lead the arm again, or give an instruction"
+
+
+def join(host: ModuleHost) -> None:
+    """See `FeatureSpec.on_join`."""
+    if host.settings.kind == "control":
+        host.on_configured.append(_extend)
+
+
+def _extend(module: Module) -> None:
+    if isinstance(module, ControlModule):
+        LeadInControl(module)
+
+
+class LeadInControl:
+    """Executes the rows of a lead, and lets the policy act when nobody leads.
+
+    Used on the executor's thread.
+    """
+
+    def __init__(self, control: ControlModule) -> None:
+        self._control = control
+        self._node = control.node
+        self._authority = Authority()
+        self._correction = Correction()
+        self._limited: LimitedCommand | None = None
+        self._acting = self._node.advertise(Float64MultiArray, ACTING_TOPIC)
+        self._node.subscribe(Float64MultiArray, LEAD_TOPIC, self._on_lead)
+        self._node.repeat(_LOOK_S, self._look)
+        control.on_limited.append(self._note_limited)
+        control.deliver = self._deliver
+
+    def _note_limited(self, limited: LimitedCommand) -> None:
+        self._limited = limited
+
+    def _deliver(self, source_ns: int, read: Callable[[], Asked]) -> None:
+        """Execute an action of the policy, with the person's correction if there is one, unless a
+        person leads.
+        """
+        reason = self._authority.why_no_policy(source_ns)
+        if reason:
+            if self._control.is_active:
+                self._control.status.drop(reason)
+            return
+        row = self._authority.row
+        self._limited = None
+        if row is None:
+            self._control.act(source_ns, read)
+        else:
+            self._control.act(source_ns, lambda: self._corrected(read(), row))
+        who = "policy" if row is None or row.kind in ("rest", "still") else "blend"
+        self._tell(who, source_ns)
+
+    def _on_lead(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
+        source_ns = int(info["source_timestamp"])
+        control, now_s = self._control, time.monotonic()
+        try:
+            row = LeadRow.from_message(message)
+        except RoboNeuronError as error:
+            control.status.drop("bad_lead")
+            control.status.set_error(error)
+            return
+        age_s = (time.time_ns() - source_ns) / 1e9
+        if not -_AHEAD_S <= age_s <= _STALE_S:
+            control.status.drop("stale_lead")
+            return
+        self._limited = None
+        if row.mode in ("back", "lost"):
+            self._end(row, source_ns)
+            return
+        reason = self._authority.take(row, now_s)
+        if reason:
+            control.status.drop(reason)
+            # its arm was held when the silence was seen
+            self._tell("nobody", source_ns, "" if reason != "lead_needs_release" else _AGAIN)
+            return
+        if row.mode == "person":
+            self._follow(row, source_ns)
+        elif row.kind in ("rest", "still"):
+            self._correction.reset()
+            self._tell("policy", source_ns)
+
+    def _follow(self, row: LeadRow, source_ns: int) -> None:
+        """Do what the person asks for."""
+        if row.kind == "rest":
+            self._hold("lead_rests", "The person who leads asks for nothing.")
+            self._tell("person", source_ns)
+            return
+        self._control.act(source_ns, lambda: Asked(now=partial(self._answer, row)))
+        self._tell("person", source_ns)
+
+    def _end(self, row: LeadRow, source_ns: int) -> None:
+        led = self._authority.row
+        if led is not None and led.session != row.session:
+            self._control.status.drop("other_lead")
+            return
+        self._authority.row = row
+        if row.mode == "lost":
+            self._hold("lead_lost", _LOST)
+        self._release(source_ns)
+        if row.mode == "lost":
+            self._require_start()
+        self._tell("policy" if row.mode == "back" else "nobody", source_ns)
+
+    def _release(self, now_ns: int) -> None:
+        """From here on the policy acts by its next action. What was sent comes to its end: a hold
+        would be a jerk.
+        """
+        self._correction.reset()
+        self._authority.release(now_ns)
+
+    def _look(self) -> None:
+        """See whether a lead is silent."""
+        found = self._authority.look(time.monotonic())
+        if not found:
+            return
+        self._hold("lead_silent", "The lead is silent.")
+        if found == "lost":
+            self._release(time.time_ns())
+            self._require_start()
+
+    def _require_start(self) -> None:
+        """Nothing moves before somebody asks for it; a shadow leaves that to the control that
+        moves the arm.
+        """
+        if self._control.is_active and self._control.handover.is_ours(time.time_ns()):
+            self._node.require_start(_LOST)
+
+    def _hold(self, code: str, reason: str) -> None:
+        if self._control.is_active:
+            self._control.hold(code, reason)
+
+    def _answer(
+        self, row: LeadRow, joints: JointSample, step_s: float, now_s: float
+    ) -> JointCommand | Hold:
+        """The command for one row, from where the command in progress ends."""
+        period_s = 1.0 / row.rate_hz
+        answer = self._moved(row, self._control.reference(joints, now_s), period_s)
+        if isinstance(answer, Hold):
+            return answer
+        # what is left of the row before is not rushed
+        more_s = _SHARE_OF_REST * self._control.remaining_s(now_s)
+        return replace(answer, duration_s=answer.duration_s + more_s)
+
+    def _moved(self, row: LeadRow, joints: JointSample, period_s: float) -> JointCommand | Hold:
+        """What a row makes of these joints in one period [s]."""
+        profile = self._control.profile
+        if row.kind == "still":
+            found = dict(zip(joints.names, joints.position.tolist(), strict=False))
+            absent = [joint for joint in profile.arm_joints if joint not in found]
+            if absent:
+                return Hold(code="lead_unmeasured", reason=f"{absent} are not measured.")
+            position = np.array([found[joint] for joint in profile.arm_joints])
+            return JointCommand(names=profile.arm_joints, position=position, duration_s=period_s)
+        if row.kind == "twist":
+            answer = self._shifted(
+                twist_in_base(row, self._rotation(joints)) * period_s, row, joints
+            )
+        else:
+            answer = self._joints(row, joints, period_s)
+        return answer if isinstance(answer, Hold) else self._without_gripper(answer, row)
+
+    def _rotation(self, joints: JointSample) -> F64:
+        """Rotation of the TCP in the base, float64 (3, 3)."""
+        return matrix_from_quaternion(self._control.poses(joints)[0].quaternion_xyzw)
+
+    def _shifted(self, delta: F64, row: LeadRow, joints: JointSample) -> JointCommand | Hold:
+        """The command that moves the TCP by a delta (6,) in the base."""
+        opening = 0.0 if row.gripper_open is None else row.gripper_open
+        action = Action(translation_m=delta[:3], rotation_rad=delta[3:], gripper_open=opening)
+        return self._control.controller.compute(action, joints, 1.0 / row.rate_hz)
+
+    def _joints(self, row: LeadRow, joints: JointSample, period_s: float) -> JointCommand | Hold:
+        """The command of a row of joint velocities or positions."""
+        try:
+            space = self._space(row.kind)
+            values = space_row(space, row, joints)
+        except InvalidInputError as error:
+            return Hold(code="bad_lead", reason=error.message)
+        controller = cast("SpaceController", self._control.controller)
+        return controller.execute(space, values, joints, period_s)
+
+    def _space(self, kind: str) -> ControlSpace:
+        for space in self._control.spaces.values():
+            if space.kind == kind:
+                return space
+        raise InvalidInputError(f"The controller executes no {kind}; lead the TCP instead.")
+
+    def _without_gripper(self, command: JointCommand, row: LeadRow) -> JointCommand:
+        """Fingers that nobody has commanded keep what they hold."""
+        if row.gripper_open is not None:
+            return command
+        arm = self._control.profile.arm_joints
+        keep = [index for index, name in enumerate(command.names) if name in arm]
+        names = tuple(command.names[index] for index in keep)
+        return replace(command, names=names, position=command.position[keep])
+
+    def _corrected(self, asked: Asked, row: LeadRow) -> Asked:
+        """The policy's action with the person's correction on top. What is planned after it is
+        not: it knows of no correction.
+        """
+        self._correction.is_kept = self._control.space is not None and (
+            self._control.space.is_absolute
+        )
+        if row.kind in ("rest", "still"):
+            return asked
+
+        def now(joints: JointSample, step_s: float, now_s: float) -> JointCommand | Hold:
+            command = asked.now(joints, step_s, now_s)
+            if isinstance(command, Hold):
+                return command
+            return self._on_top(command, row, joints, step_s)
+
+        return Asked(now=now)
+
+    def _on_top(
+        self, command: JointCommand, row: LeadRow, joints: JointSample, step_s: float
+    ) -> JointCommand | Hold:
+        """A command of the policy, moved on by what the person asks for in its time."""
+        found = dict(zip(joints.names, joints.position.tolist(), strict=False))
+        found.update(zip(command.names, command.position.tolist(), strict=False))
+        there = JointSample(
+            names=tuple(found), position=np.array(list(found.values())), stamp_ns=joints.stamp_ns
+        )
+        if row.kind == "twist":
+            delta = self._correction.add(twist_in_base(row, self._rotation(there)), step_s)
+            answer = self._shifted(delta, row, there)
+        else:
+            answer = self._joints(row, there, step_s)
+        if isinstance(answer, Hold):
+            return answer
+        moved = self._without_gripper(answer, row)
+        position = dict(zip(command.names, command.position.tolist(), strict=True))
+        position.update(zip(moved.names, moved.position.tolist(), strict=True))
+        return replace(
+            command,
+            names=tuple(position),
+            position=np.array(list(position.values())),
+            duration_s=max(command.duration_s, step_s),
+        )
+
+    def _tell(self, who: str, source_ns: int, note: str = "") -> None:
+        """Say who has moved the arm, and which limits acted."""
+        control, row = self._control, self._authority.row
+        if not control.is_active or not control.handover.is_ours(source_ns):
+            return
+        limited = self._limited
+        if not note and (reason := control.why_stopped()):
+            who, note = "nobody", f"{reason}: {self._node.needs_start}".rstrip(": ")
+        if not note and limited is not None:
+            note = limited.reason if limited.acted else ""
+        acting = Acting(
+            who=who,
+            session="" if row is None else row.session,
+            number=0 if row is None else row.number,
+            share=1.0 if limited is None else limited.share,
+            limits="" if limited is None else ",".join(limited.acted),
+            note=note,
+        )
+        self._acting.publish(acting.to_message())
+        control.status.set_value("acting", who)
+
+
+_AGAIN = "the lead was silent: release the switch and press it again"
+
+
+def twist_in_base(row: LeadRow, rotation: F64) -> F64:
+    """The twist of a row in the base's frame, float64 (6,) [m/s, rad/s].
+
+    Args:
+        row: of a twist.
+        rotation: of the TCP in the base, float64 (3, 3).
+    """
+    if row.keys == ("base",):
+        return row.values
+    return np.concatenate([rotation @ row.values[:3], rotation @ row.values[3:]])
+
+
+def space_row(space: ControlSpace, row: LeadRow, joints: JointSample) -> F64:
+    """A row of the robot's own space: joints that the lead does not name stand still.
+
+    Raises:
+        InvalidInputError: it names a joint that is not of the arm.
+    """
+    named = dict(zip(row.keys, row.values.tolist(), strict=True))
+    unknown = sorted(set(named) - {channel.name for channel in space.channels})
+    if unknown:
+        raise InvalidInputError(f"{', '.join(unknown)} are no joints of the arm that is led.")
+    still = (
+        {}
+        if space.kind == "joint_velocity"
+        else dict(zip(joints.names, joints.position.tolist(), strict=False))
+    )
+    opening = 0.0 if row.gripper_open is None else row.gripper_open
+    return np.array(
+        [
+            opening
+            if channel.name == GRIPPER
+            else named.get(channel.name, still.get(channel.name, 0.0))
+            for channel in space.channels
+        ]
+    )

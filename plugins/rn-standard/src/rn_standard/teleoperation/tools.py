@@ -1,0 +1,81 @@
+"""The tools lead_arm and hand_back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal
+
+from pydantic import Field
+
+from roboneuron import Arguments, CallContext, NoArguments, Result, Tool
+from roboneuron.feature import Stage
+
+
+class LeadArm(Arguments):
+    """Arguments of lead_arm."""
+
+    source: str = Field(description="Teleoperator that the person uses.")
+    mode: Literal["person", "blend"] = Field(
+        default="person",
+        description="The policy waits, or the person's correction is added to its actions.",
+    )
+    scale: float = Field(default=1.0, gt=0, le=1, description="Of the speeds.")
+
+
+class LeadResult(Result):
+    """Who leads."""
+
+    leads: str = Field(default="", description="client that leads; empty for none")
+    source: str = ""
+    mode: str = ""
+    policy: str = Field(default="", description="instruction that goes on after the hand-back")
+
+
+Begin = Callable[[LeadArm, CallContext], LeadResult]
+End = Callable[[CallContext], LeadResult]
+
+
+def lead_tools(begin: Begin, end: End, choices: Callable[[], dict[str, str]]) -> list[Tool[Any]]:
+    """Both tools.
+
+    Args:
+        begin: starts a lead; blocks.
+        end: hands back; blocks.
+        choices: teleoperators by name, with their summaries.
+    """
+
+    async def lead_arm(arguments: LeadArm, context: CallContext) -> LeadResult:
+        def work(stage: Stage) -> LeadResult:
+            return begin(arguments, context)
+
+        return await context.run(work)
+
+    async def hand_back(_: NoArguments, context: CallContext) -> LeadResult:
+        return await context.run(lambda stage: end(context))
+
+    return [
+        Tool(
+            name="lead_arm",
+            title="Lead the arm by hand",
+            description=(
+                "A person leads the arm, or takes over from the policy, until hand_back. Control "
+                "keeps the limits; releasing the switch, or silence, brakes the arm."
+            ),
+            arguments=LeadArm,
+            result=LeadResult,
+            handler=lead_arm,
+            open_world=True,
+            listed=False,
+            choices={"source": choices},
+        ),
+        Tool(
+            name="hand_back",
+            title="Hand the arm back",
+            description="End the lead; the policy goes on from where the arm is.",
+            arguments=NoArguments,
+            result=LeadResult,
+            handler=hand_back,
+            open_world=True,
+            listed=False,
+        ),
+    ]

@@ -1,0 +1,164 @@
+"""Teleoperators that are ROS topics: a twist, and the joints of a leader."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from rn_standard.teleoperation.samples import Frame, LeadSample, Subscribe
+from roboneuron import InvalidInputError, RobotProfile
+
+if TYPE_CHECKING:
+    from geometry_msgs.msg import TwistStamped
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Bool
+
+
+class TwistTopicOptions(BaseModel):
+    """Options of `twist-topic`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    topic: str = Field(
+        default="/lead/twist", description="geometry_msgs/TwistStamped; zero releases the switch"
+    )
+    frame: Literal["base", "tool"] = Field(
+        default="base", description="of messages whose frame_id is empty"
+    )
+
+
+class JointTopicOptions(BaseModel):
+    """Options of `joint-topic`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    topic: str = Field(
+        default="/leader/joint_states",
+        description="sensor_msgs/JointState, by the names of the robot that follows",
+    )
+    switch: str = Field(
+        default="/leader/switch", description="std_msgs/Bool, true while the person holds it"
+    )
+
+
+class _Newest:
+    """The newest sample, handed from the thread of the ROS node to that of the lead."""
+
+    def __init__(self) -> None:
+        self._news = threading.Condition()
+        self._sample: LeadSample | None = None
+        self._error: InvalidInputError | None = None
+        self._number = 0
+
+    def put(self, error: InvalidInputError | None = None, **facts: Any) -> None:
+        with self._news:
+            self._number += 1
+            self._error = error
+            if error is None:
+                self._sample = LeadSample(number=self._number, at_s=time.monotonic(), **facts)
+            self._news.notify_all()
+
+    def take(self, timeout_s: float) -> LeadSample | None:
+        with self._news:
+            self._news.wait_for(lambda: self._sample is not None or self._error, timeout_s)
+            if self._error is not None:
+                raise self._error
+            sample, self._sample = self._sample, None
+            return sample
+
+
+class TwistTopic:
+    """The newest message of a topic; follows `Teleoperator`. Speeds of zero release the switch."""
+
+    def __init__(self, config: TwistTopicOptions | None, profile: RobotProfile) -> None:
+        self._options = config or TwistTopicOptions()
+        self._base, self._tool = profile.base_link, profile.tcp_link
+        self._newest = _Newest()
+        self._end: Callable[[], None] | None = None
+
+    def open(self, subscribe: Subscribe) -> None:
+        """See `Teleoperator`."""
+        from geometry_msgs.msg import TwistStamped  # heavy
+
+        self._end = subscribe(TwistStamped, self._options.topic, self._take)
+
+    def read(self, timeout_s: float) -> LeadSample | None:
+        """See `Teleoperator`. Raises InvalidInputError for another frame."""
+        return self._newest.take(timeout_s)
+
+    def close(self) -> None:
+        """See `Teleoperator`."""
+        end, self._end = self._end, None
+        if end is not None:
+            end()
+
+    def _take(self, message: TwistStamped) -> None:
+        frames: dict[str, Frame] = {
+            "": self._options.frame,
+            self._base: "base",
+            self._tool: "tool",
+        }
+        frame = frames.get(message.header.frame_id)
+        if frame is None:
+            error = InvalidInputError(
+                f"A twist is in the frame {message.header.frame_id!r}; expected {self._base!r} or "
+                f"{self._tool!r}."
+            )
+            self._newest.put(error)
+            return
+        linear, angular = message.twist.linear, message.twist.angular
+        twist = np.array([linear.x, linear.y, linear.z, angular.x, angular.y, angular.z])
+        self._newest.put(is_held=bool(twist.any()), twist=twist, frame=frame)
+
+
+class JointTopic:
+    """A second robot, or an arm that a person moves, as leader; follows `Teleoperator`."""
+
+    def __init__(self, config: JointTopicOptions | None, profile: RobotProfile) -> None:
+        self._options = config or JointTopicOptions()
+        self._arm = frozenset(profile.arm_joints)
+        self._gripper = profile.gripper
+        self._newest = _Newest()
+        self._is_held = False
+        self._ends: list[Callable[[], None]] = []
+
+    def open(self, subscribe: Subscribe) -> None:
+        """See `Teleoperator`."""
+        from sensor_msgs.msg import JointState  # heavy
+        from std_msgs.msg import Bool  # heavy
+
+        self._ends.append(subscribe(Bool, self._options.switch, self._press))
+        self._ends.append(subscribe(JointState, self._options.topic, self._take))
+
+    def read(self, timeout_s: float) -> LeadSample | None:
+        """See `Teleoperator`. Raises InvalidInputError for a message that lacks a joint."""
+        return self._newest.take(timeout_s)
+
+    def close(self) -> None:
+        """See `Teleoperator`."""
+        ends, self._ends = self._ends, []
+        for end in ends:
+            end()
+
+    def _press(self, message: Bool) -> None:
+        self._is_held = bool(message.data)
+
+    def _take(self, message: JointState) -> None:
+        found = dict(zip(message.name, map(float, message.position), strict=False))
+        absent = sorted(self._arm - set(found))
+        if absent:
+            error = InvalidInputError(
+                f"The leader's joints lack {', '.join(absent)}; give them the names of the arm's."
+            )
+            self._newest.put(error)
+            return
+        gripper, opening = self._gripper, None
+        if gripper is not None and gripper.joint in found:
+            opening = min(1.0, max(0.0, gripper.to_opening(found[gripper.joint])))
+        positions = {name: found[name] for name in sorted(self._arm)}
+        self._newest.put(is_held=self._is_held, positions=positions, gripper_open=opening)

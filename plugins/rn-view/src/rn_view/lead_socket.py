@@ -1,0 +1,270 @@
+"""The websocket of a page that leads: its samples become those of a teleoperator."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import math
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+
+from rn_standard.teleoperation.samples import LeadFeedback, LeadSample, Subscribe
+from rn_view.lead_page import RATE_HZ, SOCKET_PATH
+from roboneuron import InvalidInputError, NotReadyError, RoboNeuronError
+
+log = logging.getLogger(__name__)
+Call = Callable[[str, dict[str, object]], "Future[str]"]
+"""Calls a tool as whoever looks at the page; the text of its failure, empty for none."""
+_ECHO_S = 0.04
+_MOST_HZ = 6 * RATE_HZ
+"""A page that sends more is none of ours."""
+_MOST_CHARACTERS = 2000
+_REFUSED, _FLOODED = 4401, 1008
+"""Codes with which a websocket is closed. Source of the second: RFC 6455, 7.4.1."""
+_AGAIN = "Open the page and lead again."
+
+
+class PageTeleoperator:
+    """The newest sample of a page; follows `Teleoperator` and `ToldTeleoperator`."""
+
+    def __init__(self) -> None:
+        self._news = threading.Condition()
+        self._sample: LeadSample | None = None
+        self._error: RoboNeuronError | None = None
+        self._offset_s = math.inf
+        self.on_news: Callable[[dict[str, object]], object] = lambda news: None
+
+    def open(self, subscribe: Subscribe) -> None:
+        """Begin anew. Raises NotReadyError when the page is not connected."""
+        with self._news:
+            if isinstance(self._error, NotReadyError):
+                raise self._error
+            self._sample = self._error = None
+
+    def read(self, timeout_s: float) -> LeadSample | None:
+        """See `Teleoperator`."""
+        with self._news:
+            self._news.wait_for(lambda: self._sample or self._error, timeout_s)
+            if self._error is not None:
+                raise self._error
+            sample, self._sample = self._sample, None
+            return sample
+
+    def close(self) -> None:
+        """See `Teleoperator`; the page stays connected."""
+
+    def tell(self, feedback: LeadFeedback) -> None:
+        """See `ToldTeleoperator`."""
+        self.on_news({"echo": [feedback.number, feedback.who, feedback.limits, feedback.note]})
+
+    def ended(self, reason: str) -> None:
+        """See `ToldTeleoperator`."""
+        self.on_news({"led": False, "text": reason})
+
+    def connected(self) -> None:
+        """The page's websocket is open."""
+        with self._news:
+            self._error, self._offset_s = None, math.inf
+
+    def lost(self, why: str) -> None:
+        """The page is gone."""
+        with self._news:
+            self._error = NotReadyError(f"{why}; the arm rests.", hint=_AGAIN)
+            self._news.notify_all()
+
+    def put(self, told: dict[str, Any], now_s: float) -> None:
+        """Take in what a page has sent; what cannot be understood ends its lead.
+
+        Args:
+            told: of JSON.
+            now_s: monotonic time of its arrival.
+        """
+        try:
+            sample = self._sample_of(told, now_s)
+        except (KeyError, TypeError, ValueError) as error:
+            text = f"The page has sent what is no sample ({type(error).__name__})"
+            with self._news:
+                self._error = InvalidInputError(f"{text}; the arm rests.", hint="Load it again.")
+                self._news.notify_all()
+            return
+        with self._news:
+            self._sample = sample
+            self._news.notify_all()
+
+    def _sample_of(self, told: dict[str, Any], now_s: float) -> LeadSample:
+        """The sample with its time by our clock: by the quickest of all messages so far."""
+        sent_s = _number(told["t"])
+        self._offset_s = min(self._offset_s, now_s - sent_s)
+        joint, grip = told.get("joint"), told.get("grip")
+        velocities = {} if joint is None else {str(joint[0]): _number(joint[1])}
+        twist = None if joint is not None else np.array([_number(v) for v in told["twist"]])
+        return LeadSample(
+            number=int(told["n"]),
+            at_s=sent_s + self._offset_s,
+            is_held=told["held"] is True,
+            twist=twist,
+            frame="tool" if told.get("tool") is True else "base",
+            velocities=velocities,
+            gripper_open=None if grip is None else _number(grip),
+        )
+
+
+class LeadSeats:
+    """The pages that may lead, by the keys of their websockets; usable from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._seats: dict[str, _Seat] = {}
+
+    def add(self, name: str, source: PageTeleoperator, call: Call) -> str:
+        """A page may lead; returns its key.
+
+        Args:
+            name: of its teleoperator.
+            source: gets its samples.
+            call: calls tools for it.
+        """
+        key = secrets.token_urlsafe(24)
+        with self._lock:
+            self._seats[key] = _Seat(name, source, call)
+        return key
+
+    def remove(self, key: str) -> None:
+        """The page is gone, or may lead no more."""
+        with self._lock:
+            seat = self._seats.pop(key, None)
+        if seat is not None:
+            seat.source.lost("The page was closed")
+
+    def is_asked(self, connection: ServerConnection) -> bool:
+        """Whether a websocket is one of these."""
+        request = connection.request
+        return request is not None and urlsplit(request.path).path == SOCKET_PATH
+
+    async def serve(self, connection: ServerConnection) -> None:
+        """Serve one websocket until it ends; on viser's event loop."""
+        assert connection.request is not None
+        key = parse_qs(urlsplit(connection.request.path).query).get("key", [""])[0]
+        with self._lock:
+            seat = self._seats.get(key)
+        if seat is None or seat.is_taken:
+            await connection.close(_REFUSED, "This page may not lead.")
+            return
+        await seat.serve(connection)
+
+
+class _Seat:
+    """One page that may lead."""
+
+    def __init__(self, name: str, source: PageTeleoperator, call: Call) -> None:
+        self.source = source
+        self.is_taken = False
+        self._name, self._call = name, call
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._out: asyncio.Queue[dict[str, object]] = asyncio.Queue()
+        self._echo: dict[str, object] | None = None
+        self._echo_due = 0.0
+
+    async def serve(self, connection: ServerConnection) -> None:
+        self.is_taken, self._loop = True, asyncio.get_running_loop()
+        self._out = asyncio.Queue()
+        self.source.on_news = self._from_thread
+        self.source.connected()
+        sending = asyncio.ensure_future(self._send(connection))
+        try:
+            await self._receive(connection)
+        except ConnectionClosed:
+            log.debug("The page %s is gone.", self._name)
+        finally:
+            self.source.lost("The page is gone")
+            sending.cancel()
+            self.is_taken = False
+
+    async def _receive(self, connection: ServerConnection) -> None:
+        second, count = 0, 0
+        async for message in connection:
+            now_s = time.monotonic()
+            count = count + 1 if int(now_s) == second else 1
+            second = int(now_s)
+            if count > _MOST_HZ or len(message) > _MOST_CHARACTERS:
+                self.source.lost("The page sends too much")
+                await connection.close(_FLOODED, "Too many messages.")
+                return
+            try:
+                told = json.loads(message)
+            except ValueError:
+                told = None
+            if not isinstance(told, dict):
+                self.source.put({}, now_s)
+            elif "begin" in told:
+                self._begin(told["begin"])
+            elif "back" in told:
+                self._ask("hand_back", {})
+            elif "operate" in told:
+                self._ask("take_over", {})
+            else:
+                self.source.put(told, now_s)
+
+    def _begin(self, asked: object) -> None:
+        arguments: dict[str, object] = {"source": self._name}
+        if isinstance(asked, dict):
+            arguments |= {key: asked[key] for key in ("mode", "scale") if key in asked}
+        self._ask("lead_arm", arguments)
+
+    def _ask(self, tool: str, arguments: dict[str, object]) -> None:
+        def answered(future: Future[str]) -> None:
+            failure = str(future.exception() or "") or future.result()
+            if tool == "lead_arm":
+                self._from_thread({"led": not failure, "text": failure})
+            elif tool == "take_over" and not failure:
+                self._from_thread({"operates": True})
+            elif failure:
+                self._from_thread({"led": False, "text": failure})
+
+        self._call(tool, arguments).add_done_callback(answered)
+
+    def _from_thread(self, news: dict[str, object]) -> None:
+        loop = self._loop
+        if loop is not None and not loop.is_closed():
+            loop.call_soon_threadsafe(self._put, news)
+
+    def _put(self, news: dict[str, object]) -> None:
+        """Echoes are many: of those that come together the newest is sent."""
+        if "echo" not in news:
+            self._out.put_nowait(news)
+            return
+        is_first, self._echo = self._echo is None, news
+        if is_first:
+            asyncio.get_running_loop().call_at(self._echo_due, self._flush)
+
+    def _flush(self) -> None:
+        news, self._echo = self._echo, None
+        self._echo_due = asyncio.get_running_loop().time() + _ECHO_S
+        if news is not None:
+            self._out.put_nowait(news)
+
+    async def _send(self, connection: ServerConnection) -> None:
+        try:
+            while True:
+                await connection.send(json.dumps(await self._out.get()))
+        except ConnectionClosed:
+            log.debug("The page %s does not listen.", self._name)
+
+
+def _number(value: object) -> float:
+    """A number of JSON; null is what a page makes of NaN. Raises TypeError for anything else."""
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError(type(value).__name__)
+    return float(value)
