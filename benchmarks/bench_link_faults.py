@@ -265,7 +265,7 @@ class Site:
 
     def _neighbour(self, words: Sequence[str], address: str, hardware: str) -> None:
         entry = [address, "lladdr", hardware, "dev", "cable", "nud", "permanent"]
-        subprocess.run([*words, "ip", "neigh", "replace", *entry], check=True)
+        subprocess.run([*words, "ip", "neigh", "replace", *entry], check=True, timeout=60)
 
     def _lose(self, is_lost: bool, *, both: bool) -> None:
         wrong, facts = "02:00:00:00:00:99", self.facts
@@ -304,7 +304,8 @@ class Site:
 
     def _of(self, kind: str) -> tuple[Callable[[], object], Callable[[], object]]:
         def cable(state: str) -> Callable[[], object]:
-            return lambda: subprocess.run(["ip", "link", "set", "cable", state], check=True)
+            words = ["ip", "link", "set", "cable", state]
+            return lambda: subprocess.run(words, check=True, timeout=60)
 
         def send(pid: int, number: int) -> Callable[[], object]:
             return lambda: os.kill(pid, number)
@@ -507,7 +508,10 @@ def work(folder: Path, numbers: Sequence[int], ledger: Path) -> None:
 def hardware_of(words: Sequence[str]) -> str:
     """Address of the Ethernet device of a machine."""
     shown = subprocess.run(
-        [*words, "ip", "-json", "link", "show", "cable"], check=True, capture_output=True
+        [*words, "ip", "-json", "link", "show", "cable"],
+        check=True,
+        capture_output=True,
+        timeout=60,
     )
     return str(json.loads(shown.stdout)[0]["address"])
 

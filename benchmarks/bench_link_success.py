@@ -110,11 +110,15 @@ def times_of(text: str, folder: Path) -> tuple[Path, dict[str, Any]]:
     return path, facts
 
 
+LONGEST_S = 12 * 3600
+"""Of one run of the evaluation, which goes on where it was ended."""
+
+
 def play(files: Sequence[Path], episodes: int, out: Path) -> None:
     """Play what is missing of so many seeds with each file of times."""
     policy = out / "policy"
     if not policy.exists():
-        subprocess.run([PROGRAM, "cubes-policy", "unpack", str(policy)], check=True)
+        subprocess.run([PROGRAM, "cubes-policy", "unpack", str(policy)], check=True, timeout=300)
     words = ["--checkpoint", str(policy), "--config", str(policy / "roboneuron.toml")]
     for path in files:
         words += ["--latency", f"file:{path}"]
@@ -126,6 +130,7 @@ def play(files: Sequence[Path], episodes: int, out: Path) -> None:
             [PROGRAM, "eval", "run", "--backend", "oft-primary", *words, *more, *size],
             check=True,
             stdout=subprocess.DEVNULL,
+            timeout=LONGEST_S,
         )
 
 

@@ -93,12 +93,11 @@ def drive(robot: Robot, address: str, period_s: float, begin_s: float, seconds: 
     backend.load()
     observation = seen(SIDE)
     next_s = begin_s + period_s * robot.name / 16
+    end_s = begin_s + seconds
     try:
-        while True:
+        while time.monotonic() < end_s:
             time.sleep(max(next_s - time.monotonic(), 0.0))
             asked_s = time.monotonic()
-            if asked_s > begin_s + seconds:
-                return
             took_s: float | None = None
             try:
                 backend.predict(observation)
@@ -109,6 +108,10 @@ def drive(robot: Robot, address: str, period_s: float, begin_s: float, seconds: 
             next_s = time.monotonic() if is_greedy else max(next_s + period_s, time.monotonic())
     finally:
         backend.close()
+
+
+JOIN_S = 120.0
+"""From the start of a robot's thread to its end, beside the time that is measured."""
 
 
 def drive_some(words: Sequence[str]) -> None:
@@ -124,7 +127,9 @@ def drive_some(words: Sequence[str]) -> None:
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join()
+        thread.join(float(seconds) + JOIN_S)
+    if any(thread.is_alive() for thread in threads):
+        raise SystemExit(f"A robot did not end within {JOIN_S:g} s.")
     print(json.dumps([asdict(robot) for robot in robots]))
 
 

@@ -61,7 +61,7 @@ def convert(space: ControlSpace, made: ControlSpace, rate_hz: float = 15.0) -> A
 
 def label(text: str) -> None:
     control = ControlModule.__new__(ControlModule)
-    control._spaces = _executed_spaces(CONTROLLER, UrdfController(None, ROBOT), ROBOT)
+    control.spaces = _executed_spaces(CONTROLLER, UrdfController(None, ROBOT), ROBOT)
     control._agreed_space(text)
 
 

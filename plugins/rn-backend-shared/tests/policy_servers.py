@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
+import shutil
 import signal
 import socket
 import ssl
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -77,13 +80,16 @@ class RunningServer:
         if not (folder / "site").exists():
             install(folder)
         self.folder = folder
+        # not in the folder: the path of a socket is short, and that of a worker of pytest long
+        self.run = Path(tempfile.mkdtemp(prefix="rn-"))
+        atexit.register(shutil.rmtree, self.run, ignore_errors=True)
         self.config = folder / "policies.toml"
         self._environment = {**os.environ, "XDG_STATE_HOME": str(state or folder / "state")}
         site = options_in(folder)["environment"]
         assert isinstance(site, dict)
         self._environment |= site
         tables: dict[str, Any] = {
-            "listen": {"port": 0, "directory": str(folder / "run"), **listen},
+            "listen": {"port": 0, "directory": str(self.run), **listen},
             "models": {name: {"backend": "reflex", **given} for name, given in models.items()},
         }
         self.config.write_text("".join(f"{key} = {_toml(tables[key])}\n" for key in tables))
@@ -127,7 +133,7 @@ class RunningServer:
 
     def status(self) -> dict[str, Any]:
         """What it says of itself."""
-        return ask_status(self.folder / "run" / f"{name_of(self.config)}.sock")
+        return ask_status(self.run / f"{name_of(self.config)}.sock")
 
     @property
     def address(self) -> str:

@@ -90,7 +90,7 @@ def test_a_server_tells_its_manager_that_it_has_begun(
             assert server.end() == 0
         finally:
             server.end()
-    wait_until(lambda: not list((tmp_path / "run").glob("*.sock")), 30.0, "no socket is left")
+    wait_until(lambda: not list(server.run.glob("*.sock")), 30.0, "no socket is left")
 
 
 def test_the_container_file_installs_and_runs_what_is_there(

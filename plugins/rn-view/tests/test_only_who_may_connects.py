@@ -205,7 +205,7 @@ def test_only_a_server_needs_the_port_and_not_the_check_of_its_configuration(tmp
             with pytest.raises(
                 ConfigurationError, match=f"Port {port} of 127.0.0.1 cannot be used"
             ):
-                served.listen()
+                served.listen((0, 1))  # of stdio; nothing is read or written
         finally:
             served.close()
 

@@ -43,8 +43,8 @@ class Cell:
         self.asked: list[tuple[Action, JointSample, float]] = []
         self.takes_s = 0.0
         self.answer: JointCommand | Hold | None = None
-        self._compute = self.control._controller.compute
-        self.control._controller.compute = self.compute  # type: ignore[method-assign]
+        self._compute = self.control.controller.compute
+        self.control.controller.compute = self.compute  # type: ignore[method-assign]
         self.position = START.copy()
         if activate:
             self.control.activate()

@@ -91,7 +91,7 @@ def test_a_controller_that_knows_no_pose_is_told_and_not_ready(make_host: MakeHo
     def forward(joints: JointSample) -> None:
         raise UnsafeError("outside of the joints' travel")
 
-    cell.control._controller.forward = forward  # type: ignore[method-assign, assignment]
+    cell.control.controller.forward = forward  # type: ignore[method-assign, assignment]
     cell.control.activate()
     cell.measure()
     assert cell.host.values()["ready"] == "false"

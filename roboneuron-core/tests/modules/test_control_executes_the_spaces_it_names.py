@@ -25,7 +25,7 @@ def velocity(*row: float, kind: str = "joint_velocity", rate_hz: float = 10.0) -
 
 
 def executed(cell: Cell) -> list[Any]:
-    controller: Any = cell.control._controller
+    controller: Any = cell.control.controller
     return controller.executed  # type: ignore[no-any-return]
 
 

@@ -61,7 +61,7 @@ def test_a_stop_while_the_controller_computes_is_the_last_word(cell: Cell, word:
             STOPS[word](cell)
         return JointCommand(names=ARM, position=START + 0.01, duration_s=0.1)
 
-    cell.control._controller.compute = compute  # type: ignore[method-assign]
+    cell.control.controller.compute = compute  # type: ignore[method-assign]
     cell.act(age_s=0.09 if word == "stale_action" else 0.0)
     assert cell.code == word
     assert cell.drops() == {word: 1}

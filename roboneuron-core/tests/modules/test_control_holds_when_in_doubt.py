@@ -253,7 +253,7 @@ def test_a_command_that_would_outlive_a_frozen_control_is_not_sent(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Between two commands nobody but control could end the motion."""
-    controller = cell.control.module._controller
+    controller = cell.control.module.controller
     compute = controller.compute
     monkeypatch.setattr(controller, "compute", lambda *a: replace(compute(*a), duration_s=2.5))
     cell.actions.publish(to_action_message(FORWARD))
@@ -265,7 +265,7 @@ def test_a_command_that_would_outlive_a_frozen_control_is_not_sent(
 def test_a_command_that_was_ready_too_late_is_not_sent(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    controller = cell.control.module._controller
+    controller = cell.control.module.controller
     compute = controller.compute
 
     def linger(*arguments: Any) -> Any:

@@ -129,7 +129,7 @@ def test_no_planned_row_is_faster_than_the_limits(cell: PlanCell) -> None:
 def test_a_planned_row_that_cannot_be_executed_ends_the_plan(
     cell: PlanCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    controller: Any = cell.control._controller
+    controller: Any = cell.control.controller
     execute = controller.execute
 
     def refuse_third(
@@ -148,7 +148,7 @@ def test_a_planned_row_that_cannot_be_executed_ends_the_plan(
 def test_a_planned_row_is_computed_from_where_the_one_before_ends(
     cell: PlanCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    controller: Any = cell.control._controller
+    controller: Any = cell.control.controller
     execute, starts = controller.execute, []
 
     def note(

@@ -64,7 +64,12 @@ def moving(fleet: Fleet, order: list[tuple[str, str]]) -> Any:
             exposed = cast(
                 ExposedEndpoint,
                 SimpleNamespace(
-                    robot=name, topic="cmd_vel", namespace=name, label="drive", moves=True
+                    robot=name,
+                    topic="cmd_vel",
+                    namespace=name,
+                    label="drive",
+                    moves=True,
+                    hidden=False,
                 ),
             )
             motion = stack.enter_context(

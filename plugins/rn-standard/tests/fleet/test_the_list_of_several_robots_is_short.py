@@ -60,6 +60,7 @@ def test_what_moves_stops_or_shows_a_robot_is_listed(installed: Fleet) -> None:
     assert not {name for name in names if name.startswith(("list_", "switch_"))} - {
         "list_fleet",
         "list_incidents",
+        "list_tasks",
     }
 
 

@@ -91,7 +91,9 @@ class Teleoperation(Feature[None]):
             led = self.lead
             if led is not None:
                 raise RefusedError(
-                    f"{led.who} leads the arm by {led.source_name}.", hint="Call hand_back first."
+                    f"{led.who} leads the arm by {led.source_name}.",
+                    hint="Call hand_back first.",
+                    rule="lead",
                 )
             lead = self._made(arguments, context)
             self._lead = lead
