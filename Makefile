@@ -389,6 +389,9 @@ wheels: $(VENV)/.develop ## build a wheel of every package into out/wheels
 	for folder in $(ALL_PACKAGES); do \
 	  (cd $$folder && $(CURDIR)/$(BIN)/python -m hatchling build -t wheel -d $(CURDIR)/out/wheels) || exit 1; done
 
+test-agents: $(VENV)/.develop ## agents in their benchmark, also several at a time
+	$(BIN)/python -m pytest plugins/rn-eval/tests/agents -m "ros or slow" $(ARGS)
+
 test-all: $(VENV)/.develop ## every test of this machine: units, ROS, timing, slow and release, one at a time
 	$(BIN)/python -m pytest -m "not gpu and not hardware" $(ARGS)
 

@@ -97,6 +97,7 @@ def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: d
     assert "| perfect" in told
 
 
+@pytest.mark.slow
 def test_two_workers_share_the_episodes_and_their_ledger(
     tmp_path: Path, environment: dict[str, str]
 ):
