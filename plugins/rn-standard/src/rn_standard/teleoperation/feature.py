@@ -45,6 +45,7 @@ class Teleoperation(Feature[None]):
     """
 
     _host: Host
+    _tools: Sequence[Tool[Any]]
 
     def __init__(self, options: None) -> None:
         super().__init__(options)
@@ -57,7 +58,8 @@ class Teleoperation(Feature[None]):
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """See `Feature.tools`."""
         self._host = host
-        return lead_tools(self.begin, self.hand_back, self._choices)
+        self._tools = lead_tools(self.begin, self.hand_back, self._choices)
+        return self._tools
 
     @property
     def lead(self) -> Lead | None:
@@ -165,7 +167,22 @@ class Teleoperation(Feature[None]):
             rate_hz=rate_hz,
             scale=arguments.scale,
         )
-        return Lead(session, source, arguments.source, host.gate, exposed, context, self._on_end)
+
+        def may_lead() -> None:
+            # a lead is one call after another: who may call now may lead now
+            for admit in host.tools.admissions:
+                admit(self._tools[0], context)
+
+        return Lead(
+            session,
+            source,
+            arguments.source,
+            host.gate,
+            exposed,
+            context,
+            may_lead,
+            self._on_end,
+        )
 
     def _speeds(self) -> LeadSpeeds:
         """Speeds of a lead, within the limits in force."""

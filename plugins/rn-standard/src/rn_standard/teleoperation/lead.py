@@ -49,13 +49,25 @@ class Lead:
         gate: MotionGate,
         exposed: ExposedEndpoint,
         context: CallContext,
+        may_lead: Callable[[], object],
         on_end: Callable[[Lead], object],
     ) -> None:
+        """Args:
+        session: of this lead.
+        source: opened.
+        source_name: what it is called.
+        gate: every row goes through it.
+        exposed: the hidden endpoint of leads.
+        context: of the call that began it.
+        may_lead: raises RefusedError when its client may act no more: somebody else operates the
+            robot.
+        on_end: told once it has ended.
+        """
         self.session, self.who, self.source_name = session, context.who, source_name
         self.acting: Acting | None = None
         self.reason = ""
         self._source, self._gate, self._exposed = source, gate, exposed
-        self._on_end = on_end
+        self._may_lead, self._on_end = may_lead, on_end
         self._answered = threading.Event()
         self._ended = threading.Event()
         self._halt = threading.Event()
@@ -182,6 +194,7 @@ class Lead:
 
     def _next_row(self, due_s: float) -> LeadRow:
         """The row of the newest sample, or of none when none has come by `due_s`."""
+        self._may_lead()
         left_s = max(0.0, due_s - time.monotonic())
         sample = self._source.read(left_s)
         if sample is not None:
