@@ -176,14 +176,19 @@ def test_bad_input_brakes_the_arm_and_says_what_to_do(cell: Cell) -> None:
 def test_the_arm_follows_a_page_and_rests_when_it_is_lost(cell: Cell) -> None:
     with LeadPage(cell.url) as page, LeadPage(cell.url) as other:
         assert page.lead() == ""
-        assert "leads the arm by page-0" in other.lead()
+        assert "operates the robot" in other.lead(operate=False)
         other.push(LEFT, 0.1)
         wait_until(lambda: len(cell.poses) > 5, 10.0, poll_s=0.05)
         moved = follow(cell, page)
         assert moved[0] < 0.11
         assert moved[1:] == pytest.approx([0.0, 0.0], abs=0.01)
         assert page.echoes[-1][1:4] == ("person", "", "the switch is released")
-        page.push(AHEAD, 0.5)
+        other.ask({"operate": 1})
+        wait_until(lambda: not page.is_led, 10.0)
+        assert "operates the robot" in page.text
+        assert other.lead() == ""
+        follow(cell, other)
+        other.push(AHEAD, 0.5)
         lost_s = time.monotonic()
     wait_until(lambda: cell.poses[-1][0] > lost_s + 1.0, 10.0, poll_s=0.05)
     assert cell.speed_m_s(lost_s + REST_S + OBSERVED_S) < REST_M_S

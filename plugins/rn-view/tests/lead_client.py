@@ -62,9 +62,10 @@ class LeadPage:
         wait_until(lambda: self._answers > before, timeout_s, poll_s=0.01)
         return self.text
 
-    def lead(self, mode: str = "person", scale: float = 1.0) -> str:
-        """Ask for the arm; an operator's right is taken first."""
-        self.ask({"operate": 1})
+    def lead(self, mode: str = "person", scale: float = 1.0, *, operate: bool = True) -> str:
+        """Ask for the arm; the operator's right is taken first, unless it is not to be."""
+        if operate:
+            self.ask({"operate": 1})
         return self.ask({"begin": {"mode": mode, "scale": scale}})
 
     def send(self, twist: list[float] | None, *, held: bool = True, **facts: Any) -> None:
