@@ -30,6 +30,7 @@ from roboneuron.ros.environment import prepare_environment
 
 pytestmark = [
     pytest.mark.ros,
+    pytest.mark.timing,
     pytest.mark.timeout(240),
     pytest.mark.filterwarnings("default:Queued a:UserWarning"),
 ]

@@ -57,6 +57,7 @@ async def _scenario(config: Path, log: Path) -> None:
 
 
 @pytest.mark.ros
+@pytest.mark.timing
 @pytest.mark.timeout(180)
 def test_policies_and_control_of_two_arms_are_replaced_warm(
     tmp_path: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch

@@ -48,6 +48,7 @@ def child_of_this_process() -> int:
 
 
 @pytest.mark.ros
+@pytest.mark.timing
 @pytest.mark.timeout(240)
 def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
     config_path: Path, server_environment: dict[str, str], tmp_path: Path
