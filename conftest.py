@@ -13,8 +13,13 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from rn_testing.domain import free_ros_domain
+from rn_testing.fakes import fake_registry
 from rn_testing.fakes.wheels import CommandedWheels
+from roboneuron import Spec
+from roboneuron.config import parse_config
+from roboneuron.plugins.registry import Registry
 from roboneuron.ros.environment import prepare_environment
+from roboneuron.server.app import Application
 
 pytest_plugins = ("rn_testing.gate_fixtures",)
 settings.register_profile(
@@ -103,6 +108,32 @@ def wheels(server_environment: dict[str, str], tmp_path: Path) -> Iterator[Comma
     subscriber = CommandedWheels(int(server_environment["ROS_DOMAIN_ID"]))
     yield subscriber
     subscriber.close()
+
+
+@pytest.fixture
+def application_of(tmp_path: Path) -> Iterator[Callable[..., Application]]:
+    """Make applications in this process that hold the fakes, `specs` and the configuration `text`.
+
+    None of them starts a process, and none touches ROS. All are closed after the test.
+    """
+    made: list[Application] = []
+
+    def make(
+        *specs: Spec, text: str = '[robot]\nname = "gantry"\n', registry: Registry | None = None
+    ) -> Application:
+        found = registry or fake_registry(*specs)
+        application = Application(
+            parse_config(text, registry=found),
+            plugins=lambda: found,
+            directory=tmp_path / "state",
+            command=lambda python: pytest.fail("nothing may be spawned"),
+        )
+        made.append(application)
+        return application
+
+    yield make
+    for application in made:
+        application.close()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -35,6 +35,7 @@ PYTHON = ROOT / ".venv-lerobot-policies" / "bin" / "python"
 LOOPS = Path(__file__).parent / "policies"
 pytestmark = [
     pytest.mark.ros,
+    pytest.mark.slow,
     pytest.mark.timeout(180),
     pytest.mark.skipif(
         not PYTHON.exists(), reason="LeRobot is not installed: make .venv-lerobot-policies"

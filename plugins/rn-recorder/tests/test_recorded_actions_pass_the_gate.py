@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,7 @@ from rn_recorder.playing import PlayRecording, action_message, pace, pieces, pla
 from rn_recorder_runs.against_robot import play
 from rn_recorder_runs.files import Record, RunFile
 from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
-from rn_testing.fakes import fake_registry
 from roboneuron import ConfigurationError, RefusedError, StateError
-from roboneuron.config import parse_config
 from roboneuron.server.app import Application
 
 STEP_M, STEPS = 0.004, 12
@@ -80,17 +78,9 @@ def test_recorded_actions_move_the_simulation(
 
 
 @pytest.fixture
-def application(tmp_path: Path) -> Iterator[Application]:
-    """A server of the fakes; nothing is started and no ROS is touched."""
-    registry = fake_registry(DIRECT_PATH)
-    application = Application(
-        parse_config('[robot]\nname = "gantry"\n[control]\ncontroller = "gantry"\n'),
-        plugins=lambda: registry,
-        directory=tmp_path,
-        command=lambda python: pytest.fail("nothing may be spawned"),
-    )
-    yield application
-    application.close()
+def application(application_of: Callable[..., Application]) -> Application:
+    control = '[control]\ncontroller = "gantry"\n'
+    return application_of(DIRECT_PATH, text=f'[robot]\nname = "gantry"\n{control}')
 
 
 class Caller:

@@ -10,30 +10,19 @@ import anyio
 import pytest
 
 from rn_standard.http.plugin import FEATURE as HTTP
-from rn_testing.fakes import fake_registry
 from rn_view.live import LiveOperator, LiveSource
 from rn_view.plugin import FEATURE
 from rn_view_attached.source import AttachedSource, Graph
-from roboneuron.config import parse_config
 from roboneuron.gate.audit import AuditRecord
-from roboneuron.server.app import Application
 from roboneuron.server.tool import Holder
 
 VIEWER, OPERATOR = Holder(who="eve", role="viewer"), Holder(who="ann", role="operator")
 
 
 @pytest.fixture
-def application(tmp_path):
+def application(application_of):
     """A server of the fakes; nothing is started and no ROS is touched."""
-    registry = fake_registry(FEATURE, HTTP)
-    application = Application(
-        parse_config('[robot]\nname = "gantry"\n'),
-        plugins=lambda: registry,
-        directory=tmp_path,
-        command=lambda python: pytest.fail("nothing may be spawned"),
-    )
-    yield application
-    application.close()
+    return application_of(FEATURE, HTTP)
 
 
 def press(application, holder, tool):

@@ -6,15 +6,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from rn_testing.domain import free_ros_domain
-from rn_testing.fakes import fake_registry
 from rn_testing.fakes.site import PluginSite
-from roboneuron.config import parse_config
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
 
@@ -35,9 +33,9 @@ state_directory = "{state}"
 
 
 @pytest.fixture
-def application(tmp_path: Path) -> Iterator[Application]:
-    """The fakes as installed plugins; no ROS is touched until something is started."""
-    config = parse_config(
+def application(application_of: Callable[..., Application]) -> Application:
+    """The fakes as installed plugins."""
+    text = (
         '[robot]\nname = "gantry"\n[perception]\nsource = "controlled"\n[inference]\nbackend = '
         '"instant"\n'
         '[control]\ncontroller = "gantry"\n'
@@ -45,17 +43,7 @@ def application(tmp_path: Path) -> Iterator[Application]:
     heavy = BackendSpec(
         name="heavy", summary="Needs weights.", target="nowhere:Heavy", needs_checkpoint=True
     )
-    registry = fake_registry(heavy)
-    application = Application(
-        config,
-        plugins=lambda: registry,
-        directory=tmp_path,
-        command=lambda python: pytest.fail("nothing may be spawned"),
-    )
-    try:
-        yield application
-    finally:
-        application.close()
+    return application_of(heavy, text=text)
 
 
 @pytest.fixture

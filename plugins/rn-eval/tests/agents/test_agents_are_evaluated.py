@@ -39,6 +39,7 @@ def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, st
     return {k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")}
 
 
+@pytest.mark.slow
 def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: dict[str, str]):
     """A pick; a hostile agent, which moves nothing that it may not; an agent that hangs with its
     whole group of processes; and the one of the documentation.

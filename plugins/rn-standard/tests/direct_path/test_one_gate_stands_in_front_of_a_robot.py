@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -16,9 +15,7 @@ import pytest
 from rn_standard.direct_path.exposed import ACTION_LABEL
 from rn_standard.direct_path.feature import DirectPath, direct_path
 from rn_standard.direct_path.plugin import FEATURE
-from rn_testing.fakes import fake_registry, gantry_profile
-from roboneuron import FeatureSpec
-from roboneuron.config import parse_config
+from rn_testing.fakes import gantry_profile
 from roboneuron.contract import Endpoint
 from roboneuron.errors import ConfigurationError, NotReadyError, RefusedError, StateError
 from roboneuron.feature import ExposedEndpoint, GateRequest
@@ -35,32 +32,9 @@ DRIVE = Endpoint(
 
 
 @pytest.fixture
-def make(tmp_path: Path) -> Iterator[Make]:
-    """Return a function that builds an application for the fake arm; no module is started and no
-    ROS is touched.
-    """
-    made: list[Application] = []
-
-    def build(*features: FeatureSpec, text: str = "") -> Application:
-        registry = fake_registry(*features)
-        application = Application(
-            parse_config('[robot]\nname = "gantry"\n' + text),
-            plugins=lambda: registry,
-            directory=tmp_path / "state",
-            command=lambda python: pytest.fail("nothing may be spawned"),
-        )
-        made.append(application)
-        return application
-
-    yield build
-    for application in made:
-        application.close()
-
-
-@pytest.fixture
-def application(make: Make) -> Application:
+def application(application_of: Make) -> Application:
     """A server with the direct path, on which a feature has exposed `drive`."""
-    application = make(FEATURE)
+    application = application_of(FEATURE)
     application.host.gate.expose("a test", [exposed(DRIVE)])
     return application
 
@@ -75,8 +49,8 @@ def drive(application: Application) -> ExposedEndpoint:
     return next(e for e in application.host.gate.exposed if e.label == "drive")
 
 
-def test_the_profile_is_exposed_when_no_feature_has_exposed_others(make: Make) -> None:
-    gate = make(FEATURE).host.gate
+def test_the_profile_is_exposed_when_no_feature_has_exposed_others(application_of: Make) -> None:
+    gate = application_of(FEATURE).host.gate
     assert [e.label for e in gate.exposed if e.hidden] == ["ee_delta", "lead"]
     assert {e.endpoint.name for e in gate.exposed if not e.hidden} == {
         e.name for e in gantry_profile().endpoints
@@ -84,7 +58,7 @@ def test_the_profile_is_exposed_when_no_feature_has_exposed_others(make: Make) -
 
 
 def test_a_profile_that_may_not_be_exposed_keeps_the_server_from_starting(
-    make: Make, monkeypatch: pytest.MonkeyPatch
+    application_of: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bad = replace(
         DRIVE, topic="action", type="std_msgs/msg/Float64MultiArray", bounds={}, stop_message=""
@@ -94,12 +68,12 @@ def test_a_profile_that_may_not_be_exposed_keeps_the_server_from_starting(
         lambda registry, name: replace(gantry_profile(), endpoints=(bad,)),
     )
     with pytest.raises(ConfigurationError, match="written by RoboNeuron alone"):
-        make(FEATURE)
+        application_of(FEATURE)
 
 
-def test_a_server_without_the_direct_path_has_no_gate(make: Make) -> None:
+def test_a_server_without_the_direct_path_has_no_gate(application_of: Make) -> None:
     with pytest.raises(StateError, match=r"'direct-path'.*requirements\.txt"):
-        make().host.gate  # noqa: B018
+        application_of().host.gate  # noqa: B018
 
 
 def test_what_moves_is_known_and_ended_for_a_reason(application: Application) -> None:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,9 +14,7 @@ import pytest
 from rn_standard.http.plugin import FEATURE
 from rn_standard.ops.plugin import CLIENTS
 from rn_testing.domain import free_ros_domain
-from rn_testing.fakes import fake_registry
 from rn_testing.fakes.site import PluginSite
-from roboneuron.config import parse_config
 from roboneuron.server.app import Application
 
 MODULES = """
@@ -74,19 +72,9 @@ def roboneuron_robots():
 
 
 @pytest.fixture
-def application(tmp_path: Path) -> Iterator[Application]:
+def application(application_of: Callable[..., Application]) -> Application:
     """The fakes as installed plugins; no ROS is touched until something is started."""
-    registry = fake_registry(FEATURE, CLIENTS)
-    application = Application(
-        parse_config(MODULES.format(source="controlled")),
-        plugins=lambda: registry,
-        directory=tmp_path,
-        command=lambda python: pytest.fail("nothing may be spawned"),
-    )
-    try:
-        yield application
-    finally:
-        application.close()
+    return application_of(FEATURE, CLIENTS, text=MODULES.format(source="controlled"))
 
 
 @pytest.fixture

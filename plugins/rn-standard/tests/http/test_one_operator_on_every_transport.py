@@ -5,8 +5,7 @@ open.
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import anyio
@@ -15,9 +14,7 @@ from mcp import Client
 
 from rn_standard.http.feature import HttpFeature
 from rn_standard.http.plugin import FEATURE
-from rn_testing.fakes import fake_registry
 from rn_testing.waiting import wait_until
-from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.server.app import Application
 from roboneuron.server.host import Host
@@ -27,24 +24,9 @@ Make = Callable[[str], Application]
 
 
 @pytest.fixture
-def make(tmp_path: Path) -> Iterator[Make]:
+def make(application_of: Callable[..., Application]) -> Make:
     """Return a function that builds an application with sections of roboneuron.toml."""
-    registry = fake_registry(FEATURE)
-    made: list[Application] = []
-
-    def build(text: str) -> Application:
-        application = Application(
-            parse_config(f'[robot]\nname = "gantry"\n{text}', registry=registry),
-            plugins=lambda: registry,
-            directory=tmp_path,
-            command=lambda python: pytest.fail("nothing may be spawned"),
-        )
-        made.append(application)
-        return application
-
-    yield build
-    for application in made:
-        application.close()
+    return lambda text: application_of(FEATURE, text=f'[robot]\nname = "gantry"\n{text}')
 
 
 def test_a_client_on_stdio_takes_over_and_renews_its_lease(make: Make) -> None:

@@ -25,10 +25,9 @@ from rn_standard.http.peers import peer_process
 from rn_standard.http.server import listen, make_server
 from rn_standard.http.tokens import TokenTable
 from rn_testing.waiting import wait_until
-from roboneuron.errors import StateError
 from roboneuron.server.app import Application
 from roboneuron.server.host import Events
-from roboneuron.server.tool import CallContext, Holder, NoArguments, Result, Tool
+from roboneuron.server.tool import Holder
 
 pytestmark = pytest.mark.timeout(120)
 TOKENS = {role: f"{role}-token-of-this-test" for role in ("viewer", "operator", "admin")}
@@ -134,17 +133,19 @@ def is_closed(connection: socket.socket, timeout_s: float) -> bool:
 @pytest.mark.parametrize(
     "said", [b"", b"POST /mcp HTTP/1.1\r\nHost: 127.0.0.1\r\n"], ids=["nothing", "half"]
 )
-def test_half_open_connections_shut_nobody_out(server: Server, said: bytes) -> None:
+def test_half_open_connections_shut_nobody_out(
+    server: Server, monkeypatch: pytest.MonkeyPatch, said: bytes
+) -> None:
+    monkeypatch.setattr(connections, "HEADERS_S", 90.0)
     with ExitStack() as stack:
         crowd = []
         for _ in range(600):
             crowd.append(stack.enter_context(server.connect()))
             crowd[-1].sendall(said)
-        begun_s = time.monotonic()
+        # a request waits for 30 s at most: what is half open has not timed out by then
         session = server.open_session(**bearer("viewer"))
         assert "result" in server.call(session, 1, "emergency_stop")
-        assert time.monotonic() - begun_s < HEADERS_S, "it waited until they timed out"
-        assert is_closed(crowd[0], 5)
+        assert is_closed(crowd[0], 30)
 
 
 @pytest.mark.parametrize("then", [b"", b"X-A: 1\r\n"], ids=["silent", "drip"])
@@ -256,31 +257,8 @@ def test_a_request_with_an_impossible_id_is_answered(server: Server, request_id:
 @pytest.mark.parametrize("again", [7, "7"])
 @pytest.mark.parametrize("is_lost", [False, True], ids=["connected", "lost"])
 def test_a_repeated_id_is_refused_and_the_first_call_can_be_cancelled(
-    server: Server, application: Application, again: Any, is_lost: bool
+    server: Server, waiting_tool: Any, again: Any, is_lost: bool
 ) -> None:
-    begun, cancelled = threading.Event(), threading.Event()
-
-    async def handle(_: NoArguments, context: CallContext) -> Result:
-        def work(_: Any) -> Result:
-            begun.set()
-            if not cancelled.wait(60):
-                raise StateError("Nobody cancelled it.")
-            return Result()
-
-        return await context.run(work, on_cancel=cancelled.set)
-
-    application.tools.add_all(
-        [
-            Tool(
-                name="slow",
-                title="s",
-                description="s",
-                arguments=NoArguments,
-                result=Result,
-                handler=handle,
-            )
-        ]
-    )
     session = server.open_session(**bearer("operator"))
     body = json.dumps(
         {"jsonrpc": "2.0", "id": 7, "method": "tools/call", "params": {"name": "slow"}}
@@ -293,7 +271,7 @@ def test_a_repeated_id_is_refused_and_the_first_call_can_be_cancelled(
             f"{len(body)}\r\n\r\n"
         )
         connection.sendall(start.encode() + body)
-        assert begun.wait(30)
+        assert waiting_tool.begun.wait(30)
         if is_lost:
             connection.close()
         refused = server.post(
@@ -305,7 +283,7 @@ def test_a_repeated_id_is_refused_and_the_first_call_can_be_cancelled(
             server.url, json=note, headers={**session, "Accept": headers["Accept"]}, timeout=30
         )
         assert sent.status_code == 202
-        assert cancelled.wait(30)
+        assert waiting_tool.cancelled.wait(30)
     wait_until(lambda: "error" not in server.call(session, again, "get_status"), 30)
 
 

@@ -4,8 +4,7 @@ them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import anyio
@@ -13,40 +12,17 @@ import pytest
 from mcp import Client
 
 from rn_standard.ops.plugin import CLIENTS
-from rn_testing.fakes import fake_registry
 from roboneuron import FeatureSpec
-from roboneuron.config import parse_config
 from roboneuron.server.app import Application
 
 STATUS = "roboneuron://status"
 
 
-@pytest.fixture
-def make(tmp_path: Path) -> Iterator[Callable[..., Application]]:
-    """Return a function that makes an application with these features; no ROS is touched."""
-    made: list[Application] = []
-
-    def make(*specs: FeatureSpec) -> Application:
-        registry = fake_registry(*specs)
-        application = Application(
-            parse_config('[robot]\nname = "gantry"\n'),
-            plugins=lambda: registry,
-            directory=tmp_path,
-            command=lambda python: pytest.fail("nothing may be spawned"),
-        )
-        made.append(application)
-        return application
-
-    yield make
-    for application in made:
-        application.close()
-
-
 @pytest.mark.parametrize("specs", [(CLIENTS,), ()], ids=["with", "without"])
 def test_what_clients_are_told_is_announced(
-    make: Callable[..., Application], specs: tuple[FeatureSpec, ...]
+    application_of: Callable[..., Application], specs: tuple[FeatureSpec, ...]
 ) -> None:
-    capabilities = make(*specs).server.create_initialization_options().capabilities
+    capabilities = application_of(*specs).server.create_initialization_options().capabilities
     assert capabilities.tools.list_changed is bool(specs)
     assert capabilities.resources.subscribe is bool(specs)
 
@@ -54,9 +30,9 @@ def test_what_clients_are_told_is_announced(
 # older revisions of the protocol
 @pytest.mark.filterwarnings("ignore::mcp.shared.exceptions.MCPDeprecationWarning")
 def test_a_subscribed_client_hears_of_its_resource_and_of_tools(
-    make: Callable[..., Application],
+    application_of: Callable[..., Application],
 ) -> None:
-    application = make(CLIENTS)
+    application = application_of(CLIENTS)
     heard: list[str] = []
 
     async def on_message(message: Any) -> None:

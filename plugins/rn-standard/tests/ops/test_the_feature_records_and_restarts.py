@@ -9,7 +9,7 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,7 @@ from mcp import Client, StdioServerParameters
 
 from rn_standard.ops.plugin import FEATURE
 from rn_standard.ops.safety_faults import SafetyFaults
-from rn_testing.fakes import fake_registry
 from rn_testing.waiting import wait_until
-from roboneuron.config import Config
 from roboneuron.feature import ModuleView, Report
 from roboneuron.server.app import Application
 
@@ -29,18 +27,8 @@ SOURCES = ("robot", "perception", "inference", "control", "server")
 
 
 @pytest.fixture
-def application(tmp_path: Path) -> Iterator[Application]:
-    """The feature in a server of fakes; nothing is started."""
-    config = Config.model_validate({"robot": {"name": "gantry"}})
-    registry = fake_registry(FEATURE)
-    application = Application(
-        config,
-        plugins=lambda: registry,
-        directory=tmp_path / "state",
-        command=lambda python: pytest.fail("nothing may be spawned"),
-    )
-    yield application
-    application.close()
+def application(application_of: Callable[..., Application]) -> Application:
+    return application_of(FEATURE)
 
 
 def ask(application: Application, name: str, **arguments: Any) -> dict[str, Any]:

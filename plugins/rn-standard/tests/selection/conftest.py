@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable
 
 import pytest
 
 from rn_standard.selection.plugin import FEATURE
-from rn_testing.fakes import fake_registry
-from roboneuron.config import parse_config
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
 
 
 @pytest.fixture
-def application(tmp_path: Path) -> Iterator[Application]:
-    """The fakes and the feature as installed plugins; no ROS is touched until something is
-    started.
-    """
-    config = parse_config(
+def application(application_of: Callable[..., Application]) -> Application:
+    """The fakes and the feature as installed plugins."""
+    text = (
         '[robot]\nname = "gantry"\n[perception]\nsource = "controlled"\n[inference]\nbackend = '
         '"instant"\n'
         '[control]\ncontroller = "gantry"\n'
@@ -27,14 +22,4 @@ def application(tmp_path: Path) -> Iterator[Application]:
     heavy = BackendSpec(
         name="heavy", summary="Needs weights.", target="nowhere:Heavy", needs_checkpoint=True
     )
-    registry = fake_registry(heavy, FEATURE)
-    application = Application(
-        config,
-        plugins=lambda: registry,
-        directory=tmp_path,
-        command=lambda python: pytest.fail("nothing may be spawned"),
-    )
-    try:
-        yield application
-    finally:
-        application.close()
+    return application_of(heavy, FEATURE, text=text)

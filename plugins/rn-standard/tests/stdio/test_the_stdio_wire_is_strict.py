@@ -13,9 +13,7 @@ import anyio
 import pytest
 
 from rn_standard.stdio.message_stream import MAX_LINE_BYTES, LineWriter, MessageStream
-from roboneuron.errors import StateError
 from roboneuron.server.app import Application
-from roboneuron.server.tool import CallContext, NoArguments, Result, Tool
 
 Work = Callable[["Wire"], Awaitable[None]]
 HELLO = {
@@ -101,33 +99,6 @@ async def still_works(wire: Wire) -> None:
     assert (await wire.answer("last"))["result"] == {}
 
 
-def slow_tool(application: Application) -> threading.Event:
-    """Adds a tool that works until it is cancelled; returns what is set then."""
-    cancelled = threading.Event()
-
-    async def handle(_: NoArguments, context: CallContext) -> Result:
-        def work(_: Any) -> Result:
-            if not cancelled.wait(60):
-                raise StateError("Nobody cancelled it.")
-            return Result()
-
-        return await context.run(work, on_cancel=cancelled.set)
-
-    application.tools.add_all(
-        [
-            Tool(
-                name="slow",
-                title="s",
-                description="s",
-                arguments=NoArguments,
-                result=Result,
-                handler=handle,
-            )
-        ]
-    )
-    return cancelled
-
-
 @pytest.mark.parametrize("request_id", [None, True, 1.5, 2.0, [], {}])
 def test_a_request_with_an_impossible_id_is_answered(
     serve: Callable[[Work], None], request_id: Any
@@ -171,17 +142,15 @@ def test_a_line_that_is_no_message_is_answered(
 
 @pytest.mark.parametrize("again", [7, "7"])
 def test_a_repeated_id_is_refused_and_the_first_call_can_be_cancelled(
-    application: Application, serve: Callable[[Work], None], again: Any
+    waiting_tool: Any, serve: Callable[[Work], None], again: Any
 ) -> None:
-    cancelled = slow_tool(application)
-
     async def work(wire: Wire) -> None:
         await wire.send(7, "tools/call", name="slow", arguments={})
         await wire.send(again, "tools/call", name="get_status", arguments={})
         answer = await wire.answer()
         assert (answer["id"], answer["error"]["code"]) == (again, -32600)
         await wire.notify("notifications/cancelled", requestId=7)
-        assert await asyncio.to_thread(cancelled.wait, 30)
+        assert await asyncio.to_thread(waiting_tool.cancelled.wait, 30)
         await still_works(wire)
         await wire.send(7, "ping")  # a cancelled call has no answer, and its id is free
         assert (await wire.answer(7))["result"] == {}
@@ -228,10 +197,7 @@ def test_a_flood_of_pings_leaves_nothing_unanswered(serve: Callable[[Work], None
     serve(work)
 
 
-def test_what_waits_can_be_cancelled(
-    serve: Callable[[Work], None], application: Application
-) -> None:
-    slow_tool(application)
+def test_what_waits_can_be_cancelled() -> None:
     reader = MessageStream(0, lambda text: None, 1)
     for request_id in (1, 2):
         line = {

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import anyio
@@ -12,25 +11,13 @@ from mcp import Client, types
 
 from rn_standard.selection.plugin import FEATURE as SELECTION
 from rn_standard.switching.plugin import FEATURE
-from rn_testing.fakes import fake_registry
-from roboneuron.config import parse_config
 from roboneuron.server.app import Application
 
 
 @pytest.fixture
-def application(tmp_path: Path) -> Iterator[Application]:
-    """The fakes and this feature; nothing may be spawned."""
-    registry = fake_registry(SELECTION, FEATURE)
-    application = Application(
-        parse_config('[robot]\nname = "gantry"\n'),
-        plugins=lambda: registry,
-        directory=tmp_path,
-        command=lambda python: pytest.fail("nothing may be spawned"),
-    )
-    try:
-        yield application
-    finally:
-        application.close()
+def application(application_of: Callable[..., Application]) -> Application:
+    """The fakes and this feature."""
+    return application_of(SELECTION, FEATURE)
 
 
 def tools(application: Application) -> dict[str, types.Tool]:

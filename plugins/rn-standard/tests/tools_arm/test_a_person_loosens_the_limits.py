@@ -7,7 +7,7 @@ from __future__ import annotations
 import json
 import sys
 from argparse import ArgumentParser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,9 +20,7 @@ from rn_standard.limits.command import Limits
 from rn_standard.tools_arm.limits_feature import LimitsFeature
 from rn_standard.tools_arm.plugin import LIMITS
 from rn_standard.tools_arm.tightening import FILE_NAME
-from rn_testing.fakes import fake_registry
 from rn_testing.waiting import wait_until
-from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError, InvalidInputError, RefusedError
 from roboneuron.server.app import Application
 
@@ -33,26 +31,9 @@ Make = Callable[[], Application]
 
 
 @pytest.fixture
-def make(tmp_path: Path) -> Iterator[Make]:
-    """Return a function that builds a server on one state directory; no module is started and no
-    ROS is touched.
-    """
-    made: list[Application] = []
-
-    def build() -> Application:
-        registry = fake_registry(DIRECT_PATH, LIMITS)
-        application = Application(
-            parse_config(CONFIG),
-            plugins=lambda: registry,
-            directory=tmp_path / "state",
-            command=lambda python: pytest.fail("nothing may be spawned"),
-        )
-        made.append(application)
-        return application
-
-    yield build
-    for application in made:
-        application.close()
+def make(application_of: Callable[..., Application]) -> Make:
+    """Return a function that builds a server on one state directory."""
+    return lambda: application_of(DIRECT_PATH, LIMITS, text=CONFIG)
 
 
 def call(

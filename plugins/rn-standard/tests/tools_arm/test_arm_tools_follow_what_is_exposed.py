@@ -4,17 +4,14 @@ exposed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from rn_standard.direct_path.plugin import FEATURE as DIRECT_PATH
 from rn_standard.tools_arm.plugin import FEATURE
 from rn_standard.tools_ros.plugin import FEATURE as ROS_FEATURE
-from rn_testing.fakes import fake_registry
-from roboneuron.config import parse_config
 from roboneuron.errors import ConfigurationError
 from roboneuron.plugins.specs import FeatureSpec
 from roboneuron.server.app import Application
@@ -23,24 +20,13 @@ Make = Callable[..., Application]
 
 
 @pytest.fixture
-def make(tmp_path: Path) -> Iterator[Make]:
+def make(application_of: Callable[..., Application]) -> Make:
     """Return a function that builds an application for the fake arm with some features."""
-    made: list[Application] = []
 
     def build(*features: FeatureSpec, text: str = "") -> Application:
-        registry = fake_registry(DIRECT_PATH, *features)
-        application = Application(
-            parse_config('[robot]\nname = "gantry"\n' + text),
-            plugins=lambda: registry,
-            directory=tmp_path / "state",
-            command=lambda python: pytest.fail("nothing may be spawned"),
-        )
-        made.append(application)
-        return application
+        return application_of(DIRECT_PATH, *features, text=f'[robot]\nname = "gantry"\n{text}')
 
-    yield build
-    for application in made:
-        application.close()
+    return build
 
 
 def names(application: Application) -> set[str]:

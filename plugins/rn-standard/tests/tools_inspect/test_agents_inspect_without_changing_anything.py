@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import anyio
@@ -11,8 +10,6 @@ import pytest
 from mcp import Client, types
 
 from rn_standard.tools_inspect.plugin import FEATURE
-from rn_testing.fakes import fake_registry
-from roboneuron.config import Config
 from roboneuron.plugins.specs import BackendSpec
 from roboneuron.server.app import Application
 
@@ -29,21 +26,11 @@ TOOLS = {
 
 
 @pytest.fixture
-def application(tmp_path: Path) -> Iterator[Application]:
+def application(application_of: Callable[..., Application]) -> Application:
     heavy = BackendSpec(
         name="heavy", summary="Needs weights.", target="nowhere:Heavy", needs_checkpoint=True
     )
-    registry = fake_registry(heavy, FEATURE)
-    application = Application(
-        Config.model_validate({"robot": {"name": "gantry"}}),
-        plugins=lambda: registry,
-        directory=tmp_path,
-        command=lambda python: pytest.fail("nothing may be spawned"),
-    )
-    try:
-        yield application
-    finally:
-        application.close()
+    return application_of(heavy, FEATURE)
 
 
 def call(
