@@ -19,6 +19,9 @@ from rn_simulation.engine import ENGINES
 from roboneuron.contract import Action, ActionChunk, Frame, JointCommand, JointSample, Observation
 from roboneuron.plugins.availability import is_importable
 
+AVAILABLE = [engine for engine in ENGINES if is_importable(engine)]
+TRIED = [*AVAILABLE[:1], *(pytest.param(name, marks=pytest.mark.slow) for name in AVAILABLE[1:])]
+"""What robots use here; the rest takes as long again (that engines agree: rn-robot-fr3's tests)."""
 PERIOD_S = 0.1
 ROBOT = profile()
 
@@ -89,7 +92,7 @@ class Cell:
         return self.simulation.cubes()[colour].held_s >= 1.0
 
 
-@pytest.fixture(params=[engine for engine in ENGINES if is_importable(engine)])
+@pytest.fixture(params=TRIED)
 def cell(request: pytest.FixtureRequest) -> Iterator[Cell]:
     with ArmSimulation(3, engine=request.param) as simulation:
         yield Cell(simulation)
