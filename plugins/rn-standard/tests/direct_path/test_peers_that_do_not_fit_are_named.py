@@ -14,7 +14,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rn_standard.direct_path import peers
 from rn_standard.direct_path.type_hashes import _own_hash
 from rn_standard.doctor.finding import Severity
-from rn_standard.doctor.peers import judge
+from rn_standard.doctor.peers import judge, wait_settled
 from roboneuron import ConfigurationError
 
 FAST, CYCLONE = b"\x01\x0f", b"\x01\x10"
@@ -190,3 +190,20 @@ def test_doctor_counts_the_others_and_names_what_does_not_fit() -> None:
         assert said in found.text
     for done in ("ROS_DOMAIN_ID", "RMW_IMPLEMENTATION", "quality of service"):
         assert done in found.hint
+
+
+@pytest.mark.parametrize(
+    ("last_change_s", "looks_after_s"),
+    [(0.0, 3.5), (2.4, 3.5), (5.0, 6.0), (99.0, 12.0)],
+    ids=["at once", "early", "busy", "never quiet"],
+)
+def test_doctor_looks_when_nothing_new_has_come_for_a_second(
+    last_change_s: float, looks_after_s: float
+) -> None:
+    now_s = [0.0]
+
+    def sleep(duration_s: float) -> None:
+        now_s[0] += duration_s
+
+    wait_settled(lambda: min(now_s[0], last_change_s), lambda: now_s[0], sleep)
+    assert now_s[0] == pytest.approx(looks_after_s, abs=0.45)

@@ -7,7 +7,7 @@ from __future__ import annotations
 import os
 import time
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from rn_standard.direct_path.peers import (
     HUMBLE,
@@ -23,23 +23,48 @@ from rn_standard.direct_path.peers import (
 )
 from rn_standard.doctor.finding import Finding, ok, warning
 
-_DISCOVERY_S = 3.5
+DISCOVERY_S = 3.5
 """Fast DDS announces a participant every 3 s, and the first answers to a new one may be lost."""
+QUIET_S = 1.0
+"""Without anything new: a busy machine discovers slowly."""
+LONGEST_S = 12.0
+_LOOK_S = 0.2
 _MOST = 5
 
 
 def look_around() -> Finding:
-    """Join the graph, wait until it is discovered, and look; takes about 4 s."""
+    """Join the graph, wait until it is discovered, and look; takes 4 to 12 s."""
     from roboneuron.command import RosLink
 
     link = RosLink(f"roboneuron_doctor_peers_{os.getpid()}")
     link.open()
     try:
-        time.sleep(_DISCOVERY_S)
-        names = [name for name, _ in link.node.get_topic_names_and_types(no_demangle=True)]
-        return judge(names, NodeGraph(link.node))
+        graph = NodeGraph(link.node)
+
+        def names() -> list[str]:
+            found = link.node.get_topic_names_and_types(no_demangle=True)
+            return [name for name, _ in found]
+
+        wait_settled(lambda: [(name, len(both_ends(graph, name))) for name in sorted(names())])
+        return judge(names(), graph)
     finally:
         link.close()
+
+
+def wait_settled(
+    picture: Callable[[], object],
+    now_s: Callable[[], float] = time.monotonic,
+    sleep: Callable[[float], None] = time.sleep,
+) -> None:
+    """Wait until `picture` has stayed the same for a while: 3.5 s at least, 12 s at most."""
+    begun_s = changed_s = now_s()
+    seen = picture()
+    while (at_s := now_s()) - begun_s < LONGEST_S:
+        if at_s - begun_s >= DISCOVERY_S and at_s - changed_s >= QUIET_S:
+            return
+        sleep(_LOOK_S)
+        if (found := picture()) != seen:
+            seen, changed_s = found, now_s()
 
 
 def judge(names: Iterable[str], graph: Graph) -> Finding:
