@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import anyio
@@ -49,8 +51,37 @@ def test_every_command_in_the_readme_exists(root: Path) -> None:
     assert used
     assert used <= {*COMMANDS, *GROUPS, *installed_commands(discover())}
     targets = set(re.findall(r"make ([a-z0-9-]+)", " ".join(blocks(root, "bash"))))
-    makefile = (root / "Makefile").read_text(encoding="utf-8")
-    assert {t for t in targets if not re.search(rf"^{t}:", makefile, re.MULTILINE)} == set()
+    assert targets <= make_targets(root)
+
+
+def make_targets(root: Path) -> set[str]:
+    told = subprocess.run(
+        ["make", "--no-print-directory", "help"],
+        cwd=root,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return {line.split()[0] for line in told.stdout.splitlines() if line}
+
+
+def test_pages_name_targets_that_there_are(root: Path) -> None:
+    """Those of the Makefile, sessions of noxfile.py, and environments."""
+    pages = [root / "README.md", root / "CONTRIBUTING.md", *sorted((root / "docs").rglob("*.md"))]
+    text = " ".join(page.read_text(encoding="utf-8") for page in pages)
+    named = set(re.findall(r"`make ([a-z0-9-]+)", text))
+    assert len(named) > 20
+    assert named <= make_targets(root)
+    lanes = nox_sessions(root)
+    assert len(lanes) > 40
+    assert lanes - make_targets(root) == {"environment"}
+
+
+def nox_sessions(root: Path) -> set[str]:
+    script = "import json, noxfile, nox.registry; print(json.dumps(list(nox.registry.get())))"
+    command = [sys.executable, "-c", script]
+    told = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+    return set(json.loads(told.stdout))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from roboneuron.command import environment
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    if (ROOT / ".venv-lerobot" / ".ready-robots").exists():
+    if (ROOT / ".venv-lerobot" / ".ready").exists():
         return
     skip = pytest.mark.skip(reason="lerobot's environment is not there: make test-lerobot-robots")
     for item in items:
