@@ -96,6 +96,11 @@ class LiftClock:
                 self._lifted_by.pop(name, None)
                 self._holders.pop(name, None)
 
+    @property
+    def longest_s(self) -> float:
+        """Simulated seconds for which one of them has been lifted without a break; 0 when none is."""
+        return self._now_s - min(self._lifted_since_s.values(), default=self._now_s)
+
     def _note_holders(self, name: str, now_s: float, distances_m: Sequence[float]) -> None:
         by_arm = dict(zip(self._arms, distances_m, strict=False))
         self._holders[name] = tuple(arm for arm, far in by_arm.items() if far <= HELD_M)
