@@ -62,7 +62,7 @@ class CellSimulation(ABC):
         """A new world with `scene`. Raises ConfigurationError where it cannot be built."""
 
     def let_slip(self, after_s: float | None) -> None:
-        """Let the hands give way once, when a cube has been lifted for `after_s` [s]; None: never."""
+        """Let the hands give way once, when a cube was lifted for `after_s` [s]; None: never."""
         cell = self._arms
         fingers = [i for i, number in enumerate(cell.followed) if number in cell.grippers]
         followed = self._followed[fingers]
