@@ -70,6 +70,8 @@ _TASKS = {
         "recover-frozen-cameras": ("Go on after the cameras froze", "FrozenCameras"),
         "recover-wrong-policy": ("Go on when the policy is the wrong one", "WrongPolicy"),
         "recover-frozen-policy": ("Go on after the policy froze", "FrozenPolicy"),
+        "recover-dropped-held": ("Hold up a cube that slips", "DroppedWhileHeld"),
+        "recover-dropped-carried": ("Carry a cube that slips", "DroppedOnTheWay"),
     },
     "explain": {
         "explain-last": ("Which module failed", "LastIncident"),
@@ -91,6 +93,14 @@ _TASKS = {
     "clients": {
         "clients-wait": ("Wait until another client no longer operates the robot", "Wait"),
         "clients-take-over": ("Take the robot over from another client", "TakeOver"),
+    },
+    "several": {
+        "several-one": ("Pick up a cube with one of two arms", "OneOfTwo"),
+        "several-both": ("Pick up a cube with each of two arms", "BothArms"),
+        "several-stop-one": ("Stop one of two arms, and work with the other one", "StopOne"),
+        "several-drive": ("Drive a mobile base", "DriveBase"),
+        "several-turn": ("Turn a mobile base", "TurnBase"),
+        "several-arm-and-base": ("Pick up a cube while a base drives", "ArmAndBase"),
     },
     "record": {
         "record-move": ("Record a move and name the file", "Move"),
