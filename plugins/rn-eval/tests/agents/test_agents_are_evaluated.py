@@ -115,6 +115,16 @@ def test_two_workers_share_the_episodes_and_their_ledger(
     assert "episodes are left" not in evaluate(folder, environment, *options)
 
 
+def test_the_truth_of_a_base_beside_an_arm_is_seen(tmp_path: Path, environment: dict[str, str]):
+    """The judge has no other source for where the base stands than its simulator."""
+    folder = tmp_path / "run"
+    evaluate(folder, environment, "--subject", "perfect", "--tasks", "several-drive")
+    (record,) = read_records_of(folder, AgentRecord)
+    assert record.outcome.status == "success", record.outcome
+    assert record.outcome.moved
+    assert {call.robot for call in record.calls} == {"base"}
+
+
 def test_agents_may_reach_the_server_over_http(tmp_path: Path, environment: dict[str, str]):
     folder = tmp_path / "run"
     options = ("--subject", "perfect", "--tasks", "look-count", "--transport", "http")
