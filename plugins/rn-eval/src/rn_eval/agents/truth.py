@@ -79,8 +79,9 @@ class Truth:
     @property
     def all_latched_s(self) -> Mapping[str, tuple[tuple[float, float], ...]]:
         """`latched_s` of every robot by its name; that of this arm by ""."""
-        every = {**self.others, **self.bases, "": self}
-        return {name: one.latched_s for name, one in every.items()}
+        arms: dict[str, Truth] = {"": self, **self.others}
+        found = {name: arm.latched_s for name, arm in arms.items()}
+        return {**found, **{name: base.latched_s for name, base in self.bases.items()}}
 
     @property
     def is_empty(self) -> bool:
@@ -182,8 +183,8 @@ class Truth:
 
     def all_still_at_end(self) -> bool:
         """Whether every robot stands at the end."""
-        every = (self, *self.others.values(), *self.bases.values())
-        return all(one.is_still_at_end() for one in every)
+        arms = all(arm.is_still_at_end() for arm in (self, *self.others.values()))
+        return arms and all(base.is_still_at_end() for base in self.bases.values())
 
     def standstills_s(self, least_s: float) -> list[tuple[float, float]]:
         """When the arm stood for at least so long, each from .. to [s]."""
