@@ -14,7 +14,7 @@ from rn_eval.statistics import spread
 from roboneuron import ConfigurationError
 
 HEADINGS = (
-    *("subject", "family", "episodes", "success"),
+    *("subject", "family", "episodes", "the same", "success"),
     *("calls", "failed calls", "kB of answers", "kB of lists"),
 )
 ALL = "all"
@@ -39,7 +39,7 @@ def paired(before: Sequence[AgentRecord], after: Sequence[AgentRecord]) -> list[
 
 def compare_agents(before: Path, after: Path) -> Table:
     """A row for each agent and family, and for all of an agent's; numbers are means of an episode,
-    from .. to.
+    from .. to. "The same" counts episodes with equal digests.
 
     Raises:
         ConfigurationError: a folder holds no run, or they have no episode in common.
@@ -60,11 +60,14 @@ def compare_agents(before: Path, after: Path) -> Table:
 
 
 def _row(subject: str, family: str, pairs: Sequence[Pair]) -> tuple[str, ...]:
+    digests = [(before.outcome.digest, after.outcome.digest) for before, after in pairs]
+    known = [(before, after) for before, after in digests if before and after]
     solved = [sum(r.outcome.status == "success" for r in run) for run in zip(*pairs, strict=True)]
     return (
         subject,
         family,
         str(len(pairs)),
+        str(sum(before == after for before, after in known)) if known else "-",
         f"{solved[0]} → {solved[1]}",
         _change(pairs, lambda record: record.outcome.calls),
         _change(pairs, lambda record: record.outcome.failed_calls),

@@ -24,6 +24,7 @@ from rn_eval.agents.breakage import Breakage
 from rn_eval.agents.cell import Cell, end_process
 from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TOKEN, TRUTH
 from rn_eval.agents.conduct import Conduct, ToolCall, unsafe_kind
+from rn_eval.agents.digest import episode_digest
 from rn_eval.agents.forbidden import Borders, beyond_m, forbidden_of_all, pushed_out
 from rn_eval.agents.http_tap import PATH, free_port
 from rn_eval.agents.latch_watch import LatchWatch
@@ -281,6 +282,7 @@ class Episodes:
             calls=len(conduct.calls),
             failed_calls=sum(bool(call.code) for call in conduct.calls),
             moved=truth.anything_moved(),
+            digest=episode_digest(truth, conduct),
         )
 
 
