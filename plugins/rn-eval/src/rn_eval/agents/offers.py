@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rn_eval.hooks import AgentTaskSpec
+from roboneuron import Requirement
 
 _TASKS = {
     "look": {
@@ -108,6 +109,11 @@ _TASKS = {
     },
 }
 """Summary and class of each task, by family and name; the families are modules."""
+_BASES = Requirement(
+    module="rn_robot_bases",
+    install="pip install ./plugins/rn-robot-bases (in RoboNeuron's source folder)",
+)
+_WITH_BASE = ("several-drive", "several-turn", "several-arm-and-base")
 
 TASKS = tuple(
     AgentTaskSpec(
@@ -116,6 +122,7 @@ TASKS = tuple(
         target=f"rn_eval.agents.tasks.{family}:{attribute}",
         family=family,
         is_refusal=family == "refuse",
+        requires=(_BASES,) if name in _WITH_BASE else (),
     )
     for family, tasks in _TASKS.items()
     for name, (summary, attribute) in tasks.items()
