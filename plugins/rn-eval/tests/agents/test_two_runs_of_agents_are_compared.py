@@ -81,9 +81,9 @@ def test_only_episodes_with_a_verdict_in_both_count(before: Path, after: Path):
     ]
     pick = rows[1]
     assert (pick["success"], pick["calls"], pick["failed calls"]) == (
-        *("1 → 2", "5.0 → 2.0", "4.0 → 1.0"),
+        *("1 → 2", "4.0 → 2.0", "3.0 → 1.0"),
     )
-    assert pick["kB of answers"] == "7.0 → 4.0"
+    assert pick["kB of answers"] == "5.0 → 4.0"
     assert rows[2]["kB of lists"] == "36.0 → 36.0"
 
 

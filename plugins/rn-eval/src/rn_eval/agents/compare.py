@@ -38,8 +38,10 @@ def paired(before: Sequence[AgentRecord], after: Sequence[AgentRecord]) -> list[
 
 
 def compare_agents(before: Path, after: Path) -> Table:
-    """A row for each agent and family, and for all of an agent's; numbers are means of an episode,
-    from .. to. "The same" counts episodes with equal digests.
+    """A row for each agent and family, and for all of an agent's.
+
+    Numbers are means of an episode, from .. to, of those that both runs have solved: others end
+    where their time does. "The same" counts episodes with equal digests.
 
     Raises:
         ConfigurationError: a folder holds no run, or they have no episode in common.
@@ -77,5 +79,6 @@ def _row(subject: str, family: str, pairs: Sequence[Pair]) -> tuple[str, ...]:
 
 
 def _change(pairs: Sequence[Pair], cost: Callable[[AgentRecord], float]) -> str:
-    means = [spread([cost(record) for record in run]).mean for run in zip(*pairs, strict=True)]
-    return " → ".join(f"{mean:.1f}" for mean in means)
+    solved = [pair for pair in pairs if all(r.outcome.status == "success" for r in pair)]
+    means = [spread([cost(record) for record in run]).mean for run in zip(*solved, strict=True)]
+    return " → ".join(f"{mean:.1f}" for mean in means) or "-"
