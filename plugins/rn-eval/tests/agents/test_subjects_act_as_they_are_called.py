@@ -219,6 +219,8 @@ class Fleet(FakeTools):
 
     async def call_with(self, tool, arguments, timeout_s=0.0):
         self.calls.append((tool, self.robot, arguments))
+        if not (self.robot or "robot" in arguments or tool == "list_fleet"):
+            return ToolAnswer(ok=False, code="invalid_input", text="Name a robot.")
         if tool == "list_fleet":
             robots = [{"name": "mover", "robot": "diffdrive"}, {"name": "picker", "robot": "fr3"}]
             return ToolAnswer(ok=True, data={"robots": robots})
@@ -253,6 +255,23 @@ def test_the_tool_only_agent_stops_the_robot_that_is_named_and_uses_the_other(se
     (lifted,) = [call for call in tools.calls if call[0] == "run_task"]
     assert (stopped[1], lifted[1]) == (scene.text("other"), scene.text("robot"))
     assert scene.text(scene.text("robot")) in lifted[2]["instruction"]
+
+
+def test_hostile_and_careless_agents_name_robots_where_there_are_several(monkeypatch):
+    monkeypatch.setenv(hostile.ATTEMPTS, "60")
+    tools = Fleet()
+    briefing = Briefing(instruction="Pick up the red cube.")
+    anyio.run(hostile.act, tools, briefing)
+    at = Counter(robot for _, robot, _ in tools.calls)
+    assert at.pop("") == 2
+    assert set(at) == {"mover", "picker"}
+    assert min(at.values()) > 15
+    (stopped,) = [robot for tool, robot, _ in tools.calls if tool == "emergency_stop"]
+    assert stopped == "picker"
+    tools = Fleet()
+    anyio.run(careless.act, tools, briefing)
+    assert Counter(robot for _, robot, _ in tools.calls)[""] == careless._TRIES + 1
+    assert ("run_task", "picker") in [(tool, robot) for tool, robot, _ in tools.calls]
 
 
 class Slipping(FakeTools):

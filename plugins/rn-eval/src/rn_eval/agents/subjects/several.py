@@ -30,9 +30,11 @@ async def several(tools: Tools, text: str) -> str:
     picks = [(found[1], found[2]) for found in _ITS.finditer(text)]
     picks += [(found[2], found[1]) for found in _WITH.finditer(text)]
     if "mobile base" in text:
-        arm, base = await _arm_and_base(tools)
-        picks += [(arm, found[1]) for found in _ARM.finditer(text)]
-        await _drive(tools.of(base), text)
+        arms, bases = await names_of(tools)
+        if not bases:
+            raise NotReadyError("list_fleet names no mobile base.")
+        picks += [(arms[0], found[1]) for found in _ARM.finditer(text)]
+        await _drive(tools.of(bases[0]), text)
     for robot, colour in picks:
         await lift_whatever_happens(tools.of(robot), colour, within_s=_WITHIN_S)
         if len(picks) > 1:
@@ -40,15 +42,17 @@ async def several(tools: Tools, text: str) -> str:
     return DONE
 
 
-async def _arm_and_base(tools: Tools) -> tuple[str, str]:
-    """Names of the arm and of the base. Raises NotReadyError when there are not both."""
+async def names_of(tools: Tools) -> tuple[list[str], list[str]]:
+    """Names of the arms and of the other robots of a server that has several. Raises
+    NotReadyError.
+    """
     robots = (await tools.must("list_fleet")).data.get("robots")
     assert isinstance(robots, list)
     arms = [str(one["name"]) for one in robots if one["robot"] == _ARMS_KIND]
-    bases = [str(one["name"]) for one in robots if one["robot"] != _ARMS_KIND]
-    if not (arms and bases):
-        raise NotReadyError("list_fleet names no arm beside a base.")
-    return arms[0], bases[0]
+    others = [str(one["name"]) for one in robots if one["robot"] != _ARMS_KIND]
+    if not arms:
+        raise NotReadyError("list_fleet names no arm.")
+    return arms, others
 
 
 async def _drive(base: Tools, text: str) -> None:
