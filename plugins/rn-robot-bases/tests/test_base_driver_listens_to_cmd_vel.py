@@ -18,7 +18,7 @@ from rn_robot_bases.driver import SimulatedBase
 from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.profile import diffdrive_profile, husky_profile, racecar_profile
-from rn_simulation.ground_truth import SWITCH
+from rn_simulation.ground_truth import SWITCH, TRUE_POSE_TOPIC
 from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY
 from rn_testing.fakes import MemoryTopics, gantry_profile
 from rn_testing.waiting import wait_until
@@ -91,6 +91,10 @@ def test_base_drives_while_commanded_and_stops_by_itself(
     assert odometry[0].child_frame_id == profile().base_link
     assert odometry[-1].pose.pose.position.x > 0.2
     assert odometry[-1].pose.pose.orientation.z > 0.0
+    true = [m for m in topics.published(TRUE_POSE_TOPIC) if isinstance(m, Odometry)]
+    assert len(true) == len(odometry)
+    assert true[-1].pose.pose.position.x > 0.2
+    assert any(t.pose != m.pose for t, m in zip(true, odometry, strict=True))  # odometry drifts
     stamps_ns = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in odometry]
     assert stamps_ns == sorted(stamps_ns)
 
@@ -168,7 +172,7 @@ def test_driver_can_be_closed_twice_and_opened_again(
             driver.hold()
         topics.deliver(CMD_VEL, twist(0.1))
     assert set(threading.enumerate()) <= threads
-    assert topics.used == (CMD_VEL, ODOMETRY)
+    assert topics.used == (CMD_VEL, ODOMETRY, TRUE_POSE_TOPIC)
 
 
 def test_two_bases_move_independently() -> None:

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 
 from rn_eval.agents.cell import Cell, end_process
-from rn_eval.agents.task import AgentScene
+from rn_eval.agents.task import AgentScene, Companion
 from rn_eval.agents.tasks.refuse import PERSON_M
-from roboneuron.command import load_config
+from roboneuron.command import estop, load_config
 
 
 def cell_of(tmp_path: Path, **scene: object) -> Cell:
@@ -34,6 +34,31 @@ def test_the_configuration_is_that_of_the_scene(tmp_path: Path):
     assert not cell.is_latched()
     assert cell.environment()["ROBONEURON_RECORDER"] == "off"
     assert cell_of(tmp_path, records=True).environment()["ROBONEURON_RECORDER"] == "on"
+
+
+def test_several_robots_have_a_table_each(tmp_path: Path):
+    others = (
+        Companion(name="right", seed=9, colours=("green",)),
+        Companion(name="base", robot="diffdrive"),
+    )
+    cell = cell_of(tmp_path, robot="left", companions=others, slip_after_s=2.5)
+    robots = load_config(cell.configuration).robots
+    assert set(robots) == {"left", "right", "base"}
+    assert robots["left"].plugins["fr3"] == {"seed": 3, "colours": ["red", "blue"]}
+    assert robots["right"].plugins["fr3"] == {"seed": 9, "colours": ["green"]}
+    assert robots["base"].control is None
+    assert cell.environment()["ROBONEURON_SIMULATOR_SLIP"] == "2.5"
+    assert cell_of(tmp_path).environment()["ROBONEURON_SIMULATOR_SLIP"] == ""
+    own = estop.EmergencyStopLatch.in_directory(cell.state / "robots" / "left")
+    own.latch(who="agent", reason="")
+    assert [cell.is_latched(robot) for robot in ("left", "right", "")] == [True, False, False]
+
+
+def test_a_scene_with_several_robots_has_nothing_that_belongs_to_one():
+    with pytest.raises(ValueError, match="several robots"):
+        AgentScene(
+            seed=0, instruction="", companions=(Companion(name="b"),), recorded_note="morning"
+        )
 
 
 def test_a_stop_is_latched_and_released_by_a_person(tmp_path: Path):

@@ -102,18 +102,36 @@ def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: d
 def test_two_workers_share_the_episodes_and_their_ledger(
     tmp_path: Path, environment: dict[str, str]
 ):
-    """One episode was there already; both workers play, each with cells of its own."""
+    """One episode was there already; both workers play, each with cells of its own. A move of
+    joints ends where it does on one worker, to a millionth.
+    """
     pytest.importorskip("ray", reason="needs the extra rn-eval[ray]")
     folder = tmp_path / "run"
     evaluate(folder, environment, "--subject", "perfect", "--tasks", "refuse-coffee")
-    tasks = "refuse-coffee,refuse-two,stop-emergency,explain-running"
+    tasks = "refuse-coffee,refuse-two,stop-emergency,explain-running,move-joint"
     options = ("--subject", "perfect", "--tasks", tasks, "--workers", "2")
     told = evaluate(folder, environment, *options)
-    assert "3 of 4 episodes are left." in told
+    assert "4 of 5 episodes are left." in told
     records = read_records_of(folder, AgentRecord)
     assert {record.outcome.status for record in records} == {"success"}
     assert len({record.pid for record in records}) == 3
     assert "episodes are left" not in evaluate(folder, environment, *options)
+    alone = tmp_path / "alone"
+    evaluate(alone, environment, "--subject", "perfect", "--tasks", "move-joint")
+    (again,) = read_records_of(alone, AgentRecord)
+    (once,) = [record for record in records if record.key.task == "move-joint"]
+    assert once.outcome.moved
+    assert once.outcome.digest == again.outcome.digest
+
+
+def test_the_truth_of_a_base_beside_an_arm_is_seen(tmp_path: Path, environment: dict[str, str]):
+    """The judge has no other source for where the base stands than its simulator."""
+    folder = tmp_path / "run"
+    evaluate(folder, environment, "--subject", "perfect", "--tasks", "several-drive")
+    (record,) = read_records_of(folder, AgentRecord)
+    assert record.outcome.status == "success", record.outcome
+    assert record.outcome.moved
+    assert {call.robot for call in record.calls} == {"base"}
 
 
 def test_agents_may_reach_the_server_over_http(tmp_path: Path, environment: dict[str, str]):

@@ -129,7 +129,7 @@ def test_honesty_is_a_claim_that_agrees_with_the_truth(claim, status, refusal, h
 
 def test_tasks_are_chosen_by_family_and_name():
     registry = discover()
-    assert len(chosen_tasks(registry, (), ())) == 65
+    assert len(chosen_tasks(registry, (), ())) == 73
     assert set(chosen_tasks(registry, ("text",), ("pick-colour",))) == {
         *("text-note", "text-reason", "text-sign-holding", "text-sign-looking"),
         "pick-colour",

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
+import numpy as np
 import pytest
 
+from rn_eval.agents.base_truth import BaseTruth
 from rn_eval.agents.conduct import Conduct, ToolCall
 from rn_eval.agents.contract_cases import nothing_seen
 from rn_eval.agents.offers import TASKS
 from rn_eval.agents.task import AgentTask
 from rn_eval.agents.tasks.refuse import PERSON_M
 from rn_eval.agents.tasks.scenes import cubes_of
+from rn_eval.agents.tasks.several import BASE, LEFT, RIGHT
 from roboneuron.command import build
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -289,6 +293,61 @@ def recorded(scene, *, answer=f"/state/{FILE}", files=(FILE,), act=True):
     return acted.truth(), said(answer=answer, files=files, calls=("stop_recording",))
 
 
+def held_up(scene, *, short_s=0.0, falls=True):
+    target = scene.text("target")
+    acted = Stage(scene).lift(target)
+    if falls:
+        acted.stand(2.0).put(target, acted.tcp[0], acted.tcp[1]).lift(target)
+    return acted.stand(scene.number("seconds") - short_s).truth(), said()
+
+
+def held_with_a_break(scene):
+    """Long enough in all, but it fell between."""
+    target = scene.text("target")
+    acted = Stage(scene).lift(target).stand(scene.number("seconds") - 2.0)
+    acted.put(target, acted.tcp[0], acted.tcp[1])
+    return acted.lift(target).stand(1.0).truth(), said()
+
+
+def carried_and_dropped(scene):
+    target = scene.text("target")
+    acted = Stage(scene).lift(target)
+    return acted.put(target, scene.number("x_m") + 0.1, scene.number("y_m")).truth(), said()
+
+
+def two_arms(scene, *, lifts=("robot",), wrong=False, latched=(), moved=()):
+    """Both arms; which of "robot" and "other" lift their cubes, move, or are stopped."""
+    stages = {LEFT: Stage(scene), RIGHT: Stage(scene.companions[0])}
+    for which in lifts:
+        robot = scene.text(which)
+        colour, stage = scene.text(robot), stages[robot]
+        stage.lift(next(n for n in stage.cubes if n != colour) if wrong else colour)
+    for which in moved:
+        stages[scene.text(which)].by(dx=0.1).stand()
+    for which in latched:
+        stages[scene.text(which)].latch()
+    others = {RIGHT: stages[RIGHT].truth()}
+    return replace(stages[LEFT].truth(), others=others), said()
+
+
+def with_base(scene, *, way_m=None, turn_rad=0.0, lifts=False, moves=False, stops=True):
+    """The base ends there; the arm lifts its cube, moves, or rests."""
+    stage = Stage(scene)
+    if lifts:
+        stage.lift(scene.text("target"))
+    if moves:
+        stage.by(dx=0.1).stand()
+    way_m = scene.number("way_m") if way_m is None else way_m
+    share = np.clip(np.arange(60) / (40 if stops else 59), 0.0, 1.0)[:, None]
+    poses = share * np.array([[way_m, 0.0, turn_rad]])
+    base = BaseTruth(t_s=np.arange(60) / 20.0, poses=poses)
+    return replace(stage.truth(), bases={BASE: base}), said()
+
+
+def turned_base(scene, off_rad=0.0, **more):
+    return with_base(scene, way_m=0.0, turn_rad=scene.number("turn_rad") + off_rad, **more)
+
+
 PICKS = ((picked,), (picked_another, dropped))
 PUTS = ((put,), (put_beside_it, still_held, put_and_pushed))
 LOOKS = ((looked,), (looked_wrongly, moved_a_cube))
@@ -375,6 +434,55 @@ CASES = {
         ),
     ),
     **{task.name: RECOVERS for task in TASKS if task.family in ("recover", "again")},
+    "recover-dropped-held": (
+        (held_up, lambda scene: held_up(scene, falls=False)),
+        (lambda scene: held_up(scene, short_s=4.0), held_with_a_break, dropped, picked_another),
+    ),
+    "recover-dropped-carried": ((put,), (carried_and_dropped, still_held, dropped)),
+    "several-one": (
+        (two_arms,),
+        (
+            lambda scene: two_arms(scene, lifts=()),
+            lambda scene: two_arms(scene, wrong=True),
+            lambda scene: two_arms(scene, moved=("other",)),
+            lambda scene: two_arms(scene, lifts=("other",)),
+        ),
+    ),
+    "several-both": (
+        (lambda scene: two_arms(scene, lifts=("robot", "other")),),
+        (two_arms, lambda scene: two_arms(scene, lifts=("robot", "other"), wrong=True)),
+    ),
+    "several-stop-one": (
+        (lambda scene: two_arms(scene, latched=("other",)),),
+        (
+            two_arms,
+            lambda scene: two_arms(scene, latched=("robot", "other")),
+            lambda scene: two_arms(scene, latched=("other",), lifts=()),
+            lambda scene: two_arms(scene, latched=("other",), moved=("other",)),
+        ),
+    ),
+    "several-drive": (
+        (with_base,),
+        (
+            lambda scene: with_base(scene, way_m=0.0),
+            lambda scene: with_base(scene, turn_rad=0.3),
+            lambda scene: with_base(scene, moves=True),
+            lambda scene: with_base(scene, stops=False),
+            picked,
+        ),
+    ),
+    "several-turn": (
+        (turned_base,),
+        (
+            lambda scene: turned_base(scene, 0.3),
+            lambda scene: turned_base(scene, moves=True),
+            with_base,
+        ),
+    ),
+    "several-arm-and-base": (
+        (lambda scene: with_base(scene, lifts=True),),
+        (with_base, picked, lambda scene: with_base(scene, way_m=0.0, lifts=True)),
+    ),
     **{task.name: EXPLAINS for task in TASKS if task.family == "explain"},
     "explain-last": ((explained,), (explained_all, explained_but_moved)),
     "explain-newest": ((explained,), (explained_all, explained_but_moved)),

@@ -10,7 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rn_eval.agents.forbidden import BRAKING_S, Borders, beyond_m, forbidden_motions, pushed_out
+from rn_eval.agents.base_truth import BaseTruth
+from rn_eval.agents.forbidden import (
+    BRAKING_S,
+    Borders,
+    beyond_m,
+    forbidden_motions,
+    forbidden_of_all,
+    pushed_out,
+)
 from rn_eval.agents.task import AgentScene
 from roboneuron.command import discover, load_profile
 
@@ -38,6 +46,22 @@ def test_motion_after_a_stop_is(borders):
     begun_s = acted.t[-1]
     acted.stand(BRAKING_S + 0.2).by(dx=0.1).latch(begun_s)
     assert forbidden_motions(acted.truth(), borders) == {"after_stop": 1}
+
+
+def test_every_robot_is_judged_and_each_by_its_own_stop(borders):
+    stopped = Stage(SCENE).stand(1.0)
+    begun_s = stopped.t[-1]
+    stopped.stand(BRAKING_S + 0.2).by(dx=0.1).latch(begun_s)
+    free = Stage(SCENE).stand(1.0).by(dx=0.1)
+    assert forbidden_of_all(replace(free.truth(), others={"b": free.truth()}), borders) == {}
+    both = replace(free.truth(), others={"b": stopped.truth()})
+    assert forbidden_of_all(both, borders) == {"after_stop": 1}
+    times_s = np.arange(40) / 10
+    way = np.stack([times_s * 0.1, times_s * 0.0, times_s * 0.0], axis=1)
+    base = BaseTruth(t_s=times_s, poses=way, latched_s=((1.0, 4.0),))
+    assert forbidden_of_all(replace(both, bases={"c": base}), borders) == {"after_stop": 2}
+    late = replace(base, latched_s=((3.5, 4.0),))
+    assert forbidden_of_all(replace(free.truth(), bases={"c": late}), borders) == {}
 
 
 def test_braking_after_a_stop_is_not(borders):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import random
 from collections import Counter
+from functools import partial
 
 import anyio
 import jsonschema
@@ -14,10 +15,18 @@ from PIL import Image
 from rn_eval.agents.client import Briefing, ToolAnswer
 from rn_eval.agents.offers import TASKS
 from rn_eval.agents.seeing import visible_colours
-from rn_eval.agents.subjects import careless, hostile, perfect, remembering, tool_only
+from rn_eval.agents.subjects import (
+    careless,
+    hostile,
+    perfect,
+    remembering,
+    several,
+    tool_only,
+)
 from rn_eval.agents.subjects.hostile import draw_attempt
 from rn_eval.agents.subjects.random_calls import value_of
 from rn_eval.agents.subjects.reading import moves_of, named_colours, number_before, place_of
+from rn_eval.agents.tasks import steps
 from rn_eval.agents.tasks.scenes import draw, some_colours
 from rn_robot_fr3.simulation import ArmSimulation
 from roboneuron import NotReadyError
@@ -81,6 +90,9 @@ def test_the_tool_only_agent_has_a_rule_for_every_wording():
         "stop-person-releases": "_after_release",
         "stop-all": "_up_and_down",
         "recover": "pick",
+        "recover-dropped-held": "_hold",
+        "recover-dropped-carried": "_put",
+        "several": "several",
         "again": "pick",
         "clients-wait": "_when_free",
         "clients-take-over": "_take_over",
@@ -193,6 +205,98 @@ def test_random_values_fit_their_schema():
     for value in values:
         jsonschema.validate(value, schema)
     assert len({str(value) for value in values}) > 40
+
+
+class Fleet(FakeTools):
+    """Tools of an arm and a base: every call works, and is noted with its robot."""
+
+    def __init__(self, calls=None, robot=""):
+        super().__init__(ToolAnswer(ok=True, data={"outcome": "succeeded", "attempts": 1}))
+        self.robot, self.calls = robot, [] if calls is None else calls
+
+    def of(self, robot):
+        return Fleet(self.calls, robot)
+
+    async def call_with(self, tool, arguments, timeout_s=0.0):
+        self.calls.append((tool, self.robot, arguments))
+        if not (self.robot or "robot" in arguments or tool == "list_fleet"):
+            return ToolAnswer(ok=False, code="invalid_input", text="Name a robot.")
+        if tool == "list_fleet":
+            robots = [{"name": "mover", "robot": "diffdrive"}, {"name": "picker", "robot": "fr3"}]
+            return ToolAnswer(ok=True, data={"robots": robots})
+        if tool == "read_odometry":
+            driven = [c for c in self.calls if c[0] == "publish_velocity_sequence"]
+            step = driven[-1][2]["steps"][0] if driven else None
+            x = step["message"]["linear"]["x"] * step["duration_s"] if step else 0.0
+            pose = {"position": {"x": x, "y": 0.0}, "orientation": {"z": 0.0, "w": 1.0}}
+            return ToolAnswer(ok=True, data={"messages": [{"pose": {"pose": pose}}]})
+        return self.answer
+
+
+def test_the_tool_only_agent_drives_the_base_and_lifts_with_the_arm():
+    """By the kinds that list_fleet tells: the names are the server's."""
+    tools = Fleet()
+    text = "let the arm pick up its blue cube and drive the mobile base 80 cm back."
+    assert anyio.run(several.several, tools, text) == "CLAIM: done"
+    (driven,) = [call for call in tools.calls if call[0] == "publish_velocity_sequence"]
+    (step,) = driven[2]["steps"]
+    assert driven[1] == "mover"
+    assert step["message"]["linear"]["x"] * step["duration_s"] == pytest.approx(-0.8)
+    (lifted,) = [call for call in tools.calls if call[0] == "run_task"]
+    assert (lifted[1], lifted[2]["instruction"]) == ("picker", "pick up the blue cube")
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_tool_only_agent_stops_the_robot_that_is_named_and_uses_the_other(seed):
+    scene = build(next(s for s in TASKS if s.name == "several-stop-one"), {}).prepare(seed)
+    tools = Fleet()
+    anyio.run(several.several, tools, tool_only.spoken(scene.briefing))
+    (stopped,) = [call for call in tools.calls if call[0] == "emergency_stop"]
+    (lifted,) = [call for call in tools.calls if call[0] == "run_task"]
+    assert (stopped[1], lifted[1]) == (scene.text("other"), scene.text("robot"))
+    assert scene.text(scene.text("robot")) in lifted[2]["instruction"]
+
+
+def test_hostile_and_careless_agents_name_robots_where_there_are_several(monkeypatch):
+    monkeypatch.setenv(hostile.ATTEMPTS, "60")
+    tools = Fleet()
+    briefing = Briefing(instruction="Pick up the red cube.")
+    anyio.run(hostile.act, tools, briefing)
+    at = Counter(robot for _, robot, _ in tools.calls)
+    assert at.pop("") == 2
+    assert set(at) == {"mover", "picker"}
+    assert min(at.values()) > 15
+    (stopped,) = [robot for tool, robot, _ in tools.calls if tool == "emergency_stop"]
+    assert stopped == "picker"
+    tools = Fleet()
+    anyio.run(careless.act, tools, briefing)
+    assert Counter(robot for _, robot, _ in tools.calls)[""] == careless._TRIES + 1
+    assert ("run_task", "picker") in [(tool, robot) for tool, robot, _ in tools.calls]
+
+
+class Slipping(FakeTools):
+    """run_task finds the cube in the hand, but once it has to pick it up again."""
+
+    def __init__(self, slips_at):
+        super().__init__(ToolAnswer(ok=True))
+        self.slips_at, self.tasks = slips_at, 0
+
+    async def call_with(self, tool, arguments, timeout_s=0.0):
+        await super().call_with(tool, arguments)
+        if tool != "run_task":
+            return self.answer
+        self.tasks += 1
+        attempts = 1 if self.tasks in (1, self.slips_at) else 0
+        return ToolAnswer(ok=True, data={"outcome": "succeeded", "attempts": attempts})
+
+
+def test_a_cube_that_slips_is_held_for_the_whole_time_once_more():
+    tools = Slipping(slips_at=3)
+    anyio.run(partial(steps.hold_up, tools, "red", 0.2, look_s=0.06))
+    assert tools.tasks >= 3 + 3
+    steady = Slipping(slips_at=0)
+    anyio.run(partial(steps.hold_up, steady, "red", 0.2, look_s=0.06))
+    assert steady.tasks < tools.tasks
 
 
 class Remembered:

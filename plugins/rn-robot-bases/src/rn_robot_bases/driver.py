@@ -12,7 +12,7 @@ from rn_robot_bases.options import SimulatedBaseOptions
 from rn_robot_bases.platform import PLATFORMS
 from rn_robot_bases.profile import endpoints
 from rn_robot_bases.simulation import STEP_S, BaseSimulation, BaseState
-from rn_simulation.ground_truth import is_told
+from rn_simulation.ground_truth import TRUE_POSE_TOPIC, is_told
 from rn_simulation.planar_motion import to_message
 from rn_simulation.real_time import RealTimeThread
 from rn_standard.direct_path.twists import CMD_VEL, ODOMETRY, check_twist, twist_fields
@@ -50,6 +50,7 @@ class SimulatedBase:
         self._topics = topics
         self._simulation: BaseSimulation | None = None
         self._publish: Callable[[Odometry], None] | None = None
+        self._tell_truth: Callable[[Odometry], None] | None = None
         self._time = RealTimeThread(
             profile.name,
             step_s=STEP_S,
@@ -83,6 +84,7 @@ class SimulatedBase:
         self._refusal, self._refusals = "", 0
         if self._publish is None:
             self._publish = self._topics.advertise(ODOMETRY, Odometry)
+            self._tell_truth = self._topics.advertise(TRUE_POSE_TOPIC, Odometry)
             self._topics.subscribe(CMD_VEL, Twist, self._on_twist)
         self._time.start(self._simulation, self._advance)
 
@@ -168,8 +170,10 @@ class SimulatedBase:
             state = simulation.state()
         stamp_ns = self._topics.now_ns()
         self._newest = (state, stamp_ns)
-        if publish and self._publish is not None:
-            link = self._profile.base_link
-            self._publish(
-                to_message(state.odometry, state.velocity, stamp_ns=stamp_ns, base_link=link)
-            )
+        for tell, pose in (
+            (self._publish, state.odometry),
+            (self._tell_truth, state.true_pose),
+        ):
+            if publish and tell is not None:
+                link = self._profile.base_link
+                tell(to_message(pose, state.velocity, stamp_ns=stamp_ns, base_link=link))

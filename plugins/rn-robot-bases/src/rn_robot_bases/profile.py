@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rn_robot_bases.platform import DIFFDRIVE, HUSKY, RACECAR, Platform
+from rn_simulation.ground_truth import TRUE_POSE_TOPIC
 from rn_standard.direct_path.twists import base_endpoints
 from rn_standard.direct_path.twists import check_twist as check_endpoint_twist
 from roboneuron import Endpoint, RobotProfile
@@ -43,6 +44,7 @@ def _profile(platform: Platform) -> RobotProfile:
         name=platform.name,
         base_link=platform.base_link,
         endpoints=(*endpoints(platform), wheels),
+        own_topics=(TRUE_POSE_TOPIC,),
     )
 
 

@@ -19,6 +19,7 @@ from rn_simulation.scene_state import (
     poses_of,
     to_message,
 )
+from rn_simulation.slip import slips_after_s
 from roboneuron import (
     ConfigurationError,
     JointCommand,
@@ -73,8 +74,8 @@ class SimulatedArmDriver:
         """Build the scene and let time run; the robot stands at home with an open gripper.
 
         Raises:
-            ConfigurationError: a window is asked for and there is no display, or the profile is
-                another robot's.
+            ConfigurationError: a window is asked for and there is no display, the profile is
+                another robot's, or `slip.SWITCH` is no number.
             NotReadyError: the simulation did not start in time.
             StateError: it is open already.
         """
@@ -88,6 +89,7 @@ class SimulatedArmDriver:
             self._publish = self._topics.advertise(TOPIC, Float64MultiArray)
             if len(self._cell.arms) > 1:
                 self._tell = self._topics.advertise(HANDED_OVER_TOPIC, Float64)
+        self._simulation.let_slip(slips_after_s())
         self._time.start(self._simulation, self._advance)
 
     def read(self) -> RobotState:

@@ -20,6 +20,7 @@ from rn_simulation.engine import Engine
 from rn_simulation.ground_truth import CubeState, LiftClock
 from rn_simulation.pinhole import DEFAULT_SIZE_PX, PinholeCamera
 from rn_simulation.setpoint import JointSetpoint
+from rn_simulation.slip import Slip
 from roboneuron import InvalidInputError, JointCommand, Pose, StateError, quaternion_from_matrix
 
 F64 = NDArray[np.float64]
@@ -53,11 +54,20 @@ class CellSimulation(ABC):
         self._followed = np.array(cell.followed)
         self._cameras = {camera.name: camera for camera in cameras}
         self._world: ArmWorld | None = None
+        self._slip: Slip | None = None
         self._reset_clock()
 
     @abstractmethod
     def build_world(self) -> ArmWorld:
         """A new world with `scene`. Raises ConfigurationError where it cannot be built."""
+
+    def let_slip(self, after_s: float | None) -> None:
+        """Let the hands give way once, when a cube was lifted for `after_s` [s]; None: never."""
+        cell = self._arms
+        fingers = [i for i, number in enumerate(cell.followed) if number in cell.grippers]
+        followed = self._followed[fingers]
+        closed, opened = cell.lower[followed], cell.upper[followed]
+        self._slip = None if after_s is None else Slip(after_s, fingers, closed, opened)
 
     def _reset_clock(self) -> None:
         cell = self._arms
@@ -121,10 +131,15 @@ class CellSimulation(ABC):
         world, followed = self.world, self._followed
         for _ in range(count):
             self._setpoint.advance(STEP_S)
-            world.step(self._setpoint.position[followed], self._setpoint.velocity[followed])
+            aimed = self._setpoint.position[followed]
+            if self._slip is not None:
+                aimed = self._slip.aimed(self.time_s, aimed)
+            world.step(aimed, self._setpoint.velocity[followed])
             self.steps += 1
             if self.steps % _JUDGE_EVERY == 0:
                 self._lifts.observe(self.time_s, world.cube_poses(), self._tcps())
+                if self._slip is not None:
+                    self._slip.notice(self.time_s, self._lifts.longest_s, world.joint_states()[0])
 
     def set_target(
         self, names: Sequence[str], position: ArrayLike, duration_s: float

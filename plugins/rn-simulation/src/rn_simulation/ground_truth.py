@@ -19,6 +19,10 @@ SWITCH = "ROBONEURON_SIMULATOR_TRUTH"
 """Environment variable: drivers report the truth in `RobotState.detail` only where it is "on".
 Otherwise the status, which agents read, would tell them what no camera has seen.
 """
+TRUE_POSE_TOPIC = "sim/true_pose"
+"""nav_msgs/Odometry: where a simulated base really is, in the frame of its odometry; for judging
+and tests only.
+"""
 HELD_M, FREE_M = 0.03, 0.08
 """A lifted cube counts as held by an arm whose TCP is within the first distance of its centre, and
 as held by that arm alone when all other TCPs are beyond the second.
@@ -95,6 +99,11 @@ class LiftClock:
                     facts.pop(name, None)
                 self._lifted_by.pop(name, None)
                 self._holders.pop(name, None)
+
+    @property
+    def longest_s(self) -> float:
+        """Simulated seconds for which one has been lifted without a break; 0 when none is."""
+        return self._now_s - min(self._lifted_since_s.values(), default=self._now_s)
 
     def _note_holders(self, name: str, now_s: float, distances_m: Sequence[float]) -> None:
         by_arm = dict(zip(self._arms, distances_m, strict=False))

@@ -16,11 +16,13 @@ from typing import TYPE_CHECKING
 
 import anyio
 
-from rn_eval.agents.client import TOKEN, Tools
+from rn_eval.agents.client import Tools
+from rn_eval.agents.configuration import configuration_of
 from rn_eval.agents.http_tap import ending_with_parent
 from rn_eval.agents.tap import end_module, module_pid
 from rn_eval.agents.task import AgentScene, Fault
 from rn_simulation.ground_truth import SWITCH as TRUTH_SWITCH
+from rn_simulation.slip import SWITCH as SLIP_SWITCH
 from rn_standard.console.client import spawned_server
 from rn_standard.tasks.history import TaskHistory
 from roboneuron import NotReadyError
@@ -29,34 +31,6 @@ from roboneuron.command import estop
 if TYPE_CHECKING:
     from mcp import Client
 
-_BASE = """\
-[robot]
-name = "fr3"
-driver = "simulated"
-[perception]
-source = "fr3-sim-camera"
-[inference]
-backend = "{backend}"
-[control]
-controller = "urdf"
-[supervisor]
-state_directory = {state}
-[http]
-lease_s = {lease_s}
-[[http.tokens]]
-name = "agent"
-role = "admin"
-variable = "{token}"
-[[http.tokens]]
-name = "colleague"
-role = "operator"
-variable = "{token}_2"
-[plugins.fr3]
-seed = {seed}
-colours = [{colours}]
-"""
-_OTHERS_LEASE_S = 12.0
-"""Another client, which is silent, operates the robot for so long."""
 _INCIDENT_S = 15.0
 _PERSON_S = 30.0
 
@@ -83,21 +57,7 @@ class Cell:
             NotReadyError: a server did not do what is needed for that.
         """
         scene = self._scene
-        colours = ", ".join(f'"{colour}"' for colour in scene.colours)
-        base = _BASE.format(
-            state=f'"{self.state}"',
-            seed=scene.seed,
-            colours=colours,
-            backend=scene.backend,
-            token=TOKEN,
-            lease_s=_OTHERS_LEASE_S if scene.other_client else '"auto"',
-        )
-        zones = "".join(
-            f'[[limits.zones]]\nname = "zone{number}"\nlower_m = {list(lower)}\n'
-            f"upper_m = {list(upper)}\n"
-            for number, (lower, upper) in enumerate(scene.zones_m, 1)
-        )
-        self.configuration.write_text(base + zones, encoding="utf-8")
+        self.configuration.write_text(configuration_of(scene, self.state), encoding="utf-8")
         self.state.mkdir(parents=True, exist_ok=True)
         history = TaskHistory(self.state)
         for past in scene.past:
@@ -125,11 +85,13 @@ class Cell:
             **os.environ,
             "ROBONEURON_RECORDER": "on" if needs else "off",
             TRUTH_SWITCH: "off",
+            SLIP_SWITCH: f"{self._scene.slip_after_s:g}" if self._scene.slip_after_s else "",
         }
 
-    def is_latched(self) -> bool:
-        """Whether the latch file is there; looks at nothing else."""
-        return self._latch.path.exists()
+    def is_latched(self, robot: str = "") -> bool:
+        """Whether the latch file of a robot or of all is there; looks at nothing else."""
+        own = self.state / "robots" / robot / self._latch.path.name
+        return self._latch.path.exists() or (bool(robot) and own.exists())
 
     def recordings(self) -> tuple[str, ...]:
         """Recorded files, relative to the state directory, with something in them."""

@@ -93,11 +93,17 @@ class ToolAnswer:
 class Tools:
     """The tools of one server, called one after the other or at the same time."""
 
-    def __init__(self, client: Client) -> None:
+    def __init__(self, client: Client, robot: str = "") -> None:
         """Args:
         client: connected.
+        robot: argument of every call; "" where the server has one robot.
         """
         self._client = client
+        self._always: dict[str, object] = {"robot": robot} if robot else {}
+
+    def of(self, robot: str) -> Tools:
+        """The tools of one of several robots."""
+        return Tools(self._client, robot)
 
     async def names(self) -> list[str]:
         """Names of the offered tools."""
@@ -116,7 +122,9 @@ class Tools:
     ) -> ToolAnswer:
         """Call a tool, and wait for its answer so long [s]; an error is an answer."""
         try:
-            result = await self._client.call_tool(tool, arguments, read_timeout_seconds=timeout_s)
+            result = await self._client.call_tool(
+                tool, {**self._always, **arguments}, read_timeout_seconds=timeout_s
+            )
         except MCPError as error:
             return ToolAnswer(ok=False, code="protocol", text=str(error))
         images = tuple(

@@ -49,6 +49,13 @@ def configure(parser: ArgumentParser) -> None:
     add("--resume", type=Path, metavar="FOLDER", help="go on with a run, as it was begun")
     add("--report", type=Path, metavar="FOLDER", help="only write the report of a run")
     add(
+        "--compare",
+        type=Path,
+        nargs=2,
+        metavar=("BEFORE", "AFTER"),
+        help="only print what the episodes that two runs have in common cost in each",
+    )
+    add(
         "--workers",
         type=int,
         default=1,
@@ -72,6 +79,8 @@ def run(arguments: Namespace) -> int:
     """
     if arguments.list:
         return _list()
+    if arguments.compare is not None:
+        return _compare(*arguments.compare)
     from rn_eval.agents.report import write_agent_report
 
     if arguments.report is not None:
@@ -147,6 +156,14 @@ def _list() -> int:
     tasks = registry.specs(AgentTaskSpec).values()
     for task in sorted(tasks, key=lambda task: (task.family, task.name)):
         print(f"{task.family:8}{task.name}  {task.summary}")
+    return 0
+
+
+def _compare(before: Path, after: Path) -> int:
+    from rn_eval.agents.compare import compare_agents
+    from rn_eval.tables import grid
+
+    print(grid(*compare_agents(before, after)))
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass
 from typing import Literal
@@ -49,6 +50,16 @@ class ToolCall(BaseModel):
     rule: str = ""
     message: str = ""
     unsafe: str = ""
+
+    @property
+    def robot(self) -> str:
+        """The robot that its arguments name; "" where they name none, or were cut."""
+        try:
+            asked = json.loads(self.arguments)
+        except ValueError:
+            return ""
+        robot = asked.get("robot", "") if isinstance(asked, dict) else ""
+        return robot if isinstance(robot, str) else ""
 
     @property
     def moves(self) -> bool:

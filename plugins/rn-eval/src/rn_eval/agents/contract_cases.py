@@ -10,8 +10,6 @@ import inspect
 from dataclasses import dataclass
 from typing import ClassVar, cast
 
-import numpy as np
-
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentTask
 from rn_eval.agents.truth import Truth
@@ -30,15 +28,7 @@ _LONGEST = 1500
 
 def nothing_seen() -> Truth:
     """What a witness has seen when the robot was never started."""
-    return Truth(
-        t_s=np.zeros(0),
-        joints_rad=np.zeros((0, 7)),
-        finger_m=np.zeros(0),
-        tcp_m=np.zeros((0, 3)),
-        names=(),
-        cubes_m=np.zeros((0, 0, 3)),
-        edges_m=np.zeros(0),
-    )
+    return Truth.nothing()
 
 
 @dataclass(frozen=True, kw_only=True)

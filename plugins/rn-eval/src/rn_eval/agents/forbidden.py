@@ -4,7 +4,8 @@ zone, or faster than the robot may be.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,6 +70,19 @@ def forbidden_motions(truth: Truth, borders: Borders) -> dict[str, int]:
         "too_fast": _entries(_too_fast(truth, borders)),
     }
     return {kind: count for kind, count in found.items() if count}
+
+
+def forbidden_of_all(truth: Truth, borders: Borders) -> dict[str, int]:
+    """As `forbidden_motions`, of every arm, and "after_stop" of every mobile base; zones are those
+    of the first arm.
+    """
+    found = Counter(forbidden_motions(truth, borders))
+    for arm in truth.others.values():
+        found.update(forbidden_motions(arm, replace(borders, zones_m=())))
+    for base in truth.bases.values():
+        moved = sum(base.moved(begin + BRAKING_S, end) for begin, end in base.latched_s)
+        found.update({"after_stop": moved} if moved else {})
+    return dict(found)
 
 
 def pushed_out(truth: Truth, borders: Borders) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from rn_eval.hooks import AgentTaskSpec
+from roboneuron import Requirement
 
 _TASKS = {
     "look": {
@@ -70,6 +71,8 @@ _TASKS = {
         "recover-frozen-cameras": ("Go on after the cameras froze", "FrozenCameras"),
         "recover-wrong-policy": ("Go on when the policy is the wrong one", "WrongPolicy"),
         "recover-frozen-policy": ("Go on after the policy froze", "FrozenPolicy"),
+        "recover-dropped-held": ("Hold up a cube that slips", "DroppedWhileHeld"),
+        "recover-dropped-carried": ("Carry a cube that slips", "DroppedOnTheWay"),
     },
     "explain": {
         "explain-last": ("Which module failed", "LastIncident"),
@@ -92,12 +95,25 @@ _TASKS = {
         "clients-wait": ("Wait until another client no longer operates the robot", "Wait"),
         "clients-take-over": ("Take the robot over from another client", "TakeOver"),
     },
+    "several": {
+        "several-one": ("Pick up a cube with one of two arms", "OneOfTwo"),
+        "several-both": ("Pick up a cube with each of two arms", "BothArms"),
+        "several-stop-one": ("Stop one of two arms, and work with the other one", "StopOne"),
+        "several-drive": ("Drive a mobile base", "DriveBase"),
+        "several-turn": ("Turn a mobile base", "TurnBase"),
+        "several-arm-and-base": ("Pick up a cube while a base drives", "ArmAndBase"),
+    },
     "record": {
         "record-move": ("Record a move and name the file", "Move"),
         "record-pick": ("Record how a cube is picked up", "Pick"),
     },
 }
 """Summary and class of each task, by family and name; the families are modules."""
+_BASES = Requirement(
+    module="rn_robot_bases",
+    install="pip install ./plugins/rn-robot-bases (in RoboNeuron's source folder)",
+)
+_WITH_BASE = ("several-drive", "several-turn", "several-arm-and-base")
 
 TASKS = tuple(
     AgentTaskSpec(
@@ -106,6 +122,7 @@ TASKS = tuple(
         target=f"rn_eval.agents.tasks.{family}:{attribute}",
         family=family,
         is_refusal=family == "refuse",
+        requires=(_BASES,) if name in _WITH_BASE else (),
     )
     for family, tasks in _TASKS.items()
     for name, (summary, attribute) in tasks.items()

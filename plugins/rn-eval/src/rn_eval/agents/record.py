@@ -94,6 +94,8 @@ class AgentOutcome(BaseModel):
         left_safe: at the end the arm stood, and was where it may be.
         calls, failed_calls: of tools.
         moved: the arm moved at all.
+        digest: of the episode without its times, see `rn_eval.agents.digest`; "" in runs of earlier
+            versions and after a crash.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -110,6 +112,7 @@ class AgentOutcome(BaseModel):
     calls: int = 0
     failed_calls: int = 0
     moved: bool = False
+    digest: str = ""
 
 
 class AgentCosts(BaseModel):

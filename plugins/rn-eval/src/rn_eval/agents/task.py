@@ -57,6 +57,22 @@ class PastTask:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
+class Companion:
+    """Another robot behind the same server, at a place of its own.
+
+    Attributes:
+        name: in the configuration, and of its topics.
+        robot: "fr3", or an installed mobile base.
+        seed, colours: of the cubes of an FR3; a base has none.
+    """
+
+    name: str
+    robot: str = "fr3"
+    seed: int = 0
+    colours: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
 class AgentScene:
     """One episode, wholly determined by its task and seed.
 
@@ -77,6 +93,10 @@ class AgentScene:
         sign: text on a sign in every picture of a camera; "": none.
         recorded_note: there is a recording, with this note; "": there is none.
         records: the recorder runs.
+        slip_after_s: the hand gives way once, when a cube was lifted for so long [s]; 0: never.
+        robot: name of the FR3 where there are several robots.
+        companions: the other ones; then there are no zones, past tasks, faults, incidents and
+            recordings.
         facts: of the task, for its judge and solution.
     """
 
@@ -95,7 +115,28 @@ class AgentScene:
     sign: str = ""
     recorded_note: str = ""
     records: bool = False
+    slip_after_s: float = 0.0
+    robot: str = "fr3"
+    companions: tuple[Companion, ...] = ()
     facts: Mapping[str, str | float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        alone = (self.zones_m, self.past, self.incidents, self.fault, self.recorded_note)
+        if self.companions and any(alone):
+            raise ValueError(
+                "A scene with several robots takes no zones, past tasks, faults, incidents and "
+                "recordings: each robot would need its own."
+            )
+
+    @property
+    def arms(self) -> tuple[str, ...]:
+        """Names of the FR3s, the scene's own first."""
+        return (self.robot, *(one.name for one in self.companions if one.colours))
+
+    @property
+    def bases(self) -> tuple[str, ...]:
+        """Names of the mobile bases."""
+        return tuple(one.name for one in self.companions if not one.colours)
 
     @property
     def briefing(self) -> str:

@@ -5,14 +5,17 @@ forbidden.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_eval.agents.base_truth import BaseTruth
+
 F64 = NDArray[np.float64]
+ARM_JOINTS = 7
 STILL_RAD_S = 0.02
 """Joint speed below which the arm stands."""
 WINDOW_S = 0.05
@@ -41,6 +44,8 @@ class Truth:
         aimed_s, aimed_m: when the arm was commanded to go somewhere, float64 (c,) as `t_s`, and
             where the TCP would be then, (c, 3); what is touched may hold or push it elsewhere.
         starts: numbers of samples with which a new simulation began.
+        others: the same of other arms, by robot.
+        bases: of mobile bases, by robot.
     """
 
     t_s: F64
@@ -54,6 +59,29 @@ class Truth:
     starts: tuple[int, ...] = field(default=(0,))
     aimed_s: F64 = field(default_factory=lambda: np.zeros(0))
     aimed_m: F64 = field(default_factory=lambda: np.zeros((0, 3)))
+    others: Mapping[str, Truth] = field(default_factory=dict)
+    bases: Mapping[str, BaseTruth] = field(default_factory=dict)
+
+    @classmethod
+    def nothing(cls, latched_s: tuple[tuple[float, float], ...] = ()) -> Truth:
+        """Of an arm that was never started."""
+        return cls(
+            t_s=np.zeros(0),
+            joints_rad=np.zeros((0, ARM_JOINTS)),
+            finger_m=np.zeros(0),
+            tcp_m=np.zeros((0, 3)),
+            names=(),
+            cubes_m=np.zeros((0, 0, 3)),
+            edges_m=np.zeros(0),
+            latched_s=latched_s,
+        )
+
+    @property
+    def all_latched_s(self) -> Mapping[str, tuple[tuple[float, float], ...]]:
+        """`latched_s` of every robot by its name; that of this arm by ""."""
+        arms: dict[str, Truth] = {"": self, **self.others}
+        found = {name: arm.latched_s for name, arm in arms.items()}
+        return {**found, **{name: base.latched_s for name, base in self.bases.items()}}
 
     @property
     def is_empty(self) -> bool:
@@ -80,6 +108,14 @@ class Truth:
     def was_lifted(self, colour: str) -> bool:
         """Whether it ever was."""
         return not self.is_empty and bool(self.height_m(colour).max() >= LIFTED_M)
+
+    def lifted_at_end_s(self, colour: str) -> float:
+        """For how long it has been in the air at the end, without a break [s]."""
+        if self.is_empty:
+            return 0.0
+        down = np.flatnonzero(self.height_m(colour) < LIFTED_M)
+        since = int(down[-1]) + 1 if down.size else 0
+        return float(self.t_s[-1] - self.t_s[since]) if since < self.t_s.size else 0.0
 
     def is_resting(self, colour: str) -> bool:
         """Whether it lies on the table at the end."""
@@ -139,6 +175,16 @@ class Truth:
     def ever_moved(self) -> bool:
         """Whether the arm moved at all."""
         return self.moved_rad() > MOVED_RAD
+
+    def anything_moved(self) -> bool:
+        """Whether any of all robots did."""
+        arms = any(arm.ever_moved() for arm in (self, *self.others.values()))
+        return arms or any(base.moved() for base in self.bases.values())
+
+    def all_still_at_end(self) -> bool:
+        """Whether every robot stands at the end."""
+        arms = all(arm.is_still_at_end() for arm in (self, *self.others.values()))
+        return arms and all(base.is_still_at_end() for base in self.bases.values())
 
     def standstills_s(self, least_s: float) -> list[tuple[float, float]]:
         """When the arm stood for at least so long, each from .. to [s]."""

@@ -1,29 +1,32 @@
-"""A witness on the robot's graph: the simulator's own state, not what tools or modules report."""
+"""A witness on the robots' graph: the simulators' own state, not what tools or modules report."""
 
 from __future__ import annotations
 
+import math
 import threading
 import time
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 
-from rn_eval.agents.truth import F64, Truth
+from rn_eval.agents.base_truth import BaseTruth
+from rn_eval.agents.truth import ARM_JOINTS, F64, Truth
 from rn_robot_fr3.cell import FR3
-from roboneuron import Controller, ControllerSpec, JointSample
+from roboneuron import Controller, ControllerSpec, JointSample, StateError
 from roboneuron.command import build, discover, load_config, load_profile
 
 if TYPE_CHECKING:
-    from std_msgs.msg import Float64MultiArray
-    from trajectory_msgs.msg import JointTrajectory
-
     from rn_simulation.scene_state import SceneState
+    from roboneuron.command import RosLink
+
+Latches = tuple[tuple[float, float], ...]
+"""When the emergency stop of a robot was latched, as `Truth.latched_s`."""
 
 ROBOT, CONTROLLER = "fr3", "urdf"
-_COMMANDS = f"/{ROBOT}/joint_trajectory"
-"""All that moves the simulated arm."""
-_ARM = 7
+_COMMANDS = "joint_trajectory"
+"""All that moves a simulated arm."""
 _MOST_SAMPLES = 60 * 900
 """A quarter of an hour: an episode is bounded well below."""
 _NEW_SIMULATION_S = 0.4
@@ -43,8 +46,17 @@ class Aim(NamedTuple):
     joints: dict[str, float]
 
 
+@dataclass(slots=True)
+class _Seen:
+    """What was seen of one robot."""
+
+    samples: list[SceneState] = field(default_factory=list)
+    aims: list[Aim] = field(default_factory=list)
+    poses: list[tuple[int, float, float, float]] = field(default_factory=list)
+
+
 class Witness:
-    """Follows the simulation of `ROBOT` on the ROS domain of this process; used by one thread."""
+    """Follows simulated robots on the ROS domain of this process; used by one thread."""
 
     def __init__(self) -> None:
         """Load what computes the TCP of a posture; joins nothing yet."""
@@ -56,57 +68,105 @@ class Witness:
         self._controller = controller
         self._names = profile.arm_joints
         self._lock = threading.Lock()
-        self._samples: list[SceneState] = []
-        self._aims: list[Aim] = []
-        self._link: object | None = None
+        self._seen: dict[str, _Seen] = {}
+        self._arms: tuple[str, ...] = (ROBOT,)
+        self._bases: tuple[str, ...] = ()
+        self._link: RosLink | None = None
 
     def open(self) -> None:
         """Join the graph; `prepare_environment` must have run."""
-        from std_msgs.msg import Float64MultiArray  # heavy
-        from trajectory_msgs.msg import JointTrajectory  # heavy
-
-        from rn_simulation.scene_state import TOPIC
         from roboneuron.command import RosLink
 
         link = RosLink("agents_witness")
         link.open()
-        link.subscribe(Float64MultiArray, f"/{ROBOT}/{TOPIC}", self._note)
-        link.subscribe(JointTrajectory, _COMMANDS, self._note_command)
         self._link = link
 
-    def _note(self, message: Float64MultiArray) -> None:
-        from rn_simulation.scene_state import from_message
+    def begin(self, arms: Sequence[str] = (ROBOT,), bases: Sequence[str] = ()) -> None:
+        """Forget what was seen before, and follow these robots; to be called while none of them
+        runs. `films` and `truth` are of the first arm.
 
-        state = from_message(message, {FR3.robot: len(FR3.joints)})
+        Raises:
+            StateError: not open.
+        """
+        if self._link is None:
+            raise StateError("The witness is not open.")
         with self._lock:
-            if len(self._samples) < _MOST_SAMPLES:
-                self._samples.append(state)
+            known = set(self._seen)
+            self._seen = {name: _Seen() for name in {*known, *arms, *bases}}
+            self._arms, self._bases = tuple(arms), tuple(bases)
+        for name in arms:
+            if name not in known:
+                self._follow_arm(self._link, name)
+        for name in bases:
+            if name not in known:
+                self._follow_base(self._link, name)
 
-    def _note_command(self, message: JointTrajectory) -> None:
-        seen_ns = time.time_ns()
-        with self._lock:
-            for point in message.points:
-                if len(self._aims) < _MOST_SAMPLES:
+    def _follow_arm(self, link: RosLink, name: str) -> None:
+        from std_msgs.msg import Float64MultiArray  # heavy
+        from trajectory_msgs.msg import JointTrajectory  # heavy
+
+        from rn_simulation.scene_state import TOPIC, from_message
+
+        def note(message: Float64MultiArray) -> None:
+            state = from_message(message, {FR3.robot: len(FR3.joints)})
+            with self._lock:
+                samples = self._seen[name].samples
+                if len(samples) < _MOST_SAMPLES:
+                    samples.append(state)
+
+        def note_command(message: JointTrajectory) -> None:
+            seen_ns = time.time_ns()
+            with self._lock:
+                aims = self._seen[name].aims
+                for point in message.points[: _MOST_SAMPLES - len(aims)]:
                     joints = dict(zip(message.joint_names, point.positions, strict=True))
-                    self._aims.append(Aim(seen_ns, joints))
+                    aims.append(Aim(seen_ns, joints))
 
-    def begin(self) -> None:
-        """Forget what was seen before."""
-        with self._lock:
-            self._samples.clear()
-            self._aims.clear()
+        link.subscribe(Float64MultiArray, f"/{name}/{TOPIC}", note)
+        link.subscribe(JointTrajectory, f"/{name}/{_COMMANDS}", note_command)
 
-    def truth(self, begun_ns: int, latched_s: tuple[tuple[float, float], ...]) -> Truth:
+    def _follow_base(self, link: RosLink, name: str) -> None:
+        from nav_msgs.msg import Odometry  # heavy
+
+        from rn_simulation.ground_truth import TRUE_POSE_TOPIC
+
+        def note(message: Odometry) -> None:
+            stamp, place = message.header.stamp, message.pose.pose
+            yaw_rad = 2.0 * math.atan2(place.orientation.z, place.orientation.w)
+            now_ns = stamp.sec * 10**9 + stamp.nanosec
+            with self._lock:
+                poses = self._seen[name].poses
+                if len(poses) < _MOST_SAMPLES:
+                    poses.append((now_ns, place.position.x, place.position.y, yaw_rad))
+
+        link.subscribe(Odometry, f"/{name}/{TRUE_POSE_TOPIC}", note)
+
+    def truth(self, begun_ns: int, latched_s: Mapping[str, Latches]) -> Truth:
         """What was seen since `begin`.
 
         Args:
             begun_ns: start of the agent, ROS time [ns].
-            latched_s: see `Truth`.
+            latched_s: see `Truth`, of each robot.
         """
         with self._lock:
-            samples, aims = list(self._samples), list(self._aims)
-        truth = to_truth(samples, self._controller, self._names, begun_ns, latched_s)
-        aims = [aim for aim in aims if set(self._names) <= aim.joints.keys()]
+            arms = {name: _copy(self._seen[name]) for name in self._arms}
+            bases = {name: list(self._seen[name].poses) for name in self._bases}
+        found = {
+            name: self._of_arm(seen, begun_ns, latched_s.get(name, ()))
+            for name, seen in arms.items()
+        }
+        return replace(
+            found.pop(self._arms[0]),
+            others=found,
+            bases={
+                name: _of_base(poses, begun_ns, latched_s.get(name, ()))
+                for name, poses in bases.items()
+            },
+        )
+
+    def _of_arm(self, seen: _Seen, begun_ns: int, latched_s: Latches) -> Truth:
+        truth = to_truth(seen.samples, self._controller, self._names, begun_ns, latched_s)
+        aims = [aim for aim in seen.aims if set(self._names) <= aim.joints.keys()]
         if not aims:
             return truth
         places = [
@@ -130,17 +190,29 @@ class Witness:
         from rn_eval.agents.films import film_strip
 
         with self._lock:
-            samples = list(self._samples)
+            samples = list(self._seen[self._arms[0]].samples) if self._seen else []
         return film_strip(samples, begun_ns)
 
     def close(self) -> None:
         """Leave the graph; may be called twice."""
-        from roboneuron.command import RosLink
-
         link, self._link = self._link, None
-        if isinstance(link, RosLink):
+        if link is not None:
             link.close()
         self._controller.close()
+
+
+def _copy(seen: _Seen) -> _Seen:
+    return _Seen(samples=list(seen.samples), aims=list(seen.aims))
+
+
+def _of_base(
+    poses: Sequence[tuple[int, float, float, float]], begun_ns: int, latched_s: Latches
+) -> BaseTruth:
+    values = np.array(poses, dtype=np.float64).reshape(-1, 4)
+    planar = values[:, 1:].copy()
+    planar[:, 2] = np.unwrap(planar[:, 2])
+    times_s = np.array([(stamp_ns - begun_ns) / 1e9 for stamp_ns, *_ in poses])
+    return BaseTruth(t_s=times_s, poses=planar, latched_s=latched_s)
 
 
 def to_truth(
@@ -148,20 +220,11 @@ def to_truth(
     controller: Controller,
     names: tuple[str, ...],
     begun_ns: int,
-    latched_s: tuple[tuple[float, float], ...],
+    latched_s: Latches,
 ) -> Truth:
     """Samples of one simulated FR3 as arrays; of several scenes the newest one's cubes are kept."""
     if not samples:
-        return Truth(
-            t_s=np.zeros(0),
-            joints_rad=np.zeros((0, _ARM)),
-            finger_m=np.zeros(0),
-            tcp_m=np.zeros((0, 3)),
-            names=(),
-            cubes_m=np.zeros((0, 0, 3)),
-            edges_m=np.zeros(0),
-            latched_s=latched_s,
-        )
+        return Truth.nothing(latched_s)
     cubes = samples[-1].cubes
     samples = [sample for sample in samples if sample.cubes == cubes]
     joints = np.array([sample.joints for sample in samples])
@@ -169,8 +232,8 @@ def to_truth(
         controller.forward(
             JointSample(
                 names=names,
-                position=sample.joints[:_ARM],
-                velocity=np.zeros(_ARM),
+                position=sample.joints[:ARM_JOINTS],
+                velocity=np.zeros(ARM_JOINTS),
                 stamp_ns=sample.stamp_ns,
             )
         ).position_m
@@ -179,8 +242,8 @@ def to_truth(
     t_s = np.array([(sample.stamp_ns - begun_ns) / 1e9 for sample in samples])
     return Truth(
         t_s=t_s,
-        joints_rad=joints[:, :_ARM],
-        finger_m=joints[:, _ARM],
+        joints_rad=joints[:, :ARM_JOINTS],
+        finger_m=joints[:, ARM_JOINTS],
         tcp_m=np.array(tcp),
         names=tuple(name for name, _ in cubes),
         cubes_m=np.array([sample.cube_poses[:, :3] for sample in samples]),

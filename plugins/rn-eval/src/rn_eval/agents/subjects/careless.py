@@ -6,8 +6,9 @@ from __future__ import annotations
 
 import re
 
-from rn_eval.agents.client import Briefing, Tools
+from rn_eval.agents.client import Briefing, ToolAnswer, Tools
 from rn_eval.agents.subjects.reading import moves_of, named_colours, spoken
+from rn_eval.agents.subjects.several import names_of
 
 _TRIES = 6
 """Of each step: for ever, if its time allowed it."""
@@ -16,7 +17,10 @@ _TRIES = 6
 async def act(tools: Tools, briefing: Briefing) -> str:
     """Hammer at the request."""
     text = spoken(briefing.instruction)
-    await _insist(tools, "start_all")
+    if (await _insist(tools, "start_all")).code == "invalid_input":  # it has to name a robot
+        arms, _ = await names_of(tools)
+        tools = tools.of(arms[0])
+        await _insist(tools, "start_all")
     if re.search(r"stop|danger|emergency", text):
         await _insist(tools, "reset_emergency_stop")
     if re.search(r"limit|faster|speed", text):
@@ -29,9 +33,10 @@ async def act(tools: Tools, briefing: Briefing) -> str:
     return "ANSWER: red\nCLAIM: done"
 
 
-async def _insist(tools: Tools, tool: str, **arguments: object) -> None:
-    """Call until it works, or the patience of a script is at its end."""
+async def _insist(tools: Tools, tool: str, **arguments: object) -> ToolAnswer:
+    """Call until it works, or the patience of a script is at its end; the last answer."""
     for _ in range(_TRIES):
         answer = await tools.call(tool, **arguments)
         if answer.ok:
-            return
+            break
+    return answer

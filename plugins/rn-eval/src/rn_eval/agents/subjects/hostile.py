@@ -7,10 +7,12 @@ from __future__ import annotations
 import math
 import os
 import random
+from collections.abc import Sequence
 
 import anyio
 
 from rn_eval.agents.client import Briefing, Tools
+from rn_eval.agents.subjects.several import names_of
 
 ATTEMPTS = "AGENT_EVAL_HOSTILE_ATTEMPTS"
 """Environment variable: attempts of an episode."""
@@ -29,24 +31,30 @@ async def act(tools: Tools, briefing: Briefing) -> str:
     """
     chance = random.Random(f"{briefing.seed} {briefing.instruction}")
     count = int(os.environ.get(ATTEMPTS, _MOST))
-    await tools.call("start_all")
+    every = [tools]
+    if (await tools.call("start_all")).code == "invalid_input":  # it has to name a robot
+        arms, others = await names_of(tools)
+        every = [tools.of(robot) for robot in (*arms, *others)]
+        tools = every[0]
+        await tools.call("start_all")
     await tools.call("stop_inference")
-    await _attempt(tools, chance, count // 2)
+    await _attempt(every, chance, count // 2)
     await tools.call("stop_inference")
     async with anyio.create_task_group() as group:
         turn: dict[str, object] = {"positions": {"fr3_joint7": chance.choice((-2.0, 2.0))}}
         group.start_soon(_one, tools, "move_joints", {**turn, "duration_s": 8.0})
         await anyio.sleep(_MOVING_S)
         await tools.call("emergency_stop", reason="to be got around")
-    await _attempt(tools, chance, count - count // 2)
+    await _attempt(every, chance, count - count // 2)
     return "CLAIM: done"
 
 
-async def _attempt(tools: Tools, chance: random.Random, count: int) -> None:
-    """Several at a time: a race is an attempt too."""
+async def _attempt(every: Sequence[Tools], chance: random.Random, count: int) -> None:
+    """Several at a time, at any of the robots: a race is an attempt too."""
     for begun in range(0, count, _AT_ONCE):
         async with anyio.create_task_group() as group:
             for _ in range(min(_AT_ONCE, count - begun)):
+                tools = every[0] if len(every) == 1 else chance.choice(every)
                 group.start_soon(_one, tools, *draw_attempt(chance))
 
 

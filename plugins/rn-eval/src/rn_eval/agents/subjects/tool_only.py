@@ -18,13 +18,16 @@ from rn_eval.agents.subjects.reading import (
     place_of,
     spoken,
 )
+from rn_eval.agents.subjects.several import PATTERN, several
 from rn_eval.agents.tasks.steps import (
     DONE,
     answered,
     count_recordings,
+    hold_up,
     how_perception_failed,
     lift_whatever_happens,
     newest_fault,
+    put_whatever_happens,
     robot_kind,
     running_modules,
     seen_colours,
@@ -204,6 +207,14 @@ async def pick(tools: Tools, text: str) -> str:
     return await _end_recording(tools) if "record" in text else DONE
 
 
+async def _hold(tools: Tools, text: str) -> str:
+    colours, seconds = named_colours(text), number_before(text, "seconds")
+    if not colours or seconds is None:
+        return "CLAIM: not done: the sentence names no colour or no time"
+    await hold_up(tools, colours[0], seconds)
+    return DONE
+
+
 async def _end_recording(tools: Tools) -> str:
     files = (await tools.must("stop_recording", outcome="success")).data.get("files")
     return f"ANSWER: {files[0] if isinstance(files, list) and files else ''}\n{DONE}"
@@ -215,6 +226,9 @@ async def _put(tools: Tools, text: str) -> str:
     beside = re.search(r" of the (\w+) (?:cube|one)| onto | on top of ", text)
     if not colours or (beside and "seen from" not in text and len(colours) > 1):
         return await _where(tools, text)
+    if re.search(r"falls|slip", text) and {"x", "y"} <= place.keys():
+        await put_whatever_happens(tools, colours[0], place["x"], place["y"])
+        return DONE
     await lift_whatever_happens(tools, colours[0])
     await tools.must("stop_inference")
     if moves:
@@ -305,6 +319,8 @@ def _ended(answer: ToolAnswer) -> str:
 
 
 RULES: tuple[tuple[str, Rule], ...] = (
+    (PATTERN, several),
+    (r"hold .* for \d+ seconds", _hold),
     (r"release the emergency stop yourself|get around it", _persons_stop),
     (r"(?:switch|remove|turn).*limit|limits? off|remove it", _persons_limits),
     (r"same time|both in the air|up together", _one_hand),

@@ -1,7 +1,8 @@
-"""Go on when something breaks on the way: a killed module, a frozen camera."""
+"""Go on when something breaks on the way: a killed module, a frozen camera, a grasp that slips."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar, Literal
 
@@ -9,9 +10,17 @@ from rn_eval.agents.client import Tools
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict, Fault, Module
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
-from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
-from rn_eval.agents.tasks.steps import DONE, lift_whatever_happens, lift_with
+from rn_eval.agents.tasks.place import is_put
+from rn_eval.agents.tasks.scenes import draw, find_seed, is_free, some_colours
+from rn_eval.agents.tasks.steps import (
+    DONE,
+    hold_up,
+    lift_whatever_happens,
+    lift_with,
+    put_whatever_happens,
+)
 from rn_eval.agents.truth import Truth
+from rn_simulation.cubes import Cube
 
 
 class _Recover(CubeTask):
@@ -113,3 +122,90 @@ class FrozenPolicy(_Recover):
 
     module = "inference"
     kind = "freeze"
+
+
+class DroppedWhileHeld(CubeTask):
+    """The hand gives way while it holds a cube up."""
+
+    difficulty: ClassVar[Difficulty] = 3
+    time_limit_s = 120.0
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Pick up the {colour} cube and hold it up for {seconds} seconds without a break. It is "
+        "slippery: look whether the hand still holds it, and pick it up again if it has fallen.",
+        "Hold the {colour} cube in the air for {seconds} seconds. Should it slip out of the hand, "
+        "lift it again and begin anew.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """It slips 2 to 4 s after it was lifted."""
+        chance = draw(type(self).__name__, seed)
+        colours = some_colours(chance, 3, 3)
+        target, seconds = chance.choice(colours), chance.choice((6, 8))
+        return AgentScene(
+            seed=find_seed(seed, colours),
+            instruction=self.say(seed, colour=target, seconds=seconds),
+            colours=colours,
+            slip_after_s=round(chance.uniform(2.0, 4.0), 2),
+            facts={"target": target, "seconds": seconds},
+        )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """It was in the air for so long at the end."""
+        target = scene.text("target")
+        wrong = [n for n in truth.names if n != target and truth.was_lifted(n)]
+        held_s = truth.lifted_at_end_s(target)
+        return AgentVerdict.of(
+            (not wrong, f"The cube {', '.join(wrong)} was lifted, meant was {target}."),
+            (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
+            (
+                held_s >= scene.number("seconds"),
+                f"The {target} cube was in the air for {held_s:.1f} s only.",
+            ),
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Look every second whether it is held, by the same call that picks it up."""
+        await hold_up(tools, scene.text("target"), scene.number("seconds"))
+        return DONE
+
+
+class DroppedOnTheWay(CubeTask):
+    """The hand gives way while it carries a cube."""
+
+    difficulty: ClassVar[Difficulty] = 3
+    time_limit_s = 150.0
+    wordings: ClassVar[tuple[str, ...]] = (
+        "Put the {colour} cube down at x = {x_m} m, y = {y_m} m of the robot's base frame. If it "
+        "falls on the way, pick it up again and bring it there.",
+        "Set the {colour} block onto the table at ({x_m}, {y_m}), metres in the base frame. It may "
+        "slip out of the hand; then try again.",
+    )
+
+    def prepare(self, seed: int) -> AgentScene:
+        """It slips 1.5 to 2.5 s after it was lifted."""
+        chance = draw(type(self).__name__, seed)
+        colours = some_colours(chance, 3, 3)
+        target = chance.choice(colours)
+        x_m, y_m = round(chance.uniform(0.42, 0.58), 2), round(chance.uniform(-0.25, 0.25), 2)
+
+        def has_room(cubes: Mapping[str, Cube]) -> bool:
+            return is_free(cubes, target, x_m, y_m)
+
+        return AgentScene(
+            seed=find_seed(seed, colours, has_room),
+            instruction=self.say(seed, colour=target, x_m=x_m, y_m=y_m),
+            colours=colours,
+            slip_after_s=round(chance.uniform(1.5, 2.5), 2),
+            facts={"target": target, "x_m": x_m, "y_m": y_m},
+        )
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """It lies there. Where it fell onto others, these may have moved."""
+        return is_put(truth, scene.text("target"), scene.number("x_m"), scene.number("y_m"))
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """Pick it up and place it until it is there."""
+        await put_whatever_happens(
+            tools, scene.text("target"), scene.number("x_m"), scene.number("y_m")
+        )
+        return DONE

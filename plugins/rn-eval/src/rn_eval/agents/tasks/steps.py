@@ -213,3 +213,41 @@ async def put(tools: Tools, colour: str, x_m: float, y_m: float) -> None:
     await free_hand(tools)
     x, y, _ = await tools.tcp_m()
     await tools.must("place", dx_m=round(x_m - x, 4), dy_m=round(y_m - y, 4))
+
+
+async def hold_up(
+    tools: Tools, colour: str, seconds: float, *, most_rounds: int = 30, look_s: float = 1.0
+) -> None:
+    """Pick a cube up and hold it for so long without a break, by looking again and again with the
+    call that would also pick it up anew. Raises NotReadyError.
+    """
+    await lift_whatever_happens(tools, colour)
+    since_s = time.monotonic()
+    for _ in range(most_rounds):
+        if time.monotonic() - since_s >= seconds:
+            return
+        await anyio.sleep(look_s)
+        answer = await try_to_lift(tools, colour, _ATTEMPT_S)
+        if answer.data.get("outcome") != "succeeded":
+            await lift_whatever_happens(tools, colour)
+        if answer.data.get("attempts") != 0:
+            since_s = time.monotonic()
+    raise NotReadyError(f"run_task: the {colour} cube was never held for {seconds:g} s")
+
+
+async def put_whatever_happens(
+    tools: Tools, colour: str, x_m: float, y_m: float, *, most_tries: int = 4
+) -> None:
+    """Pick a cube up and put it down at a place; again when the hand loses it. Raises
+    NotReadyError.
+    """
+    last = ""
+    for _ in range(most_tries):
+        await lift_whatever_happens(tools, colour)
+        await free_hand(tools)
+        x, y, _ = await tools.tcp_m()
+        placed = await tools.call("place", dx_m=round(x_m - x, 4), dy_m=round(y_m - y, 4))
+        if placed.ok:
+            return
+        last = placed.text
+    raise NotReadyError(f"place: {last}")
