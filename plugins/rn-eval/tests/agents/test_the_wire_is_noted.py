@@ -21,6 +21,7 @@ from rn_eval.agents import tap as tap_module
 from rn_eval.agents.conduct import ToolCall, parse_words, unsafe_kind
 from rn_eval.agents.http_tap import ending_with_parent, free_port
 from rn_eval.agents.tap import Tap, end_module, module_pid
+from rn_testing.waiting import wait_until
 from roboneuron import StateError
 
 SERVER = """
@@ -102,6 +103,36 @@ def test_the_agent_gets_no_clean_picture(tap):
         assert drawn.size == (64, 64)
         assert drawn.getpixel((32, 5)) == (10, 20, 30)
         assert drawn.getpixel((3, 62)) == (255, 255, 255)
+
+
+def test_calls_of_an_agent_that_has_gone_are_cancelled(tmp_path):
+    """As for a client whose pipe closes; the simulation stays, so that it can be judged."""
+    code = """
+import json, sys
+for line in sys.stdin:
+    message = json.loads(line)
+    if message.get("id") == "b":
+        print(json.dumps({"jsonrpc": "2.0", "id": "b", "result": {}}), flush=True)
+    with open(sys.argv[1], "a") as heard:
+        heard.write(line)
+"""
+    heard = tmp_path / "heard"
+    tap = Tap([sys.executable, "-c", code, str(heard)], os.environ, tmp_path)
+    tap.start()
+    relay = [sys.executable, "-m", "rn_eval.agents.relay", str(tap.socket_path)]
+    with subprocess.Popen(relay, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as agent:
+        moves = [{**call(0, "move"), "id": request_id} for request_id in (7, "b")]
+        agent.stdin.write(b"".join(json.dumps(move).encode() + b"\n" for move in moves))
+        agent.stdin.flush()
+        agent.stdout.readline()
+        agent.kill()
+    wait_until(lambda: heard.exists() and "cancelled" in heard.read_text(), 20)
+    assert not tap.has_ended
+    tap.close()
+    last = json.loads(heard.read_text().splitlines()[-1])
+    assert last["method"] == "notifications/cancelled"
+    assert last["params"]["requestId"] == 7
+    assert heard.read_text().count("cancelled") == 1
 
 
 def test_a_server_that_hangs_is_killed(tmp_path, monkeypatch):

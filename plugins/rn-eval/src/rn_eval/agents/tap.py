@@ -16,6 +16,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import IO
 
 from rn_eval.agents.conduct import ToolCall
 from rn_eval.agents.http_tap import HttpTap
@@ -161,6 +162,25 @@ class Tap:
                 server.stdin.flush()
                 if len(pending) > _MOST_LINE_BYTES:
                     break
+        with suppress(OSError, ValueError):
+            self._cancel_what_is_left(server.stdin)
+
+    def _cancel_what_is_left(self, server: IO[bytes]) -> None:
+        """End the calls of an agent that has gone.
+
+        The end of the server's input would do so too, but with it the simulation would end before
+        it is judged.
+        """
+        with self._lock:
+            left = list(self._open)
+        for number in left:
+            note = {
+                "jsonrpc": "2.0",
+                "method": "notifications/cancelled",
+                "params": {"requestId": json.loads(number), "reason": "the agent has gone"},
+            }
+            server.write(json.dumps(note).encode() + b"\n")
+        server.flush()
 
     def _from_server(self, link: socket.socket) -> None:
         server = self._server
