@@ -55,7 +55,13 @@ class Part:
 PARTS = {
     "gate": Part(
         package=CORE,
-        files=("gate/motion/*.py", "estop/latch.py", "gate/audit.py", "estop/pin.py"),
+        files=(
+            "gate/motion/*.py",
+            "estop/latch.py",
+            "estop/latch_file.py",
+            "gate/audit.py",
+            "estop/pin.py",
+        ),
         tests=(*CORE_TESTS, *DIRECT_TESTS, *ARM_TESTS),
     ),
     "modules": Part(
