@@ -313,7 +313,7 @@ def gate_request(
     tool: str,
     exposed: ExposedEndpoint,
     messages: Sequence[Any],
-    arguments: Mapping[str, Any],
+    arguments: Mapping[str, object],
     *,
     joints: JointSample | None = None,
     durations_s: Sequence[float] = (),
