@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -31,6 +31,24 @@ from roboneuron import (
 
 _RECENT = 90
 """Images of each camera that are kept undecoded."""
+
+
+class _Pose(TypedDict):
+    """A pose, as `predictions` writes it."""
+
+    position_m: list[float]
+    quaternion_xyzw: list[float]
+    stamp_ns: int
+
+
+class _Ahead(TypedDict):
+    """What was being played, as `predictions` writes it."""
+
+    rows: list[list[float]]
+    committed_rows: int
+    step_s: float
+    context_row: int
+    state_ahead_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +266,7 @@ class Observations:
         return JointSample(names=self._streams.joint_names, position=newest[1], stamp_ns=newest[0])
 
 
-def _pose(told: Mapping[str, Any]) -> Pose:
+def _pose(told: _Pose) -> Pose:
     return Pose(
         position_m=np.array(told["position_m"], dtype=np.float64),
         quaternion_xyzw=np.array(told["quaternion_xyzw"], dtype=np.float64),
@@ -256,7 +274,7 @@ def _pose(told: Mapping[str, Any]) -> Pose:
     )
 
 
-def _ahead(told: Mapping[str, Any]) -> Ahead:
+def _ahead(told: _Ahead) -> Ahead:
     return Ahead(
         rows=to_rows(told["rows"], len(channel_keys(ACTION_LABEL))),
         committed_rows=int(told["committed_rows"]),
@@ -271,6 +289,6 @@ def to_rows(told: Sequence[Sequence[float]], size: int) -> F64:
     return np.array(told, dtype=np.float64) if told else np.zeros((0, size))
 
 
-def label_of(facts: Mapping[str, Any]) -> str:
+def label_of(facts: Mapping[str, object]) -> str:
     """Label of the control space of a recorded prediction."""
     return str(facts.get("space", ACTION_LABEL))
