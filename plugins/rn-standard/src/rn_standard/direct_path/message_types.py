@@ -32,7 +32,7 @@ class Stamp(Protocol):
     nanosec: int
 
 
-class Header(Protocol):
+class MessageHeader(Protocol):
     """std_msgs/Header."""
 
     stamp: Stamp
@@ -56,7 +56,7 @@ class Quaternion(Protocol):
     w: float
 
 
-class Pose(Protocol):
+class PoseMessage(Protocol):
     """geometry_msgs/Pose."""
 
     position: Vector
@@ -66,14 +66,14 @@ class Pose(Protocol):
 class PoseStamped(Protocol):
     """geometry_msgs/PoseStamped."""
 
-    header: Header
-    pose: Pose
+    header: MessageHeader
+    pose: PoseMessage
 
 
 class PointStamped(Protocol):
     """geometry_msgs/PointStamped."""
 
-    header: Header
+    header: MessageHeader
     point: Vector
 
 
@@ -87,7 +87,7 @@ class TransformParts(Protocol):
 class TransformStamped(Protocol):
     """geometry_msgs/TransformStamped."""
 
-    header: Header
+    header: MessageHeader
     child_frame_id: str
     transform: TransformParts
 

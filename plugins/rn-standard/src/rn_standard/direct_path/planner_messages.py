@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from rn_standard.direct_path.message_types import Header, Pose, Quaternion, Vector
+from rn_standard.direct_path.message_types import MessageHeader, PoseMessage, Quaternion, Vector
 
 
 class Primitive(Protocol):
@@ -19,14 +19,14 @@ class BoundingVolume(Protocol):
     """moveit_msgs/BoundingVolume."""
 
     primitives: Sequence[Primitive]
-    primitive_poses: Sequence[Pose]
+    primitive_poses: Sequence[PoseMessage]
     meshes: Sequence[object]
 
 
 class LinkConstraint(Protocol):
     """What PositionConstraint and OrientationConstraint share."""
 
-    header: Header
+    header: MessageHeader
     link_name: str
 
 
