@@ -17,7 +17,7 @@ from import_facts import PLUGINS, SENDING_PACKAGE, STANDARD, imports_of
 sys.path.pop(0)
 
 from rn_testing.distribution import LISTS
-from rn_testing.rules.package import SENDER
+from rn_testing.rules.package_imports import SENDER
 
 SENDING = (
     *("roboneuron.ros.link", "roboneuron.feature.RosLink", "roboneuron.command.RosLink"),

@@ -15,7 +15,7 @@ from import_facts import PLUGINS, SENDING_PACKAGE, STANDARD, imports_of
 sys.path.pop(0)
 
 from rn_testing.distribution import LISTS, imported_modules
-from rn_testing.rules.package import KIT, is_public, lists_for
+from rn_testing.rules.package_imports import KIT, is_public, lists_for
 
 PROGRAMS = ("lerobot_robot_roboneuron", "lerobot_teleoperator_roboneuron")
 """Packages that run in a program that a person starts, as commands do: they join the graph
@@ -43,9 +43,8 @@ NEEDS = {
 PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
     "control": "module planning",
-    "direct_path": "allow_list arbiter delivery derived exposed fields joints limits peers places "
-    "speeds "
-    "truth twists type_hashes transforms",
+    "direct_path": "allow_list arbiter delivery derived exposed fields joints limits message_types "
+    "peers places speeds truth twists type_hashes transforms",
     "execution": "adaptive mode",
     "http": "addresses authentication bounded_server connections feature listener operator_lease "
     "options origins plugin tokens",
@@ -243,7 +242,8 @@ def test_plugins_import_the_contract_kit_only_where_their_descriptors_name_a_cas
             for p in sources
             if any(name.split(".")[0] == "rn_testing" for name, _ in imports_of(p))
         }
-        named = plugin.read_text(encoding="utf-8")
+        hooks = plugin.with_name("hooks.py")  # a kind of its own names its rules there
+        named = "".join(p.read_text(encoding="utf-8") for p in (plugin, hooks) if p.exists())
         breaches += [
             f"{path.relative_to(PLUGINS)} imports rn_testing and is no `case`"
             for path in importing

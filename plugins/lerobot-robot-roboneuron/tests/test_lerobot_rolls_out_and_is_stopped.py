@@ -23,7 +23,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow]
 MAKE = """
 import sys
 from pathlib import Path
-from rn_backend_lerobot.tiny import TinyShape, make_tiny
+from rn_backend_lerobot.tiny import make_tiny
+from rn_backend_lerobot.tiny_checkpoint import TinyShape
 means = tuple(float(value) for value in sys.argv[2].split(","))
 make_tiny(Path(sys.argv[1]), "act", TinyShape(width=224, height=224, means=means))
 """

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rn_eval.contract_cases import RULES, SuiteCase
+from rn_eval.contract_cases import SuiteCase
 from rn_eval.hooks import SuiteSpec
 from rn_eval.suite import Setup
+from rn_eval.suite_rules import RULES
 from rn_testing.fakes import gantry_profile
 from rn_testing.rule import RuleVerdict
 from rn_testing.verification import verify

@@ -15,7 +15,8 @@ from rn_recorder_runs.comparison import AXES, compare, describe, write_report
 from rn_recorder_runs.files import Record, RunFile, read_records
 from rn_recorder_runs.images import IMAGE, to_string
 from rn_recorder_runs.lerobot import export
-from rn_recorder_runs.replay import EXACT, Compared, Observations, replay
+from rn_recorder_runs.observations import Observations
+from rn_recorder_runs.replay import EXACT, Compared, replay
 from rn_recorder_runs.store import Run
 from rn_standard.inference.agreement import SpaceAgreement
 from rn_testing.fakes import gantry_profile

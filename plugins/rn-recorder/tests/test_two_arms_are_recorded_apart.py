@@ -20,8 +20,8 @@ from rn_recorder_policy.run_reading import read_run
 from rn_recorder_runs.episodes import read_streams
 from rn_recorder_runs.files import Record, RunFile
 from rn_recorder_runs.lerobot import export
+from rn_recorder_runs.observations import Observations
 from rn_recorder_runs.predictions import prediction_record
-from rn_recorder_runs.replay import Observations
 from rn_recorder_runs.store import Run
 from roboneuron import (
     ActionChunk,

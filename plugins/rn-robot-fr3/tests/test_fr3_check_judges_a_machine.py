@@ -12,16 +12,9 @@ import numpy as np
 import pytest
 
 from rn_robot_fr3.fci import check
-from rn_robot_fr3.fci.check import (
-    ArmFinding,
-    Machine,
-    Timing,
-    card,
-    check_machine,
-    checksum,
-    judged_round_trips,
-)
+from rn_robot_fr3.fci.check import ArmFinding, Machine, Timing, check_machine
 from rn_robot_fr3.fci.check_command import Fr3
+from rn_robot_fr3.fci.network_check import card, checksum, judged_fci, judged_round_trips
 
 ON_TIME = Timing(late_s=np.full(1000, 5e-5))
 
@@ -142,6 +135,6 @@ def test_the_command_fails_when_a_finding_does(
 
 
 def test_an_fci_that_is_not_active_is_named() -> None:
-    told = check._fci("127.77.0.9")
+    told = judged_fci("127.77.0.9")
     assert told.verdict == "failed"
     assert "Activate FCI in Desk" in told.hint

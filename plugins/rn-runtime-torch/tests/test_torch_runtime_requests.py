@@ -90,7 +90,7 @@ def test_a_passed_deadline_gives_up(toy, runtime):
 
 def test_abort_from_another_thread_ends_the_run_in_progress(toy, runtime):
     started = threading.Event()
-    front = runtime._engine._front
+    front = runtime._engine._passes._front
 
     def slow_front(*arguments):
         started.set()
@@ -98,7 +98,7 @@ def test_abort_from_another_thread_ends_the_run_in_progress(toy, runtime):
         return front(*arguments)
 
     released = threading.Event()
-    runtime._engine._front = slow_front
+    runtime._engine._passes._front = slow_front
     errors: list[BaseException] = []
 
     def work() -> None:
@@ -114,7 +114,7 @@ def test_abort_from_another_thread_ends_the_run_in_progress(toy, runtime):
     released.set()
     thread.join(5)
     assert "abort" in str(errors[0])
-    runtime._engine._front = front
+    runtime._engine._passes._front = front
     assert runtime.run(toy.token_request()).tokens.shape == (7,)
 
 
@@ -158,7 +158,7 @@ def test_running_out_of_memory_is_reported_with_what_to_do(toy, runtime):
     def exhausted(*arguments):
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 MiB.\nmore")
 
-    runtime._engine._front = exhausted
+    runtime._engine._passes._front = exhausted
     with pytest.raises(ConfigurationError, match=r"Out of memory on cpu.*smaller dtype"):
         runtime.run(toy.token_request())
 

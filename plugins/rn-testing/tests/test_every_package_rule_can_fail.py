@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from rn_testing import PackageCase, PackageContract, RuleVerdict, verify
-from rn_testing.rules import RULES, package
+from rn_testing.rules import RULES, installed
 from rn_testing.unsafe_calls import unsafe_calls
 from roboneuron import BackendSpec, FeatureSpec
 from roboneuron.plugins.registry import Offer, Registry, Status
@@ -298,7 +298,7 @@ def test_the_module_of_a_case_may_import_the_kit(sample, monkeypatch):
         case="rn_sample.policy:make",
     )
     offer = Offer(spec=spec, plugin="rn-sample", distribution="rn-sample", status=Status.READY)
-    monkeypatch.setattr(package, "_installed", lambda: Registry(plugins=(), all_offers=(offer,)))
+    monkeypatch.setattr(installed, "plugins", lambda: Registry(plugins=(), all_offers=(offer,)))
     (sample.info / "METADATA").write_text(IN_AN_EXTRA)
     (sample.package / "policy.py").write_text("from rn_testing import BackendCase\n")
     assert {verify(r, sample.case()).verdict for r in RULES["package"]} == {RuleVerdict.PASSED}
@@ -307,7 +307,7 @@ def test_the_module_of_a_case_may_import_the_kit(sample, monkeypatch):
 def test_a_package_with_features_may_import_what_features_may_use(sample, monkeypatch):
     spec = FeatureSpec(name="sample", summary="A sample.", target="rn_sample.policy:Sample")
     offer = Offer(spec=spec, plugin="rn-sample", distribution="rn-sample", status=Status.READY)
-    monkeypatch.setattr(package, "_installed", lambda: Registry(plugins=(), all_offers=(offer,)))
+    monkeypatch.setattr(installed, "plugins", lambda: Registry(plugins=(), all_offers=(offer,)))
     (sample.package / "policy.py").write_text(
         "from roboneuron import Feature\nfrom roboneuron.feature import Config\n"
     )

@@ -8,7 +8,8 @@ import tempfile
 from pathlib import Path
 
 from rn_backend_lerobot.plugin import BACKEND
-from rn_backend_lerobot.tiny import TinyShape, make_tiny
+from rn_backend_lerobot.tiny import make_tiny
+from rn_backend_lerobot.tiny_checkpoint import TinyShape
 from rn_testing import BackendCase
 from rn_testing.fakes import gantry_profile, make_observation
 from roboneuron import robot_space

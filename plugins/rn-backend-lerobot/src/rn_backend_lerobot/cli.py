@@ -7,7 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rn_backend_lerobot.tiny import PATCHED, POLICIES, TinyShape, make_tiny
+from rn_backend_lerobot.tiny import PATCHED, POLICIES, make_tiny
+from rn_backend_lerobot.tiny_checkpoint import TinyShape
 from roboneuron import RoboNeuronError
 
 PROGRAM = "roboneuron-lerobot"

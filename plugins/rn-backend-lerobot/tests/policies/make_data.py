@@ -21,7 +21,8 @@ from lerobot_cell import NAMES, RATE_HZ, observe
 from rn_backend_lerobot.backend import LeRobotBackend
 from rn_backend_lerobot.exchange import Answer
 from rn_backend_lerobot.options import LeRobotOptions
-from rn_backend_lerobot.tiny import BACKBONE, make_tiny
+from rn_backend_lerobot.tiny import make_tiny
+from rn_backend_lerobot.tiny_language import BACKBONE
 
 DATA = Path(__file__).parents[1] / "data"
 

@@ -16,7 +16,8 @@ from lerobot_loops import Call, RealTime, Synchronous
 
 from rn_backend_lerobot.backend import LeRobotBackend
 from rn_backend_lerobot.exchange import Answer
-from rn_backend_lerobot.tiny import HOME, Policy, TinyShape, make_tiny
+from rn_backend_lerobot.tiny import Policy, make_tiny
+from rn_backend_lerobot.tiny_checkpoint import HOME, TinyShape
 from roboneuron import Ahead, Observation
 
 TOLERANCE = 1e-6

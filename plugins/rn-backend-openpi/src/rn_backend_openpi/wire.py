@@ -35,7 +35,7 @@ Value = (
     | int
     | float
     | bool
-    | NDArray[Any]
+    | NDArray[np.generic]
     | np.generic
     | list[object]
     | Mapping[Any, object]
@@ -52,7 +52,7 @@ def pack(value: Value) -> bytes:
     return bytes(msgpack.packb(value, default=_encode))
 
 
-def unpack(data: bytes) -> dict[object, object] | NDArray[Any]:
+def unpack(data: bytes) -> dict[object, object] | NDArray[np.generic]:
     """Decode one message: a map, or an array alone.
 
     Raises:
@@ -114,7 +114,7 @@ def _scalar(value: dict[object, object]) -> np.generic:
     return scalar
 
 
-def _dtype(name: object) -> np.dtype[Any]:
+def _dtype(name: object) -> np.dtype[np.generic]:
     if not isinstance(name, str):
         raise ValueError(f"dtype is {name!r}, expected text")
     if name[1:] not in _DTYPES:
@@ -122,7 +122,7 @@ def _dtype(name: object) -> np.dtype[Any]:
     return np.dtype(name)
 
 
-def _array(value: dict[object, object]) -> NDArray[Any]:
+def _array(value: dict[object, object]) -> NDArray[np.generic]:
     dtype, shape, data = _dtype(value.get(b"dtype")), value.get(b"shape"), value.get(b"data")
     if not isinstance(data, bytes) or not isinstance(shape, list) or len(shape) > _MOST_DIMENSIONS:
         raise ValueError("an array lacks data or shape")

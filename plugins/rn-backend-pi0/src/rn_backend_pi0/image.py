@@ -4,7 +4,7 @@ own code does.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ def _sample_axis(size: int, target: int) -> tuple[NDArray[np.intp], NDArray[np.i
     return lower, np.minimum(lower + 1, size - 1), (position - lower).astype(np.float32)
 
 
-def _mix(first: NDArray[Any], second: NDArray[Any], weight: F32) -> F32:
+def _mix(first: NDArray[np.generic], second: NDArray[np.generic], weight: F32) -> F32:
     """first + weight (second - first) in float32."""
     base = first.astype(np.float32)
     out = second.astype(np.float32)

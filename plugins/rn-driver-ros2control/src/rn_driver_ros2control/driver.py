@@ -17,7 +17,7 @@ from rn_driver_ros2control.faults import FAULTS, violation, worded
 from rn_driver_ros2control.gripper import GripperGoals
 from rn_driver_ros2control.link import ControllerLink, End
 from rn_driver_ros2control.options import Ros2ControlOptions
-from rn_driver_ros2control.trajectory import shortest_s, stop_point, to_message
+from rn_driver_ros2control.trajectory import rows_within, shortest_s, stop_point, to_message
 from rn_driver_ros2control.watch import ControllerWatch
 from roboneuron import (
     ConfigurationError,
@@ -204,7 +204,9 @@ class Ros2ControlDriver:
                 goal = np.clip(np.array(asked), limits.lower, limits.upper)
                 rows = [(goal, command.duration_s)]
                 if self._options.mode == "chunks":
-                    rows += self._rows_after(goal, planned, later)
+                    durations_s = [command.duration_s for command in planned]
+                    left_s = self._options.horizon_s + _ROUNDING_S
+                    rows += rows_within(left_s, goal, names, later, durations_s, limits)
                 sent_s, number = self._move(link, rows)
             if self._options.mode == "action":
                 self._await_acceptance(link, number)
@@ -334,26 +336,6 @@ class Ros2ControlDriver:
             is_violated = bool(self._fault)
         if is_violated:
             self.hold()
-
-    def _rows_after(
-        self, goal: F64, planned: Sequence[JointCommand], positions: Sequence[dict[str, float]]
-    ) -> list[tuple[F64, float]]:
-        """Where the arm goes on to after `goal`, and the time for each, within `horizon_s`."""
-        limits, left_s = self._limits(), self._options.horizon_s + _ROUNDING_S
-        rows: list[tuple[F64, float]] = []
-        for command, wanted in zip(planned, positions, strict=True):
-            asked = [
-                wanted.get(name, float(place))
-                for name, place in zip(self._profile.arm_joints, goal, strict=True)
-            ]
-            then = np.clip(np.array(asked), limits.lower, limits.upper)
-            duration_s = max(command.duration_s, shortest_s(goal, then, limits, cubic=False))
-            left_s -= duration_s
-            if left_s < 0.0:
-                break
-            rows.append((then, duration_s))
-            goal = then
-        return rows
 
     def _move(self, link: ControllerLink, rows: list[tuple[F64, float]]) -> tuple[float, int]:
         """Send a target and those after it, each with its time; returns the duration that the

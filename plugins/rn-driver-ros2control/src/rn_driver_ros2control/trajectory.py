@@ -4,7 +4,7 @@ computation.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from builtin_interfaces.msg import Duration
@@ -39,6 +39,35 @@ def shortest_s(start: F64, goal: F64, limits: JointLimits, *, cubic: bool) -> fl
     by_velocity = _CUBIC_PEAK * distance / limits.velocity
     by_acceleration = np.sqrt(_CUBIC_ACCELERATION * distance / limits.acceleration)
     return float(np.max(np.maximum(by_velocity, by_acceleration), initial=_LEAST_S))
+
+
+def rows_within(
+    left_s: float,
+    goal: F64,
+    names: Sequence[str],
+    positions: Sequence[Mapping[str, float]],
+    durations_s: Sequence[float],
+    limits: JointLimits,
+) -> list[tuple[F64, float]]:
+    """Where an arm goes on to after `goal`, and the time for each [s], until `left_s` are used up.
+
+    Args:
+        left_s: time for all of them [s].
+        goal: where it goes on from, float64 (n,), in the order of `names`.
+        positions: targets by joint; a joint that is not named stays.
+        durations_s: asked for each; the limits may need longer.
+    """
+    rows: list[tuple[F64, float]] = []
+    for wanted, asked_s in zip(positions, durations_s, strict=True):
+        asked = [wanted.get(name, float(place)) for name, place in zip(names, goal, strict=True)]
+        then = np.clip(np.array(asked), limits.lower, limits.upper)
+        duration_s = max(asked_s, shortest_s(goal, then, limits, cubic=False))
+        left_s -= duration_s
+        if left_s < 0.0:
+            break
+        rows.append((then, duration_s))
+        goal = then
+    return rows
 
 
 def stop_point(position: F64, velocity: F64, limits: JointLimits) -> tuple[F64, float]:

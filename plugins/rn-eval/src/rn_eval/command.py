@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import os
-import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rn_eval.agents import command as agents
+from rn_eval.command_plans import configuration, limit_threads, planned, resumed
 from rn_eval.hooks import SuiteSpec
-from rn_standard.console.plugin_options import add_option, read_options
+from rn_standard.console.plugin_options import add_option
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
@@ -190,17 +188,8 @@ class Eval:
             return _report(arguments)
         if getattr(arguments, "workers", 1) < 1 or getattr(arguments, "threads", 1) < 1:
             raise ConfigurationError("--workers and --threads are at least 1.")
-        _limit_threads(getattr(arguments, "threads", 1))
+        limit_threads(getattr(arguments, "threads", 1))
         return _serve(arguments) if arguments.action == "serve" else _run(arguments)
-
-
-def _limit_threads(count: int) -> None:
-    """Before numpy or torch is imported: results of some models depend on the number of threads."""
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = str(count)
-    torch = sys.modules.get("torch")
-    if torch is not None:
-        torch.set_num_threads(count)
 
 
 def _run(arguments: Namespace) -> int:
@@ -212,7 +201,7 @@ def _run(arguments: Namespace) -> int:
 
     console = Console(highlight=False)
     directory: Path = arguments.directory if arguments.action == "resume" else arguments.out
-    plan = _resumed(arguments) if arguments.action == "resume" else _planned(arguments)
+    plan = resumed(arguments) if arguments.action == "resume" else planned(arguments)
     records = evaluate(
         plan,
         directory,
@@ -251,22 +240,6 @@ def _pool(plan: EvalPlan, arguments: Namespace) -> Callable[[], Pool]:
     return make
 
 
-def _resumed(arguments: Namespace) -> EvalPlan:
-    from rn_eval.ledger import read_plan
-
-    plan = read_plan(arguments.directory)
-    _limit_threads(plan.threads)
-    return _with_versions(plan)
-
-
-def _with_versions(plan: EvalPlan) -> EvalPlan:
-    """The plan with the versions that are installed now."""
-    from rn_eval.versions import installed_versions
-    from roboneuron.command import discover
-
-    return plan.model_copy(update={"versions": installed_versions(plan, discover())})
-
-
 def _serve(arguments: Namespace) -> int:
     import asyncio
 
@@ -290,7 +263,7 @@ def _serve(arguments: Namespace) -> int:
         backend=arguments.backend,
         checkpoint=arguments.checkpoint,
         runtime=arguments.runtime,
-        config=_config(arguments),
+        config=configuration(arguments),
         presets=(arguments.preset,),
         episodes=1,
         threads=arguments.threads,
@@ -313,81 +286,6 @@ def _serve(arguments: Namespace) -> int:
     finally:
         policy.close()
     return 0
-
-
-def _config(arguments: Namespace) -> dict[str, object]:
-    """The configuration with the options of suite and command line in it."""
-    from roboneuron.command import load_config
-
-    config = load_config(arguments.config).model_dump(mode="json")
-    options: dict[str, Any] = config["plugins"]
-    asked = read_options(_options_of_suite(arguments.suite), arguments.backend).get(
-        arguments.backend, {}
-    )
-    if asked:
-        options[arguments.backend] = {**asked, **options.get(arguments.backend, {})}
-    for plugin, given in read_options(arguments.option, arguments.backend).items():
-        options[plugin] = {**options.get(plugin, {}), **given}
-    if config.get("control") is None:
-        raise ConfigurationError(
-            f"{arguments.config} has no section [control], which the deployed path needs."
-        )
-    return config
-
-
-def _planned(arguments: Namespace) -> EvalPlan:
-    from pydantic import ValidationError
-
-    from rn_eval.latency import check_unit
-    from rn_eval.plan import EvalPlan, fingerprint
-
-    config = _config(arguments)
-    for latency in arguments.latency or ():
-        check_unit(latency)
-    try:
-        plan = EvalPlan(
-            suite=arguments.suite,
-            suite_options=_pairs(arguments.suite_option, "--suite-option NAME=VALUE"),
-            backend=arguments.backend,
-            checkpoint=arguments.checkpoint and str(Path(arguments.checkpoint).resolve()),
-            checkpoint_sha256=fingerprint(arguments.checkpoint),
-            runtime=arguments.runtime,
-            config=config,
-            presets=arguments.presets,
-            executions=arguments.execution,
-            latencies=tuple(dict.fromkeys(arguments.latency or ("0",))),
-            episodes=arguments.episodes,
-            first_seed=arguments.seed,
-            shared_policy=arguments.policy_actors > 0,
-            threads=arguments.threads,
-            strips=arguments.strips,
-        )
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigurationError(
-            f"{'.'.join(map(str, first['loc']))}: {first['msg']}, got {first['input']!r}."
-        ) from None
-    return _with_versions(plan)
-
-
-def _options_of_suite(suite: str) -> Sequence[str]:
-    from roboneuron.command import discover
-
-    return discover().get(SuiteSpec, suite).options
-
-
-def _pairs(texts: Sequence[str], form: str) -> dict[str, object]:
-    """NAME=VALUE; a value is JSON where it can be read as such, else text."""
-    pairs: dict[str, object] = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise ConfigurationError(f"{text!r} is not of the form {form}.")
-        try:
-            pairs[name] = json.loads(value)
-        except ValueError:
-            pairs[name] = value
-    return pairs
 
 
 def _report(arguments: Namespace) -> int:

@@ -55,7 +55,7 @@ class SuiteSpec(Spec):
     """
 
     kind: ClassVar[str] = "suite"
-    rules: ClassVar[str] = "rn_eval.contract_cases:KIND"
+    rules: ClassVar[str] = "rn_eval.suite_rules:KIND"
     beside: ClassVar[tuple[type[Spec], ...]] = (AgentTaskSpec, AgentSubjectSpec)
 
     robot: str = ""

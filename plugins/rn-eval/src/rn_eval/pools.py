@@ -7,7 +7,7 @@ import socket
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
-from types import TracebackType
+from types import ModuleType, TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 from rn_eval.plan import EvalPlan, Job
@@ -79,7 +79,7 @@ class InProcess:
         self._runner.close()
 
 
-def import_ray() -> Any:
+def import_ray() -> ModuleType:
     """The module. Raises MissingDependencyError when it is not installed."""
     try:
         return import_module("ray")  # heavy
@@ -91,7 +91,7 @@ def import_ray() -> Any:
 
 
 def connect(
-    ray: Any, address: str | None, cpus: int, *, gpus: float = 0.0, variables: dict[str, str]
+    ray: ModuleType, address: str | None, cpus: int, *, gpus: float = 0.0, variables: dict[str, str]
 ) -> None:
     """Start a Ray on this machine, or join the cluster at an address.
 
@@ -104,7 +104,7 @@ def connect(
     Raises:
         ConfigurationError: a cluster cannot be reached, or has too few CPUs or GPUs.
     """
-    settings: dict[str, Any] = {"runtime_env": {"env_vars": variables}, "log_to_driver": False}
+    settings: dict[str, object] = {"runtime_env": {"env_vars": variables}, "log_to_driver": False}
     if address is None:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         # So many processes as were asked for are to run, however few CPUs the machine has.
@@ -132,9 +132,9 @@ def connect(
 
 
 def run_on_actors(
-    ray: Any,
+    ray: ModuleType,
     workers: list[Any],
-    spawn: Callable[[int], Any],
+    spawn: Callable[[int], object],
     jobs: Iterable[J],
     lost: Callable[[J, str], R],
 ) -> Iterator[tuple[R, bytes | None]]:
@@ -154,7 +154,7 @@ def run_on_actors(
     deaths: dict[J, int] = {}
     proven = False
     idle = list(range(len(workers)))
-    running: dict[Any, tuple[int, J]] = {}
+    running: dict[object, tuple[int, J]] = {}
     while waiting or running:
         while waiting and idle:
             number, job = idle.pop(), waiting.popleft()
@@ -238,7 +238,7 @@ class OnRay:
         threads = {name: str(plan.threads) for name in THREAD_VARIABLES}
         gpus = policy_gpus * (policy_actors or workers)
         connect(ray, address, workers + policy_actors, gpus=gpus, variables=threads)
-        self._policies: list[Any] = []
+        self._policies: list[object] = []
         if policy_actors:
             from rn_eval.sharing import PolicyActor
 
@@ -248,7 +248,7 @@ class OnRay:
             self._policies = [shared.remote(plan.model_dump_json()) for _ in range(policy_actors)]
         own_gpus = 0.0 if policy_actors else policy_gpus
         self._actor = ray.remote(num_cpus=1, num_gpus=own_gpus)(EpisodeWorker)
-        self._workers: list[Any] = [self._spawn() for _ in range(workers)]
+        self._workers: list[object] = [self._spawn() for _ in range(workers)]
 
     def _spawn(self) -> object:
         return self._actor.remote(self._plan.model_dump_json(), self._policies)

@@ -144,7 +144,7 @@ class SharedPolicy:
     def close(self) -> None:
         """The actor stays for the others."""
 
-    def _get(self, reference: Any) -> Any:
+    def _get(self, reference: object) -> Any:
         try:
             return self._ray.get(reference)
         except self._ray.exceptions.RayTaskError as error:

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from rn_backend_oft.state import read_state
-from rn_eval.command import Eval, _planned
+from rn_eval.command import Eval
+from rn_eval.command_plans import planned
 from rn_eval.hooks import SuiteSpec
 from rn_eval.libero.suite import STEP_LIMITS, tasks_of, to_simulator
 from rn_vla.openvla.preprocessing import Preprocessor, TowerPixels
@@ -29,7 +30,7 @@ def options_of(suite, backend):
     parser = argparse.ArgumentParser()
     Eval().configure(parser)
     given = parser.parse_args(["run", "--suite", suite, "--backend", backend])
-    return _planned(given).config["plugins"][backend]
+    return planned(given).config["plugins"][backend]
 
 
 @pytest.mark.parametrize("at", IMAGES)

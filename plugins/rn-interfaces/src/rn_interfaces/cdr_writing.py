@@ -66,6 +66,8 @@ class Parts(bytearray):
         yield bytes(memoryview(self)[place:])
 
 
+WriteValue = Callable[[Any, bytearray], None]
+"""Appends a value of one type, which only its maker knows."""
 Write = Callable[[object, bytearray], None]
 """Appends a message."""
 _PACK_COUNT = tuple(one.pack for one in COUNT)
@@ -150,9 +152,7 @@ def _write_field(cls: type, path: str, slot: object) -> Write:
     return step
 
 
-def _write_array(
-    get: Callable[[object], Any], form: str, write: Callable[[Any, bytearray], None]
-) -> Write:
+def _write_array(get: Callable[[object], Any], form: str, write: WriteValue) -> Write:
     """A step for what rosidl keeps in an `array.array`, with as few calls as possible."""
     size = calcsize(f"<{form}")
     most = LARGE // size
@@ -171,7 +171,7 @@ def _write_array(
     return step
 
 
-def _write_value(owner: type, name: str, slot: object) -> Callable[[Any, bytearray], None]:
+def _write_value(owner: type, name: str, slot: object) -> WriteValue:
     if isinstance(slot, AbstractGenericString):
         return _write_text(slot)
     if not isinstance(slot, AbstractNestedType):
@@ -191,7 +191,7 @@ def _write_value(owner: type, name: str, slot: object) -> Callable[[Any, bytearr
     return write
 
 
-def _write_text(slot: AbstractGenericString) -> Callable[[Any, bytearray], None]:
+def _write_text(slot: AbstractGenericString) -> WriteValue:
     most = slot.maximum_size if slot.has_maximum_size() else sys.maxsize
 
     def write(value: str, out: bytearray) -> None:
@@ -217,10 +217,10 @@ def _write_texts(entries: Iterable[str], out: bytearray) -> None:
         out += _PACK_COUNT[len(out) & 7](len(data)) + data
 
 
-def _write_entries(owner: type, name: str, value: object) -> Callable[[Any, bytearray], None]:
+def _write_entries(owner: type, name: str, value: object) -> WriteValue:
     if isinstance(value, BasicType):
         return _write_numbers(value)
-    one: Callable[[Any, bytearray], None]
+    one: WriteValue
     if isinstance(value, AbstractGenericString):
         if not value.has_maximum_size() and not isinstance(value, AbstractWString):
             return _write_texts
@@ -235,7 +235,7 @@ def _write_entries(owner: type, name: str, value: object) -> Callable[[Any, byte
     return write
 
 
-def _write_numbers(slot: BasicType) -> Callable[[Any, bytearray], None]:
+def _write_numbers(slot: BasicType) -> WriteValue:
     form = format_of(slot)
     size = calcsize(f"<{form}")
     if slot.typename == "octet":

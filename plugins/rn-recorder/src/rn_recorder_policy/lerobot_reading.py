@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,25 @@ INFO = Path("meta") / "info.json"
 _OLD, _NEW = ("v2.0", "v2.1"), "v3."
 _CHUNK_SIZE = 1000
 _NUMBERS = ("float32", "float64", "int32", "int64")
+
+
+class _Feature(TypedDict):
+    """A column, as meta/info.json describes it."""
+
+    dtype: str
+    names: NotRequired[object]
+
+
+class _Info(TypedDict):
+    """What is read of meta/info.json."""
+
+    codebase_version: NotRequired[str]
+    fps: float
+    features: dict[str, _Feature]
+    data_path: str
+    video_path: str
+    chunks_size: NotRequired[int]
+    total_episodes: NotRequired[int]
 
 
 def read_lerobot(directory: Path, episode: int) -> Demonstration:
@@ -52,7 +71,7 @@ class _Episode:
     def __init__(
         self,
         directory: Path,
-        info: Mapping[str, Any],
+        info: _Info,
         number: int,
         entry: Mapping[str, Any],
         is_old: bool,
@@ -60,8 +79,7 @@ class _Episode:
         self._directory, self._info, self._number = directory, info, number
         self._entry, self._is_old = entry, is_old
         self._fps = float(info["fps"])
-        features: Mapping[str, Mapping[str, Any]] = info["features"]
-        self._features = features
+        self._features = info["features"]
         path = directory / info["data_path"].format(**self._place("data"))
         self._table = _read_table(path, [("episode_index", "=", number)])
         if not self._table.num_rows:
@@ -134,7 +152,7 @@ def _names(names: object) -> tuple[str, ...] | None:
     return None
 
 
-def _old_entry(directory: Path, info: Mapping[str, Any], episode: int) -> Mapping[str, Any]:
+def _old_entry(directory: Path, info: _Info, episode: int) -> Mapping[str, Any]:
     path = directory / "meta" / "episodes.jsonl"
     for entry in _json_lines(path):
         if entry.get("episode_index") == episode:
@@ -142,7 +160,7 @@ def _old_entry(directory: Path, info: Mapping[str, Any], episode: int) -> Mappin
     raise _no_such(directory, info, episode)
 
 
-def _new_entry(directory: Path, info: Mapping[str, Any], episode: int) -> Mapping[str, Any]:
+def _new_entry(directory: Path, info: _Info, episode: int) -> Mapping[str, Any]:
     for path in sorted((directory / "meta" / "episodes").glob("**/*.parquet")):
         found = _read_table(path, [("episode_index", "=", episode)])
         if found.num_rows:
@@ -152,7 +170,7 @@ def _new_entry(directory: Path, info: Mapping[str, Any], episode: int) -> Mappin
     raise _no_such(directory, info, episode)
 
 
-def _no_such(directory: Path, info: Mapping[str, Any], episode: int) -> InvalidInputError:
+def _no_such(directory: Path, info: _Info, episode: int) -> InvalidInputError:
     return InvalidInputError(
         f"The data set {directory} has no episode {episode}.",
         hint=f"meta/info.json tells of {info.get('total_episodes', '?')}, counted from 0.",
@@ -177,9 +195,9 @@ def _read_table(path: Path, filters: list[tuple[str, str, int]]) -> Any:
         ) from error
 
 
-def _json(path: Path) -> dict[str, Any]:
+def _json(path: Path) -> _Info:
     try:
-        read: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        read: _Info = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InvalidInputError(f"{path} cannot be read: {error}.") from error
     return read

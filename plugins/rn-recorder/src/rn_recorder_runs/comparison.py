@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_recorder_runs.replay import Compared, Gaps
+from rn_recorder_runs.observations import Gaps
+from rn_recorder_runs.replay import Compared
 from roboneuron import ACTION_LABEL, MissingDependencyError, channel_keys
 
 AXES = ("dx [m]", "dy [m]", "dz [m]", "rx [rad]", "ry [rad]", "rz [rad]", "gripper")

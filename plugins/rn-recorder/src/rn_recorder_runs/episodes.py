@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import struct
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -226,7 +226,7 @@ def _sort_poses(found: Streams, poses: dict[str, list[tuple[int, F64]]]) -> None
 
 
 def read_episodes(
-    run: str, files: Sequence[Path], facts: dict[str, Any]
+    run: str, files: Sequence[Path], facts: Mapping[str, object]
 ) -> tuple[list[RecordedEpisode], Streams]:
     """The episodes of a run, oldest first; those without an action are left out.
 

@@ -15,7 +15,6 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from importlib import import_module
-from typing import Any
 
 # as rclpy.wait_for_message does
 from rclpy.impl.implementation_singleton import rclpy_implementation as ros
@@ -163,7 +162,7 @@ class Tap:
         self._types[topic] = type_name
         log.info("Recording %s (%s).", topic, type_name)
 
-    def _record(self, topic: str, data: bytes, info: dict[str, Any]) -> Record:
+    def _record(self, topic: str, data: bytes, info: Mapping[str, int]) -> Record:
         """A message that was taken; counts it and what its publisher sent before and did not
         come.
         """

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Protocol, cast
+from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 import torch
@@ -25,6 +25,7 @@ from rn_runtime_torch.fillings import Fillings, fill_up
 from rn_runtime_torch.graph import Computation, GraphCache
 from rn_runtime_torch.int8 import check_int8
 from rn_runtime_torch.memory import PeakBytes
+from rn_runtime_torch.passes import Check, Front, Kind, Passes
 from rn_runtime_torch.scratch import Scratch
 from rn_runtime_torch.weights import check_shards, load_shards
 from rn_vla.decoding import (
@@ -40,7 +41,6 @@ from rn_vla.decoding import (
 from rn_vla.pruning import TokenSelection
 from roboneuron import ConfigurationError, InvalidInputError, UnsafeError
 
-Kind = tuple[str | int, ...]
 Key = tuple[TokenSelection | None, Kind, tuple[tuple[str, tuple[int, ...]], ...]]
 """Of a recording: the preset's selection, what was asked, shapes by input."""
 _BATCH_SHARE = 0.5
@@ -49,20 +49,6 @@ _TRIAL_TOKENS = 8
 """Prompt of the sequence that a new selection is tried with: words stand before and behind the
 image.
 """
-Check = Callable[[], None]
-"""Raises when nobody wants the answer any more."""
-
-
-class Front(Protocol):
-    """What `PolicyModel.build_front` returns, besides being a torch module."""
-
-    def __call__(
-        self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]
-    ) -> Tensor:
-        """Arrays (b, ...), ids (b, n) and the embedding look-up -> decoder input (b, positions,
-        hidden).
-        """
-        ...
 
 
 class Engine:
@@ -156,6 +142,7 @@ class Engine:
             if self._model.max_new_tokens
             else None
         )
+        self._passes = Passes(self._model, self._front, self._decoder, self._back, self._cache)
 
     def _needs(self, config: TorchRuntimeConfig, parts: list[nn.Module], quantized: bool) -> Needs:
         """Memory for the longest request, found by running it on the parts while they are on the
@@ -172,7 +159,7 @@ class Engine:
         inputs["ids"] = torch.empty((1, request.prompt.ids.size), dtype=torch.int64, device="meta")
         kept = self._cache.tensors() if self._cache is not None else ()
         with PeakBytes([*parameters, *tables, *kept]) as peak:
-            self._computation(request, lambda: None)[1](inputs)
+            self._passes.of(request, lambda: None)[1](inputs)
         weights = sum(parameter.numel() for parameter in parameters) * dtype.itemsize
         if quantized:
             weights += sum(
@@ -273,7 +260,7 @@ class Engine:
             }
             inputs["ids"] = torch.from_numpy(request.prompt.ids)[None].to(self._device)
             self._latest = request
-            outputs, kept = self._execute(*self._computation(request, check), inputs)
+            outputs, kept = self._execute(*self._passes.of(request, check), inputs)
             if not bool(outputs["finite"]):
                 raise UnsafeError(
                     "The model produced NaN or infinite values; no action was made of them."
@@ -341,7 +328,7 @@ class Engine:
         ids, counts = fill_up([prompt.ids for prompt in prompts])
         inputs["ids"] = torch.from_numpy(ids).to(self._device)
         start = 1 + self._model.visual_tokens + self._model.extra_tokens
-        outputs = self._read_rows(requests[0], Fillings(start, counts))[1](inputs)
+        outputs = self._passes.rows(requests[0], Fillings(start, counts))[1](inputs)
         if not bool(outputs["finite"]):
             raise UnsafeError(
                 "The model produced NaN or infinite values; no action was made of them."
@@ -364,69 +351,6 @@ class Engine:
                 hint="Shorten the instruction.",
             )
         _check_ids(ids, self._model.decoder.vocabulary)
-
-    def _computation(self, request: Request, check: Check) -> tuple[Kind, Computation]:
-        """What answers a request, and what of the request decides its shapes besides the inputs."""
-        return (
-            self._decode(request, check)
-            if isinstance(request, TokenRequest)
-            else self._read_rows(request)
-        )
-
-    def _decode(self, request: TokenRequest, check: Check) -> tuple[Kind, Computation]:
-        decoder, cache = self._decoder, self._cache
-        if cache is None or not 1 <= request.max_new_tokens <= self._model.max_new_tokens:
-            raise InvalidInputError(
-                f"{request.max_new_tokens} tokens were asked for, the model was loaded for "
-                f"1 to {self._model.max_new_tokens}."
-            )
-
-        def compute(held: dict[str, Tensor]) -> dict[str, Tensor]:
-            hidden = self._embed(held)
-            position = hidden.shape[1]
-            hidden = decoder(hidden, causal=True, cache=cache, last=1)
-            logits = first = decoder.logits(hidden)[:, -1]
-            finite = torch.isfinite(logits).all()
-            tokens = [logits.argmax(dim=-1)]
-            while len(tokens) < request.max_new_tokens:
-                check()
-                hidden = decoder.step(decoder.embed(tokens[-1])[None], position, cache)
-                logits = decoder.logits(hidden)[:, -1]
-                finite = finite & torch.isfinite(logits).all()
-                tokens.append(logits.argmax(dim=-1))
-                position += 1
-            return {"tokens": torch.cat(tokens), "logits": first[0], "finite": finite}
-
-        return ("tokens", request.max_new_tokens), compute
-
-    def _read_rows(
-        self, request: RowsRequest, fillings: Fillings | None = None
-    ) -> tuple[Kind, Computation]:
-        decoder, back = self._decoder, self._back
-
-        def compute(held: dict[str, Tensor]) -> dict[str, Tensor]:
-            hidden = self._embed(held)
-            end = hidden.shape[1] - request.tail
-            last = request.rows + request.tail
-            hidden = decoder(
-                hidden, causal=False, rows=(end - request.rows, end), last=last, fillings=fillings
-            )
-            values = hidden[:, : request.rows]
-            finite = torch.isfinite(values).all()
-            if request.read == "output" and back is not None:
-                values = back(values)
-                finite = finite & torch.isfinite(values).all()
-            elif request.read == "tokens":
-                logits = decoder.logits(values)
-                finite = finite & torch.isfinite(logits).all()
-                values = logits.argmax(dim=-1)
-            return {"values": values.float(), "finite": finite}
-
-        return ("rows", request.rows, request.tail, request.read), compute
-
-    def _embed(self, held: dict[str, Tensor]) -> Tensor:
-        arrays = {name: tensor for name, tensor in held.items() if name != "ids"}
-        return self._front(arrays, held["ids"], self._decoder.embed)
 
     def _execute(
         self, kind: Kind, compute: Computation, inputs: dict[str, Tensor]

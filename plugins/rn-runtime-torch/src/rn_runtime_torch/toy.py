@@ -50,7 +50,7 @@ class ToyFront(nn.Module):
         self.projection = nn.Parameter(torch.empty(hidden, FEATURES))
 
     def forward(self, arrays: dict[str, Tensor], ids: Tensor, embed: nn.Module) -> Tensor:
-        """See `rn_runtime_torch.engine.Front`."""
+        """See `rn_runtime_torch.passes.Front`."""
         words: Tensor = embed(ids)
         return torch.cat(
             (words[:, :1], arrays["features"] @ self.projection.T, words[:, 1:]), dim=1

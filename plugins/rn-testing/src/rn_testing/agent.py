@@ -22,7 +22,7 @@ class Agent:
         self._client = client
         self.told: list[str] = []
 
-    async def call(self, tool: str, **arguments: Any) -> tuple[bool, dict[str, Any], str]:
+    async def call(self, tool: str, **arguments: object) -> tuple[bool, dict[str, Any], str]:
         """Call a tool: whether it succeeded, its structured answer, its text."""
 
         async def note(progress: float, total: float | None, message: str | None) -> None:
@@ -32,13 +32,13 @@ class Agent:
         text = getattr(answer.content[0], "text", "") if answer.content else ""
         return not answer.is_error, dict(answer.structured_content or {}), text
 
-    async def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
+    async def do(self, tool: str, **arguments: object) -> dict[str, Any]:
         """The answer of a call that must succeed. Raises AssertionError."""
         succeeded, answer, text = await self.call(tool, **arguments)
         assert succeeded, (tool, arguments, text)
         return answer
 
-    async def fail(self, tool: str, **arguments: Any) -> str:
+    async def fail(self, tool: str, **arguments: object) -> str:
         """The text of a call that must fail. Raises AssertionError."""
         succeeded, answer, text = await self.call(tool, **arguments)
         assert not succeeded, (tool, arguments, answer)

@@ -192,7 +192,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_help(sys.stderr)
         return EXIT_USAGE
     registry = None if name in COMMANDS else discover()  # core's own commands need no plugin
-    if registry is not None and not _is_known(name, registry):
+    if (
+        registry is not None
+        and all(offer.spec.name != name for offer in registry.offers("command"))
+        and package_of("command", name) is None
+    ):
         names = [*map(spoken, [*COMMANDS, *installed_commands(registry)]), *GROUPS]
         meant = nearest(spoken(name), names, f"Choose one of: {', '.join(names)}.")
         print(f"roboneuron: There is no command {spoken(name)!r}. {meant}", file=sys.stderr)
@@ -207,14 +211,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     # the border to whoever typed the command
     except (Exception, KeyboardInterrupt, BaseExceptionGroup) as error:
         return show_error(error)
-
-
-def _is_known(name: str, registry: Registry) -> bool:
-    """An installed plugin offers the command, or it is known which package does."""
-    return (
-        any(o.spec.name == name for o in registry.offers("command"))
-        or package_of("command", name) is not None
-    )
 
 
 if __name__ == "__main__":

@@ -12,7 +12,6 @@ deleted, moved or lost with its directory. Such a file is written again, and cou
 from __future__ import annotations
 
 import errno
-import json
 import logging
 import os
 import stat
@@ -20,44 +19,26 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 from roboneuron.errors import RefusedError, StateError, UnsafeError
+from roboneuron.estop.latch_file import (
+    ESTOP_FILE,
+    RESET_SUFFIX,
+    LatchState,
+    identity_of,
+    read_cause,
+    sync,
+    write_cause,
+)
 from roboneuron.estop.pin import ReleasePin
 from roboneuron.gate import AuditLog, AuditRecord, Role
 from roboneuron.log_files import make_log_directory
 
 log = logging.getLogger(__name__)
-ESTOP_FILE = "emergency_stop.latched"
-"""Name of the latch in the state directory."""
-RESET_SUFFIX = ".reset"
-"""Added to the latch's name by a reset."""
-_MAX_CHARACTERS = 16_384
-"""What is read of the file: JSON makes up to 12 characters of each of the 700 of a cause."""
 _AGAIN_S = 1.0
 """How often a latch that cannot be written is tried again."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class LatchState:
-    """Who stopped and why.
-
-    Attributes:
-        time_ns: wall-clock time [ns], 0 when the file does not tell.
-        restored: how often the file had vanished without a reset, and was written again.
-    """
-
-    latched: bool
-    who: str = ""
-    reason: str = ""
-    time_ns: int = 0
-    restored: int = 0
-
-    @property
-    def cause(self) -> str:
-        """Who and why in words; empty when nobody is known."""
-        return ": ".join(word for word in (self.who, self.reason) if word) if self.who else ""
 
 
 class EmergencyStopLatch:
@@ -124,20 +105,20 @@ class EmergencyStopLatch:
         """Whether motion is forbidden; about a microsecond."""
         with self._lock:
             try:
-                self._seen = _identity(self.path)
+                self._seen = identity_of(self.path)
             except FileNotFoundError:
                 return self._held is not None and not self._was_reset()
             # a directory that cannot be entered, a disk that fails: unknown is latched
             except OSError:
                 return True
             if self._held is None:
-                self._held = self._parse()
+                self._held = read_cause(self.path)
             return True
 
     def _was_reset(self) -> bool:
         """The file is gone: by a reset, or otherwise, and then it is written again."""
         with suppress(OSError):
-            if self._seen is not None and _identity(self._reset_path) == self._seen:
+            if self._seen is not None and identity_of(self._reset_path) == self._seen:
                 self._held = self._seen = None
                 return True
         self._restore()
@@ -187,23 +168,8 @@ class EmergencyStopLatch:
         """Who latched it and why, as far as the file tells."""
         if not self.is_latched():
             return LatchState(latched=False)
-        written, held = self._parse(), self._held
+        written, held = read_cause(self.path), self._held
         return written if written.who or held is None else held
-
-    def _parse(self) -> LatchState:
-        """What the file tells; anybody may have written it, so that nothing of it is required."""
-        try:
-            with self.path.open(encoding="utf-8", errors="replace") as file:
-                content = json.loads(file.read(_MAX_CHARACTERS))
-            return LatchState(
-                latched=True,
-                who=str(content["who"])[:200],
-                reason=str(content["reason"])[:500],
-                time_ns=int(content["time_ns"]),
-                restored=int(content.get("restored", 0)),
-            )
-        except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
-            return LatchState(latched=True)
 
     def latch(self, *, who: str, reason: str, audit: AuditLog | None = None) -> LatchState:
         """`press`, have it outlive a loss of power, and record it; returns the first cause when it
@@ -220,8 +186,8 @@ class EmergencyStopLatch:
         try:
             state = self.press(who=who, reason=reason)
             with suppress(OSError):  # it stops all the same
-                _sync(self.path)
-                _sync(self.path.parent)
+                sync(self.path)
+                sync(self.path.parent)
             return state
         finally:
             record = AuditRecord(
@@ -323,16 +289,15 @@ class EmergencyStopLatch:
             )
         except FileExistsError:
             with suppress(OSError):
-                self._seen = _identity(self.path)
+                self._seen = identity_of(self.path)
             return
-        content = {name: value for name, value in asdict(state).items() if name != "latched"}
         try:
             # of what was made, not of what has its name by now
             made = os.fstat(descriptor)
             self._seen = made.st_dev, made.st_ino
             # a full disk: it stops without its cause
             with suppress(OSError):
-                os.write(descriptor, json.dumps(content).encode())
+                write_cause(descriptor, state)
         finally:
             os.close(descriptor)
 
@@ -379,25 +344,10 @@ class EmergencyStopLatch:
                         raise IsADirectoryError(errno.EISDIR, "it is a directory")
                     # a rename keeps the inode, by which others tell a reset from a loss
                     os.replace(self.path, self._reset_path)
-                    _sync(self.path.parent)
+                    sync(self.path.parent)
             except OSError as error:
                 text = (
                     f"The latch {self.path} cannot be removed: {error.strerror}; it stays latched."
                 )
                 raise StateError(text) from error
             self._held = self._seen = None
-
-
-def _identity(path: Path) -> tuple[int, int]:
-    """Device and inode; a rename keeps them, a copy and a new file do not."""
-    found = os.lstat(path)
-    return found.st_dev, found.st_ino
-
-
-def _sync(path: Path) -> None:
-    """Have a file or directory on the disk. Raises OSError when it cannot be."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

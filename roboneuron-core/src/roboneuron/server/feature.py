@@ -238,18 +238,15 @@ class Features:
             self.loaded = {name: one for name, one in self.loaded.items() if one is not feature}
             if feature is not None:
                 feature.close()
-            if self._is_asked_for(spec):
+            if (
+                spec.name in self._config.features
+                or self._config.server.transport in spec.transports
+                or any(key in self._config.sections for key in spec.keys)
+            ):
                 kind = type(error) if isinstance(error, RoboNeuronError) else PluginError
                 raise kind(said) from error
             self.failed[spec.name] = reason
             log.error("%s", said)
-
-    def _is_asked_for(self, spec: FeatureSpec) -> bool:
-        return (
-            any(key in self._config.sections for key in spec.keys)
-            or spec.name in self._config.features
-            or self._config.server.transport in spec.transports
-        )
 
 
 def _ordered(specs: Mapping[str, FeatureSpec]) -> list[FeatureSpec]:

@@ -36,7 +36,8 @@ class Fr3:
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron fr3 check`."""
-        from rn_robot_fr3.fci.check import Machine, check_machine, check_network
+        from rn_robot_fr3.fci.check import Machine, check_machine
+        from rn_robot_fr3.fci.network_check import check_network
 
         machine = Machine(Path("/"))
         findings = check_machine(machine, arguments.seconds)

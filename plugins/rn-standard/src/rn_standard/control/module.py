@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any, cast
+from typing import cast
 
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
@@ -142,7 +142,7 @@ class ControlModule(HoldingModule):
         for publisher, pose in zip(self._arm_poses, poses, strict=False):
             publisher.publish(messages.to_pose_stamped(pose, self.profile.base_link))
 
-    def _on_action(self, message: Float64MultiArray, info: dict[str, Any]) -> None:
+    def _on_action(self, message: Float64MultiArray, info: Mapping[str, int]) -> None:
         """Execute an action, or count why not. Its age is that since it was sent, by the time stamp
         that DDS adds: the message has none.
         """

@@ -9,10 +9,11 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, get_args
+from typing import get_args
 
 from rn_standard.direct_path import truth
 from rn_standard.direct_path.fields import filled, load_type
+from rn_standard.direct_path.message_types import RosMessage
 from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron import (
     CallContext,
@@ -63,12 +64,13 @@ def allowed_endpoint(exposed: ExposedEndpoint) -> AllowedEndpoint:
     )
 
 
-def stop_message(exposed: ExposedEndpoint, now_ns: int) -> Any:
+def stop_message(exposed: ExposedEndpoint, now_ns: int) -> RosMessage | None:
     """The message that ends a motion, or None."""
     text = exposed.endpoint.stop_message
     if not text:
         return None
-    message = filled(load_type(exposed.endpoint.type), {} if text == "zero" else json.loads(text))
+    ros_type: type[RosMessage] = load_type(exposed.endpoint.type)
+    message = filled(ros_type, {} if text == "zero" else json.loads(text))
     header = getattr(message, "header", None)
     if header is not None and hasattr(header, "stamp"):
         header.stamp.sec, header.stamp.nanosec = divmod(now_ns, 1_000_000_000)
@@ -312,8 +314,8 @@ def gate_request(
     context: CallContext,
     tool: str,
     exposed: ExposedEndpoint,
-    messages: Sequence[Any],
-    arguments: Mapping[str, Any],
+    messages: Sequence[object],
+    arguments: Mapping[str, object],
     *,
     joints: JointSample | None = None,
     durations_s: Sequence[float] = (),

@@ -12,11 +12,14 @@ from array import array
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
+from rn_standard.direct_path.message_types import MessageName, RosMessage
 from roboneuron import ConfigurationError, InvalidInputError
 
 FLOATS = frozenset({"float", "double"})
@@ -27,6 +30,8 @@ _ELEMENT = re.compile(r"(?:sequence<)?([\w/]+)")
 _STEP = re.compile(r"(\w+)((?:\[\d{1,9}\])?)")
 """One step of a path that reads: a field, or one element of it."""
 _FEW = 64
+M = TypeVar("M")
+R = TypeVar("R", bound=RosMessage)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +45,11 @@ class Place:
 
 def type_name_of(message: object) -> str:
     """ "geometry_msgs/msg/Twist" for a Twist; parts of services and actions keep their suffix."""
-    ros_type: Any = type(message)
+    ros_type: type = type(message)
     return _name_of_class(ros_type)
 
 
-def is_message(value: object) -> bool:
+def is_message(value: object) -> TypeGuard[RosMessage]:
     """Whether this is a rosidl message."""
     return hasattr(type(value), "get_fields_and_field_types")
 
@@ -74,12 +79,14 @@ def load_type(name: str) -> Any:
     return found
 
 
-def nested(message: Any, types: Collection[str], path: str = "") -> Iterator[tuple[str, Any]]:
+def nested(
+    message: RosMessage, types: Collection[MessageName[M]], path: str = ""
+) -> Iterator[tuple[str, M]]:
     """Messages of some types in a message: itself, or those that it holds at any depth, with the
     path that leads to their fields: "", "pose.", "poses[2].". Nothing within them is looked for.
     """
     if type_name_of(message) in types:
-        yield path, message
+        yield path, cast("M", message)  # its name says what it is
         return
     for name in message.get_fields_and_field_types():
         value = getattr(message, name)
@@ -91,7 +98,7 @@ def nested(message: Any, types: Collection[str], path: str = "") -> Iterator[tup
                     yield from nested(item, types, f"{path}{name}[{index}].")
 
 
-def walk_fields(ros_type: Any, path: str = "") -> Iterator[tuple[str, str]]:
+def walk_fields(ros_type: type[RosMessage], path: str = "") -> Iterator[tuple[str, str]]:
     """Yield each field of a message class at every depth: dotted path without indices, type of it
     or its elements.
     """
@@ -104,7 +111,7 @@ def walk_fields(ros_type: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 @functools.cache
-def has_arrays(ros_type: Any) -> bool:
+def has_arrays(ros_type: type[RosMessage]) -> bool:
     """Whether messages of a class hold an array, at whatever depth."""
     return any(
         _is_array(text) or ("/" in text and has_arrays(_nested(text)))
@@ -112,7 +119,7 @@ def has_arrays(ros_type: Any) -> bool:
     )
 
 
-def check_path(ros_type: Any, path: str) -> None:
+def check_path(ros_type: type[RosMessage], path: str) -> None:
     """Check a path that reads one value, such as "pose.position.z" or "effort[7]", by the fields of
     a message class.
 
@@ -144,10 +151,11 @@ def check_path(ros_type: Any, path: str) -> None:
                 else f"a {element}: it has no fields"
             )
             raise InvalidInputError(f"{parts[1]} of {_name_of_class(here)} is {what}.")
-        here = _nested(element) if "/" in element else None
+        if not is_last:
+            here = _nested(element)
 
 
-def read_value(message: Any, path: str) -> bool | int | float | str | bytes:
+def read_value(message: object, path: str) -> bool | int | float | str | bytes:
     """The value at a path that `check_path` has passed for the message's class; nothing but fields
     is read.
 
@@ -176,7 +184,7 @@ def read_value(message: Any, path: str) -> bool | int | float | str | bytes:
 
 
 @functools.cache
-def _name_of_class(ros_type: Any) -> str:
+def _name_of_class(ros_type: type) -> str:
     package, kind = ros_type.__module__.split(".")[:2]
     return f"{package}/{kind}/{ros_type.__name__}"
 
@@ -192,11 +200,12 @@ def _is_array(text: str) -> bool:
     return text != _element_of(text) and not text.startswith(("string<", "wstring<"))
 
 
-def _nested(element: str) -> Any:
-    return load_type(element.replace("/", "/msg/"))
+def _nested(element: str) -> type[RosMessage]:
+    ros_type: type[RosMessage] = load_type(element.replace("/", "/msg/"))
+    return ros_type
 
 
-def filled(ros_type: Any, values: object) -> Any:
+def filled(ros_type: type[R], values: object) -> R:
     """A message that holds the values of a JSON object; fields that it does not name are zero.
 
     Raises:
@@ -232,9 +241,9 @@ def _converted(element: str, value: Any) -> object:
     return bytes([value]) if element == "octet" else value
 
 
-def read_number(message: Any, path: str) -> float:
+def read_number(message: RosMessage, path: str) -> float:
     """The number at a dotted path without arrays on the way."""
-    return float(functools.reduce(getattr, path.split("."), message))
+    return float(attrgetter(path)(message))
 
 
 def find_outside(
@@ -272,19 +281,18 @@ def _item_writer(values: Any, index: int) -> Callable[[float], None]:
     return write
 
 
-def find_nonfinite(message: object, allowed: frozenset[str]) -> str:
+def find_nonfinite(message: RosMessage, allowed: frozenset[str]) -> str:
     """Return the path of the first NaN or infinity that is not allowed there; empty when there is
     none.
     """
     return next((path for plain, path in _nonfinite(message) if plain not in allowed), "")
 
 
-def _nonfinite(message: object) -> Iterator[tuple[str, str]]:
+def _nonfinite(message: RosMessage) -> Iterator[tuple[str, str]]:
     """Yield the path without indices, and the whole path, of each NaN or infinity; of an array of
     numbers that of the first one. Paths are made for what is found only: every call is looked at.
     """
-    ros_type: Any = type(message)
-    for name in _names_of_fields(ros_type):
+    for name in _names_of_fields(type(message)):
         value = getattr(message, name)
         if isinstance(value, float):
             if not math.isfinite(value):
@@ -303,12 +311,12 @@ def _nonfinite(message: object) -> Iterator[tuple[str, str]]:
 
 
 @functools.cache
-def _names_of_fields(ros_type: Any) -> tuple[str, ...]:
+def _names_of_fields(ros_type: type[RosMessage]) -> tuple[str, ...]:
     """Kept, because rosidl copies its own table whenever it is asked."""
     return tuple(ros_type.get_fields_and_field_types())
 
 
-def _first_nonfinite(values: Any, path: str) -> str:
+def _first_nonfinite(values: array[float] | NDArray[np.generic], path: str) -> str:
     if isinstance(values, array):
         if values.typecode not in "fd":
             return ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleView
 
@@ -34,7 +34,7 @@ class HealthDiagnostics:
 
         if self._send is None:
             self._send = self._link().advertise(DiagnosticArray, topics.DIAGNOSTICS)
-        level: Any = DiagnosticStatus.OK
+        level: bytes = DiagnosticStatus.OK
         if health in FAULTS:
             level = (
                 DiagnosticStatus.STALE if health in ("silent", "stuck") else DiagnosticStatus.ERROR

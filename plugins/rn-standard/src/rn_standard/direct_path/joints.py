@@ -11,18 +11,27 @@ from typing import Any
 import numpy as np
 
 from rn_standard.direct_path.fields import nested, type_name_of
+from rn_standard.direct_path.message_types import (
+    JointState,
+    JointTrajectory,
+    MessageName,
+    RosMessage,
+)
 from rn_standard.direct_path.path_limits import Leg
 from rn_standard.direct_path.speeds import Speeds, shortest_s
 from roboneuron import JointSample, RefusedError
 from roboneuron.feature import joint_space
 
 MAX_POINTS = 2000
-JOINT_TYPES = ("trajectory_msgs/msg/JointTrajectory", "sensor_msgs/msg/JointState")
+JOINT_TYPES: tuple[MessageName[RosMessage], ...] = (
+    MessageName("trajectory_msgs/msg/JointTrajectory"),
+    MessageName("sensor_msgs/msg/JointState"),
+)
 """Messages that can be checked."""
-PLANNER_TYPES = (
-    "moveit_msgs/msg/MotionPlanRequest",
-    "moveit_msgs/msg/PlanningScene",
-    "moveit_msgs/msg/RobotState",
+PLANNER_TYPES: tuple[MessageName[RosMessage], ...] = (
+    MessageName("moveit_msgs/msg/MotionPlanRequest"),
+    MessageName("moveit_msgs/msg/PlanningScene"),
+    MessageName("moveit_msgs/msg/RobotState"),
 )
 """Messages whose joints are where the robot is or is thought to be, not where it is sent."""
 _SAME = 1e-3
@@ -30,7 +39,7 @@ _SAME = 1e-3
 """
 
 
-def joint_commands(message: Any) -> Iterator[Any]:
+def joint_commands(message: RosMessage) -> Iterator[Any]:
     """The joint commands in a message, goal or request: itself, or those that it holds at any
     depth. What a planner is told of the robot is none.
     """
@@ -119,7 +128,7 @@ class _JointMotion:
             self._rest(legs[-1])
         return legs
 
-    def _trajectory(self, message: Any, lasts_s: float | None) -> Iterator[Leg]:
+    def _trajectory(self, message: JointTrajectory, lasts_s: float | None) -> Iterator[Leg]:
         names = self._names(message.joint_names)
         if not 1 <= len(message.points) <= MAX_POINTS:
             raise RefusedError(
@@ -153,7 +162,7 @@ class _JointMotion:
         if lasts_s is not None and lasts_s < before_s * (1.0 - joint_space.JointLimit.SLACK):
             raise RefusedError(f"The trajectory takes {before_s:g} s, its step only {lasts_s:g} s.")
 
-    def _state(self, message: Any, lasts_s: float | None) -> Iterator[Leg]:
+    def _state(self, message: JointState, lasts_s: float | None) -> Iterator[Leg]:
         """A JointState: positions that are reached within the time, or velocities that are kept for
         it.
         """
@@ -242,10 +251,10 @@ class _JointMotion:
     def _check(
         self,
         names: Sequence[str],
-        position: Any,
-        velocity: Any,
-        acceleration: Any,
-        effort: Any,
+        position: Sequence[float],
+        velocity: Sequence[float],
+        acceleration: Sequence[float],
+        effort: Sequence[float],
         where: str,
     ) -> None:
         arrays = {

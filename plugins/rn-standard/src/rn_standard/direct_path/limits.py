@@ -6,7 +6,6 @@ import math
 import re
 from dataclasses import replace
 from operator import attrgetter
-from typing import Any
 
 from rn_standard.direct_path.fields import (
     FLOATS,
@@ -19,6 +18,7 @@ from rn_standard.direct_path.fields import (
     type_name_of,
     walk_fields,
 )
+from rn_standard.direct_path.message_types import RosMessage
 from rn_standard.direct_path.places import PLACE_TYPES
 from rn_standard.direct_path.plans import has_plans
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
@@ -75,7 +75,7 @@ def check_endpoint(endpoint: Endpoint) -> None:
             raise ConfigurationError(f"{where}: the bounds of {path} are [{low}, {high}].")
 
 
-def _check_frame(endpoint: Endpoint, ros_type: Any) -> None:
+def _check_frame(endpoint: Endpoint, ros_type: type[RosMessage]) -> None:
     """Raise ConfigurationError unless limits of place mean something for what is sent."""
     where = f"Endpoint {endpoint.name!r}"
     if endpoint.zones and not endpoint.frame:
@@ -95,7 +95,7 @@ def _check_frame(endpoint: Endpoint, ros_type: Any) -> None:
             raise ConfigurationError(f"{where}: the corners of the zone {zone.name!r} are swapped.")
 
 
-def sent_type(endpoint: Endpoint) -> Any:
+def sent_type(endpoint: Endpoint) -> type[RosMessage]:
     """The rosidl class of what an endpoint is sent: its message, request or goal. Raises
     ConfigurationError.
     """
@@ -106,7 +106,8 @@ def sent_type(endpoint: Endpoint) -> Any:
         raise ConfigurationError(
             f"Endpoint {endpoint.name!r}: a {endpoint.kind} cannot be of {endpoint.type}."
         )
-    return getattr(ros_type, _PART[kind]) if kind in _PART else ros_type
+    sent: type[RosMessage] = getattr(ros_type, _PART[kind]) if kind in _PART else ros_type
+    return sent
 
 
 def _are_integers(low: float, high: float) -> bool:
@@ -139,18 +140,18 @@ class MessageChecks:
         bounds = allowed.endpoint.bounds.items() if is_plain else ()
         self._bounds = [(attrgetter(path), low, high) for path, (low, high) in bounds]
 
-    def check_type(self, message: Any) -> None:
+    def check_type(self, message: RosMessage) -> None:
         """As the function."""
         if type(message) is not self._type:
             check_type(self._allowed.endpoint, message)
 
-    def check_finite(self, message: Any) -> None:
+    def check_finite(self, message: RosMessage) -> None:
         """As the function."""
         read = self._read_floats
         if read is None or not all(map(math.isfinite, read(message))):
             check_finite(self._allowed, message)
 
-    def apply_bounds(self, message: Any) -> tuple[Clamp, ...]:
+    def apply_bounds(self, message: RosMessage) -> tuple[Clamp, ...]:
         """As the function."""
         fits = all(low <= read(message) <= high for read, low, high in self._bounds)
         if fits and len(self._bounds) == len(self._allowed.endpoint.bounds):
@@ -158,7 +159,7 @@ class MessageChecks:
         return apply_bounds(self._allowed, message)
 
 
-def check_type(endpoint: Endpoint, message: Any) -> None:
+def check_type(endpoint: Endpoint, message: RosMessage) -> None:
     """Raise RefusedError unless the message is of the endpoint's type."""
     part = _PART.get(endpoint.type.split("/")[1])
     came, expected = type_name_of(message), f"{endpoint.type}_{part}" if part else endpoint.type
@@ -166,7 +167,7 @@ def check_type(endpoint: Endpoint, message: Any) -> None:
         raise RefusedError(f"A {came} came for endpoint {endpoint.name!r}, which takes {expected}.")
 
 
-def check_finite(allowed: AllowedEndpoint, message: Any) -> None:
+def check_finite(allowed: AllowedEndpoint, message: RosMessage) -> None:
     """Raise RefusedError for a NaN or an infinity anywhere but in the fields configured for
     them.
     """
@@ -175,7 +176,7 @@ def check_finite(allowed: AllowedEndpoint, message: Any) -> None:
         raise RefusedError(f"{path} is not finite; nothing was sent to {allowed.endpoint.name!r}.")
 
 
-def apply_bounds(allowed: AllowedEndpoint, message: Any) -> tuple[Clamp, ...]:
+def apply_bounds(allowed: AllowedEndpoint, message: RosMessage) -> tuple[Clamp, ...]:
     """Raise RefusedError for a value out of bounds; clamp, in the message, where that is
     configured.
     """
@@ -192,7 +193,7 @@ def apply_bounds(allowed: AllowedEndpoint, message: Any) -> tuple[Clamp, ...]:
     return tuple(clamps)
 
 
-def check_steering(endpoint: Endpoint, message: Any) -> None:
+def check_steering(endpoint: Endpoint, message: RosMessage) -> None:
     """Raise RefusedError for a velocity that the base cannot carry out. Source: `check_twist`."""
     prefix = _TWISTS.get(endpoint.type)
     if prefix is None or endpoint.min_turning_radius_m <= 0.0:

@@ -6,17 +6,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import numpy as np
 
 from rn_standard.direct_path.fields import nested
+from rn_standard.direct_path.message_types import (
+    MessageName,
+    PointStamped,
+    PoseStamped,
+    Quaternion,
+    RosMessage,
+    Vector,
+)
 from rn_standard.direct_path.path_limits import LimitError
 from rn_standard.direct_path.transforms import Transform, rotation_of
 from roboneuron import Endpoint, NotReadyError, RefusedError
 from roboneuron.feature import Clamp
 
-PLACE_TYPES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PointStamped")
+PLACE_TYPES: tuple[MessageName[PoseStamped | PointStamped], ...] = (
+    MessageName("geometry_msgs/msg/PoseStamped"),
+    MessageName("geometry_msgs/msg/PointStamped"),
+)
 """Messages that say where, and in which frame."""
 FindTransform = Callable[[str, str], Transform]
 """Where the second frame is in the first; raises NotReadyError."""
@@ -24,7 +34,7 @@ _LEAST_NORM, _GREATEST_NORM = 0.99, 1.01
 """Length of a quaternion that rounding can explain; nav2 takes any, and turns by what it is not."""
 
 
-def to_frame(endpoint: Endpoint, message: Any, find: FindTransform) -> list[Clamp]:
+def to_frame(endpoint: Endpoint, message: RosMessage, find: FindTransform) -> list[Clamp]:
     """Have every place in a message, at any depth, in the frame of the endpoint, by what transforms
     say now; what is judged is then what is sent.
 
@@ -43,16 +53,16 @@ def to_frame(endpoint: Endpoint, message: Any, find: FindTransform) -> list[Clam
             found = find(endpoint.frame, source)
         except NotReadyError as error:
             raise LimitError("frame", f"{path}header.frame_id: {error.message}") from error
-        is_pose = hasattr(place, "pose")
-        if is_pose:
+        if hasattr(place, "pose"):
             turn(place.pose.orientation, found, f"{path}pose.orientation")
-        point = place.pose.position if is_pose else place.point
-        changes += shift(point, found, f"{path}{'pose.position' if is_pose else 'point'}")
+            changes += shift(place.pose.position, found, f"{path}pose.position")
+        else:
+            changes += shift(place.point, found, f"{path}point")
         place.header.frame_id = endpoint.frame
     return changes
 
 
-def turn(rotation: Any, found: Transform, path: str) -> None:
+def turn(rotation: Quaternion, found: Transform, path: str) -> None:
     """Have a quaternion in the target frame of a transform. Raises as `check_rotation`."""
     check_rotation(path, rotation)
     turned = Transform(
@@ -61,7 +71,7 @@ def turn(rotation: Any, found: Transform, path: str) -> None:
     rotation.x, rotation.y, rotation.z, rotation.w = turned.quaternion_xyzw.tolist()
 
 
-def shift(point: Any, found: Transform, path: str) -> list[Clamp]:
+def shift(point: Vector, found: Transform, path: str) -> list[Clamp]:
     """Have a point in the target frame of a transform; returns what has changed."""
     before = (float(point.x), float(point.y), float(point.z))
     point.x, point.y, point.z = (found.rotation @ np.array(before) + found.translation_m).tolist()
@@ -71,7 +81,7 @@ def shift(point: Any, found: Transform, path: str) -> list[Clamp]:
     ]
 
 
-def check_places(endpoint: Endpoint, message: Any) -> None:
+def check_places(endpoint: Endpoint, message: RosMessage) -> None:
     """Raise unless every place in a message, at any depth, is in the frame of the endpoint and in
     none of its zones.
 
@@ -102,7 +112,7 @@ def check_places(endpoint: Endpoint, message: Any) -> None:
             )
 
 
-def check_way(endpoint: Endpoint, feedback: Any) -> None:
+def check_way(endpoint: Endpoint, feedback: RosMessage) -> None:
     """Raise RefusedError when a place in the feedback of a goal is in a zone of its endpoint.
     Places in other frames are not judged.
     """
@@ -113,7 +123,7 @@ def check_way(endpoint: Endpoint, feedback: Any) -> None:
             raise RefusedError(f"The robot has come into the zone {name!r}, by {path}position.")
 
 
-def zones_at(endpoint: Endpoint, place: Any) -> Iterator[str]:
+def zones_at(endpoint: Endpoint, place: PoseStamped | PointStamped) -> Iterator[str]:
     """Names of the zones that a place is in."""
     position = np.array(_position(place))
     for zone in endpoint.zones:
@@ -121,12 +131,12 @@ def zones_at(endpoint: Endpoint, place: Any) -> Iterator[str]:
             yield zone.name
 
 
-def _position(place: Any) -> tuple[float, float, float]:
+def _position(place: PoseStamped | PointStamped) -> tuple[float, float, float]:
     point = place.pose.position if hasattr(place, "pose") else place.point
     return float(point.x), float(point.y), float(point.z)
 
 
-def check_rotation(path: str, rotation: Any) -> None:
+def check_rotation(path: str, rotation: Quaternion) -> None:
     """Raise LimitError unless a quaternion is a rotation; `path` leads to it."""
     norm = math.hypot(rotation.x, rotation.y, rotation.z, rotation.w)
     if not _LEAST_NORM <= norm <= _GREATEST_NORM:

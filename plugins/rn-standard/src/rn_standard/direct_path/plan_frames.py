@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from rn_standard.direct_path.fields import nested
+from rn_standard.direct_path.message_types import MessageName, RosMessage
 from rn_standard.direct_path.path_limits import LimitError
 from rn_standard.direct_path.places import FindTransform, shift, turn
+from rn_standard.direct_path.planner_messages import OrientationConstraint, PositionConstraint
 from roboneuron import NotReadyError
 from roboneuron.feature import Clamp
 
-_POSITION, _ORIENTATION = (
-    f"moveit_msgs/msg/{kind}Constraint" for kind in ("Position", "Orientation")
+_CONSTRAINTS: tuple[MessageName[PositionConstraint | OrientationConstraint], ...] = (
+    MessageName("moveit_msgs/msg/PositionConstraint"),
+    MessageName("moveit_msgs/msg/OrientationConstraint"),
 )
 
 
-def constraints_to_frame(message: Any, base_link: str, find: FindTransform) -> list[Clamp]:
+def constraints_to_frame(message: RosMessage, base_link: str, find: FindTransform) -> list[Clamp]:
     """Have the constraints of position and orientation in a message in the frame of the arm's base,
     by what transforms say now; what is judged is then what is sent.
 
@@ -26,7 +27,7 @@ def constraints_to_frame(message: Any, base_link: str, find: FindTransform) -> l
         LimitError: of the limit "frame": a transform is unknown, old, or none.
     """
     changes: list[Clamp] = []
-    for path, part in nested(message, (_POSITION, _ORIENTATION)):
+    for path, part in nested(message, _CONSTRAINTS):
         source = part.header.frame_id
         if not source or source == base_link:
             continue

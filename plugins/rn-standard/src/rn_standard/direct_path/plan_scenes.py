@@ -4,10 +4,11 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Sequence, Sized
 
 from rn_standard.direct_path.fields import nested
+from rn_standard.direct_path.message_types import RosMessage
+from rn_standard.direct_path.planner_messages import PlannedRobotState, PlanningScene
 from rn_standard.direct_path.plans import BODIES, OPTIONS, REQUEST, PlanJudge, plans_in
 from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron import JointSample, RefusedError
@@ -17,7 +18,7 @@ _ADD = b"\x00"
 
 
 def check_plans(
-    allowed: AllowedEndpoint, messages: Sequence[Any], joints: JointSample | None
+    allowed: AllowedEndpoint, messages: Sequence[RosMessage], joints: JointSample | None
 ) -> bool:
     """Whether a planner is asked for a way; raises RefusedError for what it may not be asked.
 
@@ -38,10 +39,10 @@ def check_plans(
     return True
 
 
-def check_bodies(message: Any) -> None:
+def check_bodies(message: RosMessage) -> None:
     """Raise RefusedError for a trajectory of poses of whole bodies: nothing here can judge it."""
     for path, found in nested(message, (BODIES, REQUEST, OPTIONS)):
-        if hasattr(found, "points") and (found.points or found.joint_names):
+        if getattr(found, "points", ()) or getattr(found, "joint_names", ()):
             raise RefusedError(
                 f"{path.rstrip('.') or 'The trajectory'} moves joints of several degrees of "
                 "freedom, which no limit is known for.",
@@ -49,7 +50,7 @@ def check_bodies(message: Any) -> None:
             )
 
 
-def check_options(message: Any) -> None:
+def check_options(message: RosMessage) -> None:
     """Raise RefusedError for what would have a planner know less of the world than it does.
 
     Obstacles may be added. Whatever else a planning scene says could take away one, allow a
@@ -82,9 +83,9 @@ def check_options(message: Any) -> None:
         )
 
 
-def _check_scene(scene: Any, where: str) -> None:
+def _check_scene(scene: PlanningScene, where: str) -> None:
     matrix = scene.allowed_collision_matrix
-    changes = {
+    changes: dict[str, Sized] = {
         "allowed_collision_matrix": matrix.entry_names or matrix.default_entry_names,
         "link_padding": scene.link_padding,
         "link_scale": scene.link_scale,
@@ -105,7 +106,7 @@ def _check_scene(scene: Any, where: str) -> None:
             )
 
 
-def _check_nothing_attached(state: Any, where: str) -> None:
+def _check_nothing_attached(state: PlannedRobotState, where: str) -> None:
     if state.attached_collision_objects:
         raise RefusedError(
             f"{where}.attached_collision_objects changes what the robot is known to hold, which is "

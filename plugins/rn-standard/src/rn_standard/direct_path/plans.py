@@ -9,43 +9,53 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from operator import attrgetter
 
 import numpy as np
 
 from rn_standard.direct_path.fields import load_type, nested, walk_fields
+from rn_standard.direct_path.message_types import MessageName, RosMessage
 from rn_standard.direct_path.path_limits import Leg, LimitError, check_zones
 from rn_standard.direct_path.places import check_rotation
+from rn_standard.direct_path.planner_messages import (
+    Constraints,
+    JointConstraint,
+    LinkConstraint,
+    PlanningOptions,
+    PlanRequest,
+    PositionConstraint,
+)
 from rn_standard.direct_path.regions import boxes_of
 from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron import ConfigurationError, Endpoint, JointSample, RefusedError
 from roboneuron.feature import MotionRules, joint_space
 
-REQUEST, OPTIONS = "moveit_msgs/msg/MotionPlanRequest", "moveit_msgs/msg/PlanningOptions"
-BODIES = "trajectory_msgs/msg/MultiDOFJointTrajectory"
+REQUEST: MessageName[PlanRequest] = MessageName("moveit_msgs/msg/MotionPlanRequest")
+OPTIONS: MessageName[PlanningOptions] = MessageName("moveit_msgs/msg/PlanningOptions")
+BODIES: MessageName[RosMessage] = MessageName("trajectory_msgs/msg/MultiDOFJointTrajectory")
 MOST_TOLERANCE = 0.1
 """Of a joint [rad or m]: a goal with more leaves open where the arm is to stand."""
 
 
-def has_plans(ros_type: Any) -> bool:
+def has_plans(ros_type: type[RosMessage]) -> bool:
     """Whether messages of a class can hold what a planner is asked for, or motions of bodies."""
     types = {name.replace("/", "/msg/") for _, name in walk_fields(ros_type)}
     return not types.isdisjoint((REQUEST, OPTIONS, BODIES))
 
 
-def plans_in(message: Any) -> list[tuple[str, Any]]:
+def plans_in(message: RosMessage) -> list[tuple[str, PlanRequest]]:
     """The requests to a planner that a message, goal or service request holds, each with the path
     to its fields.
     """
     return list(nested(message, (REQUEST,)))
 
 
-def is_plan_only(message: Any) -> bool:
+def is_plan_only(message: RosMessage) -> bool:
     """Whether a goal is only to be planned: nothing moves."""
     return any(options.plan_only for _, options in nested(message, (OPTIONS,)))
 
 
-def check_plan_only(message: Any) -> None:
+def check_plan_only(message: RosMessage) -> None:
     """Raise RefusedError for a goal that is to be executed, of an endpoint that moves nothing."""
     for path, options in nested(message, (OPTIONS,)):
         if not options.plan_only:
@@ -88,7 +98,7 @@ class PlanJudge:
         self._limits = joint_space.JointLimit.by_joint(profile, allowed.rules)
         self._tips = {arm.tcp_link for arm in profile.each_arm}
 
-    def check(self, request: Any, where: str = "") -> None:
+    def check(self, request: PlanRequest, where: str = "") -> None:
         """Raise RefusedError, of which LimitError is one, for the first thing that is not allowed,
         or cannot be told.
 
@@ -102,7 +112,7 @@ class PlanJudge:
         ):
             self._check_scaling(request, where, name, most, key)
         for name in ("trajectory_constraints.constraints", "reference_trajectories"):
-            if _at(request, name):
+            if attrgetter(name)(request):
                 raise RefusedError(f"{where}{name} cannot be checked.", hint="Leave it empty.")
         self._check_names(request.path_constraints, f"{where}path_constraints.")
         if not request.goal_constraints:
@@ -110,7 +120,9 @@ class PlanJudge:
         for index, goal in enumerate(request.goal_constraints):
             self._check_goal(goal, f"{where}goal_constraints[{index}].")
 
-    def _check_scaling(self, request: Any, where: str, name: str, most: float, key: str) -> None:
+    def _check_scaling(
+        self, request: PlanRequest, where: str, name: str, most: float, key: str
+    ) -> None:
         path = f"max_{name}_scaling_factor"
         value = getattr(request, path)
         if not 0.0 < value <= most * (1.0 + joint_space.JointLimit.SLACK):
@@ -121,7 +133,7 @@ class PlanJudge:
                 hint="Without it MoveIt would take 1." if value == 0.0 else "",
             )
 
-    def _check_goal(self, goal: Any, where: str) -> None:
+    def _check_goal(self, goal: Constraints, where: str) -> None:
         """One of the places that the planner may choose among."""
         self._check_names(goal, where)
         names = [constraint.joint_name for constraint in goal.joint_constraints]
@@ -129,8 +141,8 @@ class PlanJudge:
             raise RefusedError(f"{where}joint_constraints names a joint twice.")
         for index, constraint in enumerate(goal.joint_constraints):
             self._check_joint(constraint, f"{where}joint_constraints[{index}]")
-        for index, constraint in enumerate(goal.position_constraints):
-            self._check_position(constraint, f"{where}position_constraints[{index}]")
+        for index, place in enumerate(goal.position_constraints):
+            self._check_position(place, f"{where}position_constraints[{index}]")
         if not (names or goal.position_constraints):
             raise RefusedError(
                 f"{where.rstrip('.')} leaves open where the arm is to stand.",
@@ -148,7 +160,7 @@ class PlanJudge:
                     hint="Name every joint of the arm.",
                 )
 
-    def _check_posture(self, constraints: Sequence[Any], where: str) -> None:
+    def _check_posture(self, constraints: Sequence[JointConstraint], where: str) -> None:
         if self._allowed.path is None:
             return
         leg = Leg(
@@ -162,7 +174,7 @@ class PlanJudge:
             place = posture.pose.position_m
             check_zones(place, place, self._allowed.endpoint.zones, leg.where)
 
-    def _check_joint(self, constraint: Any, where: str) -> None:
+    def _check_joint(self, constraint: JointConstraint, where: str) -> None:
         limit = self._limits[constraint.joint_name]
         for side in ("above", "below"):
             tolerance = getattr(constraint, f"tolerance_{side}")
@@ -182,7 +194,7 @@ class PlanJudge:
                     f"{limit.lower:.4g} .. {limit.upper:.4g}.",
                 )
 
-    def _check_position(self, constraint: Any, where: str) -> None:
+    def _check_position(self, constraint: PositionConstraint, where: str) -> None:
         if self._allowed.rules is None:
             raise RefusedError(f"{where}: the robot has no TCP, so no place can be checked.")
         rules, offset = self._rules, constraint.target_point_offset
@@ -203,7 +215,7 @@ class PlanJudge:
             zones = (*rules.zones, *self._allowed.endpoint.zones)
             check_zones(lower_m, upper_m, zones, f"{where}: ")
 
-    def _check_names(self, constraints: Any, where: str) -> None:
+    def _check_names(self, constraints: Constraints, where: str) -> None:
         """Joints, links and frames are those that limits are known of."""
         for index, joint in enumerate(constraints.joint_constraints):
             if joint.joint_name not in self._limits:
@@ -217,7 +229,7 @@ class PlanJudge:
         for index, turn in enumerate(constraints.orientation_constraints):
             check_rotation(f"{where}orientation_constraints[{index}].orientation", turn.orientation)
 
-    def _check_link(self, part: Any, where: str) -> None:
+    def _check_link(self, part: LinkConstraint, where: str) -> None:
         if part.link_name not in self._tips:
             raise RefusedError(
                 f"{where}.link_name is {part.link_name[:60]!r}; limits are known of "
@@ -237,9 +249,3 @@ class PlanJudge:
                 hint="Start the robot first.",
             )
         return self._joints
-
-
-def _at(message: Any, path: str) -> Any:
-    for name in path.split("."):
-        message = getattr(message, name)
-    return message

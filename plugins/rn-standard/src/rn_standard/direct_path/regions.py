@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
 
 import numpy as np
 
 from rn_standard.direct_path.places import check_rotation
+from rn_standard.direct_path.planner_messages import BoundingVolume, Primitive
 from rn_standard.direct_path.transforms import rotation_of
 from roboneuron import F64, RefusedError
 
@@ -15,7 +15,7 @@ _SPHERE, _BOX, _CYLINDER, _CONE = 2, 1, 3, 4
 """shape_msgs/SolidPrimitive."""
 
 
-def boxes_of(region: Any, where: str) -> Iterator[tuple[F64, F64]]:
+def boxes_of(region: BoundingVolume, where: str) -> Iterator[tuple[F64, F64]]:
     """The corners of boxes along the axes that hold the shapes of a BoundingVolume."""
     if region.meshes:
         raise RefusedError(
@@ -38,7 +38,7 @@ def boxes_of(region: Any, where: str) -> Iterator[tuple[F64, F64]]:
         yield centre_m - half_m, centre_m + half_m
 
 
-def _half_m(shape: Any, where: str) -> F64:
+def _half_m(shape: Primitive, where: str) -> F64:
     """Half of the edges of a box that holds a shape, along its own axes."""
     counts: Mapping[int, int] = {_BOX: 3, _SPHERE: 1, _CYLINDER: 2, _CONE: 2}
     sizes = [float(size) for size in shape.dimensions]

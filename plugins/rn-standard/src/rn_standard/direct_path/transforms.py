@@ -12,11 +12,17 @@ import threading
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from rn_standard.direct_path.fields import load_type
+from rn_standard.direct_path.message_types import (
+    Quaternion,
+    TransformMessage,
+    TransformParts,
+    TransformStamped,
+    Vector,
+)
 from roboneuron import F64, Host, NotReadyError, StateError
 
 TYPE = "tf2_msgs/msg/TFMessage"
@@ -67,7 +73,7 @@ class Transform:
         return q if q[3] >= 0.0 else -q
 
 
-def rotation_of(quaternion: Any) -> F64:
+def rotation_of(quaternion: Quaternion) -> F64:
     """The rotation matrix, float64 (3, 3), of a quaternion message of about the length 1."""
     x, y, z, w = np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w]) / math.hypot(
         quaternion.x, quaternion.y, quaternion.z, quaternion.w
@@ -98,7 +104,7 @@ class FrameTree:
         self._edges: dict[str, _Edge] = {}
         self._faults: dict[str, str] = {}
 
-    def add(self, transforms: Iterable[Any], *, is_static: bool) -> None:
+    def add(self, transforms: Iterable[TransformStamped], *, is_static: bool) -> None:
         """Take TransformStamped messages; what is no transform is remembered as a fault of its
         frame.
         """
@@ -251,7 +257,7 @@ def find_transform(
 
 def _follow(
     host: Host,
-    ros_type: Any,
+    ros_type: type[TransformMessage],
     topic: str,
     is_static: bool,
     tree: FrameTree,
@@ -268,14 +274,14 @@ def _follow(
     if before is not None:
         before[1]()
 
-    def take(message: Any) -> None:
+    def take(message: TransformMessage) -> None:
         tree.add(message.transforms, is_static=is_static)
 
     end = host.subscribe(ros_type, topic, take, depth=_DEPTH, latched=is_static)
     subscribed[topic] = offered, end
 
 
-def _fault(child: str, parent: str, transform: Any) -> str:
+def _fault(child: str, parent: str, transform: TransformParts) -> str:
     """Why a message is no transform; empty when it is one."""
     if not child or not parent or child == parent:
         return f"The frame {child!r} has the parent {parent!r}: that is no transform."
@@ -290,7 +296,7 @@ def _fault(child: str, parent: str, transform: Any) -> str:
     return ""
 
 
-def _vector(message: Any) -> F64:
+def _vector(message: Vector) -> F64:
     return np.array([message.x, message.y, message.z], dtype=np.float64)
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
+from rn_standard.direct_path.message_types import RosMessage
 from rn_standard.direct_path.path_limits import Leg, LimitError, PathLimiter, check_zones
 from rn_standard.direct_path.plans import is_plan_only, plans_in
 from rn_standard.direct_path.request import AllowedEndpoint
@@ -24,7 +24,7 @@ _TREMBLE = 1e-3
 
 def watch_of(
     allowed: AllowedEndpoint,
-    messages: Sequence[Any],
+    messages: Sequence[RosMessage],
     joints: Callable[[], JointSample | None],
 ) -> WayWatch | None:
     """The watch over what a planner is asked to carry out; None where no arm is to be moved.

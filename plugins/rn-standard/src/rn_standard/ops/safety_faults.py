@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 from roboneuron.feature import ClosedLoop, ModuleKind, Periodic, settings
 
 _LOOK_S = 0.1
 _VANISHED = "its file vanished without a reset and was written again; everything stays stopped"
-Fault = Callable[[str, str, Mapping[str, Any]], None]
+Fault = Callable[[str, str, Mapping[str, object]], None]
 """Told where, a word for the fault, and facts that JSON can hold."""
 
 

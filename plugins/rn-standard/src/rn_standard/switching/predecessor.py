@@ -5,8 +5,8 @@ handover.
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from functools import partial
-from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
@@ -73,7 +73,7 @@ def _on_command(
     module: ControlModule,
     handover: TimedHandover,
     message: JointTrajectory | JointState,
-    info: dict[str, Any],
+    info: Mapping[str, int],
 ) -> None:
     """Go on from where the control before this one has sent the arm."""
     sent_s = time.monotonic() - max(0.0, (time.time_ns() - int(info["source_timestamp"])) / 1e9)

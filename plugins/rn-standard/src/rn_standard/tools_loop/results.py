@@ -57,9 +57,9 @@ class ModuleSummary(Result):
     )
 
     @classmethod
-    def short_of(cls, view: ModuleView, **more: Any) -> Self:
+    def short_of(cls, view: ModuleView, **more: object) -> Self:
         """A module in short, with the fields that a subclass has beside."""
-        return cls(**_summary(view), **more)
+        return cls.model_validate({**_summary(view), **more})
 
 
 class ModuleStatus(ModuleFacts, ModuleSummary):
@@ -134,7 +134,7 @@ class StatusResult(Result):
     log_directory: str
 
 
-def _summary(view: ModuleView) -> dict[str, Any]:
+def _summary(view: ModuleView) -> dict[str, object]:
     return {
         "module": view.kind,
         "phase": view.phase,
@@ -144,9 +144,9 @@ def _summary(view: ModuleView) -> dict[str, Any]:
     }
 
 
-def _facts(view: ModuleView) -> dict[str, Any]:
+def _facts(view: ModuleView) -> dict[str, object]:
     process, report = view.process, view.report
-    facts = {
+    facts: dict[str, object] = {
         **_summary(view),
         "ready": False,
         "started_at": process.started_at.isoformat(timespec="seconds")
@@ -177,7 +177,7 @@ def _facts(view: ModuleView) -> dict[str, Any]:
     return facts
 
 
-def _known(facts: Mapping[str, Any], phase: Phase) -> ModuleStatus:
+def _known(facts: Mapping[str, object], phase: Phase) -> ModuleStatus:
     """The facts that say something; fields that are not set are left out of answers."""
     empty: tuple[object, ...] = (None,) if phase != "stopped" else (None, "", {}, (), 0, False)
     kept = {
@@ -185,10 +185,10 @@ def _known(facts: Mapping[str, Any], phase: Phase) -> ModuleStatus:
         for name, value in facts.items()
         if name == "ready" or value not in empty
     }
-    return ModuleStatus(**kept)
+    return ModuleStatus.model_validate(kept)
 
 
-def _bounded(value: Any) -> Any:
+def _bounded(value: object) -> object:
     """What a plugin reports, cut to what an agent can read; the log and /diagnostics have the
     whole.
     """

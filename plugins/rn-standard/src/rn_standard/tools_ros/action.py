@@ -13,6 +13,7 @@ from pydantic import Field
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
+from rn_standard.direct_path.message_types import RosMessage
 from rn_standard.direct_path.places import check_way
 from rn_standard.tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
 from rn_standard.tools_ros.exposed_types import action_of
@@ -144,7 +145,7 @@ class _Progress:
         if self._violation is not None:
             raise self._violation
 
-    def take(self, feedback: object) -> None:
+    def take(self, feedback: RosMessage) -> None:
         """Called on the executor's thread."""
         self.count += 1
         if self._endpoint.zones and self._violation is None:

@@ -69,7 +69,7 @@ def _number(value: float) -> float | None:
     return float(f"{value:.5g}") if math.isfinite(value) else None
 
 
-def _name(message: Any, field: str, problems: list[str]) -> str:
+def _name(message: object, field: str, problems: list[str]) -> str:
     """The constant of a field by name: 1 is "charging"."""
     prefix, value = f"{field.upper()}_", getattr(message, field)
     for name in dir(type(message)):

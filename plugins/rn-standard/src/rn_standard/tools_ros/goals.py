@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from rn_standard.direct_path.arbiter import Ending, MotionEnd
+from rn_standard.direct_path.message_types import RosMessage
 from roboneuron import NotReadyError, RoboNeuronError, StateError
 from roboneuron.feature import ExposedEndpoint, GateRequest, MotionClaim, MotionGate, Verdict
 
@@ -103,7 +104,7 @@ def send_goal(
     timeout_s: float,
     server_s: float,
     halt: threading.Event,
-    on_feedback: Callable[[object], None],
+    on_feedback: Callable[[RosMessage], None],
     watch: Callable[[], None],
 ) -> GoalEnd:
     """Own the robot's motion, send the goal and wait for its result; blocks.
@@ -139,7 +140,7 @@ def _follow(
     motion: MotionClaim,
     timeout_s: float,
     server_s: float,
-    on_feedback: Callable[[Any], None],
+    on_feedback: Callable[[RosMessage], None],
     watch: Callable[[], None],
 ) -> GoalEnd:
     from unique_identifier_msgs.msg import UUID  # heavy

@@ -14,9 +14,12 @@ from rn_testing.rules import (
     descriptor,
     driver,
     driver_motion,
+    driver_stops,
     feature,
     package,
+    package_imports,
     perception,
+    perception_timing,
     restricted,
     robot,
     runtime,
@@ -34,7 +37,12 @@ RULES: dict[str, tuple[AnyRule, ...]] = {
     ),
     "runtime": (*descriptor.RULES, *restricted.RULES, *runtime.RULES),
     "acceleration": (*descriptor.RULES, *restricted.RULES, *acceleration.RULES),
-    "perception": (*descriptor.RULES, *restricted.RULES, *perception.RULES),
+    "perception": (
+        *descriptor.RULES,
+        *restricted.RULES,
+        *perception.RULES,
+        *perception_timing.RULES,
+    ),
     "controller": (
         *descriptor.RULES,
         *restricted.RULES,
@@ -48,10 +56,11 @@ RULES: dict[str, tuple[AnyRule, ...]] = {
         *robot.RULES,
         *driver.RULES,
         *driver_motion.RULES,
+        *driver_stops.RULES,
     ),
     "feature": (*descriptor.RULES, *feature.RULES),
     "command": (*descriptor.RULES, *command.RULES),
-    "package": package.RULES,
+    "package": (*package.RULES, *package_imports.RULES),
 }
 """Rules by kind of descriptor, and those of packages."""
 

@@ -17,7 +17,7 @@ from rn_testing.effects import check_quick, expect_refusal
 from rn_testing.fakes import MemoryTopics
 from rn_testing.lifecycle import Lifecycle, started
 from rn_testing.rule import NotApplicable, Rule, Violation, require
-from rn_testing.rules.perception import FUTURE_S, PAST_S, ros_clock
+from rn_testing.rules.clock import FUTURE_S, PAST_S, ros_clock
 from rn_testing.waiting import holds_within
 from roboneuron import (
     F64,

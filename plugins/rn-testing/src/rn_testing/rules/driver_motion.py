@@ -1,5 +1,5 @@
-"""Rules of robot drivers on motion: it arrives, takes the time it says, follows the newest command,
-and stops.
+"""Rules of robot drivers on motion: it arrives, takes the time it says, and follows the newest
+command. `driver_stops` has the rest.
 """
 
 from __future__ import annotations
@@ -20,20 +20,15 @@ from rn_testing.rules.driver import (
     opened,
     read_state,
 )
-from rn_testing.rules.perception import ros_clock
 from rn_testing.waiting import holds_within
 from roboneuron import F64, JointCommand, RoboNeuronError, RobotDriver
 
-HOLD_S = 0.3
-"""How long the robot is watched after `hold`."""
 AHEAD = 0.35
 """How far a motion may be ahead of an even one, as a share of its way: smooth ones are, jumps are
 at 1.
 """
 FAR = 20
 """Steps of the case in a motion that is watched."""
-CREEP = 0.1
-"""How far a held joint may go on evenly in one direction, as a share of the case's tolerance."""
 MOTION_S, LOOKS, MOST_GAPS = 0.6, 4, 3
 """Least duration of a motion whose velocities are added up, how often it is tried, and into how
 many parts at least the states divide it.
@@ -43,17 +38,13 @@ SLOWEST, FASTEST = 0.1, 10.0
 runs behind the clock on a busy machine tells velocities of its own time, so that this is no narrow
 bound.
 """
-STARTS, STALE_S = 5, 0.3
-"""Motions of which the quickest start is judged, and how late it may show: a busy machine delays
-one, not all.
-"""
 OPENINGS = (0.5, 0.0, 1.0)
 """Openings that the gripper is sent to."""
 OPENING_TOLERANCE = 0.15
 """How near the gripper must come."""
 
 
-def _shifted(case: RobotCase, start: F64, steps: float, joint: int = -1) -> F64:
+def shifted(case: RobotCase, start: F64, steps: float, joint: int = -1) -> F64:
     """`start` with one joint moved by so many of the case's steps, towards the side with more
     room.
     """
@@ -64,7 +55,7 @@ def _shifted(case: RobotCase, start: F64, steps: float, joint: int = -1) -> F64:
     return goal
 
 
-def _send(case: RobotCase, driver: RobotDriver, command: JointCommand) -> JointCommand:
+def send_checked(case: RobotCase, driver: RobotDriver, command: JointCommand) -> JointCommand:
     """Send a command that is within every limit; it must be sent as it is."""
     sent = driver.send(command)
     require(
@@ -84,7 +75,7 @@ def _send(case: RobotCase, driver: RobotDriver, command: JointCommand) -> JointC
     return sent
 
 
-def _check_arrival(
+def check_arrival(
     case: RobotCase, driver: RobotDriver, goal: F64, sent: JointCommand, what: str
 ) -> None:
     limit_s = case.settle_s + sent.duration_s
@@ -98,19 +89,19 @@ def _check_arrival(
 def _check_send(case: RobotCase) -> None:
     arm_limits(case)
     with opened(case) as driver:
-        goal = _shifted(case, arm_position(case, driver), 1)
-        sent = _send(case, driver, arm_command(case, goal))
-        _check_arrival(case, driver, goal, sent, f"a step of {case.step:g}")
+        goal = shifted(case, arm_position(case, driver), 1)
+        sent = send_checked(case, driver, arm_command(case, goal))
+        check_arrival(case, driver, goal, sent, f"a step of {case.step:g}")
 
 
 def _check_by_name(case: RobotCase) -> None:
     arm_limits(case)
     with opened(case) as driver:
-        goal = _shifted(case, _shifted(case, arm_position(case, driver), 1), 2, joint=0)
+        goal = shifted(case, shifted(case, arm_position(case, driver), 1), 2, joint=0)
         command = arm_command(case, goal)
         turned = replace(command, names=command.names[::-1], position=command.position[::-1])
-        sent = _send(case, driver, turned)
-        _check_arrival(case, driver, goal, sent, "a command with its joints in another order")
+        sent = send_checked(case, driver, turned)
+        check_arrival(case, driver, goal, sent, "a command with its joints in another order")
 
 
 def _check_pace(
@@ -136,21 +127,21 @@ def _check_duration(case: RobotCase) -> None:
     duration_s = max(1.0, 2 * 5 * case.step / float(limits.velocity[-1]))
     with opened(case) as driver:
         start = arm_position(case, driver)
-        goal = _shifted(case, start, 5)
-        sent = _send(case, driver, arm_command(case, goal, duration_s))
+        goal = shifted(case, start, 5)
+        sent = send_checked(case, driver, arm_command(case, goal, duration_s))
         require(
             sent.duration_s >= 0.99 * duration_s,
             f"a motion of {duration_s:g} s was sent as {sent.duration_s:g} s",
         )
         _check_pace(case, driver, start, goal, sent.duration_s)
-        _check_arrival(case, driver, goal, sent, "a slow motion")
+        check_arrival(case, driver, goal, sent, "a slow motion")
 
 
 def _check_speed(case: RobotCase) -> None:
     limits = arm_limits(case)
     with opened(case) as driver:
         start = arm_position(case, driver)
-        goal = _shifted(case, start, FAR)
+        goal = shifted(case, start, FAR)
         needed_s = FAR * case.step / float(limits.velocity[-1])
         try:
             sent = driver.send(arm_command(case, goal, needed_s / 20))
@@ -162,7 +153,7 @@ def _check_speed(case: RobotCase) -> None:
         )
         require(sent.duration_s >= 0.95 * needed_s, told)
         _check_pace(case, driver, start, goal, sent.duration_s)
-        _check_arrival(case, driver, goal, sent, "a motion faster than the limits")
+        check_arrival(case, driver, goal, sent, "a motion faster than the limits")
 
 
 def _check_gripper(case: RobotCase) -> None:
@@ -174,7 +165,9 @@ def _check_gripper(case: RobotCase) -> None:
         arm = arm_command(case, arm_position(case, driver))
         for opening in OPENINGS:
             position = np.append(arm.position, gripper.to_position(opening))
-            _send(case, driver, replace(arm, names=(*arm.names, gripper.joint), position=position))
+            send_checked(
+                case, driver, replace(arm, names=(*arm.names, gripper.joint), position=position)
+            )
 
             def is_there(wanted: float = opening) -> bool:
                 measured = read_state(case, driver).gripper_open
@@ -189,73 +182,11 @@ def _check_newest(case: RobotCase) -> None:
     arm_limits(case)
     with opened(case) as driver:
         start = arm_position(case, driver)
-        goal = _shifted(case, start, -1)
+        goal = shifted(case, start, -1)
         with suppress(RoboNeuronError):  # a driver may refuse the longer motion
-            driver.send(arm_command(case, _shifted(case, start, FAR), 30.0))
-        sent = _send(case, driver, arm_command(case, goal))
-        _check_arrival(case, driver, goal, sent, "a command that replaces another")
-
-
-def _check_hold(case: RobotCase) -> None:
-    limits = arm_limits(case)
-    with opened(case) as driver:
-        start = arm_position(case, driver)
-        goal = _shifted(case, start, FAR)
-        duration_s = max(5.0, 4 * FAR * case.step / float(limits.velocity[-1]))
-        # a driver may refuse a step as large as this; then it is held where it is
-        with suppress(RoboNeuronError):
-            driver.send(arm_command(case, goal, duration_s))
-            # away from where it stood
-            holds_within(lambda: _moved(case, driver, start) >= case.step, case.settle_s)
-        before, opening = arm_position(case, driver), read_state(case, driver).gripper_open
-        driver.hold()
-        holds_within(lambda: False, HOLD_S)  # braking takes a moment
-        held = [arm_position(case, driver)]
-        for _ in range(3):
-            holds_within(lambda: False, HOLD_S / 2)
-            held.append(arm_position(case, driver))
-        held_opening = read_state(case, driver).gripper_open
-    if opening is not None and held_opening is not None:
-        kept = abs(held_opening - opening) <= OPENING_TOLERANCE
-        require(
-            kept,
-            f"hold() moved the gripper from {opening:.2f} to {held_opening:.2f}; it may hold "
-            "something",
-        )
-    moved = float(np.abs(held[-1] - held[0]).max())
-    jumped = float(np.abs(held[0] - before).max())
-    require(
-        moved <= case.tolerance,
-        f"after hold() a joint moved on by {moved:.4f} in {1.5 * HOLD_S:g} s",
-    )
-    allowed = 0.25 * FAR * case.step + case.tolerance
-    require(jumped <= allowed, f"hold() moved a joint by {jumped:.4f}")
-    steps = np.diff(np.array(held), axis=0)
-    one_way = (np.abs(np.sign(steps).sum(axis=0)) == 3) & (
-        np.abs(steps[-1]) >= 0.5 * np.abs(steps[0])
-    )
-    # what settles slows down, and what is noise turns
-    creeps = float((np.abs(steps.sum(axis=0)) * one_way).max())
-    require(
-        creeps <= CREEP * case.tolerance,
-        f"after hold() a joint creeps on, {creeps:.5f} in {1.5 * HOLD_S:g} s",
-    )
-
-
-def _moved(case: RobotCase, driver: RobotDriver, start: F64) -> float:
-    return float(np.abs(arm_position(case, driver) - start).max())
-
-
-def _check_open_still(case: RobotCase) -> None:
-    arm_limits(case)
-    with opened(case) as driver:
-        start = arm_position(case, driver)
-        holds_within(lambda: False, HOLD_S)
-        moved = _moved(case, driver, start)
-    require(
-        moved <= case.tolerance,
-        f"nobody sent anything, and after open() a joint moved by {moved:.4f}",
-    )
+            driver.send(arm_command(case, shifted(case, start, FAR), 30.0))
+        sent = send_checked(case, driver, arm_command(case, goal))
+        check_arrival(case, driver, goal, sent, "a command that replaces another")
 
 
 def _velocity_samples(case: RobotCase, driver: RobotDriver, duration_s: float) -> F64:
@@ -289,7 +220,7 @@ def _check_velocity(case: RobotCase) -> None:
             raise NotApplicable("it reports no velocities")
         duration_s = max(MOTION_S, 3 * 5 * case.step / float(limits.velocity[-1]))
         for _ in range(LOOKS):  # a busy machine may let too few states through
-            goal = _shifted(case, arm_position(case, driver), 5)
+            goal = shifted(case, arm_position(case, driver), 5)
             sent = driver.send(arm_command(case, goal, duration_s))
             samples = _velocity_samples(case, driver, sent.duration_s)
             if len(samples) < MOST_GAPS:
@@ -303,43 +234,6 @@ def _check_velocity(case: RobotCase) -> None:
             require(SLOWEST <= integral / way <= FASTEST, f"{told}; None means unknown")
             return
     raise NotApplicable("too few states came during the motion to judge velocities")
-
-
-def _stands(case: RobotCase, driver: RobotDriver) -> bool:
-    before = arm_position(case, driver)
-    holds_within(lambda: False, 0.05)
-    return _moved(case, driver, before) < 0.05 * case.step
-
-
-def _check_fresh(case: RobotCase) -> None:
-    arm_limits(case)
-    delays_s: list[float] = []
-    with opened(case) as driver:
-        for _ in range(STARTS):
-            holds_within(lambda: _stands(case, driver), case.settle_s)
-            start = arm_position(case, driver)
-            goal = _shifted(case, start, 2)
-            begun_ns = ros_clock()
-            sent = driver.send(arm_command(case, goal, 0.2))
-            holds_within(lambda s=start: _moved(case, driver, s) > 0.2 * case.step, case.settle_s)  # type: ignore[misc]
-            late_s = (
-                read_state(case, driver).joints.stamp_ns - begun_ns
-            ) / 1e9 - 0.5 * sent.duration_s
-            delays_s.append(late_s)
-            if late_s <= STALE_S:
-                return
-            holds_within(lambda g=goal: _moved(case, driver, g) <= case.tolerance, case.settle_s)  # type: ignore[misc]
-    told = f"by the stamps of its states every motion begins {min(delays_s):.2f} s late or later"
-    raise Violation(f"{told}; a state is stamped when it was measured")
-
-
-def _check_after_hold(case: RobotCase) -> None:
-    arm_limits(case)
-    with opened(case) as driver:
-        driver.hold()
-        goal = _shifted(case, arm_position(case, driver), 1)
-        sent = _send(case, driver, arm_command(case, goal))
-        _check_arrival(case, driver, goal, sent, "a command after hold()")
 
 
 RULES: tuple[Rule[RobotCase], ...] = (
@@ -377,26 +271,10 @@ RULES: tuple[Rule[RobotCase], ...] = (
         "newest-command-wins", "A command replaces the one before at once.", "send", _check_newest
     ),
     driver_rule(
-        "hold-stops",
-        "After `hold` arm and gripper stand still, also on their way.",
-        "hold",
-        _check_hold,
-    ),
-    driver_rule("open-stands-still", "`open` moves nothing.", "open", _check_open_still),
-    driver_rule(
         "velocity-measured",
         "Velocities are those of the positions: per second, of the same sign, or None.",
         "read",
         _check_velocity,
-    ),
-    driver_rule(
-        "state-fresh",
-        "A state is stamped when it was measured, not when it is read.",
-        "read",
-        _check_fresh,
-    ),
-    driver_rule(
-        "moves-after-hold", "After `hold` the next command is followed.", "hold", _check_after_hold
     ),
 )
 """Rules of robot drivers on motion."""

@@ -23,7 +23,7 @@ from rn_testing.fakes import fake_registry
 from rn_testing.lifecycle import ALONE, PURE, check_pure_constructor
 from rn_testing.process_state import find_changes
 from rn_testing.rule import Rule, require
-from rn_testing.rules.package import SENDER_PACKAGE, SENDING_NAME
+from rn_testing.rules.package_imports import SENDER_PACKAGE, SENDING_NAME
 
 if TYPE_CHECKING:
     from mcp.types import Tool

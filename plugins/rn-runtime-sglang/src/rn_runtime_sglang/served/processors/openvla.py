@@ -8,10 +8,10 @@ import base64
 import binascii
 import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from PIL import Image
 from sglang.srt.managers.schedule_batch import (
     Modality,
@@ -19,6 +19,7 @@ from sglang.srt.managers.schedule_batch import (
     MultimodalProcessorOutput,
 )
 from sglang.srt.multimodal.processors.base_processor import BaseMultimodalProcessor
+from transformers import PretrainedConfig
 
 from rn_runtime_sglang.served.models.openvla import OpenVLAForActionPrediction
 from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
@@ -35,7 +36,12 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
     models = (OpenVLAForActionPrediction,)
 
     def __init__(
-        self, hf_config: Any, server_args: Any, processor: Any, transport_mode: Any, **others: Any
+        self,
+        hf_config: PretrainedConfig,
+        server_args: object,
+        processor: object,
+        transport_mode: object,
+        **others: object,
     ) -> None:
         super().__init__(hf_config, server_args, processor, transport_mode, **others)
         checkpoint = OpenvlaCheckpoint.read(Path(hf_config._name_or_path))
@@ -47,11 +53,11 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
 
     async def process_mm_data_async(
         self,
-        image_data: Any,
-        audio_data: Any = None,
-        input_text: Any = None,
-        request_obj: Any = None,
-        **others: Any,
+        image_data: object,
+        audio_data: object = None,
+        input_text: object = None,
+        request_obj: object = None,
+        **others: object,
     ) -> MultimodalProcessorOutput:
         """The prompt with the patches' places behind its first id, and the pixels.
 
@@ -94,7 +100,7 @@ def check_ids(ids: object, embeddings: int) -> list[int]:
     return ids
 
 
-def decode_image(data: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
+def decode_image(data: object) -> NDArray[np.uint8]:
     """Base64 of a PNG or BMP -> uint8 (H, W, 3) RGB. Nothing is fetched: neither URLs nor files are
     followed.
     """

@@ -84,7 +84,7 @@ class MessageEncoder:
         if self.has_stamp and budget.now_ns is not None:
             self._stamp(message, budget.now_ns, value)
 
-    def _stamp(self, message: Any, now_ns: int, given: Mapping[str, Any]) -> None:
+    def _stamp(self, message: Any, now_ns: int, given: Mapping[str, object]) -> None:
         if self._message.is_header and "stamp" not in given:
             message.stamp.sec, message.stamp.nanosec = divmod(now_ns, NANOSECONDS_PER_SECOND)
         for name, encoder in self._stamped.items():
@@ -106,7 +106,7 @@ class MessageEncoder:
 class TimeEncoder(MessageEncoder):
     """Time and Duration: also a number of seconds, rounded to the nanosecond."""
 
-    def fill(self, message: Any, value: Any, budget: Budget) -> None:
+    def fill(self, message: Any, value: object, budget: Budget) -> None:
         """Set seconds or {sec, nanosec}. Raises Mismatch."""
         if isinstance(value, int | float) and not isinstance(value, bool):
             message.sec, message.nanosec = split_seconds(value)

@@ -1,0 +1,157 @@
+"""Rules of robot drivers on standing still: after hold, after open, and moving again."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import numpy as np
+
+from rn_testing.cases import RobotCase
+from rn_testing.rule import Rule, Violation, require
+from rn_testing.rules.clock import ros_clock
+from rn_testing.rules.driver import (
+    arm_command,
+    arm_limits,
+    arm_position,
+    driver_rule,
+    opened,
+    read_state,
+)
+from rn_testing.rules.driver_motion import (
+    FAR,
+    OPENING_TOLERANCE,
+    check_arrival,
+    send_checked,
+    shifted,
+)
+from rn_testing.waiting import holds_within
+from roboneuron import F64, RoboNeuronError, RobotDriver
+
+HOLD_S = 0.3
+"""How long the robot is watched after `hold`."""
+CREEP = 0.1
+"""How far a held joint may go on evenly in one direction, as a share of the case's tolerance."""
+STARTS, STALE_S = 5, 0.3
+"""Motions of which the quickest start is judged, and how late it may show: a busy machine delays
+one, not all.
+"""
+
+
+def _check_hold(case: RobotCase) -> None:
+    limits = arm_limits(case)
+    with opened(case) as driver:
+        start = arm_position(case, driver)
+        goal = shifted(case, start, FAR)
+        duration_s = max(5.0, 4 * FAR * case.step / float(limits.velocity[-1]))
+        # a driver may refuse a step as large as this; then it is held where it is
+        with suppress(RoboNeuronError):
+            driver.send(arm_command(case, goal, duration_s))
+            # away from where it stood
+            holds_within(lambda: _moved(case, driver, start) >= case.step, case.settle_s)
+        before, opening = arm_position(case, driver), read_state(case, driver).gripper_open
+        driver.hold()
+        holds_within(lambda: False, HOLD_S)  # braking takes a moment
+        held = [arm_position(case, driver)]
+        for _ in range(3):
+            holds_within(lambda: False, HOLD_S / 2)
+            held.append(arm_position(case, driver))
+        held_opening = read_state(case, driver).gripper_open
+    if opening is not None and held_opening is not None:
+        kept = abs(held_opening - opening) <= OPENING_TOLERANCE
+        require(
+            kept,
+            f"hold() moved the gripper from {opening:.2f} to {held_opening:.2f}; it may hold "
+            "something",
+        )
+    moved = float(np.abs(held[-1] - held[0]).max())
+    jumped = float(np.abs(held[0] - before).max())
+    require(
+        moved <= case.tolerance,
+        f"after hold() a joint moved on by {moved:.4f} in {1.5 * HOLD_S:g} s",
+    )
+    allowed = 0.25 * FAR * case.step + case.tolerance
+    require(jumped <= allowed, f"hold() moved a joint by {jumped:.4f}")
+    steps = np.diff(np.array(held), axis=0)
+    one_way = (np.abs(np.sign(steps).sum(axis=0)) == 3) & (
+        np.abs(steps[-1]) >= 0.5 * np.abs(steps[0])
+    )
+    # what settles slows down, and what is noise turns
+    creeps = float((np.abs(steps.sum(axis=0)) * one_way).max())
+    require(
+        creeps <= CREEP * case.tolerance,
+        f"after hold() a joint creeps on, {creeps:.5f} in {1.5 * HOLD_S:g} s",
+    )
+
+
+def _moved(case: RobotCase, driver: RobotDriver, start: F64) -> float:
+    return float(np.abs(arm_position(case, driver) - start).max())
+
+
+def _check_open_still(case: RobotCase) -> None:
+    arm_limits(case)
+    with opened(case) as driver:
+        start = arm_position(case, driver)
+        holds_within(lambda: False, HOLD_S)
+        moved = _moved(case, driver, start)
+    require(
+        moved <= case.tolerance,
+        f"nobody sent anything, and after open() a joint moved by {moved:.4f}",
+    )
+
+
+def _stands(case: RobotCase, driver: RobotDriver) -> bool:
+    before = arm_position(case, driver)
+    holds_within(lambda: False, 0.05)
+    return _moved(case, driver, before) < 0.05 * case.step
+
+
+def _check_fresh(case: RobotCase) -> None:
+    arm_limits(case)
+    delays_s: list[float] = []
+    with opened(case) as driver:
+        for _ in range(STARTS):
+            holds_within(lambda: _stands(case, driver), case.settle_s)
+            start = arm_position(case, driver)
+            goal = shifted(case, start, 2)
+            begun_ns = ros_clock()
+            sent = driver.send(arm_command(case, goal, 0.2))
+            holds_within(lambda s=start: _moved(case, driver, s) > 0.2 * case.step, case.settle_s)  # type: ignore[misc]
+            late_s = (
+                read_state(case, driver).joints.stamp_ns - begun_ns
+            ) / 1e9 - 0.5 * sent.duration_s
+            delays_s.append(late_s)
+            if late_s <= STALE_S:
+                return
+            holds_within(lambda g=goal: _moved(case, driver, g) <= case.tolerance, case.settle_s)  # type: ignore[misc]
+    told = f"by the stamps of its states every motion begins {min(delays_s):.2f} s late or later"
+    raise Violation(f"{told}; a state is stamped when it was measured")
+
+
+def _check_after_hold(case: RobotCase) -> None:
+    arm_limits(case)
+    with opened(case) as driver:
+        driver.hold()
+        goal = shifted(case, arm_position(case, driver), 1)
+        sent = send_checked(case, driver, arm_command(case, goal))
+        check_arrival(case, driver, goal, sent, "a command after hold()")
+
+
+RULES: tuple[Rule[RobotCase], ...] = (
+    driver_rule(
+        "hold-stops",
+        "After `hold` arm and gripper stand still, also on their way.",
+        "hold",
+        _check_hold,
+    ),
+    driver_rule("open-stands-still", "`open` moves nothing.", "open", _check_open_still),
+    driver_rule(
+        "state-fresh",
+        "A state is stamped when it was measured, not when it is read.",
+        "read",
+        _check_fresh,
+    ),
+    driver_rule(
+        "moves-after-hold", "After `hold` the next command is followed.", "hold", _check_after_hold
+    ),
+)
+"""Rules of robot drivers on standing still."""

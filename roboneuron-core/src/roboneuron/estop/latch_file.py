@@ -1,0 +1,73 @@
+"""The file of the emergency stop: its name, the cause in it, and which file it is."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+ESTOP_FILE = "emergency_stop.latched"
+"""Name of the latch in the state directory."""
+RESET_SUFFIX = ".reset"
+"""Added to the latch's name by a reset."""
+_MAX_CHARACTERS = 16_384
+"""What is read of the file: JSON makes up to 12 characters of each of the 700 of a cause."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LatchState:
+    """Who stopped and why.
+
+    Attributes:
+        time_ns: wall-clock time [ns], 0 when the file does not tell.
+        restored: how often the file had vanished without a reset, and was written again.
+    """
+
+    latched: bool
+    who: str = ""
+    reason: str = ""
+    time_ns: int = 0
+    restored: int = 0
+
+    @property
+    def cause(self) -> str:
+        """Who and why in words; empty when nobody is known."""
+        return ": ".join(word for word in (self.who, self.reason) if word) if self.who else ""
+
+
+def read_cause(path: Path) -> LatchState:
+    """What the file tells; anybody may have written it, so that nothing of it is required."""
+    try:
+        with path.open(encoding="utf-8", errors="replace") as file:
+            content = json.loads(file.read(_MAX_CHARACTERS))
+        return LatchState(
+            latched=True,
+            who=str(content["who"])[:200],
+            reason=str(content["reason"])[:500],
+            time_ns=int(content["time_ns"]),
+            restored=int(content.get("restored", 0)),
+        )
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError):
+        return LatchState(latched=True)
+
+
+def write_cause(descriptor: int, state: LatchState) -> None:
+    """Write it into the open file. Raises OSError when the disk is full."""
+    content = {name: value for name, value in asdict(state).items() if name != "latched"}
+    os.write(descriptor, json.dumps(content).encode())
+
+
+def identity_of(path: Path) -> tuple[int, int]:
+    """Device and inode; a rename keeps them, a copy and a new file do not."""
+    found = os.lstat(path)
+    return found.st_dev, found.st_ino
+
+
+def sync(path: Path) -> None:
+    """Have a file or directory on the disk. Raises OSError when it cannot be."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
