@@ -296,7 +296,8 @@ class _Robot:
     def _take(self, received: Received) -> None:
         header = received.header
         if header.kind is Kind.HELLO:
-            self._send(Header(Kind.WELCOME), self._server.hello(received.document()))
+            told = Header(Kind.WELCOME, clock_ns=header.clock_ns)
+            self._send(told, self._server.hello(received.document()))
             return
         if header.kind is Kind.STATUS:
             self._send(Header(Kind.STATUS), self._server.status())
