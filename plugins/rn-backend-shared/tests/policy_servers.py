@@ -200,7 +200,7 @@ def servers_in(folder: Path) -> list[int]:
             words = entry.read_bytes().split(b"\0")
         except OSError:
             continue
-        if b"rn_backend_shared.server" in words and any(
+        if b"rn_backend_shared.server_process" in words and any(
             word.startswith(str(folder).encode()) for word in words
         ):
             found.append(int(entry.parent.name))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import ssl
+import struct
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -146,3 +147,11 @@ class Channel:
         self.interrupt()
         self._in.close()
         self._out.close()
+
+
+def peer_user(connected: socket.socket) -> int:
+    """User id of the process at the other end."""
+    size = struct.calcsize("3i")
+    return int(
+        struct.unpack("3i", connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))[1]
+    )

@@ -30,7 +30,7 @@ class SharedModelCommand:
         from rn_backend_shared.links import directory_of
         from rn_backend_shared.options import SharedOptions
         from rn_backend_shared.plugin import BACKEND
-        from rn_backend_shared.server import serve
+        from rn_backend_shared.server_process import serve
         from roboneuron.command import load_config, loading
 
         options = loading.load_options(BACKEND, load_config(arguments.config).options(BACKEND.name))

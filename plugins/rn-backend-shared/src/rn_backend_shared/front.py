@@ -16,14 +16,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rn_backend_shared.admission import AdmissionTable
-from rn_backend_shared.channel import Channel
+from rn_backend_shared.channel import Channel, peer_user
 from rn_backend_shared.fields import text
 from rn_backend_shared.frames import Document, FrameError, Header, Kind
 from rn_backend_shared.listening import local_listener, network_listener, notify_manager
 from rn_backend_shared.options import PolicyServerOptions
 from rn_backend_shared.replicas import Replicas
 from rn_backend_shared.security import Guard, is_same_token
-from rn_backend_shared.server import peer_user
 from rn_backend_shared.statistics import Times
 from rn_backend_shared.visitor import HELLO_BYTES, Patience, Visitor
 from roboneuron import ConfigurationError

@@ -14,10 +14,9 @@ import time
 from pathlib import Path
 
 from rn_backend_shared import wire
-from rn_backend_shared.channel import Channel
+from rn_backend_shared.channel import Channel, peer_user
 from rn_backend_shared.frames import FrameError, VersionError
 from rn_backend_shared.options import SharedOptions
-from rn_backend_shared.server import peer_user
 from rn_backend_shared.session import FAILED, READY, Session, Welcome, check_ready, greet
 from roboneuron import ActionChunk, ConfigurationError, NotReadyError, Observation
 
@@ -188,7 +187,7 @@ class Links:
         python = str(self._options.python or sys.executable)
         try:
             subprocess.run(
-                [python, "-P", "-m", "rn_backend_shared.server", str(path)],
+                [python, "-P", "-m", "rn_backend_shared.server_process", str(path)],
                 input=self._options.model_dump_json() + "\n",
                 env={**os.environ, **self._options.environment},
                 check=True,

@@ -18,7 +18,7 @@ from rn_backend_shared.channel import Channel
 from rn_backend_shared.fields import field
 from rn_backend_shared.frames import Document, FrameError, Header, Kind
 from rn_backend_shared.options import ServedModelOptions
-from rn_backend_shared.server import STAY
+from rn_backend_shared.server_process import STAY
 from rn_backend_shared.session import FAILED, LOADING, READY, Welcome, greet
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
 
@@ -170,7 +170,7 @@ class ModelProcess:
             str(self._options.python or sys.executable),
             "-P",
             "-m",
-            "rn_backend_shared.server",
+            "rn_backend_shared.server_process",
             STAY,
             str(self.path),
         ]

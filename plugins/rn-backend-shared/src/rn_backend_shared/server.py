@@ -1,6 +1,4 @@
-"""The process that holds a model: one socket, a thread for each robot that asks, one for the
-model.
-"""
+"""The server of one model: one socket, a thread for each robot that asks, one for the model."""
 
 from __future__ import annotations
 
@@ -9,21 +7,17 @@ import fcntl
 import logging
 import os
 import secrets
-import signal
 import socket
-import struct
-import sys
 import threading
 import time
 from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import IO
 
 from rn_backend_shared import wire
 from rn_backend_shared.batching import Answer, Batcher, Waiting
-from rn_backend_shared.channel import Channel, Received
+from rn_backend_shared.channel import Channel, Received, peer_user
 from rn_backend_shared.fields import field
 from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
 from rn_backend_shared.images import CROPPED, crop
@@ -48,7 +42,6 @@ _SEND_S = 0.5
 _FAILED_S = 3.0
 """A server that could not load tells so for this long, then ends."""
 _LOOK_S = 0.1
-STAY = "--stay"
 _BACKLOG = 1024
 _MOST_HELD = 8
 """Contexts of chunks that are kept for a robot: of the running one, and of answers on their way."""
@@ -363,77 +356,3 @@ def _channel_of(connected: socket.socket) -> Channel:
     except OSError:
         connected.close()
         raise
-
-
-def peer_user(connected: socket.socket) -> int:
-    """User id of the process at the other end."""
-    size = struct.calcsize("3i")
-    return int(
-        struct.unpack("3i", connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))[1]
-    )
-
-
-def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
-    """Run a server in this process until SIGTERM or SIGINT."""
-    server = SharedModelServer(options, path, idle_s)
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: server.stop())
-    return server.run()
-
-
-def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
-    """A server in the background: options as JSON in the first line of stdin, path of the socket as
-    argument.
-
-    Returns at once in the process that was started, which leaves one behind that belongs to
-    nobody's group. With `--stay` it serves in the process itself, until stdin ends.
-    """
-    options, path = SharedOptions.model_validate_json(source.readline()), Path(arguments[-1])
-    if arguments[0] == STAY:
-        return _stay(options, path, source)
-    if os.fork():
-        return 0
-    os.setsid()
-    with open(os.devnull) as nothing, path.with_suffix(".log").open("a") as output:
-        os.dup2(nothing.fileno(), 0)
-        for number in (1, 2):
-            os.dup2(output.fileno(), number)
-    _log()
-    code = 1
-    try:
-        code = serve(options, path, options.idle_s)
-    except Exception:  # the end of the process would hide it
-        log.exception("The server cannot go on.")
-    finally:
-        logging.shutdown()
-        # threads of robots may be in the middle of something, and hold nothing that must be saved
-        os._exit(code)
-
-
-def _stay(options: SharedOptions, path: Path, source: IO[str]) -> int:
-    _log()
-    server = SharedModelServer(options, path, None)
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: server.stop())
-
-    def watch() -> None:
-        source.read()  # its other end closes with the process that started this one
-        server.stop()
-
-    threading.Thread(target=watch, name="parent", daemon=True).start()
-    code = 1
-    try:
-        code = server.run()
-    except Exception:  # the end of the process would hide it
-        log.exception("The server cannot go on.")
-    finally:
-        logging.shutdown()
-        os._exit(code)
-
-
-def _log() -> None:
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,0 +1,83 @@
+"""The process that holds a model: `python -m rn_backend_shared.server_process`."""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import IO
+
+from rn_backend_shared.options import SharedOptions
+from rn_backend_shared.server import SharedModelServer
+
+log = logging.getLogger(__name__)
+STAY = "--stay"
+
+
+def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
+    """Run a server in this process until SIGTERM or SIGINT."""
+    server = SharedModelServer(options, path, idle_s)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: server.stop())
+    return server.run()
+
+
+def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
+    """A server in the background: options as JSON in the first line of stdin, path of the socket as
+    argument.
+
+    Returns at once in the process that was started, which leaves one behind that belongs to
+    nobody's group. With `--stay` it serves in the process itself, until stdin ends.
+    """
+    options, path = SharedOptions.model_validate_json(source.readline()), Path(arguments[-1])
+    if arguments[0] == STAY:
+        return _stay(options, path, source)
+    if os.fork():
+        return 0
+    os.setsid()
+    with open(os.devnull) as nothing, path.with_suffix(".log").open("a") as output:
+        os.dup2(nothing.fileno(), 0)
+        for number in (1, 2):
+            os.dup2(output.fileno(), number)
+    _log()
+    code = 1
+    try:
+        code = serve(options, path, options.idle_s)
+    except Exception:  # the end of the process would hide it
+        log.exception("The server cannot go on.")
+    finally:
+        logging.shutdown()
+        # threads of robots may be in the middle of something, and hold nothing that must be saved
+        os._exit(code)
+
+
+def _stay(options: SharedOptions, path: Path, source: IO[str]) -> int:
+    _log()
+    server = SharedModelServer(options, path, None)
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda *_: server.stop())
+
+    def watch() -> None:
+        source.read()  # its other end closes with the process that started this one
+        server.stop()
+
+    threading.Thread(target=watch, name="parent", daemon=True).start()
+    code = 1
+    try:
+        code = server.run()
+    except Exception:  # the end of the process would hide it
+        log.exception("The server cannot go on.")
+    finally:
+        logging.shutdown()
+        os._exit(code)
+
+
+def _log() -> None:
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
