@@ -18,9 +18,9 @@ from typing import Protocol
 from rn_backend_shared import wire
 from rn_backend_shared.channel import Channel, Received
 from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
-from rn_backend_shared.introduction import ROBOT
+from rn_backend_shared.introduction import CLIENT, ROBOT
 from rn_backend_shared.replicas import Replicas, Seat
-from rn_backend_shared.security import Guard, tune, valid_until
+from rn_backend_shared.security import Guard, client_of, tune, valid_until
 from rn_backend_shared.session import FAILED
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
 
@@ -78,6 +78,9 @@ class Visitor:
         address: of the other end.
         patience: with it.
 
+    Attributes:
+        client: who it is among others, see `client_of`.
+
     Raises:
         OSError: nobody is to be talked to.
     """
@@ -91,6 +94,7 @@ class Visitor:
         patience: Patience,
     ) -> None:
         self.address = address
+        self.client = client_of(address)
         self._server = server
         self._patience = patience
         tune(connected, _SILENT_S)
@@ -108,6 +112,7 @@ class Visitor:
             if isinstance(self._connected, ssl.SSLSocket):
                 self._connected.do_handshake()
             self._expires = valid_until(self._connected)
+            self.client = client_of(self.address, self._connected)
             channel = self._channel = Channel(self._connected, HELLO_BYTES)
             received = channel.receive(time.monotonic() + self._patience.admit_s)
             if received.header.kind is not Kind.HELLO:
@@ -204,7 +209,7 @@ class Visitor:
     ) -> Seat:
         """A new seat at the model. Raises NotReadyError when no replica is ready."""
         self._leave_seat()
-        self._seat = model.take_seat(hello or {}, avoided=avoided)
+        self._seat = model.take_seat({**(hello or {}), CLIENT: self.client}, avoided=avoided)
         return self._seat
 
     def _leave_seat(self) -> None:
