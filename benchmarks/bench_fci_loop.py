@@ -21,27 +21,25 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import os
 import random
-import shutil
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent))
 from bench_fci import latency, open_driver
-from fci_cell import PYTHON, STRICT, FciCell, served_fci
+from fci_cell import PYTHON, STRICT, FciCell
 from fci_judge import Limits, Loop, print_loops, read_go
 
 sys.path.pop(0)
+
+from fci_ledger import Ledger, look
 
 from rn_robot_fr3.fci.simulator import FrankaSim
 from roboneuron.ros.qos import NEWEST
@@ -57,98 +55,7 @@ LEAST_MOVING = 0.1
 """Of the time; an arm that stands keeps every limit. Control holds it while images are late, as on
 a busy machine.
 """
-_TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 BUSY = "import os\np = os.getppid()\nwhile os.getppid() == p:\n    for _ in range(100000): pass"
-
-
-class Ledger:
-    """What happened in one part, a line of JSON each, kept over several goes.
-
-    Attributes:
-        folder: where it is.
-        rows: what happened so far.
-    """
-
-    def __init__(self, folder: Path, fresh: bool) -> None:
-        if fresh:
-            shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True, exist_ok=True)
-        self.folder = folder.resolve()
-        self._path = self.folder / "events.jsonl"
-        self._writing = threading.Lock()
-        self.rows: list[dict[str, Any]] = []
-        if self._path.exists():
-            self.rows = [json.loads(line) for line in self._path.read_text().splitlines()]
-
-    def note(self, event: str, **facts: Any) -> None:
-        """Write it down, with the monotonic time."""
-        row = {"event": event, "at_s": time.monotonic(), **facts}
-        with self._writing:
-            self.rows.append(row)
-            with self._path.open("a") as lines:
-                lines.write(json.dumps(row) + "\n")
-
-    def all(self, event: str) -> list[dict[str, Any]]:
-        """Every row of a kind."""
-        return [row for row in self.rows if row["event"] == event]
-
-    def goes(self) -> list[tuple[Path, float, float]]:
-        """Of each run in which the arm moved: its folder, when it began, and when the last thing
-        was noted [s].
-        """
-        found, folder, began_s = list[tuple[Path, float, float]](), "", 0.0
-        for row in self.rows:
-            if row["event"] == "go":
-                folder, began_s = row["folder"], 0.0
-            elif row["event"] == "began":
-                began_s = row["at_s"]
-                found.append((self.folder / folder, began_s, began_s))
-            elif began_s:
-                found[-1] = (*found[-1][:2], row["at_s"])
-        return found
-
-    def done_s(self) -> float:
-        """How long the arm was moved, over all goes."""
-        return sum(last_s - began_s for _, began_s, last_s in self.goes())
-
-    @contextlib.contextmanager
-    def go(self, busy: int, factor: float) -> Iterator[FciCell]:
-        """Another go: a cell with a folder of its own."""
-        folder = self.folder / f"go-{len(self.all('go')) + 1}"
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir()
-        self.note(
-            "go",
-            folder=folder.name,
-            load=os.getloadavg()[0],
-            cores=os.cpu_count(),
-            busy=busy,
-            factor=factor,
-        )
-        with served_fci(folder, factor=factor) as cell:
-            yield cell
-
-
-def stolen_s() -> float:
-    """Time that the hypervisor gave to others while this machine wanted to run, all cores together
-    (proc(5), steal).
-    """
-    return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) * _TICK_S
-
-
-def look(cell: FciCell, ledger: Ledger, before: str) -> str:
-    """Note a new fault and how the loop is, and recover; returns the fault."""
-    detail = cell.agent.modules()["robot"].get("detail") or {}
-    fault = str(detail.get("fault", ""))
-    if fault:
-        if fault != before:
-            ledger.note("fault", fault=fault)
-            print(f"    fault: {fault}", flush=True)
-        with contextlib.suppress(RuntimeError):
-            cell.agent.do("recover_robot")
-    rate = float(detail.get("control_success_rate", 0.0))
-    ledger.note("look", rate=rate, stolen_s=stolen_s(), realtime=detail.get("realtime", ""))
-    return fault
 
 
 def policy(cell: FciCell, ledger: Ledger, minutes: float, seed: int) -> None:

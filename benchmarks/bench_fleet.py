@@ -32,18 +32,17 @@ import argparse
 import json
 import os
 import signal
-import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import anyio
-from fleet_plugin import NAME, NOTE, REPEAT_HZ
+from fleet_bases import SPEED_M_S, STEP_S, Base, write_configuration
+from fleet_report import ZERO_S, Found, report
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 from plugin_site import installed
@@ -52,81 +51,12 @@ from rn_standard.demo.agent import Agent, module_status
 from roboneuron import RoboNeuronError
 from roboneuron.ros.environment import prepare_environment
 
-MOST_STOP_MS, MOST_RATIO = 50.0, 1.10
-STEP_S = 1.0 / REPEAT_HZ
 MOST_STEPS = 100
-SPEED_M_S = 0.2
-CALL_S, START_S, ZERO_S, DRIVE_S = 180.0, 600.0, 5.0, 30.0
+CALL_S, START_S, DRIVE_S = 180.0, 600.0, 30.0
 POLL_S = 0.005
 PARTS = ("stops", "drive")
 AT_ONCE = 4
 """So many robots are started at once: each start imports rclpy, which a core does in a second."""
-
-
-@dataclass
-class Base:
-    """One robot as the client knows it.
-
-    Attributes:
-        notes: what its driver writes.
-        told: first and last number of each sequence whose call said that it was played to the end.
-    """
-
-    name: str
-    notes: Path
-    number: int = 1
-    told: list[tuple[int, int]] = field(default_factory=list)
-    published: int = 0
-    """Messages of those sequences, the stop message included, by the tool's answer."""
-    pid: int = 0
-    failures: list[str] = field(default_factory=list)
-
-    def arrivals(self, since: int = 0) -> list[tuple[int, float, int]]:
-        """Time [ns], speed and number of each command noted, from the `since`-th on."""
-        content = b""
-        if self.notes.exists():
-            with self.notes.open("rb") as file:
-                file.seek(since * NOTE.size)
-                content = file.read()
-        whole = len(content) // NOTE.size * NOTE.size
-        return [(at_ns, x, int(number)) for at_ns, x, number in NOTE.iter_unpack(content[:whole])]
-
-    def count(self) -> int:
-        """How many commands it has noted."""
-        return self.notes.stat().st_size // NOTE.size if self.notes.exists() else 0
-
-    def sequence(self, steps: int) -> tuple[int, dict[str, Any]]:
-        """The next numbers as arguments of publish_velocity_sequence; returns the first number
-        too.
-        """
-        first, self.number = self.number, self.number + steps
-        messages = [
-            {"linear": {"x": SPEED_M_S, "y": float(number)}}
-            for number in range(first, first + steps)
-        ]
-        return first, {
-            "robot": self.name,
-            "steps": [{"message": m, "duration_s": STEP_S} for m in messages],
-        }
-
-
-def write_configuration(folder: Path, bases: Iterable[Base]) -> Path:
-    """One cell for each base."""
-    lines = [
-        'disabled_plugins = ["rn-recorder"]',
-        'features = ["fleet", "tools-ros"]',
-        "[server]",
-        'reset_emergency_stop = "client"',
-        "[supervisor]",
-        "start_timeout_s = 300.0",
-        f'state_directory = "{folder / "state"}"',
-    ]
-    for base in bases:
-        lines += [f"[robots.{base.name}]", f'robot = {{name = "{NAME}", state_rate_hz = 10.0}}']
-        lines += [f"[robots.{base.name}.plugins.{NAME}]", f'notes = "{base.notes}"']
-    path = folder / "fleet.toml"
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return path
 
 
 async def start(agent: Agent, bases: Iterable[Base]) -> None:
@@ -247,40 +177,6 @@ async def drive_for(agent: Agent, base: Base, begin_s: float, end_s: float, rows
         rows.add("drive", robot=base.name, first=first, last=first + steps - 1, missing=missing)
 
 
-def lateness_ms(base: Base, split_ns: int) -> tuple[list[float], list[float]]:
-    """Lateness of the first arrival of each number, before and after a moment."""
-    first_at: dict[int, int] = {}
-    for at_ns, x, number in base.arrivals():
-        if x:
-            first_at.setdefault(number, at_ns)
-    before: list[float] = []
-    after: list[float] = []
-    for first, last in base.told:
-        own = {
-            n: at - (n - first) * STEP_S * 1e9 for n, at in first_at.items() if first <= n <= last
-        }
-        earliest = min(own.values(), default=0.0)
-        for number, at in own.items():
-            (before if first_at[number] < split_ns else after).append((at - earliest) / 1e6)
-    return before, after
-
-
-def percentile(values: list[float], share: float) -> float:
-    """The smallest value that this share of them does not exceed."""
-    ordered = sorted(values)
-    return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
-
-
-@dataclass
-class Found:
-    """What was measured."""
-
-    stops_ms: list[float | None] = field(default_factory=list)
-    victim: str = ""
-    killed_ns: int = 0
-    started_s: float = 0.0
-
-
 async def measure(path: Path, bases: list[Base], arguments: argparse.Namespace, log: Path) -> Found:
     """Start, stop many times, then drive with one robot killed half way."""
     rows = Rows(arguments.out, len(bases))
@@ -326,84 +222,6 @@ async def measure(path: Path, bases: list[Base], arguments: argparse.Namespace, 
                     found.killed_ns = time.monotonic_ns()
             await anyio.sleep(0.5)  # what was sent last arrives
     return found
-
-
-def report(found: Found, bases: list[Base]) -> int:
-    """Print the table; status 1 when a bound does not hold."""
-    bad = _report_stops(found.stops_ms, len(bases))
-    if not found.killed_ns:
-        return int(bad)
-    others = [base for base in bases if base.name != found.victim]
-    sent = lost = messages = 0
-    early: list[float] = []
-    late: list[float] = []
-    ratios: dict[str, float] = {}
-    for base in others:
-        numbers = {number for _, x, number in base.arrivals() if x}
-        wanted = [n for first, last in base.told for n in range(first, last + 1)]
-        sent, lost = sent + len(wanted), lost + sum(n not in numbers for n in wanted)
-        messages += base.published
-        before, after = lateness_ms(base, found.killed_ns)
-        early, late = early + before, late + after
-        if before and after:
-            ratios[base.name] = percentile(after, 0.99) / percentile(before, 0.99)
-    bad |= _report_commands(others, sent, lost, messages)
-    return int(bad | _report_kill(found.victim, early, late, ratios))
-
-
-def _report_commands(others: list[Base], sent: int, lost: int, messages: int) -> bool:
-    print(f"robots                     {len(others)} (and one that is killed)")
-    print(
-        f"commands sent / lost       {sent} / {lost} (none allowed), {messages} messages with "
-        "repetitions and stops"
-    )
-    failures = [f"  {base.name}: {failure}" for base in others for failure in base.failures]
-    print("\n".join(failures[:5]) if failures else "calls that failed          0")
-    return bool(failures) or lost > 0 or sent == 0
-
-
-def _report_stops(stops_ms: list[float | None], robots: int) -> bool:
-    if not stops_ms:
-        return False
-    times = [ms for ms in stops_ms if ms is not None]
-    if not times:
-        print("fleet stop                 no stop reached all robots")
-        return True
-    median = statistics.median(times)
-    print(
-        f"fleet stop -> last stands  median {median:.1f} ms of {len(times)}, p95 "
-        f"{percentile(times, 0.95):.1f}, "
-        f"worst {max(times):.1f}; {robots} robots (median at most {MOST_STOP_MS:g})"
-    )
-    if len(times) < len(stops_ms):
-        print(
-            f"  in {len(stops_ms) - len(times)} stops some base was not told to stand within "
-            f"{ZERO_S:g} s"
-        )
-    return median > MOST_STOP_MS or len(times) < len(stops_ms)
-
-
-def _report_kill(
-    victim: str, early: list[float], late: list[float], ratios: Mapping[str, float]
-) -> bool:
-    if not early or not late:
-        print("lateness                   no commands before or after the kill")
-        return True
-    before, after = percentile(early, 0.99), percentile(late, 0.99)
-    ratio = after / before
-    print(
-        f"lateness p50 before/after  {statistics.median(early):.2f} / "
-        f"{statistics.median(late):.2f} ms"
-    )
-    print(
-        f"lateness p99 before/after  {before:.2f} / {after:.2f} ms, ratio {ratio:.2f} (at most "
-        f"{MOST_RATIO})"
-    )
-    print(
-        f"  by robot: median of the ratios {statistics.median(ratios.values()):.2f}, largest "
-        f"{max(ratios.values()):.2f}; {victim} was killed"
-    )
-    return ratio > MOST_RATIO
 
 
 def main() -> int:

@@ -25,23 +25,20 @@ import functools
 import platform
 import statistics
 import tempfile
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
-from unittest.mock import patch
 
 import numpy as np
 import torch
 import transformers
 from torch import Tensor
+from vla_models import PROMPT_TOKENS, make_request, policies, random_weights
+from vla_roofline import PRUNED_AFTER, Speed, measure_speed, now_s, roofline_ms
 
 from rn_accel_fastv.config import FastVConfig
 from rn_accel_fastv.preset import FastV
-from rn_backend_oft.constants import CONSTANTS
-from rn_backend_oft.policy import OftPolicy
 from rn_backend_openvla.backend import OpenVlaBackend
 from rn_backend_openvla.config import OpenVlaConfig
 from rn_backend_openvla.plugin import roboneuron_backends
@@ -50,102 +47,13 @@ from rn_runtime_torch.device import release_memory
 from rn_runtime_torch.engine import Engine
 from rn_runtime_torch.runtime import TorchRuntime
 from rn_testing.fakes import make_observation
-from rn_vla.decoding import DecoderShape, PolicyModel, Request, RowsReply, RowsRequest
-from rn_vla.openvla.checkpoint import BACKBONES, OpenvlaCheckpoint
-from rn_vla.openvla.layout import TowerShape, VisionShape
-from rn_vla.openvla.policy import policy_model
-from rn_vla.openvla.preprocessing import TowerPixels
+from rn_vla.decoding import PolicyModel, Request, RowsReply, RowsRequest
+from rn_vla.openvla.layout import VisionShape
 from rn_vla.openvla.tiny import make_tiny
 from roboneuron.contract import Frame
 
-PROMPT_TOKENS = 24
 PRESETS = {"none": 0.0, "fastv-p25": 0.25, "fastv-p50": 0.5, "fastv-p75": 0.75}
-PRUNED_AFTER = 2
 PLAIN_TOLERANCE = 1e-3
-
-FULL = DecoderShape(
-    hidden=4096,
-    intermediate=11008,
-    layers=32,
-    heads=32,
-    key_value_heads=32,
-    vocabulary=32064,
-    norm_epsilon=1e-6,
-    rope_theta=10000.0,
-    max_positions=2048,
-)
-SMALL = replace(FULL, hidden=384, intermediate=1032, layers=8, heads=6, key_value_heads=6)
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Speed:
-    """What the device was seen to do: bytes and FLOP per second."""
-
-    bandwidth: float
-    throughput: float
-
-    def bound_s(
-        self, parameters: float, tokens: float, attention_flop: float, itemsize: int
-    ) -> float:
-        """Shortest time for `tokens` rows through `parameters` weights."""
-        flop = 2 * parameters * tokens + attention_flop
-        return max(parameters * itemsize / self.bandwidth, flop / self.throughput)
-
-
-def shrink(tower: TowerShape) -> TowerShape:
-    """A tower of an eighth of the width and a quarter of the depth."""
-    return replace(
-        tower,
-        width=tower.width // 8,
-        depth=tower.depth // 4,
-        heads=4,
-        intermediate=tower.intermediate // 8,
-    )
-
-
-def make_checkpoint(size: str, path: Path) -> OpenvlaCheckpoint:
-    """Shapes alone; the weights are made on the device."""
-    towers = BACKBONES["dinosiglip-vit-so-224px"]
-    decoder = FULL if size == "full" else SMALL
-    return OpenvlaCheckpoint(
-        path=path,
-        decoder=decoder,
-        vision=VisionShape(
-            towers=towers if size == "full" else tuple(map(shrink, towers)), hidden=decoder.hidden
-        ),
-        action_bins=256,
-        token_vocabulary=32000,
-        is_vicuna=False,
-        towers=(TowerPixels(mean=(0.5,) * 3, std=(0.5,) * 3),) * 2,
-        statistics={},
-        statistics_source="",
-        shards=(),
-    )
-
-
-@contextmanager
-def random_weights(seed: int = 0) -> Iterator[None]:
-    """Engines built inside fill their parameters at random instead of reading files."""
-
-    def fill(shards: object, slots: dict[str, Tensor]) -> None:
-        for index, slot in enumerate(slots.values()):
-            torch.manual_seed(seed + index)
-            slot.normal_(std=slot.shape[-1] ** -0.5) if slot.ndim > 1 else slot.fill_(1.0)
-
-    with (
-        patch("rn_runtime_torch.engine.load_shards", fill),
-        patch("rn_runtime_torch.engine.check_shards"),
-    ):
-        yield
-
-
-def now_s() -> float:
-    """Processor time when one CPU thread computes, else wall time."""
-    return (
-        time.perf_counter()
-        if torch.cuda.is_available() or torch.get_num_threads() > 1
-        else time.process_time()
-    )
 
 
 def best_ms(action: Callable[[Request], object], request: Request, repeat: int) -> float:
@@ -156,68 +64,6 @@ def best_ms(action: Callable[[Request], object], request: Request, repeat: int) 
         action(request)
         times.append((now_s() - started) * 1e3)
     return min(times[1:])
-
-
-def measure_speed(device: torch.device, dtype: torch.dtype) -> Speed:
-    """Best of ten: a matrix-vector product of 256 MB or more, a square product."""
-    side, square = (16384, 8192) if device.type == "cuda" else (8192, 1536)
-    wide, vector = (
-        torch.randn(side, side, device=device).to(dtype),
-        torch.ones(side, device=device, dtype=dtype),
-    )
-    matrix = torch.randn(square, square, device=device).to(dtype)
-
-    def best(action: Callable[[], object]) -> float:
-        times = []
-        for _ in range(10):
-            synchronize(device)
-            started = now_s()
-            action()
-            synchronize(device)
-            times.append(now_s() - started)
-        return min(times)
-
-    return Speed(
-        bandwidth=wide.nbytes / best(lambda: wide @ vector),
-        throughput=2 * square**3 / best(lambda: matrix @ matrix),
-    )
-
-
-def synchronize(device: torch.device) -> None:
-    """Wait for the device."""
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)
-
-
-def roofline_ms(
-    model: PolicyModel, vision: VisionShape, request: Request, share: float, speed: Speed, item: int
-) -> float:
-    """Bound for one request; see the module."""
-    decoder = model.decoder
-    images = model.visual_tokens // vision.towers[0].patches
-    total = 0.0
-    for tower in vision.towers:
-        layers, width, tokens = tower.depth - 1, tower.width, tower.patches + tower.prefix_tokens
-        parameters = layers * (4 * width**2 + 2 * width * tower.intermediate)
-        total += speed.bound_s(
-            parameters, images * tokens, images * layers * 4 * tokens**2 * width, item
-        )
-    pairs = zip(vision.projector, vision.projector[1:], strict=False)
-    total += speed.bound_s(sum(a * b for a, b in pairs), model.visual_tokens, 0, item)
-    length = model.visual_tokens + model.extra_tokens + request.prompt.ids.size
-    kept = length - round(model.visual_tokens * share)
-    layer = 4 * decoder.hidden**2 + 3 * decoder.hidden * decoder.intermediate
-    split = PRUNED_AFTER if share else decoder.layers
-    causal = 1 if isinstance(request, RowsRequest) else 2
-    for layers, tokens in ((split, length), (decoder.layers - split, kept)):
-        attention = 4 * tokens**2 * decoder.hidden / causal
-        total += layers * speed.bound_s(layer, tokens, attention, item)
-    if not isinstance(request, RowsRequest):
-        head = decoder.vocabulary * decoder.hidden
-        steps = request.max_new_tokens
-        total += steps * speed.bound_s(head, 1, 0, item)
-        total += (steps - 1) * speed.bound_s(decoder.layers * layer, 1, 0, item)
-    return total * 1e3
 
 
 class EagerLoop:
@@ -274,29 +120,6 @@ class EagerLoop:
                 )
                 tokens.append(out.logits[:, -1].argmax(-1))
             return torch.cat(tokens).cpu()
-
-
-def policies(size: str, path: Path) -> Iterator[tuple[str, OpenvlaCheckpoint, PolicyModel]]:
-    """The models to measure."""
-    checkpoint = make_checkpoint(size, path)
-    for component in ("action_head", "proprio_projector"):
-        (path / f"{component}--0_checkpoint.pt").touch()
-    yield "openvla", checkpoint, policy_model(checkpoint, action_width=7, max_prompt_tokens=64)
-    oft = OftPolicy(
-        checkpoint=checkpoint, constants=CONSTANTS["libero"], cameras=2, head="l1", proprio_width=8
-    )
-    yield "oft", checkpoint, oft.model(64)
-
-
-def make_request(model: PolicyModel) -> Request:
-    """A request with random pixels."""
-    request = model.example(PROMPT_TOKENS)
-    generator = np.random.default_rng(0)
-    arrays = {
-        name: generator.standard_normal(array.shape).astype(np.float32)
-        for name, array in request.prompt.arrays.items()
-    }
-    return replace(request, prompt=replace(request.prompt, arrays=arrays))
 
 
 def check_same(ours: Tensor, eager: Tensor, dtype: torch.dtype, name: str) -> None:

@@ -9,78 +9,11 @@ so that it can be read on light and dark pages. tools/process_figure.py draws pr
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Callable
-from pathlib import Path
-from xml.sax.saxutils import escape
 
-DOCS = Path(__file__).parents[1] / "docs"
-INK, FAINT, PANEL = "#1f2a37", "#5b6776", "#f7f9fb"
-BLUE, GREEN, AMBER, RED, WHITE = "#dbeafe", "#dcfce7", "#fef3c7", "#fee2e2", "#ffffff"
-
-
-class Sheet:
-    """A drawing [px], put together from boxes, lines and text."""
-
-    def __init__(self, width: int, height: int, title: str) -> None:
-        self._head = (
-            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" role="img" '
-            f'font-family="DejaVu Sans, system-ui, sans-serif" font-size="14" text-anchor="middle" '
-            f'fill="{INK}">\n<title>{escape(title)}</title>\n'
-            '<defs><marker id="head" viewBox="0 0 10 10" refX="9" refY="5" markerWidth="8" '
-            'markerHeight="8" orient="auto-start-reverse"><path d="M0,1 L10,5 L0,9 z" '
-            f'fill="{INK}"/></marker></defs>\n'
-            f'<rect width="{width}" height="{height}" rx="12" fill="{PANEL}"/>'
-        )
-        self._parts: list[str] = []
-
-    def box(self, x: int, y: int, w: int, h: int, *lines: str, fill: str = WHITE) -> None:
-        """A rectangle; its first line is a title."""
-        self._parts.append(
-            f'<rect x="{x}" y="{y}" width="{w}" height="{h}" rx="8" fill="{fill}" stroke="{INK}"/>'
-        )
-        top = y + h / 2 - 9 * (len(lines) - 1) + 5
-        for number, line in enumerate(lines):
-            self.text(x + w / 2, top + 18 * number, line, bold=number == 0, small=number > 0)
-
-    def text(
-        self,
-        x: float,
-        y: float,
-        text: str,
-        *,
-        bold: bool = False,
-        small: bool = False,
-        anchor: str = "middle",
-    ) -> None:
-        """One line."""
-        style = (
-            ' font-weight="600"' if bold else f' font-size="12.5" fill="{FAINT}"' if small else ""
-        )
-        self._parts.append(
-            f'<text x="{x:g}" y="{y:g}" text-anchor="{anchor}"{style}>{escape(text)}</text>'
-        )
-
-    def line(self, *points: tuple[float, float], head: bool = True, dashed: bool = False) -> None:
-        """A line through points, with an arrow's head at its end."""
-        path = " ".join(f"{x:g},{y:g}" for x, y in points)
-        self._parts.append(
-            f'<polyline points="{path}" fill="none" stroke="{INK}"'
-            f"{' stroke-dasharray=' + chr(34) + '5 4' + chr(34) if dashed else ''}"
-            f"{' marker-end=' + chr(34) + 'url(#head)' + chr(34) if head else ''}/>"
-        )
-
-    def bar(self, x: float, y: float, w: float, h: float, fill: str) -> None:
-        """A plain rectangle."""
-        self._parts.append(
-            f'<rect x="{x:g}" y="{y:g}" width="{w:g}" height="{h:g}" fill="{fill}" stroke="{INK}" '
-            'stroke-width="0.7"/>'
-        )
-
-    def svg(self) -> str:
-        """The whole file."""
-        return "\n".join([self._head, *self._parts, "</svg>", ""])
+from diagram_plots import DOCS, plot_chunks, plot_fastv, plot_starts
+from diagram_sheet import AMBER, BLUE, GREEN, RED, WHITE, Sheet
 
 
 def packages() -> str:
@@ -316,66 +249,6 @@ def roles() -> str:
         "silent for lease_s: policy stops, arm holds, any client may take over",
         small=True,
     )
-    return s.svg()
-
-
-def rows_of(heading: str) -> list[list[str]]:
-    """The cells of the first table below a heading of docs/benchmarks.md that begins so."""
-    text = (DOCS / "benchmarks.md").read_text(encoding="utf-8")
-    _, found, section = text.partition(f"\n### {heading}")
-    if not found:
-        raise ValueError(f"docs/benchmarks.md has no section {heading!r}.")
-    table = re.search(r"(?:^\|.*\n)+", section, re.MULTILINE)
-    lines = table[0].splitlines() if table else []
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
-
-
-def plot_chunks() -> str:
-    """Share of rows delivered, by latency and mode, with chunks of 16."""
-    s = Sheet(940, 270, "Share of rows delivered in time with chunks of 16 rows, by latency")
-    modes = (("sequential", AMBER), ("overlap", BLUE), ("rtc", GREEN), ("predicted-state", RED))
-    table = [row for row in rows_of("Chunks in real time") if row[0] == "16"]
-    for share in (0, 50, 100):
-        s.line((70, 210 - 1.6 * share), (910, 210 - 1.6 * share), head=False, dashed=share > 0)
-        s.text(62, 215 - 1.6 * share, f"{share} %", small=True, anchor="end")
-    for number, row in enumerate(table):
-        left = 100 + 205 * number
-        for place, (_, fill) in enumerate(modes):
-            height = 1.6 * float(row[2 + place].partition("/")[0])
-            s.bar(left + 42 * place, 210 - height, 36, height, fill)
-        s.text(left + 80, 230, f"{row[1]} ms", bold=True)
-    for place, (name, fill) in enumerate(modes):
-        s.bar(200 + 150 * place, 244, 14, 14, fill)
-        s.text(220 + 150 * place, 256, name, small=True, anchor="start")
-    return s.svg()
-
-
-def plot_fastv() -> str:
-    """Time of a prediction with each preset."""
-    table = rows_of("Backends and presets")
-    s = Sheet(
-        940, 40 + 26 * len(table), "Time of a prediction by backend and preset, on one CPU thread"
-    )
-    longest = max(float(row[3]) for row in table)
-    for number, row in enumerate(table):
-        y = 22 + 26 * number
-        s.text(190, y + 15, f"{row[0]}, {row[1]}", small=True, anchor="end")
-        width = 620 * float(row[3]) / longest
-        s.bar(200, y, width, 20, BLUE if row[0] == "oft" else AMBER)
-        s.text(208 + width, y + 15, f"{float(row[3]):.0f} ms", small=True, anchor="start")
-    return s.svg()
-
-
-def plot_starts() -> str:
-    """Starts and stops of modules."""
-    table = rows_of("Starting and stopping")
-    s = Sheet(940, 46 + 30 * len(table), "Time from call to proof of readiness, median")
-    for number, row in enumerate(table):
-        y = 20 + 30 * number
-        seconds = float(row[1].split()[0])
-        s.text(200, y + 16, row[0].strip("`").replace("`", ""), small=True, anchor="end")
-        s.bar(210, y, 220 * seconds, 22, GREEN)
-        s.text(218 + 220 * seconds, y + 16, f"{seconds:g} s", small=True, anchor="start")
     return s.svg()
 
 

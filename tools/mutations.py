@@ -24,47 +24,20 @@ import json
 import os
 import shutil
 import sys
-import tomllib
 import traceback
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 
 import mutation_operators
-from mutation_identity import describe_change
-from mutmut.mutation.data import MutantLineSpans, SourceFileMutationData
-from mutmut.stats import status_by_exit_code
+from mutation_parts import PARTS, ROOT, Part
+from mutation_results import print_report, read_mutants
 
 from rn_testing.domain import free_ros_domain
 
-ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "out" / "mutations"
-SURVIVORS = ROOT / "tools" / "mutation_survivors.toml"
-LEAST_PERCENT = 95.0
-NOT_RUN = 255
-"""Exit code of mutmut when pytest refuses to run, as for a test that it does not find; mutmut calls
-it a timeout.
-"""
 NO_TESTS = 33
 """Exit code of mutmut for a mutant of a function that no test has called."""
-UNKNOWN = ("not checked", "check was interrupted by user")
-CORE, STANDARD = "roboneuron-core/src/roboneuron", "plugins/rn-standard/src/rn_standard"
-MODULE_TESTS = ("roboneuron-core/tests/modules",)
-SUPERVISOR_TESTS = ("roboneuron-core/tests/supervisor",)
-CORE_TESTS = ("roboneuron-core/tests/gate", *MODULE_TESTS, *SUPERVISOR_TESTS)
-DIRECT_TESTS = ("plugins/rn-standard/tests/direct_path",)
-ARM_TESTS = (
-    *("plugins/rn-standard/tests/tools_arm", "plugins/rn-controller-urdf/tests"),
-    "tests/safety/test_an_arm_that_was_held_up_catches_up_nothing.py",
-    "tests/safety/test_fr3_brakes_before_its_limits.py",
-    "tests/safety/test_joint_motions_keep_clear_of_links_and_table.py",
-)
-DIRECT_ARM_TESTS = (
-    "plugins/rn-standard/tests/tools_arm",
-    "tests/safety/test_joint_motions_keep_clear_of_links_and_table.py",
-)
 CONFTESTS = ("roboneuron-core/tests/conftest.py", "tests/conftest.py", "tests/safety/conftest.py")
 MARKERS = "not ros and not timing and not slow and not gpu and not hardware and not release"
 LEFT_OUT = (
@@ -80,99 +53,6 @@ LEFT_OUT = (
 """Files and tests that are not run."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Part:
-    """A part of the code.
-
-    Attributes:
-        package: its folder, from the repository's root.
-        files: what is mutated, from the package; a pattern takes in what it matches.
-        tests: folders and files of tests, from the repository's root.
-        functions: of a file from which only these count, without their class.
-    """
-
-    package: str
-    files: tuple[str, ...]
-    tests: tuple[str, ...]
-    functions: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-
-    def patterns(self) -> tuple[str, ...]:
-        """What the names of its mutants are like, for mutmut; empty for all."""
-        if not self.functions:
-            return ()
-        found = []
-        for file in self.files:
-            module = file.removesuffix(".py").replace("/", ".")
-            for function in self.functions.get(file, ("",)):
-                found.append(f"*{module}.x*{function}__mutmut_*")
-        return tuple(found)
-
-
-PARTS = {
-    "gate": Part(
-        package=CORE,
-        files=("gate/motion/*.py", "estop/latch.py", "gate/audit.py", "estop/pin.py"),
-        tests=(*CORE_TESTS, *DIRECT_TESTS, *ARM_TESTS),
-    ),
-    "modules": Part(
-        package=CORE,
-        files=("modules/holding.py", "modules/joint_watch.py", "modules/robot.py"),
-        tests=MODULE_TESTS,
-    ),
-    "control": Part(package=STANDARD, files=("control/module.py",), tests=MODULE_TESTS),
-    "supervisor": Part(
-        package=CORE,
-        files=tuple(
-            f"supervisor/{name}.py" for name in ("process", "changes", "slot", "supervisor")
-        ),
-        tests=SUPERVISOR_TESTS,
-        functions={
-            "supervisor/changes.py": ("tell", "held_s", "wait_for"),
-            "supervisor/slot.py": ("begin_stop", "settle", "cancel", "note_exit"),
-            "supervisor/supervisor.py": (
-                *("stop", "end", "cancel", "stop_all", "close"),
-                *("_finish", "_deactivate", "_settle", "_await_settled", "_beat"),
-            ),
-        },
-    ),
-    "direct-path": Part(
-        package=STANDARD,
-        files=tuple(
-            f"direct_path/{name}.py"
-            for name in (
-                *("gate", "motion_gate", "limits", "path_limits", "rate"),
-                *("arbiter", "allow_list", "speeds", "twists", "joints"),
-            )
-        ),
-        tests=(*DIRECT_TESTS, *DIRECT_ARM_TESTS),
-    ),
-}
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Mutant:
-    """One mutant.
-
-    Attributes:
-        file: from the package.
-        function: its name, with the class.
-        change: the statement before and after, see `describe_change`; numbered when the function
-            has the same change twice.
-        status: of mutmut: "killed", "timeout", "survived", "no tests", "not checked" and others; or
-            "not run".
-    """
-
-    file: str
-    function: str
-    change: str
-    status: str
-
-    @property
-    def is_killed(self) -> bool:
-        """Whether a test noticed it, or would have waited for it for ever."""
-        return self.status in ("killed", "timeout", "segfault", "suspicious")
-
-
 def main() -> int:
     """Run the parts that the arguments name, and print figures; 1 when the lane fails."""
     arguments = _parse_arguments()
@@ -181,7 +61,7 @@ def main() -> int:
         part, work = PARTS[name], OUT / name
         if arguments.list is False:
             _run_in_a_fork(part, work, arguments)
-        is_good &= _report(name, list(_read_mutants(part, work)))
+        is_good &= print_report(name, list(read_mutants(part, work)))
     return 0 if is_good else 1
 
 
@@ -344,105 +224,6 @@ def _forget(meta: Path, is_meant: Callable[[int | None], bool]) -> None:
         key: None if is_meant(code) else code for key, code in results.items()
     }
     meta.write_text(json.dumps(known), "utf-8")
-
-
-def _read_mutants(part: Part, work: Path) -> Iterator[Mutant]:
-    """What is known of a part."""
-    if not (work / "mutants").is_dir():
-        return
-    os.chdir(work)
-    package = Path("src") / Path(part.package).name
-    for meta in sorted((work / "mutants" / package).rglob("*.py.meta")):
-        path = package / meta.relative_to(work / "mutants" / package).with_suffix("")
-        data = SourceFileMutationData(path=path)
-        data.load()
-        spans = MutantLineSpans.load(path)
-        if spans is None:
-            continue
-        file = str(path.relative_to(package))
-        wanted = part.functions.get(file)
-        changes = Counter[tuple[str, str]]()
-        for key, code in data.exit_code_by_key.items():
-            name = key.rpartition(".")[2]
-            base = name.rpartition("__mutmut_")[0]
-            function = base.removeprefix("x_").removeprefix("xǁ").replace("ǁ", ".")
-            if wanted is not None and function.rpartition(".")[2] not in wanted:
-                continue
-            before, after = spans.read_function_sources([f"{base}__mutmut_orig", name])
-            before, after = (
-                before.replace(f"{base}__mutmut_orig", base, 1),
-                after.replace(name, base, 1),
-            )
-            change = describe_change(before, after)
-            changes[function, change] += 1
-            number = changes[function, change]
-            yield Mutant(
-                file=file,
-                function=function,
-                change=change if number == 1 else f"{change} [{number}]",
-                status="not run" if code == NOT_RUN else status_by_exit_code[code],
-            )
-
-
-def _report(name: str, mutants: list[Mutant]) -> bool:
-    """Print a part's figures and its survivors; whether the part is as it must be."""
-    listed = _listed(name)
-    print(
-        f"\n{name:32}{'mutants':>9}{'killed':>8}{'by time':>9}{'survived':>10}"
-        f"{'no test':>9}{'equivalent':>12}{'%':>8}"
-    )
-    files = sorted({mutant.file for mutant in mutants})
-    for file in files:
-        _print_row(file, [mutant for mutant in mutants if mutant.file == file], listed)
-    percent = _print_row("all", mutants, listed)
-    left = [mutant for mutant in mutants if not mutant.is_killed]
-    unlisted = [
-        mutant for mutant in left if (mutant.file, mutant.function, mutant.change) not in listed
-    ]
-    for mutant in unlisted:
-        if mutant.status in UNKNOWN:
-            continue
-        print(f"{mutant.file}: {mutant.function}: {mutant.change}  ({mutant.status})")
-    known = {(mutant.file, mutant.function, mutant.change) for mutant in left}
-    for file, function, change in sorted(set(listed) - known):
-        print(f"listed, but it does not survive: {file}: {function}: {change}")
-    print(
-        f"{name}: {percent:.1f} % of what is not equivalent, at least {LEAST_PERCENT:g} %; "
-        f"{len(unlisted)} unlisted"
-    )
-    return bool(mutants) and not unlisted and percent >= LEAST_PERCENT
-
-
-def _print_row(title: str, mutants: list[Mutant], listed: dict[tuple[str, str, str], str]) -> float:
-    statuses = Counter(mutant.status for mutant in mutants)
-    equivalent = sum(
-        listed.get((mutant.file, mutant.function, mutant.change)) == "equivalent"
-        and not mutant.is_killed
-        for mutant in mutants
-    )
-    killed = sum(mutant.is_killed for mutant in mutants)
-    percent = 100.0 * killed / max(1, len(mutants) - equivalent)
-    unknown = sum(statuses[status] for status in UNKNOWN)
-    print(
-        f"  {title:30}{len(mutants):9}{killed:8}{statuses['timeout']:9}{statuses['survived']:10}"
-        f"{statuses['no tests']:9}{equivalent:12}{percent:8.1f}"
-        + (f"  ({unknown} not tried)" if unknown else "")
-    )
-    return percent
-
-
-def _listed(part: str) -> dict[tuple[str, str, str], str]:
-    """Listed survivors of a part: file, function and change; "equivalent" or "accepted"."""
-    entries = tomllib.loads(_read_text(SURVIVORS)).get("survivor", [])
-    for entry in entries:
-        if entry["kind"] not in ("equivalent", "accepted") or not entry["reason"]:
-            sys.exit(
-                f"{SURVIVORS.name}: kind {entry['kind']!r} of {entry['function']} is neither, or "
-                "no reason is given."
-            )
-    return {
-        (e["file"], e["function"], e["change"]): e["kind"] for e in entries if e["part"] == part
-    }
 
 
 def _files(place: Path) -> list[Path]:

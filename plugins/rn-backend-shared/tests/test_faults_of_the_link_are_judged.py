@@ -16,7 +16,8 @@ from link_machines import impossible
 
 SCRIPT = Path(__file__).parents[3] / "benchmarks" / "bench_link_faults.py"
 sys.path.insert(0, str(SCRIPT.parent))
-from bench_link_faults import LOCAL, REMOTE, STEP_M, TAIL_AGE_S, Judge, Row, Trial  # noqa: E402
+from link_fault_judge import LOCAL, REMOTE, STEP_M, TAIL_AGE_S, Judge, Row  # noqa: E402
+from link_faults import Trial  # noqa: E402
 
 sys.path.pop(0)
 CHOSEN = (1, 15, 22)

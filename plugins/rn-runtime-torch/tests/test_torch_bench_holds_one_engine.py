@@ -16,12 +16,12 @@ def bench(monkeypatch):
     pytest.importorskip("transformers")
     spec = importlib.util.spec_from_file_location("bench_vla", BENCH)
     module = importlib.util.module_from_spec(spec)
+    monkeypatch.syspath_prepend(str(BENCH.parent))
     monkeypatch.setitem(sys.modules, "bench_vla", module)
     spec.loader.exec_module(module)
-    monkeypatch.setattr(
-        module, "SMALL", replace(module.SMALL, hidden=48, intermediate=64, layers=3, heads=2)
-    )
-    monkeypatch.setattr(module, "SMALL", replace(module.SMALL, key_value_heads=2))
+    models = sys.modules["vla_models"]
+    small = replace(models.SMALL, hidden=48, intermediate=64, layers=3, heads=2, key_value_heads=2)
+    monkeypatch.setattr(models, "SMALL", small)
     return module
 
 

@@ -1,0 +1,93 @@
+"""The parts of the safety code that tools/mutations.py changes, and the tests that must notice."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+CORE, STANDARD = "roboneuron-core/src/roboneuron", "plugins/rn-standard/src/rn_standard"
+MODULE_TESTS = ("roboneuron-core/tests/modules",)
+SUPERVISOR_TESTS = ("roboneuron-core/tests/supervisor",)
+CORE_TESTS = ("roboneuron-core/tests/gate", *MODULE_TESTS, *SUPERVISOR_TESTS)
+DIRECT_TESTS = ("plugins/rn-standard/tests/direct_path",)
+ARM_TESTS = (
+    *("plugins/rn-standard/tests/tools_arm", "plugins/rn-controller-urdf/tests"),
+    "tests/safety/test_an_arm_that_was_held_up_catches_up_nothing.py",
+    "tests/safety/test_fr3_brakes_before_its_limits.py",
+    "tests/safety/test_joint_motions_keep_clear_of_links_and_table.py",
+)
+DIRECT_ARM_TESTS = (
+    "plugins/rn-standard/tests/tools_arm",
+    "tests/safety/test_joint_motions_keep_clear_of_links_and_table.py",
+)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Part:
+    """A part of the code.
+
+    Attributes:
+        package: its folder, from the repository's root.
+        files: what is mutated, from the package; a pattern takes in what it matches.
+        tests: folders and files of tests, from the repository's root.
+        functions: of a file from which only these count, without their class.
+    """
+
+    package: str
+    files: tuple[str, ...]
+    tests: tuple[str, ...]
+    functions: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    def patterns(self) -> tuple[str, ...]:
+        """What the names of its mutants are like, for mutmut; empty for all."""
+        if not self.functions:
+            return ()
+        found = []
+        for file in self.files:
+            module = file.removesuffix(".py").replace("/", ".")
+            for function in self.functions.get(file, ("",)):
+                found.append(f"*{module}.x*{function}__mutmut_*")
+        return tuple(found)
+
+
+PARTS = {
+    "gate": Part(
+        package=CORE,
+        files=("gate/motion/*.py", "estop/latch.py", "gate/audit.py", "estop/pin.py"),
+        tests=(*CORE_TESTS, *DIRECT_TESTS, *ARM_TESTS),
+    ),
+    "modules": Part(
+        package=CORE,
+        files=("modules/holding.py", "modules/joint_watch.py", "modules/robot.py"),
+        tests=MODULE_TESTS,
+    ),
+    "control": Part(package=STANDARD, files=("control/module.py",), tests=MODULE_TESTS),
+    "supervisor": Part(
+        package=CORE,
+        files=tuple(
+            f"supervisor/{name}.py" for name in ("process", "changes", "slot", "supervisor")
+        ),
+        tests=SUPERVISOR_TESTS,
+        functions={
+            "supervisor/changes.py": ("tell", "held_s", "wait_for"),
+            "supervisor/slot.py": ("begin_stop", "settle", "cancel", "note_exit"),
+            "supervisor/supervisor.py": (
+                *("stop", "end", "cancel", "stop_all", "close"),
+                *("_finish", "_deactivate", "_settle", "_await_settled", "_beat"),
+            ),
+        },
+    ),
+    "direct-path": Part(
+        package=STANDARD,
+        files=tuple(
+            f"direct_path/{name}.py"
+            for name in (
+                *("gate", "motion_gate", "limits", "path_limits", "rate"),
+                *("arbiter", "allow_list", "speeds", "twists", "joints"),
+            )
+        ),
+        tests=(*DIRECT_TESTS, *DIRECT_ARM_TESTS),
+    ),
+}
