@@ -6,13 +6,15 @@ from __future__ import annotations
 
 import socket
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
 from rn_backend_shared.frames import HEADER_BYTES, read_header
 
-_TLS_HEADER = 5
+_TLS_HEADER, _TLS_KINDS = 5, range(20, 25)
+_MOST = 1 << 16
 Cut = Callable[[socket.socket], bytes]
 Send = Callable[["Recording", bytes], Sequence[bytes]]
 """What is sent in place of a frame, with all that was recorded of its connection."""
@@ -27,8 +29,8 @@ class Recording:
         answered: by the server.
     """
 
-    asked: list[bytes] = field(default_factory=list)
-    answered: list[bytes] = field(default_factory=list)
+    asked: deque[bytes] = field(default_factory=deque)
+    answered: deque[bytes] = field(default_factory=deque)
 
 
 def as_it_is(recording: Recording, frame: bytes) -> Sequence[bytes]:
@@ -53,8 +55,10 @@ def plain_frame(source: socket.socket) -> bytes:
 
 
 def tls_record(source: socket.socket) -> bytes:
-    """The next record of TLS. Raises OSError at the end."""
+    """The next record of TLS, or what has come that is none. Raises OSError at the end."""
     head = _whole(source, _TLS_HEADER)
+    if head[0] not in _TLS_KINDS:
+        return head + source.recv(_MOST)
     return head + _whole(source, int.from_bytes(head[3:], "big"))
 
 
@@ -64,18 +68,26 @@ class MiddleMan:
     Args:
         port: of the server on this machine.
         cut: reads the next frame of a stream.
+        listen: where clients connect; a free port of loopback by default.
+        kept: frames of each side of a connection that are recorded, the newest; None: all.
 
     Attributes:
         ask, answer: what is done with frames of clients and of the server; set from any thread.
         recordings: of all connections so far.
     """
 
-    def __init__(self, port: int, cut: Cut) -> None:
-        self._there, self._cut = port, cut
+    def __init__(
+        self,
+        port: int,
+        cut: Cut,
+        listen: tuple[str, int] = ("127.0.0.1", 0),
+        kept: int | None = None,
+    ) -> None:
+        self._there, self._cut, self._kept = port, cut, kept
         self.ask: Send = as_it_is
         self.answer: Send = as_it_is
         self.recordings: list[Recording] = []
-        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._listener = socket.create_server(listen)
         self.port: int = self._listener.getsockname()[1]
         self._ends: list[socket.socket] = [self._listener]
         threading.Thread(target=self._accept, daemon=True).start()
@@ -103,7 +115,7 @@ class MiddleMan:
                 server = socket.create_connection(("127.0.0.1", self._there), 10.0)
                 server.settimeout(None)
                 self._ends += [client, server]
-                recording = Recording()
+                recording = Recording(deque(maxlen=self._kept), deque(maxlen=self._kept))
                 self.recordings.append(recording)
                 for asks in (True, False):
                     ends = (client, server) if asks else (server, client)
