@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -225,6 +226,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     if reason := impossible():
         sys.exit(f"It {reason}.")
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that servers and machines end too
     print(f"{os.cpu_count()} CPUs, load {os.getloadavg()[0]:.1f}")
     print(
         "round trip/jitter/loss/Mbit  coding        rows in time  starved  longest gap  mode     "
@@ -239,7 +241,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(
                 f"{text:<27}  {chosen:<12} {found['share']:13.1%} {found['starved']:8} "
                 f"{found['longest_gap_ms']:9.0f} ms"
-                f"  {found['mode']:<8} {found['latency_p50_ms']:7.0f} ms {found['failed']:7}"
+                f"  {found['mode']:<8} {found['latency_p50_ms']:7.0f} ms {found['failed']:7}",
+                flush=True,
             )
             is_judged = (link.round_trip_ms, link.rate_mbit) == (JUDGED_MS, 1000.0)
             if is_judged and not link.loss_percent and found["share"] < LEAST_SHARE:
