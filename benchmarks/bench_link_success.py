@@ -28,8 +28,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bench_serve_links import TIMEOUT_S, Link, ask_there, camera_image, robot_before
+from bench_serve_links import TIMEOUT_S, ask_there, camera_image, robot_before
 from link_machines import impossible
+from slow_cable import Link
 
 from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.images import CODINGS
@@ -55,6 +56,10 @@ LINKS = (
     "20/0/0/20/raw",
     "20/0/0/5/raw",
     "20/0/0/2/raw",
+    "150/0/0/1000/png",
+    "20/0/0/20/png",
+    "20/0/0/5/png",
+    "20/0/0/2/png",
 )
 EXECUTIONS = ("sequential", "overlap")
 FIRST_SEED = 20_000

@@ -1,6 +1,7 @@
 """Sixteen robots on one policy server, one of them greedy: what each of them gets.
 
     python benchmarks/bench_serve_robots.py [--demand 0.4] [--seconds 20] [--replicas 1]
+    python benchmarks/bench_serve_robots.py --demand 1.8 --connections 50
 
 The model is small (one layer over mean colours) and takes 25 ms at least, as one on a GPU would,
 whatever else the CPU does. It is asked one by one, behind `roboneuron serve-policy` over TLS 1.3
@@ -8,6 +9,9 @@ with the keys of a link. Each robot is a backend `shared` with a connection of i
 process. Each asks `--demand` / n times as often as the model answers one alone; the greedy one
 (robot 0) asks again at once, with half the deadline. A robot plays eight rows of a quarter of its
 period: rows that were due before their answer came are late, all of a period when there was none.
+
+With `--connections` the greedy one is a client that asks over so many connections at once. Robots
+are then told apart by their addresses, in 127.0.0.0/8, and show a token in clear.
 
 Judged: none of the others gets less than 0.75 times their median; where they ask for far more than
 there is (`--demand` of 1.5 and more), the greedy one at most 1.25 times that.
@@ -18,6 +22,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import socket
 import statistics
 import subprocess
 import sys
@@ -28,18 +33,21 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from bench_serve_policy import pair, seen, started
 
 from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.case import install
+from rn_backend_shared.channel import Channel
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.processes import ask_status
 from rn_backend_shared.serve_command import name_of
+from rn_backend_shared.session import Session, greet
+from rn_backend_shared.wire import from_observation
 from rn_testing.waiting import wait_until
-from roboneuron import NotReadyError
+from roboneuron import NotReadyError, Observation
 
 MOST_SHARE, LEAST_SHARE, CROWDED = 1.25, 0.75, 1.5
 ROWS_PLAYED, ROWS = 4, 8
@@ -48,6 +56,9 @@ IN_A_PROCESS = 4
 WARM = 20
 SIDE = 64
 MISSED = "missed: "
+TOKEN = "ROBONEURON_BENCHMARK_TOKEN"
+"""Environment variable of robots with a token."""
+MOST_CONNECTIONS = 80
 
 
 @dataclass
@@ -79,18 +90,56 @@ class Robot:
         self.late_rows += min(max(int(np.ceil(over_s / step_s)), 0), ROWS_PLAYED)
 
 
+class Asker(Protocol):
+    """What a robot asks."""
+
+    def predict(self, observation: Observation) -> object:
+        """The answer; raises NotReadyError when there is none in time."""
+
+    def close(self) -> None:
+        """Hang up."""
+
+
+class Connection:
+    """A connection from an address of its own, with a token."""
+
+    def __init__(self, source: str, address: str, token: str, timeout_s: float) -> None:
+        host, _, port = address.rpartition(":")
+        connected = socket.create_connection((host, int(port)), 60.0, (source, 0))
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        channel = Channel(connected)
+        self._session = Session(channel, greet(channel, {"token": token}, 60.0))
+        self._timeout_s = timeout_s
+
+    def predict(self, observation: Observation) -> object:
+        """See `Asker`."""
+        try:
+            document = from_observation(observation)
+            return self._session.ask(document, time.monotonic() + self._timeout_s)
+        except TimeoutError as error:
+            raise NotReadyError("There is no answer in time.") from error
+
+    def close(self) -> None:
+        """See `Asker`."""
+        self._session.close()
+
+
+def asker_of(robot: Robot, address: str, timeout_s: float) -> Asker:
+    """What a robot asks its questions with."""
+    if token := os.environ.get(TOKEN):
+        return Connection(f"127.0.1.{robot.name + 1}", address, token, timeout_s)
+    options = SharedOptions(
+        address=address, coding="raw", timeout_s=timeout_s, start_timeout_s=60.0
+    )
+    backend = SharedBackend(options)
+    backend.load()
+    return backend
+
+
 def drive(robot: Robot, address: str, period_s: float, begin_s: float, seconds: float) -> None:
     """Ask as this robot does, from the monotonic time `begin_s` on."""
     is_greedy = robot.name == 0
-    backend = SharedBackend(
-        SharedOptions(
-            address=address,
-            coding="raw",
-            timeout_s=period_s * (1.0 if is_greedy else 2.0),
-            start_timeout_s=60.0,
-        )
-    )
-    backend.load()
+    backend = asker_of(robot, address, period_s * (1.0 if is_greedy else 2.0))
     observation = seen(SIDE)
     next_s = begin_s + period_s * robot.name / 16
     end_s = begin_s + seconds
@@ -133,11 +182,12 @@ def drive_some(words: Sequence[str]) -> None:
     print(json.dumps([asdict(robot) for robot in robots]))
 
 
-def serve(stack: ExitStack, folder: Path, path: str, replicas: int) -> str:
+def serve(stack: ExitStack, folder: Path, path: str, replicas: int, *, by_token: bool) -> str:
     """Start the server, and return its address."""
     config = folder / "policies.toml"
+    keys = f'keys = "token"\ntoken_file = "{folder / "token"}"\n' if by_token else ""
     config.write_text(
-        f'[listen]\nport = 0\ndirectory = "{folder / "run"}"\n[models.tiny]\n'
+        f'[listen]\nport = 0\nrobots = 100\ndirectory = "{folder / "run"}"\n{keys}[models.tiny]\n'
         f'backend = "reflex"\nmost = 1\nreplicas = {replicas}\n'
         "options = { took_s = 0.025, rows = 8 }\n"
     )
@@ -162,8 +212,7 @@ def serve(stack: ExitStack, folder: Path, path: str, replicas: int) -> str:
 def forward_s(address: str) -> float:
     """How long the server takes for one robot that asks alone [s], in the median."""
     alone = Robot(1)
-    backend = SharedBackend(SharedOptions(address=address, coding="raw", timeout_s=30.0))
-    backend.load()
+    backend = asker_of(alone, address, 30.0)
     observation = seen(SIDE)
     for _ in range(3 * WARM):
         begun_s = time.monotonic()
@@ -171,6 +220,18 @@ def forward_s(address: str) -> float:
         alone.took_s.append(time.monotonic() - begun_s)
     backend.close()
     return statistics.median(alone.took_s[WARM:])
+
+
+def together(robots: Sequence[Robot]) -> list[Robot]:
+    """What each was answered over all its connections."""
+    found: dict[int, Robot] = {}
+    for robot in robots:
+        one = found.setdefault(robot.name, Robot(robot.name))
+        one.took_s += robot.took_s
+        one.refused += robot.refused
+        one.late_rows += robot.late_rows
+        one.rows += robot.rows
+    return [found[name] for name in sorted(found)]
 
 
 def table(robots: Sequence[Robot]) -> str:
@@ -197,11 +258,16 @@ def main() -> int:
     parser.add_argument("--robots", type=int, default=16)
     parser.add_argument("--replicas", type=int, default=1)
     parser.add_argument("--demand", type=float, default=0.4)
+    parser.add_argument(
+        "--connections", type=int, default=0, help="of the greedy one, told apart by address"
+    )
     parser.add_argument("--drive", nargs=5, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.drive:
         drive_some(given.drive)
         return 0
+    if not 0 <= given.connections <= MOST_CONNECTIONS:
+        parser.error(f"--connections {given.connections}: expected 0 to {MOST_CONNECTIONS}")
     load = os.getloadavg()[0]
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
@@ -209,12 +275,15 @@ def main() -> int:
         path = os.pathsep.join(filter(None, (str(folder / "site"), os.environ.get("PYTHONPATH"))))
         pair(folder)
         os.environ["XDG_STATE_HOME"] = str(folder / "robot")
-        address = serve(stack, folder, path, given.replicas)
+        address = serve(stack, folder, path, given.replicas, by_token=bool(given.connections))
+        if given.connections:
+            os.environ[TOKEN] = (folder / "token").read_text().strip()
         alone_s = forward_s(address)
         period_s = alone_s * given.robots / given.demand / given.replicas
         begin_s = time.monotonic() + 15.0
-        names = list(range(given.robots))
-        groups = [names[i : i + IN_A_PROCESS] for i in range(0, len(names), IN_A_PROCESS)]
+        names = [0] * max(given.connections - 1, 0) + list(range(given.robots))
+        size = max(IN_A_PROCESS, len(names) // IN_A_PROCESS)
+        groups = [names[i : i + size] for i in range(0, len(names), size)]
         processes = [
             started(
                 stack,
@@ -230,6 +299,7 @@ def main() -> int:
         for process in processes:
             said, _ = process.communicate(timeout=given.seconds + 120.0)
             robots += [Robot(**one) for one in json.loads(said)]
+        robots = together(robots)
         print(
             f"{given.robots} robots, {given.replicas} replicas, {given.seconds:g} s, load "
             f"{load:.1f}; alone {alone_s * 1e3:.1f} ms, period {period_s * 1e3:.0f} ms"

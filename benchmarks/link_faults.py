@@ -37,8 +37,11 @@ SPOILT = (
     "swallowed",
     "handshake without a word",
     "garbage before the handshake",
+    "answers' records twice",
+    "requests' records twice",
+    "an old record again",
 )
-HARMLESS = ("replayed before the answer", "answered twice")
+HARMLESS = ("answered twice",)
 """The right answer comes too: what is spoilt must only not be executed."""
 
 

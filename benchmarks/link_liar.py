@@ -1,5 +1,6 @@
 """Stands before a policy server with the server's own keys, and spoils what it answers, as the file
-FOLDER/liar says; each time a byte is added to FOLDER/lied.
+FOLDER/liar says; each time a byte is added to FOLDER/lied. Before that stands a man in the middle
+without keys, who sends records of TLS again.
 
     python link_liar.py FOLDER STATE-OF-THE-SERVER STATE-OF-THE-ROBOT ADDRESS-OF-THE-SERVER
 """
@@ -15,14 +16,24 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+
+sys.path.append(str(Path(__file__).parents[1] / "plugins" / "rn-backend-shared" / "tests"))
+
+from middle_man import MiddleMan, Recording, tls_record
 
 from rn_link.machine import Machine, read_machine
 from rn_link.tls import tls_context
 
 HEADER = struct.Struct("!4sBBHQQIII")
 ANSWER = 4
+KEPT = 8
+"""Records of each side of a connection that the man in the middle keeps."""
 HELD_S, DRIP_S = 2.0, 0.02
+RECORDS = ("answers' records twice", "requests' records twice", "an old record again")
+"""What the man in the middle does."""
 OLDER = 3
 """So many answers back is the one that is sent again."""
 
@@ -52,7 +63,7 @@ class Liar:
     def pass_on(self, frame: bytes, robot: ssl.SSLSocket) -> None:
         """Send an answer, or something else."""
         mode, older = self.mode(), self._answers[0] if self._answers else None
-        if mode == "":
+        if mode in ("", *RECORDS):
             self._answers.append(frame)  # kept from before the fault
             robot.sendall(frame)
             return
@@ -81,6 +92,19 @@ class Liar:
             robot.sendall(frame[:28] + b"\xff" * 8 + frame[36:])
         elif mode not in ("swallowed", "handshake without a word", "garbage before the handshake"):
             raise ValueError(mode)
+
+
+def replayed(liar: Liar, recording: Recording, record: bytes, *, asks: bool) -> Sequence[bytes]:
+    """What the man in the middle sends for a record."""
+    mode = liar.mode()
+    before = recording.asked if asks else recording.answered
+    if mode == ("requests' records twice" if asks else "answers' records twice"):
+        liar.note()
+        return (record, record)
+    if mode == "an old record again" and not asks and before:
+        liar.note()
+        return (before[-1], record)
+    return (record,)
 
 
 def whole(source: ssl.SSLSocket, count: int) -> bytes:
@@ -142,7 +166,10 @@ def main(folder: str, there: str, here: str, address: str) -> None:
     """Serve until it is killed."""
     liar = Liar(Path(folder))
     contexts = (context_of(Path(there), "robot"), context_of(Path(here), "gpu"))
-    with socket.create_server(("0.0.0.0", 7420)) as listener:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        man = MiddleMan(listener.getsockname()[1], tls_record, ("0.0.0.0", 7420), KEPT)
+        man.ask = partial(replayed, liar, asks=True)
+        man.answer = partial(replayed, liar, asks=False)
         while True:
             raw, _ = listener.accept()
             words = (raw, liar, contexts, address)

@@ -97,6 +97,25 @@ def test_two_cameras_are_sent_and_a_missing_one_is_refused(
     backend.close()
 
 
+def test_an_answer_that_nobody_asked_for_is_not_taken_for_the_next(
+    policy_server: Any, backend: OpenpiBackend, observe: Observe
+) -> None:
+    good = policy_server.answer
+    backend.predict(observe())
+    again = policy_server.answer({})
+    policy_server.connection.send(policy_server._packed(again))
+    deadline_s = time.monotonic() + SLACK_S
+    while True:  # it is on its way for a moment, and an answer to none of these
+        try:
+            backend.predict(observe())
+        except NotReadyError as error:
+            assert "nobody has asked for" in str(error)  # noqa: PT017
+            break
+        assert time.monotonic() < deadline_s
+    policy_server.answer = good
+    _recovers(backend, observe())
+
+
 def test_a_server_that_dies_mid_request_is_reported_and_found_again(
     policy_server: Any, backend: OpenpiBackend, observe: Observe
 ) -> None:

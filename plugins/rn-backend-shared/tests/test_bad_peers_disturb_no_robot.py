@@ -71,13 +71,14 @@ def test_a_peer_of_another_version_is_told_both(serve: Serve, robot: Robot, tmp_
     assert f"version {VERSION}:".encode() in heard
 
 
-def admitted(port: int, token: Path) -> tuple[socket.socket, Channel]:
-    """A robot that does as it likes."""
+def admitted(port: int, token: Path) -> tuple[socket.socket, Channel, int]:
+    """A robot that does as it likes, and the number of its first request."""
     raw = socket.create_connection(("127.0.0.1", port), 20.0)
     channel = Channel(raw)
     channel.send(Header(Kind.HELLO), {"token": token.read_text().strip()}, 10.0)
-    assert channel.receive(time.monotonic() + 10.0).document()["state"] == "ready"
-    return raw, channel
+    told = channel.receive(time.monotonic() + 10.0)
+    assert told.document()["state"] == "ready"
+    return raw, channel, told.header.number + 1
 
 
 def test_robots_that_send_nonsense_are_left_without_harm(
@@ -88,25 +89,25 @@ def test_robots_that_send_nonsense_are_left_without_harm(
     one = robot(server.address, token_file=str(token))
     port = server.port
     for nonsense in (
-        b"\xff" * HEADER_BYTES,
-        Header(Kind.REQUEST, 0).pack(),
-        Header(Kind.ANSWER, 1).pack(),
-        Header(Kind.STATUS).pack(),
-        Header(Kind.REQUEST, 1, array_bytes=(1 << 25) + 1).pack(),
-        Header(Kind.REQUEST, 1, document_bytes=1 << 18).pack() + b"[",
+        lambda first: b"\xff" * HEADER_BYTES,
+        lambda first: Header(Kind.REQUEST, first - 1).pack(),
+        lambda first: Header(Kind.ANSWER, first).pack(),
+        lambda first: Header(Kind.STATUS).pack(),
+        lambda first: Header(Kind.REQUEST, first, array_bytes=(1 << 25) + 1).pack(),
+        lambda first: Header(Kind.REQUEST, first, document_bytes=1 << 18).pack() + b"[",
     ):
-        raw, channel = admitted(port, token)
-        raw.sendall(nonsense)
+        raw, channel, first = admitted(port, token)
+        raw.sendall(nonsense(first))
         raw.shutdown(socket.SHUT_WR)
         with suppress(OSError):
             while raw.recv(4096):
                 pass
         channel.close()
-    raw, channel = admitted(port, token)
-    for number in (5, 5):  # the second one is repeated
+    raw, channel, first = admitted(port, token)
+    for number in (first, first):  # the second one is repeated
         channel.send(Header(Kind.REQUEST, number, 0, 5.0), {"observation": {}}, 5.0)
     told = channel.receive(time.monotonic() + 10.0)
-    assert told.header.number == 5
+    assert told.header.number == first
     assert told.document()["error"] == "invalid_input"
     with pytest.raises(OSError, match="closed"):
         channel.receive(time.monotonic() + 10.0)
@@ -191,10 +192,10 @@ def test_a_robot_is_told_when_there_is_no_model(front: PolicyServer, tmp_path: P
     channel = Channel(socket.create_connection(("127.0.0.1", front.port), 20.0))
     token = (tmp_path / "token").read_text().strip()
     channel.send(Header(Kind.HELLO), {"token": token}, 10.0)
-    channel.receive(time.monotonic() + 10.0)
-    channel.send(Header(Kind.REQUEST, 1, 77, 5.0), {"observation": {}}, 5.0)
+    first = channel.receive(time.monotonic() + 10.0).header.number + 1
+    channel.send(Header(Kind.REQUEST, first, 77, 5.0), {"observation": {}}, 5.0)
     told = channel.receive(time.monotonic() + 10.0)
-    assert (told.header.number, told.header.clock_ns) == (1, 77)
+    assert (told.header.number, told.header.clock_ns) == (first, 77)
     assert told.document()["error"] == "not_ready"
     channel.close()
     assert front.status()["models"]["only"]["lost"] == 1

@@ -33,6 +33,8 @@ class Robot:
     answered: int = 0
     refused: int = 0
     longest_s: float = 0.0
+    client: str = ""
+    """Of which it is one connection; of its own when empty."""
 
 
 class Cell:
@@ -65,7 +67,13 @@ class Cell:
         deadline_s = self.now_s + robot.within_s
         try:
             self.batcher.submit(
-                Waiting(observation=seen, deadline_s=deadline_s, tell=tell, client=robot)
+                Waiting(
+                    observation=seen,
+                    deadline_s=deadline_s,
+                    tell=tell,
+                    client=robot.client or robot,
+                    connection=robot,
+                )
             )
         except NotReadyError:
             robot.open -= 1
@@ -116,6 +124,33 @@ def test_a_greedy_robot_gets_no_more_than_its_share(
     assert max(robot.longest_s for robot in cell.robots[1:]) < 1.5 + took_s
 
 
+@pytest.mark.parametrize("within_s", [0.3, 1.5], ids=["short-deadlines", "as-the-others"])
+@pytest.mark.parametrize(("most", "took_s"), [(1, 0.05), (4, 0.2)])
+def test_a_client_with_fifty_connections_gets_the_share_of_one(
+    within_s: float, most: int, took_s: float
+) -> None:
+    many = [Robot(100 + n, 0.0, within_s, client="many") for n in range(50)]
+    others = [Robot(name, 0.1, 1.5, most=2) for name in range(5)]
+    cell = Cell([*many, *others], took_s, most, waiting=64)
+    shares = cell.run(LOOP_S)
+    fair = 1.0 / 6
+    assert sum(shares[:50]) < 1.1 * fair
+    assert min(shares[50:]) > 0.9 * fair
+    assert max(robot.longest_s for robot in others) < 1.5 + took_s
+
+
+def test_connections_of_one_client_share_alike() -> None:
+    alike = [Robot(n, 0.0, 3.0, client="one") for n in range(9)]
+    greedy = Robot(9, 0.0, 0.5, most=5, client="one")
+    other = Robot(10, 0.0, 3.0)
+    cell = Cell([greedy, *alike, other], 0.05, 1, waiting=32)
+    cell.run(LOOP_S)
+    counts = [robot.answered for robot in alike]
+    assert max(counts) - min(counts) <= 1
+    assert greedy.answered <= max(counts) + 1
+    assert other.answered == pytest.approx(sum(counts) + greedy.answered, abs=2)
+
+
 def test_what_nobody_else_wants_a_greedy_robot_may_have() -> None:
     greedy = Robot(0, 0.0, 1.5, most=GREEDY)
     cell = Cell([greedy, Robot(1, 2.0, 1.5)], 0.05, 1, waiting=32)
@@ -157,6 +192,21 @@ def test_a_full_queue_gives_up_what_is_latest_of_the_client_with_most() -> None:
     assert (greedy.open, greedy.refused, other.open) == (2, 2, 1)
     cell.batcher.close()
     assert other.refused == 1
+
+
+def test_a_full_queue_gives_up_what_is_latest_of_the_connection_with_most() -> None:
+    cell = Cell([], 0.05, 1, waiting=4)
+    greedy = Robot(0, 0.0, 1.0, client="one")
+    second, other = Robot(1, 0.0, 1.0, client="one"), Robot(2, 0.0, 1.0)
+    for robot in (greedy, greedy, greedy, second):
+        cell.ask(robot)
+    cell.ask(second)  # as many as the other connection has without its latest
+    assert (greedy.open, second.open) == (2, 2)
+    cell.ask(second)
+    assert (greedy.open, second.open, second.refused) == (2, 2, 1)
+    cell.ask(other)
+    assert (greedy.open + second.open, other.open) == (3, 1)
+    cell.batcher.close()
 
 
 def test_the_deadline_of_one_robot_shrinks_no_batch_but_its_own() -> None:

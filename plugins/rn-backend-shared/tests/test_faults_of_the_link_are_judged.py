@@ -20,8 +20,10 @@ from link_fault_judge import LOCAL, REMOTE, STEP_M, TAIL_AGE_S, Judge, Row  # no
 from link_faults import Trial  # noqa: E402
 
 sys.path.pop(0)
-CHOSEN = (1, 15, 22)
-"""A replayed answer, garbage beside a fallback, a killed server beside a fallback."""
+CHOSEN = (1, 15, 22, 49)
+"""A replayed answer, garbage beside a fallback, a killed server beside a fallback, and records of
+requests that a man in the middle sends twice.
+"""
 
 
 @pytest.mark.ros
@@ -33,6 +35,7 @@ def test_an_arm_keeps_its_bounds_whatever_becomes_of_its_remote_policy(tmp_path:
         "replayed answer",
         "garbage",
         "server killed",
+        "requests' records twice",
     ]
     words = ["--only", *map(str, CHOSEN), "--out", str(tmp_path)]
     done = subprocess.run(

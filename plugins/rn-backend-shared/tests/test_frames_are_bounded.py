@@ -292,50 +292,71 @@ def answer_to(header: Header, first: float = 0.0, **changed: int) -> list[bytes 
     return encode(answer, from_answer(ActionChunk(actions=rows, step_s=0.1)))
 
 
-def test_answers_that_are_late_repeated_or_nobodys_are_dropped(
-    ends: tuple[Channel, Channel],
-) -> None:
+def test_late_answers_are_dropped(ends: tuple[Channel, Channel]) -> None:
     here, there = ends
     session = Session(here, Welcome(state=READY, pid=1))
+    request = from_observation(SMALL)
+    late = []
+    for _ in range(2):
+        with pytest.raises(TimeoutError):
+            session.ask(request, time.monotonic() + 0.01)
+        late.append(there.receive(time.monotonic() + 10.0).header)
+
+    def serve() -> None:
+        asked = there.receive(time.monotonic() + 10.0).header
+        for parts in (answer_to(late[1], 0.1), answer_to(asked, 0.4), answer_to(late[0], 0.2)):
+            there.send_parts(parts, 10.0)
+        asked = there.receive(time.monotonic() + 10.0).header
+        there.send_parts(answer_to(asked, 0.5), 10.0)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    for first in (0.4, 0.5):
+        assert session.ask(request, time.monotonic() + 10.0).actions[0, 0] == first
+    thread.join(10.0)
+
+
+@pytest.mark.parametrize("changed", ["late twice", "number", "clock", "answered"])
+def test_answers_that_nobody_waits_for_end_the_connection(
+    ends: tuple[Channel, Channel], changed: str
+) -> None:
+    here, there = ends
+    session = Session(here, Welcome(state=READY, pid=1, number=1 << 60))
     request = from_observation(SMALL)
     with pytest.raises(TimeoutError):
         session.ask(request, time.monotonic() + 0.01)
     late = there.receive(time.monotonic() + 10.0).header
+    assert late.number == (1 << 60) + 1
 
     def serve() -> None:
         asked = there.receive(time.monotonic() + 10.0).header
-        for parts in (
-            answer_to(late, 0.1),
-            answer_to(late, 0.1),
-            answer_to(asked, 0.2, number=asked.number + 1),
-            answer_to(asked, 0.3, clock_ns=late.clock_ns),
-            answer_to(asked, 0.4),
-            answer_to(asked, 0.5),
-        ):
+        first = {
+            "late twice": [answer_to(late), answer_to(late)],
+            "number": [answer_to(asked, number=asked.number + 1)],
+            "clock": [answer_to(asked, clock_ns=late.clock_ns)],
+            "answered": [answer_to(late), answer_to(asked), answer_to(asked)],
+        }[changed]
+        for parts in (*first, answer_to(asked)):
             there.send_parts(parts, 10.0)
 
-    for _ in range(2):
-        thread = threading.Thread(target=serve)
-        thread.start()
-        assert session.ask(request, time.monotonic() + 10.0).actions[0, 0] == 0.4
-        thread.join(10.0)
+    thread = threading.Thread(target=serve)
+    thread.start()
+    if changed == "answered":
+        session.ask(request, time.monotonic() + 10.0)
+    with pytest.raises(FrameError, match="was replayed"):
+        session.ask(request, time.monotonic() + 10.0)
+    thread.join(10.0)
 
 
-def test_a_server_that_floods_with_answers_is_left(ends: tuple[Channel, Channel]) -> None:
+def test_a_server_that_leaves_questions_open_is_left(ends: tuple[Channel, Channel]) -> None:
     here, there = ends
     session = Session(here, Welcome(state=READY, pid=1))
-
-    def flood() -> None:
-        with suppress(OSError):
-            for number in range(100, 200):
-                there.send_parts(answer_to(Header(Kind.REQUEST, number)), 10.0)
-
-    thread = threading.Thread(target=flood)
-    thread.start()
-    with pytest.raises(FrameError, match="nobody asked for"):
-        session.ask(from_observation(SMALL), time.monotonic() + 10.0)
-    session.close()
-    thread.join(20.0)
+    for _ in range(64):
+        with pytest.raises(TimeoutError):
+            session.ask({}, time.monotonic() + 0.001)
+        there.receive(time.monotonic() + 10.0)
+    with pytest.raises(FrameError, match="64 questions without an answer"):
+        session.ask({}, time.monotonic() + 1.0)
 
 
 def test_time_left_is_told_and_not_a_time_of_day(ends: tuple[Channel, Channel]) -> None:

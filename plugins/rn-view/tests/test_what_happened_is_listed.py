@@ -12,7 +12,7 @@ from mcp.server import Server
 
 from rn_view.event_list import AuditReader, EventList, ToolCalls, add_record
 from rn_view.markup import event_rows, modules_table, stop_text
-from rn_view.source import ModuleRow, PageState
+from rn_view.source import ModuleRow, PageState, said_of
 
 
 def calls(result):
@@ -117,6 +117,16 @@ def test_a_refusal_is_shown_as_bad():
     events = EventList()
     add_record(events, record(1))
     assert events.newest(1)[0].is_bad
+
+
+def test_where_the_time_of_a_remote_policy_goes_is_said():
+    parts = {"round_trip": "81.4", "link": "60.2", "queue": "0.7", "model": "20.5"}
+    metrics = {f"backend.shared.{part}_ms": value for part, value in parts.items()}
+    said = "round trip 81 ms: link 60, queue 1, model 20"
+    assert said_of("", metrics) == said
+    assert said_of("plays", metrics) == f"plays; {said}"
+    assert said_of("plays", {}) == "plays"
+    assert said_of("plays", metrics | {"backend.shared.link_ms": "?"}) == "plays"
 
 
 def test_what_somebody_said_never_becomes_html():

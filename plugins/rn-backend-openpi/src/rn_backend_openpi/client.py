@@ -150,6 +150,7 @@ class PolicyClient:
         """One frame there and one back. Raises TimeoutError when that takes longer."""
         deadline_s = time.monotonic() + timeout_s
         late = threading.Event()
+        self._check_silent(connection)
         try:
             with _shut_after(connection.socket, timeout_s, late):
                 connection.send(pack(request))
@@ -158,6 +159,14 @@ class PolicyClient:
                 raise TimeoutError("the server does not read") from error
             raise
         return connection.recv(timeout=max(0.0, deadline_s - time.monotonic()))
+
+    def _check_silent(self, connection: Connection) -> None:
+        """Raise ConnectionError when an answer is there before it is asked for: openpi's answers
+        have no number, it would be taken for the next one.
+        """
+        with suppress(TimeoutError):
+            connection.recv(timeout=0)
+            raise ConnectionAbortedError("the server sent an answer that nobody has asked for")
 
     def _attempt(self, timeout_s: float) -> dict[object, object]:
         deadline_s = time.monotonic() + timeout_s

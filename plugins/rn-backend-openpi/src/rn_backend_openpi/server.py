@@ -25,7 +25,9 @@ from rn_backend_openpi.key import is_loopback, read_key
 from rn_backend_openpi.server_options import ServerOptions
 from rn_backend_openpi.serving import Question, ServedPolicy
 from rn_backend_openpi.wire import MOST_BYTES, Value, pack
+from rn_backend_shared.admission import crowded
 from rn_backend_shared.batching import Answer
+from rn_backend_shared.security import client_of
 from roboneuron import (
     ConfigurationError,
     InvalidInputError,
@@ -60,7 +62,7 @@ class OpenpiServer:
     def __init__(self, policy: ServedPolicy, options: ServerOptions, key: str | None) -> None:
         self._policy, self._options, self._key = policy, options, key
         self._connections: dict[_Connection, None] = {}
-        self._clients: set[_Connection] = set()
+        self._clients: dict[_Connection, None] = {}
         policy.clients = lambda: max(1, len(self._clients))
 
     async def open(self, host: str, port: int, tls: ssl.SSLContext | None) -> Server:
@@ -98,7 +100,7 @@ class OpenpiServer:
     def left(self, connection: _Connection) -> None:
         """It is gone."""
         self._connections.pop(connection, None)
-        self._clients.discard(connection)
+        self._clients.pop(connection, None)
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
         """Answer a probe, or refuse a client; None to go on."""
@@ -106,11 +108,24 @@ class OpenpiServer:
             return connection.respond(HTTPStatus.OK, "OK\n")
         if self._key is not None and not self._is_key(request.headers.get_all("Authorization")):
             return connection.respond(HTTPStatus.UNAUTHORIZED, "")
-        if len(self._clients) >= self._options.clients:
-            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "")
         assert isinstance(connection, _Connection)
-        self._clients.add(connection)
+        if len(self._clients) >= self._options.clients and not self._make_place(connection.client):
+            return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, "")
+        self._clients[connection] = None
         return None
+
+    def _make_place(self, client: str) -> bool:
+        """Hang up on the newest connection of the client with most of them, if that keeps more than
+        this one has then; whether there was one.
+        """
+        greedy = crowded(client, [connection.client for connection in self._clients])
+        if greedy is None:
+            return False
+        newest = next(one for one in reversed(self._clients) if one.client == greedy)
+        log.warning("%s has most of the connections; the newest gives way.", greedy)
+        self.left(newest)
+        newest.transport.abort()
+        return True
 
     def _is_key(self, given: Sequence[str]) -> bool:
         """Whether these headers hold the key; takes equally long whatever they hold."""
@@ -149,7 +164,7 @@ class OpenpiServer:
             if question is None:
                 await self._send(connection, pack({"status": "reset successful"}))
                 continue
-            reply = await self._answer(question)
+            reply = await self._answer(question, connection)
             timing: dict[str, float] = {"infer_ms": (loop.time() - began_s) * 1e3}
             if previous_ms is not None:
                 timing["prev_total_ms"] = previous_ms
@@ -157,7 +172,7 @@ class OpenpiServer:
             await self._send(connection, pack(reply))
             previous_ms = (loop.time() - began_s) * 1e3
 
-    async def _answer(self, question: Question) -> dict[str, Value]:
+    async def _answer(self, question: Question, connection: ServerConnection) -> dict[str, Value]:
         """The reply to a question; raises RoboNeuronError as the backend does."""
         loop = asyncio.get_running_loop()
         told: asyncio.Future[Answer] = loop.create_future()
@@ -170,7 +185,8 @@ class OpenpiServer:
             with suppress(RuntimeError):  # the server has ended: nobody waits for it any more
                 loop.call_soon_threadsafe(settle, answer)
 
-        self._policy.submit(question, tell)
+        assert isinstance(connection, _Connection)
+        self._policy.submit(question, tell, client=connection.client, connection=connection)
         try:
             answer = await asyncio.wait_for(told, question.left_s + _GRACE_S)
         except TimeoutError as error:
@@ -204,11 +220,14 @@ class _Connection(ServerConnection):
 
     Attributes:
         owner: whose it is; each server has a class of its own.
+        client: who is at the other end, by the address; all clients show the same key.
     """
 
     owner: ClassVar[OpenpiServer]
+    client = ""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.client = client_of(str(transport.get_extra_info("peername", ("",))[0]))
         self.owner.entered(self)
         super().connection_made(transport)
 

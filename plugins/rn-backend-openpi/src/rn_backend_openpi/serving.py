@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, cast
 
@@ -161,8 +161,21 @@ class ServedPolicy:
             raise InvalidInputError(f"{TIME_LEFT} is {left_s!r}, expected seconds.")
         return Question(observation=observation, left_s=min(float(left_s), most_s))
 
-    def submit(self, question: Question, tell: Callable[[Answer], object]) -> None:
+    def submit(
+        self,
+        question: Question,
+        tell: Callable[[Answer], object],
+        *,
+        client: Hashable = None,
+        connection: object = None,
+    ) -> None:
         """Have a question answered; `tell` is called once, on the model's thread.
+
+        Args:
+            question: decoded.
+            tell: is told the answer.
+            client: see `Waiting`.
+            connection: likewise.
 
         Raises:
             NotReadyError: too many wait already.
@@ -172,7 +185,13 @@ class ServedPolicy:
             raise PluginError("The served model is not loaded.")
         deadline_s = time.monotonic() + question.left_s
         self._batcher.submit(
-            Waiting(observation=question.observation, deadline_s=deadline_s, tell=tell)
+            Waiting(
+                observation=question.observation,
+                deadline_s=deadline_s,
+                tell=tell,
+                client=client,
+                connection=connection,
+            )
         )
 
     def reply(self, answer: Answer, question: Question) -> dict[str, Value]:

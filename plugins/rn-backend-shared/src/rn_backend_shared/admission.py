@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import threading
 import time
 from collections import Counter
+from collections.abc import Sequence
 from typing import Protocol
 
 from roboneuron import ConfigurationError
+
+log = logging.getLogger(__name__)
 
 
 class Connection(Protocol):
@@ -15,9 +19,11 @@ class Connection(Protocol):
 
     Attributes:
         address: of its other end.
+        client: whose it is; all connections of one get one share.
     """
 
     address: str
+    client: str
 
     def interrupt(self) -> None:
         """End it, from any thread."""
@@ -34,7 +40,7 @@ class AdmissionTable:
         self._most_robots = most_robots
         self._lock = threading.Lock()
         self._unknown: dict[Connection, float] = {}
-        self._robots: set[Connection] = set()
+        self._robots: dict[Connection, None] = {}
         self._refused = 0
         self._newest_refusal = ""
 
@@ -55,28 +61,42 @@ class AdmissionTable:
             self._unknown[connection] = time.monotonic()
 
     def admit(self, connection: Connection) -> None:
-        """It is a robot's from now on.
+        """It is a robot's from now on. When there are too many, the newest of the client with most
+        of them gives way, if that keeps more than the new one's then.
 
         Raises:
             ConfigurationError: there are too many robots.
             ConnectionError: it has taken too long.
         """
         with self._lock:
-            if len(self._robots) >= self._most_robots:
-                raise ConfigurationError(
-                    f"{len(self._robots)} robots are connected to this server; no more are taken.",
-                    hint="Raise `robots` in its [listen].",
-                )
+            given_up = self._given_up(connection.client)
             if self._unknown.pop(connection, None) is None:
                 raise ConnectionError("it has taken too long")
-            self._robots.add(connection)
+            self._robots[connection] = None
+            if given_up is not None:
+                del self._robots[given_up]
+        if given_up is not None:
+            log.warning("%s has most of the robots; its newest gives way.", given_up.address)
+            given_up.interrupt()
+
+    def _given_up(self, client: str) -> Connection | None:
+        """What gives way to a new robot of a client; None while there are not too many."""
+        if len(self._robots) < self._most_robots:
+            return None
+        greedy = crowded(client, [robot.client for robot in self._robots])
+        if greedy is None:
+            raise ConfigurationError(
+                f"{len(self._robots)} robots are connected to this server; no more are taken.",
+                hint="Raise `robots` in its [listen].",
+            )
+        return next(robot for robot in reversed(self._robots) if robot.client == greedy)
 
     def leave(self, connection: Connection, why: str) -> bool:
         """It is gone; whether it was a robot's."""
         with self._lock:
             self._unknown.pop(connection, None)
             is_robot = connection in self._robots
-            self._robots.discard(connection)
+            self._robots.pop(connection, None)
         if not is_robot:
             self.note_refusal(connection.address, why)
         return is_robot
@@ -114,3 +134,16 @@ class AdmissionTable:
             connection = next(one for one in self._unknown if one.address == address)
             del self._unknown[connection]
         connection.interrupt()
+
+
+def crowded(client: str, clients: Sequence[str]) -> str | None:
+    """The client with so many connections that it has more than `client` when one of them is taken
+    from it and given to that; None when nobody has.
+
+    Args:
+        client: who wants one more.
+        clients: whose the connections are.
+    """
+    counts = Counter(clients)
+    greedy, most = counts.most_common(1)[0]
+    return greedy if most - 1 > counts[client] else None

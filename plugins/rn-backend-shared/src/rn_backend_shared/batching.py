@@ -1,5 +1,6 @@
-"""What waits for the model: a fair share for each client, the earliest deadline first among those
-who have had as much, as many at once as can be answered in time.
+"""What waits for the model: a fair share for each client, and in it for each of its connections;
+the earliest deadline first among those who have had as much, as many at once as can be answered in
+time.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ import logging
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from roboneuron import ActionChunk, NotReadyError, Observation, PluginError, RoboNeuronError
@@ -32,57 +33,104 @@ class Waiting:
         observation: what is seen.
         deadline_s: monotonic time after which nobody wants the answer [s].
         tell: called with the answer, once, on the thread of the model; must not block for long.
-        client: who asks; compared by identity. All that waits for one client shares one turn.
+        client: who asks, by its key or address: all its connections together get one share.
+        connection: of the client, compared by identity; each gets an equal part of that share.
         since_s: monotonic time since which it waits [s]; set by `Batcher.submit`.
     """
 
     observation: Observation
     deadline_s: float
     tell: Callable[[Answer], object]
-    client: object = None
+    client: Hashable = None
+    connection: object = None
     since_s: float = 0.0
 
 
 class Turns:
-    """How much each client has had: start-time fair queueing with a cost of one for each answer.
+    """How much each of several queues has had: start-time fair queueing with a cost of one for each
+    answer.
 
-    A client's next turn is one after its last, but never before the turn that was served last:
-    who was silent gains nothing by it, and who asks more often than others comes after them.
+    A queue's next turn is one after its last, but never before the turn that was served last: who
+    was silent gains nothing by it, and who asks more often than others comes after them.
     Source: Goyal, Vin, Cheng: Start-time Fair Queueing (1996).
     """
 
     def __init__(self) -> None:
         self._now = 0
-        self._next: dict[int, int] = {}
+        self._next: dict[Hashable, int] = {}
+
+    def order(self, queues: Mapping[Hashable, Sequence[Waiting]]) -> list[Waiting]:
+        """All that waits; what is in one queue stays in its order."""
+        keys = [
+            (self._turn(name) + place, one.deadline_s, one)
+            for name, queue in queues.items()
+            for place, one in enumerate(queue)
+        ]
+        return [one for *_, one in sorted(keys, key=lambda key: key[:2])]
+
+    def note(self, served: Sequence[Hashable]) -> None:
+        """Count an answer for each of these queues."""
+        turns = []
+        for name in served:
+            turns.append(self._turn(name))
+            self._next[name] = turns[-1] + 1
+        self._now = max([self._now, *turns])
+        self._next = {name: turn for name, turn in self._next.items() if turn > self._now}
+
+    def _turn(self, name: Hashable) -> int:
+        return max(self._next.get(name, 0), self._now)
+
+
+class Shares:
+    """Turns of clients, and of the connections of each."""
+
+    def __init__(self) -> None:
+        self._clients = Turns()
+        self._connections: dict[Hashable, Turns] = {}
 
     def order(self, waiting: Sequence[Waiting], most: int) -> list[Waiting]:
         """The first `most` of what waits, in their order."""
-        queues: dict[int, list[Waiting]] = {}
-        for one in sorted(waiting, key=lambda one: one.deadline_s):
-            queues.setdefault(id(one.client), []).append(one)
-        keys = [
-            (self._turn(client) + place, one.deadline_s, one)
-            for client, queue in queues.items()
-            for place, one in enumerate(queue)
-        ]
-        return [one for *_, one in sorted(keys, key=lambda key: key[:2])[:most]]
+        by_deadline = sorted(waiting, key=lambda one: one.deadline_s)
+        queues = {
+            client: self._connections.get(client, Turns()).order(_grouped(own, _connection))
+            for client, own in _grouped(by_deadline, _client).items()
+        }
+        return self._clients.order(queues)[:most]
 
     def note(self, served: Sequence[Waiting]) -> None:
         """Count what is answered."""
-        turns = []
-        for one in served:
-            client = id(one.client)
-            turns.append(self._turn(client))
-            self._next[client] = turns[-1] + 1
-        self._now = max([self._now, *turns])
-        self._next = {client: turn for client, turn in self._next.items() if turn > self._now}
+        self._clients.note([one.client for one in served])
+        for client, own in _grouped(served, _client).items():
+            turns = self._connections.setdefault(client, Turns())
+            turns.note([_connection(one) for one in own])
 
-    def settle(self) -> None:
-        """Nobody waits: what clients have had no longer counts."""
-        self._next = {}
+    def settle(self, waiting: Sequence[Waiting]) -> None:
+        """Forget what was had by connections of clients that wait for nothing; when nobody waits,
+        what clients have had no longer counts either.
+        """
+        if not waiting:
+            self._clients = Turns()
+        clients = {one.client for one in waiting}
+        self._connections = {
+            client: turns for client, turns in self._connections.items() if client in clients
+        }
 
-    def _turn(self, client: int) -> int:
-        return max(self._next.get(client, 0), self._now)
+
+def _client(waiting: Waiting) -> Hashable:
+    return waiting.client
+
+
+def _connection(waiting: Waiting) -> Hashable:
+    return id(waiting.connection)
+
+
+def _grouped(
+    waiting: Sequence[Waiting], by: Callable[[Waiting], Hashable]
+) -> dict[Hashable, list[Waiting]]:
+    groups: dict[Hashable, list[Waiting]] = {}
+    for one in waiting:
+        groups.setdefault(by(one), []).append(one)
+    return groups
 
 
 class Batcher:
@@ -91,7 +139,8 @@ class Batcher:
     Args:
         predict: one answer for each observation; called on the batcher's thread only.
         most: most observations in one batch.
-        waiting: most that wait. Beyond it the client with most of them gives one up.
+        waiting: most that wait. Beyond it the client with most of them gives one up, or of the same
+            client the connection.
         linger_s: how long the first one of an idle server waits for others.
         clients: how many may ask; when all of them wait, nobody else is waited for.
         clock: monotonic time [s].
@@ -114,7 +163,7 @@ class Batcher:
         self._clients = clients
         self._clock = clock
         self._waiting: list[Waiting] = []
-        self._turns = Turns()
+        self._shares = Shares()
         self._changed = threading.Condition()
         self._expected_s: dict[int, float] = {}
         self._is_over = False
@@ -127,29 +176,35 @@ class Batcher:
             NotReadyError: too many wait already.
         """
         with self._changed:
-            given_up = self._given_up(waiting.client)
+            given_up = self._given_up(waiting)
             self._waiting = [one for one in self._waiting if one is not given_up]
             self._waiting.append(replace(waiting, since_s=self._clock()))
             self._changed.notify()
         if given_up is not None:
             given_up.tell(_full(self._most_waiting))
 
-    def _given_up(self, client: object) -> Waiting | None:
-        """What leaves a full queue for an observation of a client, None while it is not full.
+    def _given_up(self, newest: Waiting) -> Waiting | None:
+        """What leaves a full queue for an observation, None while it is not full.
 
         Raises:
-            NotReadyError: the client has as many there as any other.
+            NotReadyError: its client has as many there as any other, and its connection as many as
+                any of the client's.
         """
         if self._is_over:
             raise NotReadyError("The shared model is being stopped.")
         if len(self._waiting) < self._most_waiting:
             return None
-        counts = Counter(id(one.client) for one in self._waiting)
+        counts = Counter(one.client for one in self._waiting)
         greedy, most = counts.most_common(1)[0]
-        if counts[id(client)] + 1 >= most:
+        is_fair = counts[newest.client] + 1 < most
+        client = greedy if is_fair else newest.client
+        own = [one for one in self._waiting if one.client == client]
+        of_connections = Counter(_connection(one) for one in own)
+        connection, most = of_connections.most_common(1)[0] if own else (None, 0)
+        if not is_fair and of_connections[_connection(newest)] + 1 >= most:
             raise _full(len(self._waiting))
         return max(
-            (one for one in self._waiting if id(one.client) == greedy),
+            (one for one in own if _connection(one) == connection),
             key=lambda one: one.deadline_s,
         )
 
@@ -186,7 +241,7 @@ class Batcher:
     def take(self) -> tuple[list[Waiting], list[Waiting]]:
         """The next batch, and those that are too late; both leave the queue.
 
-        Clients are taken in turns, see `Turns`; those who have had as many turns by their earliest
+        Clients are taken in turns, see `Shares`; those who have had as many turns by their earliest
         deadline. The first of the batch decides how large it may be. Others that a batch of this
         size would answer too late stay.
         """
@@ -194,7 +249,7 @@ class Batcher:
         with self._changed:
             late = [waiting for waiting in self._waiting if waiting.deadline_s <= now_s]
             good = [waiting for waiting in self._waiting if waiting.deadline_s > now_s]
-            in_order = self._turns.order(good, self._most)
+            in_order = self._shares.order(good, self._most)
             count = wanted = len(in_order)
             while count > 1 and now_s + self.expected_s(count) > in_order[0].deadline_s:
                 count -= 1
@@ -206,11 +261,10 @@ class Batcher:
                 for place, waiting in enumerate(in_order[:count])
                 if not place or waiting.deadline_s >= end_s
             ]
-            self._turns.note(batch)
+            self._shares.note(batch)
             taken = {id(waiting) for waiting in batch}
             self._waiting = [waiting for waiting in good if id(waiting) not in taken]
-            if not self._waiting:
-                self._turns.settle()
+            self._shares.settle(self._waiting)
             return batch, late
 
     def step(self) -> None:

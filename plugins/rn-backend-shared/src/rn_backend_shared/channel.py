@@ -149,9 +149,21 @@ class Channel:
         self._out.close()
 
 
+_PEER = struct.Struct("3i")
+"""Process, user and group of SO_PEERCRED."""
+
+
 def peer_user(connected: socket.socket) -> int:
-    """User id of the process at the other end."""
-    size = struct.calcsize("3i")
-    return int(
-        struct.unpack("3i", connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))[1]
-    )
+    """User id of the process at the other end of a local socket."""
+    return _peer(connected)[1]
+
+
+def peer_process(connected: socket.socket) -> int:
+    """Id of the process at the other end of a local socket."""
+    return _peer(connected)[0]
+
+
+def _peer(connected: socket.socket) -> tuple[int, int]:
+    told = connected.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
+    process, user, _ = _PEER.unpack(told)
+    return process, user

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 Document = dict[str, Any]
 MAGIC = b"RNPI"
-VERSION = 4
+VERSION = 5
 """Of everything that is sent. The first five bytes of a frame, magic and version, never change."""
 MOST_DOCUMENT_BYTES = 1 << 18
 MOST_ARRAY_BYTES = 1 << 26
@@ -69,8 +69,9 @@ class Header(NamedTuple):
 
     Attributes:
         kind: what it is.
-        number: of the request, rising on a connection; an answer repeats it.
-        clock_ns: the robot's monotonic clock when it asked; an answer repeats it [ns].
+        number: of the request, one more than that of the one before, on a connection; an answer
+            repeats it. A policy server's welcome names the one before the first.
+        clock_ns: the robot's monotonic clock when it asked; answer and welcome repeat it [ns].
         left_s: of a request, time until nobody wants the answer [s]. A duration, because the clocks
             of two machines differ.
         document_bytes: of the JSON document.

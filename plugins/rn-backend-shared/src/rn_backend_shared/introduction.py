@@ -11,6 +11,8 @@ from roboneuron import ArmProfile, CameraProfile, GripperProfile, RobotProfile, 
 
 ROBOT = "robot"
 """Entry of an introduction."""
+CLIENT = "client"
+"""Entry of an introduction on a local socket: whose share the connection has a part of."""
 _MOST_JOINTS = 256
 _MOST_ARMS = 8
 _MOST_CAMERAS = 32

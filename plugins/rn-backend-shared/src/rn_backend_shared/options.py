@@ -216,7 +216,9 @@ class ListenOptions(BaseModel):
     metrics_host: str = "127.0.0.1"
     """Address of that. Whoever reaches it reads the numbers, without a key."""
     robots: Annotated[int, Field(ge=1, le=100)] = 64
-    """Most robots that are connected."""
+    """Most robots that are connected. Beyond it the newest of the client with most of them gives
+    way to a client with fewer.
+    """
     directory: Path | None = None
     """Where sockets and logs are; by default in the user's run-time directory."""
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 LEAST_TOKEN = 16
 MOST_TOKEN = 1024
+_IPV6_PREFIX = 64
 _LINK_FILES = ("link.json", "own.pem", "own.key")
 _PAIR = "Pair the machines with `roboneuron link`, the robot's machine being the hub."
 
@@ -257,6 +258,27 @@ def _member_context() -> ssl.SSLContext:
         return tls_context(machine, folder, hub)
     except OSError as error:
         raise ConfigurationError(f"The keys of the link cannot be used: {error}.") from error
+
+
+def client_of(address: str, connected: socket.socket | None = None) -> str:
+    """Who is at the other end, for fair shares: whose certificate it has shown, else its address.
+    Of IPv6 that is the first half, because the second is the client's own choice.
+
+    Args:
+        address: of the other end.
+        connected: over which hands were shaken, where it may be TLS.
+    """
+    if isinstance(connected, ssl.SSLSocket) and (shown := connected.getpeercert(binary_form=True)):
+        return f"key {hashlib.sha256(shown).hexdigest()[:32]}"
+    try:
+        found = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return f"address {address}"
+    if isinstance(found, ipaddress.IPv6Address):
+        if found.ipv4_mapped is None:
+            return f"address {ipaddress.ip_network((int(found), _IPV6_PREFIX), strict=False)}"
+        found = found.ipv4_mapped
+    return f"address {found}"
 
 
 def valid_until(connected: socket.socket) -> datetime | None:

@@ -17,11 +17,11 @@ from pathlib import Path
 
 from rn_backend_shared import wire
 from rn_backend_shared.batching import Answer, Batcher, Waiting
-from rn_backend_shared.channel import Channel, Received, peer_user
-from rn_backend_shared.fields import field
+from rn_backend_shared.channel import Channel, Received, peer_process, peer_user
+from rn_backend_shared.fields import field, text
 from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
 from rn_backend_shared.images import CROPPED, crop
-from rn_backend_shared.introduction import ROBOT, to_profile
+from rn_backend_shared.introduction import CLIENT, ROBOT, to_profile
 from rn_backend_shared.model import SharedModel
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.session import FAILED, LOADING, READY
@@ -240,7 +240,7 @@ class SharedModelServer:
             ):
                 channel.close()
                 continue
-            robot = _Robot(channel, self)
+            robot = _Robot(channel, self, f"process {peer_process(connected)}")
             self._robots[robot] = None
             threading.Thread(target=robot.serve, name="robot", daemon=True).start()
 
@@ -255,11 +255,18 @@ class SharedModelServer:
 
 
 class _Robot:
-    """One connection."""
+    """One connection.
 
-    def __init__(self, channel: Channel, server: SharedModelServer) -> None:
+    Args:
+        channel: over it.
+        server: of the model.
+        client: whose it is, unless it is introduced as another's.
+    """
+
+    def __init__(self, channel: Channel, server: SharedModelServer, client: str) -> None:
         self._channel = channel
         self._server = server
+        self._client = client
         self._sending = threading.Lock()
         self._session = secrets.randbits(62)
         self._held: OrderedDict[int, object] = OrderedDict()
@@ -289,7 +296,10 @@ class _Robot:
     def _take(self, received: Received) -> None:
         header = received.header
         if header.kind is Kind.HELLO:
-            self._send(Header(Kind.WELCOME), self._server.hello(received.document()))
+            hello = received.document()
+            self._client = text(hello.get(CLIENT, self._client), "a client", 128)
+            told = Header(Kind.WELCOME, clock_ns=header.clock_ns)
+            self._send(told, self._server.hello(hello))
             return
         if header.kind is Kind.STATUS:
             self._send(Header(Kind.STATUS), self._server.status())
@@ -314,7 +324,13 @@ class _Robot:
             observation = self._server.cropped(observation, document)
             deadline_s = time.monotonic() + header.left_s
             self._server.submit(
-                Waiting(observation=observation, deadline_s=deadline_s, tell=tell, client=self)
+                Waiting(
+                    observation=observation,
+                    deadline_s=deadline_s,
+                    tell=tell,
+                    client=self._client,
+                    connection=self,
+                )
             )
         except RoboNeuronError as error:
             tell(error)

@@ -14,8 +14,8 @@ from roboneuron import ActionChunk, ControlSpace, NotReadyError, RoboNeuronError
 
 LOADING, READY, FAILED = "loading", "ready", "failed"
 """States of a server."""
-_MOST_STRAY = 64
-"""So many answers to nobody's question in a row, and the server is not talked to any longer."""
+_MOST_OPEN = 64
+"""Questions without an answer on one connection, after which it is of no more use."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -37,6 +37,8 @@ class Welcome:
         refusal: why that robot cannot use it, as a document.
         failure: why it failed, as a document; None for another state.
         document: all of it, as it came.
+        number: of the last request before the robot's first; drawn by a policy server for each
+            connection, so that no request fits another one.
     """
 
     state: str
@@ -54,9 +56,10 @@ class Welcome:
     refusal: Document | None = None
     failure: Document | None = None
     document: Document = field(default_factory=dict)
+    number: int = 0
 
     @classmethod
-    def of(cls, document: Document) -> Welcome:
+    def of(cls, document: Document, number: int = 0) -> Welcome:
         """What was sent; raises FrameError."""
         space, refusal = document.get("space"), document.get("refusal")
         crops = fields.table(document.get("crops", {}), "crops", 16)
@@ -77,6 +80,7 @@ class Welcome:
             refusal=None if refusal is None else fields.table(refusal, "a refusal", 8),
             failure=document if "error" in document else None,
             document=document,
+            number=number,
         )
 
 
@@ -110,13 +114,18 @@ def greet(channel: Channel, hello: Document, timeout_s: float) -> Welcome:
 
     Raises:
         OSError: the server is gone, or silent.
-        FrameError: it says something else; a VersionError for another version.
+        FrameError: it says something else, or what it said to another hello; a VersionError for
+            another version.
     """
-    channel.send(Header(Kind.HELLO), hello, timeout_s)
+    asked = Header(Kind.HELLO, clock_ns=time.monotonic_ns())
+    channel.send(asked, hello, timeout_s)
     received = channel.receive(time.monotonic() + timeout_s)
-    if received.header.kind is not Kind.WELCOME:
+    header = received.header
+    if header.kind is not Kind.WELCOME:
         raise FrameError("the server does not introduce itself")
-    return Welcome.of(received.document())
+    if header.clock_ns != asked.clock_ns:
+        raise FrameError("the introduction of the server was replayed: it answers another hello")
+    return Welcome.of(received.document(), header.number)
 
 
 class Session:
@@ -130,7 +139,8 @@ class Session:
 
     def __init__(self, channel: Channel, welcome: Welcome, base_s: float = 0.0) -> None:
         self._channel = channel
-        self._number = 0
+        self._number = welcome.number
+        self._open: dict[int, int] = {}  # clock_ns of each question without an answer
         self.welcome = welcome
         self.base_s = base_s
 
@@ -139,16 +149,20 @@ class Session:
 
         Raises:
             TimeoutError: none by the deadline (monotonic [s]); the next one may be asked.
-            OSError, FrameError: the connection is of no more use.
+            OSError: the connection is of no more use.
+            FrameError: likewise; an answer that was not asked for, or came twice, is one.
             RoboNeuronError: what the server says instead.
         """
-        self._number += 1
         began_ns, left_s = time.monotonic_ns(), deadline_s - time.monotonic()
-        header = Header(Kind.REQUEST, self._number, began_ns, left_s)
+        header = Header(Kind.REQUEST, self._number + 1, began_ns, left_s)
         if left_s <= 0:
             raise TimeoutError("the deadline is over before it is asked")
+        if len(self._open) >= _MOST_OPEN:
+            raise FrameError(f"the server left {_MOST_OPEN} questions without an answer")
         # one that is not sent in time is cut: the next question finds the connection of no use
         self._channel.send(header, {"observation": observation}, left_s)
+        self._number += 1  # after it is sent, because the server takes no number but the next
+        self._open[header.number] = began_ns
         chunk = wire.to_answer(self._answer(header, deadline_s))
         round_trip_ms = (time.monotonic_ns() - began_ns) / 1e6
         inside_ms = sum(chunk.metrics.get(f"shared.{part}_ms", 0.0) for part in ("queue", "model"))
@@ -167,15 +181,20 @@ class Session:
         return greet(self._channel, hello, timeout_s)
 
     def _answer(self, asked: Header, deadline_s: float) -> Document:
-        """The answer to this question. Others belong to nobody: they are late, or repeated."""
-        for _ in range(_MOST_STRAY):
+        """The answer to this question. Each question is answered once: late answers to those
+        before are dropped, all others end the connection.
+        """
+        while True:
             received = self._channel.receive(deadline_s)
             header = received.header
             if header.kind is not Kind.ANSWER:
                 raise FrameError("the server sent what is no answer")
-            if (header.number, header.clock_ns) == (asked.number, asked.clock_ns):
+            if self._open.pop(header.number, None) != header.clock_ns:
+                raise FrameError(
+                    f"answer {header.number} was replayed: nobody waits for it on this connection"
+                )
+            if header.number == asked.number:
                 return received.document()
-        raise FrameError(f"the server sent {_MOST_STRAY} answers that nobody asked for")
 
     def close(self) -> None:
         """Hang up; idempotent."""

@@ -5,6 +5,7 @@ frame.
 from __future__ import annotations
 
 import logging
+import secrets
 import socket
 import ssl
 import time
@@ -17,9 +18,9 @@ from typing import Protocol
 from rn_backend_shared import wire
 from rn_backend_shared.channel import Channel, Received
 from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
-from rn_backend_shared.introduction import ROBOT
+from rn_backend_shared.introduction import CLIENT, ROBOT
 from rn_backend_shared.replicas import Replicas, Seat
-from rn_backend_shared.security import Guard, tune, valid_until
+from rn_backend_shared.security import Guard, client_of, tune, valid_until
 from rn_backend_shared.session import FAILED
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
 
@@ -30,6 +31,8 @@ _REQUEST_BYTES = 1 << 25
 _SEND_S = 2.0
 _SILENT_S = 5.0
 _SLICE_S = 0.5
+_NUMBER_BITS = 62
+"""Of the first request's number, which is drawn for each connection."""
 _GRACE_S = 0.1
 """So much later than its deadline an answer of the model is passed on, for the robot to count."""
 
@@ -75,6 +78,9 @@ class Visitor:
         address: of the other end.
         patience: with it.
 
+    Attributes:
+        client: who it is among others, see `client_of`.
+
     Raises:
         OSError: nobody is to be talked to.
     """
@@ -88,6 +94,7 @@ class Visitor:
         patience: Patience,
     ) -> None:
         self.address = address
+        self.client = client_of(address)
         self._server = server
         self._patience = patience
         tune(connected, _SILENT_S)
@@ -96,7 +103,7 @@ class Visitor:
         self._channel: Channel | None = None
         self._expires: datetime | None = None
         self._seat: Seat | None = None
-        self._last = 0
+        self._last = secrets.randbits(_NUMBER_BITS)
 
     def serve(self) -> None:
         """Until it is gone."""
@@ -105,6 +112,7 @@ class Visitor:
             if isinstance(self._connected, ssl.SSLSocket):
                 self._connected.do_handshake()
             self._expires = valid_until(self._connected)
+            self.client = client_of(self.address, self._connected)
             channel = self._channel = Channel(self._connected, HELLO_BYTES)
             received = channel.receive(time.monotonic() + self._patience.admit_s)
             if received.header.kind is not Kind.HELLO:
@@ -113,7 +121,8 @@ class Visitor:
                 model = self._server.admit(self, received.document())
             except RoboNeuronError as error:
                 refusal = {"state": FAILED, "pid": 0, **wire.from_answer(error)}
-                channel.send(Header(Kind.WELCOME), refusal, _SEND_S)
+                told = Header(Kind.WELCOME, clock_ns=received.header.clock_ns)
+                channel.send(told, refusal, _SEND_S)
                 raise FrameError(str(error)) from error
             channel.most_bytes = _REQUEST_BYTES
             log.info("A robot at %s uses the model %s.", self.address, model.name)
@@ -166,8 +175,13 @@ class Visitor:
         if header.kind is Kind.HELLO:
             self._welcome(channel, model, received)
             return
-        if header.kind is not Kind.REQUEST or header.number <= self._last:
-            raise FrameError(f"frame {header.number} of kind {header.kind} was not expected")
+        if header.kind is not Kind.REQUEST:
+            raise FrameError(f"a frame of kind {header.kind} was not expected")
+        if header.number != self._last + 1:
+            raise FrameError(
+                f"request {header.number} was replayed, lost or from another connection: "
+                f"{self._last + 1} comes next"
+            )
         self._last = header.number
         begun_s = time.monotonic()
         try:
@@ -187,14 +201,15 @@ class Visitor:
         own = {ROBOT: hello[ROBOT]} if ROBOT in hello else {}
         with suppress(NotReadyError):
             told = self._take_seat(model, hello=own).welcome.document
-        channel.send(Header(Kind.WELCOME), told, _SEND_S)
+        header = Header(Kind.WELCOME, self._last, received.header.clock_ns)
+        channel.send(header, told, _SEND_S)
 
     def _take_seat(
         self, model: Replicas, avoided: int | None = None, hello: Document | None = None
     ) -> Seat:
         """A new seat at the model. Raises NotReadyError when no replica is ready."""
         self._leave_seat()
-        self._seat = model.take_seat(hello or {}, avoided=avoided)
+        self._seat = model.take_seat({**(hello or {}), CLIENT: self.client}, avoided=avoided)
         return self._seat
 
     def _leave_seat(self) -> None:

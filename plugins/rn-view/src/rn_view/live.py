@@ -18,7 +18,7 @@ from rn_standard.tools_loop.results import ModuleStatus
 from rn_view.event_list import AuditReader, EventList, add_record, failure_of
 from rn_view.lead_page import RATE_HZ
 from rn_view.lead_socket import PageTeleoperator
-from rn_view.source import ModuleRow, PageState
+from rn_view.source import ModuleRow, PageState, said_of
 from roboneuron import Host, RobotProfile
 from roboneuron.feature import (
     FAULTS,
@@ -137,7 +137,8 @@ def robot_profile(config: Config, registry: Registry) -> RobotProfile:
 
 def _row(status: ModuleStatus) -> ModuleRow:
     text = f"{status.error.message}" if status.error is not None else ""
-    text = text or (f"waits for {status.waiting_for}" if status.waiting_for else status.note)
+    waits = f"waits for {status.waiting_for}" if status.waiting_for else ""
+    text = text or waits or said_of(status.note, status.metrics)
     chosen = status.started_with
     named = next(
         (chosen[key] for key in ("robot", "source", "backend", "controller") if key in chosen), ""

@@ -4,7 +4,7 @@ its files.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -37,6 +37,25 @@ class ModuleRow:
     latency_p99_ms: float | None = None
     age_ms: float | None = None
     dropped: int = 0
+
+
+_PARTS = {part: f"backend.shared.{part}_ms" for part in ("round_trip", "link", "queue", "model")}
+
+
+def said_of(note: str, metrics: Mapping[str, str]) -> str:
+    """What a module says of itself: its note, and where the answers of a policy on another machine
+    spend their time.
+
+    Args:
+        note: of the module.
+        metrics: of its report.
+    """
+    try:
+        whole, *parts = (f"{part} {float(metrics[key]):.0f}" for part, key in _PARTS.items())
+    except (KeyError, ValueError):  # its policy is here; or it is no module of ours
+        return note
+    split = f"{whole.replace('_', ' ')} ms: {', '.join(parts)}"
+    return f"{note}; {split}" if note else split
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -14,7 +14,7 @@ from rn_standard.console.diagnostics import DiagnosticsListener
 from rn_standard.console.status import ReportedModule, ServerStatus
 from rn_view.event_list import AuditReader, EventList, add_record
 from rn_view.live import robot_profile
-from rn_view.source import ModuleRow, PageState
+from rn_view.source import ModuleRow, PageState, said_of
 from roboneuron import RobotProfile
 from roboneuron.command import FAULTS, AuditLog, Config, Registry, estop
 
@@ -152,7 +152,7 @@ def _row(kind: str, module: ReportedModule | None) -> ModuleRow:
     return ModuleRow(
         kind=kind,
         health=module.health,
-        text=error or waits or module.note,
+        text=error or waits or said_of(module.note, module.metrics),
         rate_hz=module.rate_hz,
         latency_ms=module.latency_ms,
         latency_p99_ms=module.latency_p99_ms,

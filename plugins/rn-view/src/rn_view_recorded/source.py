@@ -21,7 +21,7 @@ from rn_recorder_runs.timeline import Timeline
 from rn_view.event_list import ShownEvent
 from rn_view.live import robot_profile
 from rn_view.playback import Playback
-from rn_view.source import ModuleRow, PageState
+from rn_view.source import ModuleRow, PageState, said_of
 from rn_view_recorded.log import RunLog
 from roboneuron import InvalidInputError, RobotProfile, StateError
 from roboneuron.command import Config, ModuleView, Periodic, Registry, Report
@@ -231,7 +231,8 @@ class RecordedSource:
             health=health or assessed,
             text=why
             or report.error
-            or (f"waits for {report.waiting_for}" if report.waiting_for else report.note),
+            or (f"waits for {report.waiting_for}" if report.waiting_for else "")
+            or said_of(report.note, report.metrics),
             chosen=chosen,
             rate_hz=report.rate_hz,
             latency_ms=report.latency_ms,

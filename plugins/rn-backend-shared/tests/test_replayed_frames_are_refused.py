@@ -1,0 +1,355 @@
+"""A man in the middle records what a robot and a policy server send, and sends it again: nothing of
+it is executed by the arm or computed again, and the connection ends with an error that says so.
+"""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, suppress
+from typing import Any
+
+import numpy as np
+import pytest
+from middle_man import Cut, MiddleMan, Recording, plain_frame, tls_record
+from policy_servers import Robot, RunningServer, Serve, answers, robot_of, seen
+
+from rn_backend_shared.backend import SharedBackend
+from rn_backend_shared.channel import Channel
+from rn_backend_shared.frames import HEADER_BYTES, FrameError, Header, Kind, read_header
+from rn_backend_shared.session import greet
+from rn_testing.waiting import wait_until
+from roboneuron import NotReadyError
+
+pytestmark = pytest.mark.timeout(200)
+
+
+@pytest.fixture
+def in_the_middle() -> Iterator[Callable[[int, Cut], MiddleMan]]:
+    """Return a function that puts a man before a port."""
+    men: list[MiddleMan] = []
+
+    def stand(port: int, cut: Cut) -> MiddleMan:
+        men.append(MiddleMan(port, cut))
+        return men[-1]
+
+    yield stand
+    for man in men:
+        man.close()
+
+
+Stand = Callable[[int, Cut], MiddleMan]
+RAW = {"coding": "raw", "timeout_s": 3.0}
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
+    """A server that is talked to in clear, with the token that `shown` names."""
+    folder = tmp_path_factory.mktemp("plain")
+    listen = {"keys": "token", "token_file": str(folder / "token")}
+    server = RunningServer(folder, {"only": {}}, listen).start()
+    yield server
+    server.end()
+
+
+@pytest.fixture(scope="module")
+def expected(plain: RunningServer) -> list[Any]:
+    """The rows for each observation, asked without anybody between."""
+    with closing(robot_of(plain.address, **shown(plain))) as robot:
+        robot.load()
+        return [robot.predict(seen(number)).actions for number in range(5)]
+
+
+def shown(server: RunningServer) -> dict[str, Any]:
+    """Options of a robot that shows the server's token."""
+    return {**RAW, "token_file": str(server.folder / "token")}
+
+
+def logged(server: RunningServer) -> str:
+    return (server.folder / "server.log").read_text()
+
+
+def kind_of(frame: bytes) -> Kind:
+    return read_header(frame[:HEADER_BYTES]).kind
+
+
+def of_kind(frames: Sequence[bytes], kind: Kind) -> list[bytes]:
+    return [frame for frame in frames if kind_of(frame) is kind]
+
+
+def computed(server: RunningServer) -> int:
+    """How many observations the model was given."""
+    return int(server.status()["models"]["only"]["observations"])
+
+
+def ask(robot: SharedBackend, number: int) -> Any:
+    """The rows for an observation; None where there is no answer, with an error that says why."""
+    try:
+        return robot.predict(seen(number)).actions
+    except NotReadyError as error:
+        return str(error)
+
+
+def twice(recording: Recording, frame: bytes) -> Sequence[bytes]:
+    return (frame, frame)
+
+
+def the_one_before(frames: Sequence[bytes], frame: bytes, kind: Kind) -> Sequence[bytes]:
+    """The frame before, in place of this one."""
+    if kind_of(frame) is not kind or not of_kind(frames, kind):
+        return (frame,)
+    return (of_kind(frames, kind)[-1],)
+
+
+ANSWERS: dict[str, Callable[[Recording, bytes], Sequence[bytes]]] = {
+    "twice": twice,
+    "old-in-its-place": lambda recording, frame: the_one_before(
+        recording.answered, frame, Kind.ANSWER
+    ),
+    "old-before-it": lambda recording, frame: (
+        *the_one_before(recording.answered, frame, Kind.ANSWER),
+        frame,
+    ),
+    "question-sent-back": lambda recording, frame: (recording.asked[-1],),
+}
+REQUESTS: dict[str, Callable[[Recording, bytes], Sequence[bytes]]] = {
+    "twice": twice,
+    "old-in-its-place": lambda recording, frame: the_one_before(
+        recording.asked, frame, Kind.REQUEST
+    ),
+    "old-before-it": lambda recording, frame: (
+        *the_one_before(recording.asked, frame, Kind.REQUEST),
+        frame,
+    ),
+    "introduced-again": lambda recording, frame: (recording.asked[0], frame),
+}
+
+
+def judge(robot: SharedBackend, man: MiddleMan, expected: Sequence[Any]) -> list[str]:
+    """Ask some questions while the man replays; each answer is the right one or an error, and the
+    robot goes on when he has ended. Returns the errors.
+    """
+    said = []
+    for number in (2, 3, 4):
+        found = ask(robot, number)
+        if isinstance(found, str):
+            said.append(found)
+        else:
+            np.testing.assert_array_equal(found, expected[number])
+    man.honest()
+    wait_until(lambda: answers(robot), 20.0, "it is answered again")
+    np.testing.assert_array_equal(ask(robot, 1), expected[1])
+    return said
+
+
+@pytest.mark.parametrize(
+    ("asks", "name"), [(False, name) for name in ANSWERS] + [(True, name) for name in REQUESTS]
+)
+def test_frames_in_clear_that_come_again_end_the_connection(
+    plain: RunningServer,
+    expected: list[Any],
+    robot: Robot,
+    in_the_middle: Stand,
+    asks: bool,
+    name: str,
+) -> None:
+    man = in_the_middle(plain.port, plain_frame)
+    one = robot(man.address, **shown(plain))
+    for number in (0, 1):
+        np.testing.assert_array_equal(ask(one, number), expected[number])
+    begun = len(logged(plain))
+    if asks:
+        man.ask = REQUESTS[name]
+    else:
+        man.answer = ANSWERS[name]
+    said = judge(one, man, expected)
+    if asks and name != "introduced-again":  # the server hangs up, and says why
+        assert "was replayed" in logged(plain)[begun:]
+    assert any("is lost" in text for text in said), said
+    if not asks:
+        assert any("replayed" in text or "no answer" in text for text in said), said
+
+
+@pytest.mark.parametrize("runs", [1, 2], ids=["another-connection", "another-run"])
+def test_answers_of_another_connection_or_run_are_refused(
+    plain: RunningServer, expected: list[Any], robot: Robot, in_the_middle: Stand, runs: int
+) -> None:
+    man = in_the_middle(plain.port, plain_frame)
+    first = robot(man.address, **shown(plain))
+    for number in range(5):
+        ask(first, number)
+    first.close()
+    recorded = of_kind(man.recordings[0].answered, Kind.ANSWER)
+    assert len(recorded) == 5
+    if runs == 2:
+        plain.end()
+        plain.start()
+        man = in_the_middle(plain.port, plain_frame)
+    second = robot(man.address, **shown(plain))
+
+    def other(recording: Recording, frame: bytes) -> Sequence[bytes]:
+        place = len(of_kind(recording.answered, Kind.ANSWER))
+        return (recorded[place],) if kind_of(frame) is Kind.ANSWER else (frame,)
+
+    man.answer = other
+    said = judge(second, man, expected)
+    assert "was replayed" in said[0]
+
+
+def test_a_conversation_that_is_sent_again_is_computed_no_second_time(
+    plain: RunningServer, robot: Robot, in_the_middle: Stand
+) -> None:
+    man = in_the_middle(plain.port, plain_frame)
+    one = robot(man.address, **shown(plain))
+    for number in range(3):
+        ask(one, number)
+    before, begun = computed(plain), len(logged(plain))
+    with closing(socket.create_connection(("127.0.0.1", plain.port), 20.0)) as again:
+        with suppress(OSError):
+            for frame in man.recordings[0].asked:
+                again.sendall(frame)
+        heard = b""
+        with suppress(OSError):
+            while part := again.recv(4096):
+                heard += part
+    # a welcome at most: what was not read yet resets the connection
+    assert not heard or kind_of(heard) is Kind.WELCOME
+    assert not heard or len(heard) == HEADER_BYTES + read_header(heard[:HEADER_BYTES]).body_bytes
+    assert computed(plain) == before
+    assert "was replayed" in logged(plain)[begun:]
+    assert answers(one)
+
+
+def test_a_request_of_another_connection_is_computed_no_second_time(
+    plain: RunningServer, robot: Robot, in_the_middle: Stand
+) -> None:
+    man = in_the_middle(plain.port, plain_frame)
+    first, second = (robot(man.address, **shown(plain)) for _ in range(2))
+    for number in range(3):
+        ask(first, number)
+        ask(second, number)
+    recorded = of_kind(man.recordings[0].asked, Kind.REQUEST)[-1]
+    before = computed(plain)
+    man.ask = lambda recording, frame: (recorded,)
+    assert "is lost" in ask(second, 3)
+    man.honest()
+    assert computed(plain) == before
+    wait_until(lambda: answers(second), 20.0)
+
+
+def test_swapped_answers_are_late_and_dropped(
+    plain: RunningServer, expected: list[Any], robot: Robot, in_the_middle: Stand
+) -> None:
+    man = in_the_middle(plain.port, plain_frame)
+    one = robot(man.address, **{**shown(plain), "timeout_s": 1.0})
+    held: list[bytes] = []
+
+    def swap(recording: Recording, frame: bytes) -> Sequence[bytes]:
+        if not held:
+            held.append(frame)
+            return ()
+        return (frame, held.pop())
+
+    man.answer = swap
+    for number in (1, 2, 3, 4):
+        found = ask(one, number)
+        if number % 2:
+            assert "did not answer before the deadline" in found
+        else:
+            np.testing.assert_array_equal(found, expected[number])
+    assert len(man.recordings) == 1, "late answers are no reason to hang up"
+
+
+def test_tls_refuses_records_that_come_again(
+    serve: Serve, robot: Robot, in_the_middle: Stand
+) -> None:
+    server = serve()
+    direct = robot(server.address, **RAW)
+    expected = [ask(direct, number) for number in range(5)]
+    for asks in (False, True):
+        for name in ("twice", "old-before-it", "swapped"):
+            man = in_the_middle(server.port, tls_record)
+            check_tls(server, robot(man.address, **RAW), man, expected, asks=asks, name=name)
+
+
+def check_tls(
+    server: RunningServer,
+    one: SharedBackend,
+    man: MiddleMan,
+    expected: Sequence[Any],
+    *,
+    asks: bool,
+    name: str,
+) -> None:
+    for number in (0, 1):
+        np.testing.assert_array_equal(ask(one, number), expected[number])
+    held: list[bytes] = []
+
+    def replay(recording: Recording, record: bytes) -> Sequence[bytes]:
+        before = (recording.asked if asks else recording.answered)[-1]
+        if name != "swapped":
+            return (record, record) if name == "twice" else (before, record)
+        if not held:
+            held.append(record)
+            return ()
+        return (record, held.pop())
+
+    before = computed(server)
+    if asks:
+        man.ask = replay
+    else:
+        man.answer = replay
+    said = judge(one, man, expected)
+    assert any("is lost" in text for text in said) or name == "swapped", said
+    assert said
+    one.close()
+    # those that were answered or lost on their way back, and two in the end
+    assert computed(server) - before <= 3 + 4
+
+
+def test_tls_refuses_a_conversation_that_is_sent_again(
+    serve: Serve, robot: Robot, in_the_middle: Stand
+) -> None:
+    server = serve()
+    man = in_the_middle(server.port, tls_record)
+    one = robot(man.address)
+    for number in range(3):
+        ask(one, number)
+    before = computed(server)
+    again = socket.create_connection(("127.0.0.1", server.port), 20.0)
+    with closing(again), suppress(OSError):
+        for record in man.recordings[0].asked:
+            again.sendall(record)
+        while again.recv(4096):
+            pass
+    assert computed(server) == before
+    assert answers(one)
+
+
+def test_a_welcome_that_was_recorded_introduces_nobody(
+    plain: RunningServer, robot: Robot, in_the_middle: Stand
+) -> None:
+    man = in_the_middle(plain.port, plain_frame)
+    ask(robot(man.address, **shown(plain)), 0)
+    recorded = man.recordings[0].answered[0]
+    man.answer = lambda recording, frame: (recorded,)
+    channel = Channel(socket.create_connection(("127.0.0.1", man.port), 20.0))
+    token = (plain.folder / "token").read_text().strip()
+    with closing(channel), pytest.raises(FrameError, match="was replayed"):
+        greet(channel, {"token": token}, 10.0)
+
+
+def test_the_first_number_is_drawn_for_each_connection(plain: RunningServer) -> None:
+    token = (plain.folder / "token").read_text().strip()
+    numbers = set()
+    for _ in range(3):
+        channel = Channel(socket.create_connection(("127.0.0.1", plain.port), 20.0))
+        with closing(channel):
+            welcome = greet(channel, {"token": token}, 10.0)
+            numbers.add(welcome.number)
+            skipped = Header(Kind.REQUEST, welcome.number + 2, 0, 5.0)
+            channel.send(skipped, {"observation": {}}, 5.0)
+            with pytest.raises(OSError, match="closed"):
+                channel.receive(time.monotonic() + 10.0)
+    assert len(numbers) == 3
