@@ -146,16 +146,14 @@ def parse(
     Raises:
         InvalidInputError: they do not fit; names which, what came and what is allowed.
     """
-    model = kind.model if isinstance(kind, Shape) else kind
+    shape = kind if isinstance(kind, Shape) else None
+    model = kind if shape is None else shape.model
     fields = model.model_fields
-    if isinstance(kind, Shape):
-        names, required = tuple(kind.properties), tuple(kind.required)
-    else:
-        names = tuple(fields)
-        required = tuple(name for name, field in fields.items() if field.is_required())
+    names: Mapping[str, object] = fields if shape is None else shape.properties
     for name in arguments:
         if name not in names:
-            raise InvalidInputError.unknown_name("The call", name, names)
+            raise InvalidInputError.unknown_name("The call", name, tuple(names))
+    required = _required(model) if shape is None else shape.required
     given = {
         name: value for name, value in arguments.items() if value is not None or name in required
     }
@@ -163,8 +161,8 @@ def parse(
         if name not in given:
             raise InvalidInputError(f"Argument {name!r} is missing.", path=name)
     for name, value in given.items():
-        is_whole = isinstance(value, float) and value.is_integer()
-        if is_whole and fields[name].annotation is int:  # to JSON, 1.0 is an integer
+        # to JSON, 1.0 is an integer
+        if value.__class__ is float and value.is_integer() and fields[name].annotation is int:
             given[name] = int(value)
     try:
         # as JSON: strict, but a list is a tuple where one is due
@@ -178,10 +176,15 @@ def parse(
         for item in value if isinstance(value, list) else [] if value is None else [value]:
             if allowed and item not in allowed:
                 raise InvalidInputError.no_choice(name, item, list(allowed))
-    if isinstance(kind, Shape):
+    if shape is not None:
         for name in given:
-            kind.check(name, getattr(parsed, name))
+            shape.check(name, getattr(parsed, name))
     return parsed
+
+
+@cache
+def _required(model: type[BaseModel]) -> tuple[str, ...]:
+    return tuple(name for name, field in model.model_fields.items() if field.is_required())
 
 
 def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputError:
