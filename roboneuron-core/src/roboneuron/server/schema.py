@@ -146,14 +146,15 @@ def parse(
     Raises:
         InvalidInputError: they do not fit; names which, what came and what is allowed.
     """
-    shape = kind if isinstance(kind, Shape) else None
-    model = kind if shape is None else shape.model
-    fields = model.model_fields
-    names: Mapping[str, object] = fields if shape is None else shape.properties
+    names: Mapping[str, object]
+    if isinstance(kind, Shape):
+        model, names, required, check = kind.model, kind.properties, kind.required, kind.check
+    else:
+        model, names, required, check = kind, kind.model_fields, _required(kind), None
     for name in arguments:
         if name not in names:
             raise InvalidInputError.unknown_name("The call", name, tuple(names))
-    required = _required(model) if shape is None else shape.required
+    fields = model.model_fields
     given = {
         name: value for name, value in arguments.items() if value is not None or name in required
     }
@@ -176,9 +177,9 @@ def parse(
         for item in value if isinstance(value, list) else [] if value is None else [value]:
             if allowed and item not in allowed:
                 raise InvalidInputError.no_choice(name, item, list(allowed))
-    if shape is not None:
+    if check is not None:
         for name in given:
-            shape.check(name, getattr(parsed, name))
+            check(name, getattr(parsed, name))
     return parsed
 
 
