@@ -121,8 +121,8 @@ class MotionStarts:
         """Whether a stop keeps a module still until `permit`."""
         with self._supervisor.changes.lock:
             slots = [slot for kind in ARM_KINDS for slot in self._supervisor.slots[kind]]
-            running = [slot.report for slot in slots if slot.phase == "running"]
-        return any(report is not None and report.needs_start for report in running)
+            reports = [slot.report for slot in slots if slot.phase == "running"]
+            return any(report is not None and report.needs_start for report in reports)
 
     def permit(self) -> int:
         """Somebody asks for motion: the modules that a stop keeps still obey again; returns

@@ -236,10 +236,6 @@ def _second(at_s: int) -> str:
     return datetime.fromtimestamp(at_s, UTC).replace(tzinfo=None).isoformat()
 
 
-def _placeholder(value: object) -> str:
-    return f"<{type(value).__name__}>"
-
-
 # made once: to make one costs as much as to write a record
 _JSON = json.JSONEncoder(separators=(",", ":"))
 
@@ -250,7 +246,9 @@ def _bounded(arguments: Mapping[str, Any]) -> str:
     """
     try:
         # ten times as fast as the encoder above; a NaN, which JSON has not, becomes text
-        text = to_json(arguments, inf_nan_mode="strings", fallback=_placeholder).decode()
+        text = to_json(
+            arguments, inf_nan_mode="strings", fallback=lambda value: f"<{type(value).__name__}>"
+        ).decode()
         if not text.isascii():
             text = _JSON.encode(json.loads(text))
     except (ValueError, TypeError, RecursionError) as error:

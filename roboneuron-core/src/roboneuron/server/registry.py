@@ -212,16 +212,20 @@ class ToolRegistry:
             structured["acts_on"] = self._acts_on()
         text = json.dumps(structured)
         if tool.read_only and len(text) > _MOST_ANSWER:
-            hint = "Ask for less: its arguments narrow what it answers."
             return self.failure(
                 InvalidInputError(
-                    f"The answer of {name} has {len(text)} characters: too many.", hint=hint
+                    f"The answer of {name} has {len(text)} characters: too many.",
+                    hint="Ask for less: its arguments narrow what it answers.",
                 )
             )
-        content: list[types.ContentBlock] = [types.TextContent(type="text", text=text)]
-        content += [
-            types.ImageContent(type="image", data=b64encode(p.data).decode(), mime_type=p.mime_type)
-            for p in answer.pictures
+        content: list[types.ContentBlock] = [
+            types.TextContent(type="text", text=text),
+            *(
+                types.ImageContent(
+                    type="image", data=b64encode(p.data).decode(), mime_type=p.mime_type
+                )
+                for p in answer.pictures
+            ),
         ]
         return types.CallToolResult(content=content, structured_content=structured)
 

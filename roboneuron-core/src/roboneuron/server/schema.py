@@ -150,11 +150,11 @@ def parse(
     if isinstance(kind, Shape):
         model, names, required, check = kind.model, kind.properties, kind.required, kind.check
     else:
-        model, names, required, check = kind, kind.model_fields, _required(kind), None
+        model, names, check = kind, kind.model_fields, None
+        required = tuple(name for name, field in kind.model_fields.items() if field.is_required())
     for name in arguments:
         if name not in names:
             raise InvalidInputError.unknown_name("The call", name, tuple(names))
-    fields = model.model_fields
     given = {
         name: value for name, value in arguments.items() if value is not None or name in required
     }
@@ -163,7 +163,11 @@ def parse(
             raise InvalidInputError(f"Argument {name!r} is missing.", path=name)
     for name, value in given.items():
         # to JSON, 1.0 is an integer
-        if value.__class__ is float and value.is_integer() and fields[name].annotation is int:
+        if (
+            isinstance(value, float)
+            and value.is_integer()
+            and model.model_fields[name].annotation is int
+        ):
             given[name] = int(value)
     try:
         # as JSON: strict, but a list is a tuple where one is due
@@ -181,11 +185,6 @@ def parse(
         for name in given:
             check(name, getattr(parsed, name))
     return parsed
-
-
-@cache
-def _required(model: type[BaseModel]) -> tuple[str, ...]:
-    return tuple(name for name, field in model.model_fields.items() if field.is_required())
 
 
 def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputError:

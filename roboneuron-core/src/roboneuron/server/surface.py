@@ -129,8 +129,9 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
         context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
     ) -> types.CallToolResult | types.InputRequiredResult:
         try:
-            made = RequestContext(context, params, server.ask)
-            return await surface.tools.call(params.name, params.arguments or {}, made)
+            return await surface.tools.call(
+                params.name, params.arguments or {}, RequestContext(context, params, server.ask)
+            )
         except UnfinishedCallError as question:
             return question.result
 
@@ -164,8 +165,11 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
     ) -> types.ReadResourceResult:
         uri = str(params.uri)
         found = find_resource(uri)
-        content = types.TextResourceContents(uri=uri, mime_type=found.mime_type, text=found.read())
-        return types.ReadResourceResult(contents=[content])
+        return types.ReadResourceResult(
+            contents=[
+                types.TextResourceContents(uri=uri, mime_type=found.mime_type, text=found.read())
+            ]
+        )
 
     server = AnnouncingServer(
         name,
