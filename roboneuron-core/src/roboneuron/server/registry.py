@@ -103,8 +103,13 @@ class ToolRegistry:
 
     def replace(self, tool: Tool[Any]) -> None:
         """Have this tool in the place of the one of its name that was added."""
-        added = self._owned[_FIXED].items()
-        self._replace(_FIXED, [tool if name == tool.name else entry.tool for name, entry in added])
+        self._replace(
+            _FIXED,
+            [
+                tool if name == tool.name else entry.tool
+                for name, entry in self._owned[_FIXED].items()
+            ],
+        )
 
     def names(self, besides: str = "") -> frozenset[str]:
         """Names of all tools but the derived ones of the owner `besides`."""
@@ -287,7 +292,7 @@ def _described(tool: Tool[Any]) -> types.Tool:
         name=tool.name,
         description=tool.description,
         input_schema=tool.input_schema(),
-        output_schema=listed_output(tool.output_schema()),
+        output_schema=listed_output(tool.result),
         annotations=types.ToolAnnotations(
             read_only_hint=tool.read_only,
             # they mean nothing for what only reads

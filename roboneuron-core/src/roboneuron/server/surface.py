@@ -70,8 +70,9 @@ class AnnouncingServer(Server[Any]):
 
     def introduce(self, robots: str, tools: Collection[str]) -> None:
         """Tell clients what the server operates, and how to use its tools."""
-        said = [text for tool, text in _INSTRUCTIONS.items() if tool in tools]
-        self.instructions = " ".join([robots, *said, _EVERYWHERE])
+        self.instructions = " ".join(
+            [robots, *(text for tool, text in _INSTRUCTIONS.items() if tool in tools), _EVERYWHERE]
+        )
 
 
 async def _trace(

@@ -110,8 +110,9 @@ class Supervisor(Modules):
         settings, process = slot.settings, slot.process
         if settings is None or process is None:
             raise StateError(f"{slot.kind} has ended.")
-        node = f"/{settings.status_name}"
-        return NodeClient(self.link, self.changes, node, process.announce, check)
+        return NodeClient(
+            self.link, self.changes, f"/{settings.status_name}", process.announce, check
+        )
 
     def open(self) -> None:
         """Begin to join the ROS graph in the background; returns at once.

@@ -54,8 +54,7 @@ def levers_m(profile: RobotProfile) -> dict[str, float]:
     Two arms come nearer to each other by the sum of what both move. Empty for a description that
     holds no such chain.
     """
-    joints = urdf_joints(profile.urdf)
-    above = {_attribute(joint.find("child"), "link"): joint for joint in joints}
+    above = {_attribute(joint.find("child"), "link"): joint for joint in urdf_joints(profile.urdf)}
     levers: dict[str, float] = {}
     for arm in profile.each_arm:
         # from the TCP down to the base, because each joint moves all that lies behind it
