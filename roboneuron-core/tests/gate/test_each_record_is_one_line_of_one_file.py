@@ -102,14 +102,16 @@ def test_a_line_tells_every_field_that_is_not_empty(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ({"x": b"1", "y": {1}}, {"x": "<bytes>", "y": "<set>"}),
+        ({"x": object(), "y": {1}}, {"x": "<object>", "y": [1]}),
+        ({"x": b"\xff"}, {"unwritable": "PydanticSerializationError"}),
         (
             {"x": float("nan"), "y": [float("inf"), -float("inf")]},
             {"x": "NaN", "y": ["Infinity", "-Infinity"]},
         ),
-        ({(1, 2): 3}, {"unwritable": "TypeError"}),
+        ({"x": "\ud800"}, {"unwritable": "PydanticSerializationError"}),
+        ({"x": "\u00fc\u2603", "y": 1e16}, {"x": "\u00fc\u2603", "y": 1e16}),
     ],
-    ids=["no JSON type", "no JSON number", "no JSON key"],
+    ids=["no JSON type", "no text", "no JSON number", "half a character", "not ASCII"],
 )
 def test_arguments_that_json_does_not_know_are_named(
     tmp_path: Path, arguments: dict, told: dict
@@ -120,7 +122,7 @@ def test_arguments_that_json_does_not_know_are_named(
 def test_arguments_that_hold_themselves_are_named(tmp_path: Path) -> None:
     arguments: dict[str, Any] = {}
     arguments["x"] = arguments
-    assert written(arguments, tmp_path / "a") == {"unwritable": "ValueError"}
+    assert written(arguments, tmp_path / "a") == {"unwritable": "PydanticSerializationError"}
 
 
 def test_arguments_of_4096_characters_are_kept_and_longer_ones_cut_there(tmp_path: Path) -> None:

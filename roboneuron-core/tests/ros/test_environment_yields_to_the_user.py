@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -129,3 +131,22 @@ def test_ports_exist_in_every_domain(domain: int) -> None:
     offsets = {port_offset(domain, start) for start in range(15)}
     assert all(7400 + 250 * domain + offset + 2 * 15 < 2**16 for offset in offsets)
     assert len(offsets) == 15 or domain > 227
+
+
+_IMPORTS_A_MESSAGE = """
+import sys
+import subprocess
+import sys
+from pathlib import Path
+from roboneuron.ros.environment import prepare_environment
+prepare_environment(Path(sys.argv[1]))
+from std_msgs.msg import Header
+type(Header).__import_type_support__()
+print("lark" in sys.modules, Header._TYPE_SUPPORT is not None)
+"""
+
+
+def test_messages_are_imported_without_the_generator_that_wrote_them(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", _IMPORTS_A_MESSAGE, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split() == ["False", "True"]

@@ -119,8 +119,10 @@ class MotionStarts:
     @property
     def are_needed(self) -> bool:
         """Whether a stop keeps a module still until `permit`."""
-        reports = [slot.report for kind in ARM_KINDS for slot in self._running(kind)]
-        return any(report is not None and report.needs_start for report in reports)
+        with self._supervisor.changes.lock:
+            slots = [slot for kind in ARM_KINDS for slot in self._supervisor.slots[kind]]
+            reports = [slot.report for slot in slots if slot.phase == "running"]
+            return any(report is not None and report.needs_start for report in reports)
 
     def permit(self) -> int:
         """Somebody asks for motion: the modules that a stop keeps still obey again; returns

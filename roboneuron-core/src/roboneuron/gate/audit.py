@@ -14,9 +14,12 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+
+from pydantic_core import to_json
 
 from roboneuron.errors import RefusedError
 from roboneuron.log_files import locked, make_log_directory
@@ -186,8 +189,9 @@ class AuditLog:
                     return there.st_size
             self.close()
         make_log_directory(self.path.parent)
-        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
-        self._descriptor = os.open(self.path, flags, 0o640)
+        self._descriptor = os.open(
+            self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o640
+        )
         found = os.fstat(self._descriptor)
         self._identity = found.st_dev, found.st_ino
         size = found.st_size
@@ -213,8 +217,11 @@ class AuditLog:
     def _to_line(self, record: AuditRecord) -> bytes:
         """A record as one line of ASCII; fields that are empty are left out."""
         now_ns = self._clock_ns()
-        written = datetime.fromtimestamp(now_ns / 1e9, UTC).isoformat(timespec="milliseconds")
-        parts = [f'"time":"{written}","time_ns":{now_ns}']
+        at_s, rest_ns = divmod(now_ns, 1_000_000_000)
+        parts = [
+            f'"time":"{_second(at_s)}.{rest_ns // 1_000_000:03d}+00:00"',
+            f'"time_ns":{now_ns}',
+        ]
         # field by field, so that the arguments, the most of it, become JSON once
         for name in record.__dataclass_fields__:
             value = getattr(record, name)
@@ -224,12 +231,16 @@ class AuditLog:
         return f"{{{','.join(parts)}}}\n".encode("ascii")
 
 
-def _placeholder(value: object) -> str:
-    return f"<{type(value).__name__}>"
+@lru_cache(maxsize=1)
+def _second(at_s: int) -> str:
+    """A second of wall-clock time as ISO 8601, UTC, without an offset; an agent in motion makes
+    many records in one.
+    """
+    return datetime.fromtimestamp(at_s, UTC).replace(tzinfo=None).isoformat()
 
 
 # made once: to make one costs as much as to write a record
-_JSON = json.JSONEncoder(separators=(",", ":"), default=_placeholder)
+_JSON = json.JSONEncoder(separators=(",", ":"))
 
 
 def _bounded(arguments: Mapping[str, Any]) -> str:
@@ -237,10 +248,12 @@ def _bounded(arguments: Mapping[str, Any]) -> str:
     serialized: a circle, or too deep a tree.
     """
     try:
-        text = _JSON.encode(arguments)
-        # a NaN, which JSON has not, becomes text
-        if len(text) <= _MAX_ARGUMENTS and ("NaN" in text or "Infinity" in text):
-            text = _JSON.encode(json.loads(text, parse_constant=str))
+        # ten times as fast as the encoder above; a NaN, which JSON has not, becomes text
+        text = to_json(
+            arguments, inf_nan_mode="strings", fallback=lambda value: f"<{type(value).__name__}>"
+        ).decode()
+        if not text.isascii():
+            text = _JSON.encode(json.loads(text))
     except (ValueError, TypeError, RecursionError) as error:
         return _JSON.encode({"unwritable": type(error).__name__})
     if len(text) > _MAX_ARGUMENTS:

@@ -99,8 +99,10 @@ class Report(ModuleFacts):
         Tables become a pair for each entry, such as `dropped.stale_action`; metrics keep their own
         names.
         """
-        plain = self.model_dump(include=set(_PLAIN), exclude_none=True)
-        values = {name: to_text(value) for name, value in plain.items()}
+        values = {
+            name: to_text(value)
+            for name, value in self.model_dump(include=set(_PLAIN), exclude_none=True).items()
+        }
         for prefix, table in _TABLES.items():
             values |= {f"{prefix}.{key}": str(told) for key, told in getattr(self, table).items()}
         return values | self.metrics

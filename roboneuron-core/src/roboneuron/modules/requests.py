@@ -48,8 +48,8 @@ def digest_of(request: object) -> bytes:
     Args:
         request: of a service.
     """
-    text = json.dumps(request, default=_contents, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest().encode()
+    text = json.dumps(request, default=_contents, sort_keys=True).encode()
+    return hashlib.sha256(text).hexdigest().encode()
 
 
 def _contents(value: Any) -> object:
@@ -63,8 +63,11 @@ def _contents(value: Any) -> object:
 
 def parameters_request(values: Mapping[str, str | int]) -> SetParameters.Request:
     """The request to set these parameters."""
-    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-    return SetParameters.Request(parameters=parameters)
+    return SetParameters.Request(
+        parameters=[
+            Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+        ]
+    )
 
 
 class Announcements:

@@ -78,8 +78,10 @@ class RobotModule(Module):
         self.profile = load_profile(self.registry, section.name)
         self._topics = NodeTopics(node, accepts=lambda: self._active and not self.why_stopped())
         node.resources.callback(self._topics.close)
-        options = self.config.options(section.name)
-        self.driver = cast("RobotDriver", build(spec, options, self.profile, self._topics))
+        self.driver = cast(
+            "RobotDriver",
+            build(spec, self.config.options(section.name), self.profile, self._topics),
+        )
         node.resources.callback(self.driver.close)
         self.driver.open()
         self._states = node.advertise(JointState, JOINT_STATES)

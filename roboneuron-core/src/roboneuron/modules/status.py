@@ -64,8 +64,7 @@ class RateMeter:
         if not times:
             return 0.0, None
         # n events bound n - 1 periods
-        rate_hz = (len(times) - 1) / max(1e-9, times[-1] - times[0])
-        return rate_hz, now_s - times[-1]
+        return (len(times) - 1) / max(1e-9, times[-1] - times[0]), now_s - times[-1]
 
 
 class StatusWriter:

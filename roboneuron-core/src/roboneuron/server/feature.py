@@ -153,8 +153,11 @@ class Features:
     @property
     def on_join(self) -> tuple[str, ...]:
         """What every module calls once it has joined ROS."""
-        named = (self._specs[name].on_join for name in self.loaded)
-        return tuple(reference for reference in named if reference is not None)
+        return tuple(
+            reference
+            for name in self.loaded
+            if (reference := self._specs[name].on_join) is not None
+        )
 
     def listen(self, host: Host) -> Transport:
         """Have every feature reserve what it needs, and the one that serves the configured

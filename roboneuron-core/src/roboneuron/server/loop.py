@@ -182,8 +182,9 @@ class ClosedLoop:
         Raises:
             RoboNeuronError: as `choose` and `check`.
         """
-        config = self.base if kind == "robot" else self.config
-        plan = self.choose(kind, config, self.registry, request, role)
+        plan = self.choose(
+            kind, self.base if kind == "robot" else self.config, self.registry, request, role
+        )
         self.check(plan)
         return plan
 

@@ -103,8 +103,13 @@ class ToolRegistry:
 
     def replace(self, tool: Tool[Any]) -> None:
         """Have this tool in the place of the one of its name that was added."""
-        added = self._owned[_FIXED].items()
-        self._replace(_FIXED, [tool if name == tool.name else entry.tool for name, entry in added])
+        self._replace(
+            _FIXED,
+            [
+                tool if name == tool.name else entry.tool
+                for name, entry in self._owned[_FIXED].items()
+            ],
+        )
 
     def names(self, besides: str = "") -> frozenset[str]:
         """Names of all tools but the derived ones of the owner `besides`."""
@@ -212,16 +217,20 @@ class ToolRegistry:
             structured["acts_on"] = self._acts_on()
         text = json.dumps(structured)
         if tool.read_only and len(text) > _MOST_ANSWER:
-            hint = "Ask for less: its arguments narrow what it answers."
             return self.failure(
                 InvalidInputError(
-                    f"The answer of {name} has {len(text)} characters: too many.", hint=hint
+                    f"The answer of {name} has {len(text)} characters: too many.",
+                    hint="Ask for less: its arguments narrow what it answers.",
                 )
             )
-        content: list[types.ContentBlock] = [types.TextContent(type="text", text=text)]
-        content += [
-            types.ImageContent(type="image", data=b64encode(p.data).decode(), mime_type=p.mime_type)
-            for p in answer.pictures
+        content: list[types.ContentBlock] = [
+            types.TextContent(type="text", text=text),
+            *(
+                types.ImageContent(
+                    type="image", data=b64encode(p.data).decode(), mime_type=p.mime_type
+                )
+                for p in answer.pictures
+            ),
         ]
         return types.CallToolResult(content=content, structured_content=structured)
 
@@ -283,7 +292,7 @@ def _described(tool: Tool[Any]) -> types.Tool:
         name=tool.name,
         description=tool.description,
         input_schema=tool.input_schema(),
-        output_schema=listed_output(tool.output_schema()),
+        output_schema=listed_output(tool.result),
         annotations=types.ToolAnnotations(
             read_only_hint=tool.read_only,
             # they mean nothing for what only reads

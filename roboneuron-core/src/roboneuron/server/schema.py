@@ -6,7 +6,8 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import cache
-from typing import Any, Generic, TypeVar
+from types import UnionType
+from typing import Any, Generic, Literal, TypeVar, Union, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic.json_schema import JsonSchemaValue
@@ -15,6 +16,12 @@ from pydantic_core import to_json
 from roboneuron.errors import InvalidInputError, shortened
 from roboneuron.plugins.loading import option_names
 
+_LISTED: Mapping[object, str] = {
+    **dict.fromkeys((str, int, float, bool, Literal, Union, UnionType), ""),
+    **dict.fromkeys((list, tuple), "array"),
+    **dict.fromkeys((dict, type(BaseModel)), "object"),
+}
+"""Types of fields that need no schema to be listed, see `listed_output`."""
 _NO_JSON = "The call holds text that is no Unicode, or is nested too deeply."
 M = TypeVar("M", bound=BaseModel)
 M_co = TypeVar("M_co", bound=BaseModel, covariant=True)
@@ -88,20 +95,45 @@ def with_choices(
     return {**schema, "properties": properties}
 
 
-def listed_output(schema: JsonSchemaValue) -> JsonSchemaValue:
-    """An output schema as `tools/list` shows it: the fields of the answer, and which of them hold
-    several values.
+def listed_output(kind: type[BaseModel] | Shape[BaseModel]) -> JsonSchemaValue:
+    """The output schema of a result as `tools/list` shows it: the fields of the answer, and which
+    of them hold several values.
 
     Every agent reads the list in full before it does anything, so types of single values, what is
     inside of nested objects, and what fields mean, is left to docs/tools.md.
     """
-    fields = {name: _listed_field(entry) for name, entry in schema.get("properties", {}).items()}
+    fields = None if isinstance(kind, Shape) else _known_fields(kind)
+    if fields is None:
+        made = model_schema(kind, result=True)
+        fields = {
+            name: _listed_field("object" if "$ref" in entry else entry.get("type"))
+            for name, entry in made["properties"].items()
+        }
     return {"type": "object", "properties": fields}
 
 
-def _listed_field(entry: JsonSchemaValue) -> JsonSchemaValue:
-    kind = "object" if "$ref" in entry else entry.get("type")
+def _listed_field(kind: object) -> JsonSchemaValue:
     return {"type": kind} if kind in ("object", "array") else {}
+
+
+def _known_fields(model: type[BaseModel]) -> dict[str, JsonSchemaValue] | None:
+    """As `_listed_field` of each field, without making the schema of the model, which takes a
+    millisecond and is needed for a call only; None where a field has more to it than a type.
+    """
+    own = model.__pydantic_decorators__
+    has_more = bool(own.computed_fields or own.field_serializers or own.model_serializers) or any(
+        field.metadata or field.exclude or field.serialization_alias or field.json_schema_extra
+        for field in model.model_fields.values()
+    )
+    kinds = {name: _kind_of(field.annotation) for name, field in model.model_fields.items()}
+    if has_more or not _LISTED.keys() >= set(kinds.values()):
+        return None
+    return {name: _listed_field(_LISTED[kind]) for name, kind in kinds.items()}
+
+
+def _kind_of(annotation: object) -> object:
+    is_model = isinstance(annotation, type(BaseModel))
+    return type(BaseModel) if is_model else get_origin(annotation) or annotation
 
 
 def _plain(node: Any, *, keep_null: bool) -> Any:
@@ -146,16 +178,15 @@ def parse(
     Raises:
         InvalidInputError: they do not fit; names which, what came and what is allowed.
     """
-    model = kind.model if isinstance(kind, Shape) else kind
-    fields = model.model_fields
+    names: Mapping[str, object]
     if isinstance(kind, Shape):
-        names, required = tuple(kind.properties), tuple(kind.required)
+        model, names, required, check = kind.model, kind.properties, kind.required, kind.check
     else:
-        names = tuple(fields)
-        required = tuple(name for name, field in fields.items() if field.is_required())
+        model, names, check = kind, kind.model_fields, None
+        required = tuple(name for name, field in kind.model_fields.items() if field.is_required())
     for name in arguments:
         if name not in names:
-            raise InvalidInputError.unknown_name("The call", name, names)
+            raise InvalidInputError.unknown_name("The call", name, tuple(names))
     given = {
         name: value for name, value in arguments.items() if value is not None or name in required
     }
@@ -163,8 +194,12 @@ def parse(
         if name not in given:
             raise InvalidInputError(f"Argument {name!r} is missing.", path=name)
     for name, value in given.items():
-        is_whole = isinstance(value, float) and value.is_integer()
-        if is_whole and fields[name].annotation is int:  # to JSON, 1.0 is an integer
+        # to JSON, 1.0 is an integer
+        if (
+            isinstance(value, float)
+            and value.is_integer()
+            and model.model_fields[name].annotation is int
+        ):
             given[name] = int(value)
     try:
         # as JSON: strict, but a list is a tuple where one is due
@@ -178,9 +213,9 @@ def parse(
         for item in value if isinstance(value, list) else [] if value is None else [value]:
             if allowed and item not in allowed:
                 raise InvalidInputError.no_choice(name, item, list(allowed))
-    if isinstance(kind, Shape):
+    if check is not None:
         for name in given:
-            kind.check(name, getattr(parsed, name))
+            check(name, getattr(parsed, name))
     return parsed
 
 

@@ -63,8 +63,11 @@ def _stop_tool(loop: ClosedLoop, entry: KindEntry) -> Tool[Any]:
 
 def _stop_all(loop: ClosedLoop) -> Tool[Any]:
     async def handler(_: NoArguments, context: CallContext) -> StopAllResult:
-        stopped = await context.run(lambda _: loop.stop_all())
-        return StopAllResult(stopped=[StopResult(**dict(one)) for one in stopped])
+        return StopAllResult(
+            stopped=[
+                StopResult(**dict(one)) for one in await context.run(lambda _: loop.stop_all())
+            ]
+        )
 
     return Tool(
         name="stop_all",

@@ -70,8 +70,9 @@ class AnnouncingServer(Server[Any]):
 
     def introduce(self, robots: str, tools: Collection[str]) -> None:
         """Tell clients what the server operates, and how to use its tools."""
-        said = [text for tool, text in _INSTRUCTIONS.items() if tool in tools]
-        self.instructions = " ".join([robots, *said, _EVERYWHERE])
+        self.instructions = " ".join(
+            [robots, *(text for tool, text in _INSTRUCTIONS.items() if tool in tools), _EVERYWHERE]
+        )
 
 
 async def _trace(
@@ -129,8 +130,9 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
         context: ServerRequestContext[Any, Any], params: types.CallToolRequestParams
     ) -> types.CallToolResult | types.InputRequiredResult:
         try:
-            made = RequestContext(context, params, server.ask)
-            return await surface.tools.call(params.name, params.arguments or {}, made)
+            return await surface.tools.call(
+                params.name, params.arguments or {}, RequestContext(context, params, server.ask)
+            )
         except UnfinishedCallError as question:
             return question.result
 
@@ -164,8 +166,11 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
     ) -> types.ReadResourceResult:
         uri = str(params.uri)
         found = find_resource(uri)
-        content = types.TextResourceContents(uri=uri, mime_type=found.mime_type, text=found.read())
-        return types.ReadResourceResult(contents=[content])
+        return types.ReadResourceResult(
+            contents=[
+                types.TextResourceContents(uri=uri, mime_type=found.mime_type, text=found.read())
+            ]
+        )
 
     server = AnnouncingServer(
         name,

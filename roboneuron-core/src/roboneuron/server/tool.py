@@ -247,8 +247,10 @@ class Tool(Generic[A]):
         outcome = await self.handler(self.parsed(arguments), context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
         is_sparse = isinstance(self.result, Shape) or self.result.sparse
-        told = reply.result.model_dump(mode="json", exclude_unset=is_sparse)
-        return Answer(structured=told, pictures=reply.pictures)
+        return Answer(
+            structured=reply.result.model_dump(mode="json", exclude_unset=is_sparse),
+            pictures=reply.pictures,
+        )
 
     def _choices(self) -> dict[str, dict[str, str]]:
         return {name: ask() for name, ask in self.choices.items()}

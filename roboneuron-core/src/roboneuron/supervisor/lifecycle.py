@@ -176,8 +176,7 @@ class NodeClient:
                 f"{self._node} did not take its parameters within {timeout_s:.2g} s.",
                 hint="It may hang: see loop_age_s in get_status.",
             )
-        refused = [result.reason for result in call.result().results if not result.successful]
-        return "; ".join(refused)
+        return "; ".join(result.reason for result in call.result().results if not result.successful)
 
     def set(
         self,

@@ -139,7 +139,11 @@ class DirectPath(Feature[DirectPathOptions]):
         """
         if exposed.hidden and exposed.label == LEAD_LABEL:
             return ""
-        view = self._host.modules.view("inference")
+        modules = self._host.modules
+        # asked with every call: the whole view costs as much as the rest of the answer
+        if modules.slot("inference").phase not in ("starting", "running"):
+            return ""
+        view = modules.view("inference")
         if view.phase not in ("starting", "running") or view.plan is None:
             return ""
         if view.plan.config.namespace != exposed.namespace:

@@ -296,7 +296,6 @@ class Gate:
 
     def _write(self, request: GateRequest, verdict: Verdict) -> None:
         words = ("would_refuse", "would_allow") if verdict.dry_run else ("refused", "allowed")
-        found = self._entries.get((request.robot, request.endpoint))
         record = AuditRecord(
             who=request.who[:200],
             role=request.role[:20],
@@ -312,6 +311,7 @@ class Gate:
         try:
             self.audit.write(record)
         except RefusedError:  # reading goes on and refusals stay refusals when the disk is full
+            found = self._entries.get((request.robot, request.endpoint))
             if found is not None and found.allowed.endpoint.kind != "read" and verdict.may_send:
                 raise
 

@@ -36,10 +36,12 @@ class RateLimit:
 
     def take(self, at_s: Sequence[float] = (0.0,), owner: object = None) -> float:
         """Count messages if all are accepted now; returns 0, or as `wait_s`."""
+        if not self._most:
+            return 0.0
         with self._lock:
             now = self._clock()
             wait = self._wait_s(now, at_s)
-            if wait == 0.0 and self._most:
+            if wait == 0.0:
                 self._sent += [(now + offset, owner) for offset in at_s]
             return wait
 

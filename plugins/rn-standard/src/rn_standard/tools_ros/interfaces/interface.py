@@ -98,7 +98,9 @@ class MessageInterface:
         """
         plain = (
             value.model_dump(by_alias=True, exclude_unset=True)
-            if isinstance(value, BaseModel)
+            # that it is no dict is looked at first, because each look at a model costs as much as
+            # a field
+            if value.__class__ is not dict and isinstance(value, BaseModel)
             else value
         )
         return _encode(self._encoder, self.message, plain, now_ns, limits)
