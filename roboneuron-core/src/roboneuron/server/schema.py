@@ -104,10 +104,9 @@ def listed_output(kind: type[BaseModel] | Shape[BaseModel]) -> JsonSchemaValue:
     """
     fields = None if isinstance(kind, Shape) else _known_fields(kind)
     if fields is None:
-        made = model_schema(kind, result=True)
         fields = {
             name: _listed_field("object" if "$ref" in entry else entry.get("type"))
-            for name, entry in made["properties"].items()
+            for name, entry in model_schema(kind, result=True)["properties"].items()
         }
     return {"type": "object", "properties": fields}
 
@@ -132,8 +131,11 @@ def _known_fields(model: type[BaseModel]) -> dict[str, JsonSchemaValue] | None:
 
 
 def _kind_of(annotation: object) -> object:
-    is_model = isinstance(annotation, type(BaseModel))
-    return type(BaseModel) if is_model else get_origin(annotation) or annotation
+    return (
+        type(BaseModel)
+        if isinstance(annotation, type(BaseModel))
+        else get_origin(annotation) or annotation
+    )
 
 
 def _plain(node: Any, *, keep_null: bool) -> Any:
