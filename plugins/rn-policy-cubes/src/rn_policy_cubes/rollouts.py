@@ -51,16 +51,16 @@ class Student:
         self._index = torch.arange(PATCHES)[None]
 
     @torch.no_grad()
-    def predict(self, picture: U8, row: np.void, colour: str) -> F64:
+    def predict(self, picture: U8, row: NDArray[np.void], colour: str) -> F64:
         """The next actions, float64 (ROWS, 7), as the teacher gives them.
 
         Args:
             picture: uint8 (224, 224, 3) RGB.
-            row: of the dtype `ROW`; only what the robot measures is looked at.
+            row: of the dtype `ROW`, (); only what the robot measures is looked at.
             colour: of the named cube.
         """
         look = Look(torch.from_numpy(patches_of(picture[None])), self._index, None)
-        state = torch.from_numpy(state_of(row))[None]
+        state = torch.from_numpy(state_of(row[()]))[None]
         ids = self._ids[None, COLOURS.index(colour)][None]
         actions = self._network(look, state, ids).actions[0].double().numpy()
         actions[:, :6] *= ACTION_SCALE

@@ -277,7 +277,12 @@ def pack(directory: Path) -> Packed:
     ]
     figures: dict[str, float] = {}
     for line in lines:
-        figures |= {name: value for name, value in line.items() if name.startswith("held_out_")}
+        # JSON has no NaN, which stands for what the held-out views do not show
+        figures |= {
+            name: value
+            for name, value in line.items()
+            if name.startswith("held_out_") and not math.isnan(value)
+        }
     return Packed.of(
         training.average,
         Card(recipe=recipe, step=training.step, cpu_s=training.cpu_s, figures=figures),
