@@ -345,6 +345,9 @@ parity-checkouts:
 train-cubes: $(VENV)/.demo-learned ## the small learned policy, from nothing: demonstrations, training; goes on where it was
 	$(BIN)/roboneuron cubes-policy train --workers $(JOBS) $(ARGS)
 
+improve-cubes: $(VENV)/.develop ## one round: rollouts, training, champion against challenger; ends what was begun (some minutes)
+	$(BIN)/roboneuron cubes-policy improve $(ARGS)
+
 demo-bases: $(VENV)/.demo-bases ## an MCP client drives three mobile bases at the same time
 	@$(BIN)/python examples/drive_bases.py $(ARGS)
 
