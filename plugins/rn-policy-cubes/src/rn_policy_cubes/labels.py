@@ -59,8 +59,8 @@ class Labels:
     is_placed: NDArray[np.bool_]
 
 
-def state_of(row: np.void) -> F32:
-    """The state as rn-backend-oft normalises it, float32 (7,)."""
+def state_of(row: np.void | NDArray[np.void]) -> F32:
+    """The state of one view as rn-backend-oft normalises it, float32 (7,)."""
     rotation = row["rotation"].astype(np.float64)
     values = np.concatenate([row["tcp_m"], rpy_by_down(rotation), [row["opening"]]])
     scaled = np.clip(2.0 * (values - _LOW) / (_HIGH - _LOW) - 1.0, -1.0, 1.0)

@@ -60,7 +60,7 @@ class Student:
             colour: of the named cube.
         """
         look = Look(torch.from_numpy(patches_of(picture[None])), self._index, None)
-        state = torch.from_numpy(state_of(row[()]))[None]
+        state = torch.from_numpy(state_of(row))[None]
         ids = self._ids[None, COLOURS.index(colour)][None]
         actions = self._network(look, state, ids).actions[0].double().numpy()
         actions[:, :6] *= ACTION_SCALE
