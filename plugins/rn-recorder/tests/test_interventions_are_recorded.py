@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from recorder_demonstrations import action, record_run, store_in
 
+from rn_recorder_policy.lerobot_reading import episode_count, read_lerobot
 from rn_recorder_runs.acted import BLEND, NOBODY, PERSON, POLICY, ActedRow, Deeds, composed
 from rn_recorder_runs.command import Runs
 from rn_recorder_runs.lerobot import export
@@ -68,6 +69,14 @@ def test_the_action_of_a_row_is_what_was_executed(run: Run, tmp_path: Path) -> N
     np.testing.assert_array_equal(table["action"], np.float32(table["roboneuron.action"]))
     assert table["roboneuron.who"] == [0, 0, 1, 1, 2, 3, 1, 0]
     assert table["intervention"] == [False, False, True, True, True, False, True, False]
+
+
+def test_who_reads_the_data_set_sees_who_acted(run: Run, tmp_path: Path) -> None:
+    export([run], tmp_path / "set", outcome=None, fps=None, codec="h264")
+    assert episode_count(tmp_path / "set") == 1
+    read = read_lerobot(tmp_path / "set", 0).columns
+    assert read["intervention"].values[:, 0].tolist() == [0, 0, 1, 1, 1, 0, 1, 0]
+    assert read["action"].values[3, :2] == pytest.approx([0, 0.02])
 
 
 def test_what_a_person_did_adds_up_to_the_whole_motion() -> None:
