@@ -61,6 +61,7 @@ def test_what_a_person_did_is_the_action_of_the_rows(
                 page.push(STILL, 1.0, held=False)
                 assert page.ask({"back": 1}) == ""
                 wait_until(lambda: cell.acting[-1].who == "policy", 20.0, poll_s=0.02)
+        cell.call("take_over")  # the page operates the robot for a while after it was closed
         run = cell.call("stop_recording", outcome="success")
         cell.call("stop_all")
     store = Store(Path(run["files"][0]).parents[2])
