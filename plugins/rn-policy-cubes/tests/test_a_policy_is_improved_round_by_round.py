@@ -4,7 +4,6 @@ what is not worse, and the way back.
 
 from __future__ import annotations
 
-import json
 import random
 import signal
 import subprocess
@@ -240,7 +239,7 @@ def test_a_round_that_is_killed_at_any_time_ends_as_one_that_is_not(
     assert kills > 1
     same(tmp_path / "whole", tmp_path / "parts")
     entries = [
-        [json.loads(line)["what"] for line in (tmp_path / name / LEDGER_FILE).open()]
+        [entry["what"] for entry in ImprovementLedger(tmp_path / name).entries]
         for name in ("whole", "parts")
     ]
     assert entries[0] == entries[1]
