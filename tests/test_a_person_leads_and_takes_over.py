@@ -4,29 +4,24 @@ is lost.
 
 from __future__ import annotations
 
-import re
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack
-from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from anyio.from_thread import start_blocking_portal
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "plugins" / "rn-view" / "tests"))
+sys.path.insert(0, str(Path(__file__).parent))
 from lead_client import LeadPage
+from led_cell import INSTRUCTION, STILL, Cell
 
 sys.path.pop(0)
+sys.path.pop(0)
 
-from rn_standard.console.client import spawned_server
-from rn_standard.teleoperation.rows import Acting
 from rn_testing.waiting import wait_until
-from roboneuron.ros.environment import prepare_environment
 
 pytestmark = [
     pytest.mark.ros,
@@ -34,21 +29,7 @@ pytestmark = [
     pytest.mark.timeout(240),
     pytest.mark.filterwarnings("default:Queued a:UserWarning"),
 ]
-INSTRUCTION = "pick up the red cube"
-CONFIG = """
-[robot]
-name = "fr3"
-[perception]
-source = "fr3-sim-camera"
-[inference]
-backend = "servo"
-[control]
-controller = "urdf"
-[view]
-enabled = true
-port = 0
-"""
-AHEAD, LEFT, STILL = [0.1, 0, 0, 0, 0, 0], [0, 0.1, 0.05, 0, 0, 0], [0.0] * 6
+AHEAD, LEFT = [0.1, 0, 0, 0, 0, 0], [0, 0.1, 0.05, 0, 0, 0]
 LIMITS = (2.62, 10.0)
 """Of the FR3's slower joints [rad/s, rad/s^2]."""
 SPACING_S = 0.02
@@ -57,90 +38,6 @@ REST_S = 0.2
 """From the last sample of a person who is lost to the rest of the arm."""
 OBSERVED_S = 0.06
 """More for what an onlooker sees late: poses come every 25 ms, on a machine that others use too."""
-
-
-class Cell:
-    """A server with its page, and a node that looks at the robot."""
-
-    def __init__(self, environment: dict[str, str], tmp_path: Path, stack: ExitStack) -> None:
-        (tmp_path / "roboneuron.toml").write_text(CONFIG)
-        log = tmp_path / "server.log"
-        self._portal = stack.enter_context(start_blocking_portal())
-        with pytest.MonkeyPatch.context() as patch:
-            for name, value in environment.items():
-                patch.setenv(name, value)
-            server = spawned_server(["--config", str(tmp_path / "roboneuron.toml")], log)
-            self._client = stack.enter_context(self._portal.wrap_async_context_manager(server))
-        pattern = r"live view is at (http://[\d.]+:\d+)"
-        wait_until(lambda: bool(re.search(pattern, log.read_text())), 60.0, poll_s=0.1)
-        self.url = re.findall(pattern, log.read_text())[0]
-        self.poses: list[tuple[float, np.ndarray]] = []
-        self.joints: list[tuple[float, np.ndarray]] = []
-        self.acting: list[Acting] = []
-        self._watch(environment, tmp_path, stack)
-
-    def call(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """Call a tool as the agent; a failure is an AssertionError with its text."""
-        answer = self._portal.call(self._client.call_tool, tool, arguments)
-        assert not answer.is_error, answer.content
-        return dict(answer.structured_content or {})
-
-    def refusal(self, tool: str, **arguments: Any) -> str:
-        """Why a tool refuses."""
-        answer = self._portal.call(self._client.call_tool, tool, arguments)
-        assert answer.is_error
-        return str(answer.content)
-
-    def module(self, kind: str) -> dict[str, Any]:
-        """Status of a module."""
-        found = [one for one in self.call("get_status")["modules"] if one["module"] == kind]
-        return dict(found[0])
-
-    def speed_m_s(self, since_s: float) -> float:
-        """Greatest speed of the TCP since a monotonic time."""
-        seen = [pose for pose in list(self.poses) if pose[0] >= since_s]
-        steps = pairwise(seen)
-        return max(float(np.linalg.norm(b[1] - a[1])) / (b[0] - a[0]) for a, b in steps)
-
-    def _watch(self, environment: dict[str, str], tmp_path: Path, stack: ExitStack) -> None:
-        prepare_environment(tmp_path / "log")
-        import rclpy
-        from geometry_msgs.msg import PoseStamped
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.qos import qos_profile_sensor_data
-        from sensor_msgs.msg import JointState
-        from std_msgs.msg import Float64MultiArray
-
-        context = rclpy.Context()
-        context.init(domain_id=int(environment["ROS_DOMAIN_ID"]))
-        node = rclpy.create_node("onlooker", context=context)
-
-        def pose(message: PoseStamped) -> None:
-            place = message.pose.position
-            self.poses.append((time.monotonic(), np.array([place.x, place.y, place.z])))
-
-        def joints(message: JointState) -> None:
-            stamp = message.header.stamp
-            at_s = stamp.sec + stamp.nanosec / 1e9
-            if not self.joints or at_s > self.joints[-1][0]:
-                self.joints.append((at_s, np.array(message.position[:7])))
-
-        def acting(message: Float64MultiArray) -> None:
-            self.acting.append(Acting.from_message(message))
-
-        for kind, topic, take in (
-            (PoseStamped, "ee_pose", pose),
-            (JointState, "joint_states", joints),
-            (Float64MultiArray, "acting", acting),
-        ):
-            node.create_subscription(kind, f"/fr3/{topic}", take, qos_profile_sensor_data)
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-        thread = threading.Thread(target=executor.spin, daemon=True)
-        thread.start()
-        stack.callback(context.shutdown)
-        stack.callback(thread.join, 5.0)
-        stack.callback(executor.shutdown)
 
 
 @pytest.fixture

@@ -78,6 +78,12 @@ def eval_libero(session: nox.Session) -> None:
 
 
 @lane
+def improve_cubes(session: nox.Session) -> None:
+    """one round for the learned policy: rollouts, training, champion against challenger"""
+    roboneuron(session, "cubes-policy", "improve", *session.posargs)
+
+
+@lane
 def record_demos(session: nox.Session) -> None:
     """record N demonstrations in simulation, and export them as a LeRobotDataset (out/demos)"""
     python(session, "examples/record_demos.py", "-n", os.environ.get("N", "50"))

@@ -77,10 +77,10 @@ def record_run(
     instructions: list[tuple[str, str]],
     rows: int = 8,
     start_ns: int = 1_700_000_000_000_000_000,
-    acting: Mapping[int, str] | None = None,
+    acting: Mapping[int, str | Acting] | None = None,
 ) -> Run:
     """A run of episodes (instruction, outcome), and its files in the store; `acting` says who moved
-    the arm by which action.
+    the arm by which action, or all that control told of it.
     """
     folder = store.recordings / name
     folder.mkdir(parents=True)
@@ -122,7 +122,9 @@ def record_run(
             )
             send("/toy/action", to_action_message(action(number)), seen.stamp_ns + 30_000_000)
             if acting is not None and number in acting:
-                told = Acting(who=acting[number], session="one", number=number)
+                told = acting[number]
+                if isinstance(told, str):
+                    told = Acting(who=told, session="one", number=number)
                 send("/toy/acting", told.to_message(), seen.stamp_ns + 31_000_000)
             number += 1
         end = {

@@ -24,7 +24,8 @@ from rn_recorder_runs.episodes import read_episodes, read_streams
 from rn_recorder_runs.files import Record, RunFile, copy_records, read_records
 from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.observations import Observations
-from rn_recorder_runs.replay import EXACT, Compared, check_labels, replay
+from rn_recorder_runs.replay import EXACT, Compared, replay
+from rn_recorder_runs.replayed_run import check_labels
 from rn_recorder_runs.store import Run
 from rn_standard.inference.agreement import SpaceAgreement
 from roboneuron import ACTION_LABEL, ControlSpace, InvalidInputError

@@ -77,16 +77,6 @@ def test_rows_equal_the_recording(tmp_path: Path) -> None:
             assert error < 4, (camera, number)
 
 
-def test_rows_say_whether_a_person_moved_the_arm(tmp_path: Path) -> None:
-    acting = {1: "policy", 2: "person", 3: "person", 4: "blend", 5: "nobody"}
-    run = record_run(store_in(tmp_path), "demo", TWO[:1], acting=acting)
-    export([run], tmp_path / "set", outcome=None, fps=None, codec="h264")
-    table = pq.read_table(tmp_path / "set/data/chunk-000/file-000.parquet").to_pydict()
-    assert table["intervention"] == [False, False, True, True, True, False, False, False]
-    info = json.loads((tmp_path / "set/meta/info.json").read_text())
-    assert info["features"]["intervention"] == {"dtype": "bool", "shape": [1], "names": None}
-
-
 def test_units_frames_and_origin_are_told(tmp_path: Path) -> None:
     run = record_run(store_in(tmp_path), "demo", TWO)
     export([run], tmp_path / "set", outcome=None, fps=None, codec="h264")

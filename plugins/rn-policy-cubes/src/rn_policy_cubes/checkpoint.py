@@ -53,16 +53,18 @@ CONFIGURATION_FILE = "roboneuron.toml"
 SERVED_FILE = "policies.toml"
 
 
-def unpack(packed: Packed, directory: Path) -> None:
+def unpack(packed: Packed, directory: Path, becomes: Path | None = None) -> None:
     """Write config.json, weights, processor, tokenizer, statistics, head and projector into a new
     or empty folder.
 
     Beside them a roboneuron.toml that runs this checkpoint on the simulated robot, and a
-    policies.toml that serves it to robots of other machines.
+    policies.toml that serves it to robots of other machines; they name the folder `becomes`, if it
+    is to be renamed.
 
     Raises:
         ConfigurationError: the folder is not empty.
     """
+    named = becomes or directory
     if directory.exists() and (not directory.is_dir() or any(directory.iterdir())):
         raise ConfigurationError(
             f"{directory} exists and is not an empty directory.", hint="Name a new directory."
@@ -85,8 +87,8 @@ def unpack(packed: Packed, directory: Path) -> None:
             if n.startswith(prefix)
         }
         torch.save(tensors, directory / file)
-    (directory / CONFIGURATION_FILE).write_text(configuration(directory), encoding="utf-8")
-    (directory / SERVED_FILE).write_text(served(directory), encoding="utf-8")
+    (directory / CONFIGURATION_FILE).write_text(configuration(named), encoding="utf-8")
+    (directory / SERVED_FILE).write_text(served(named), encoding="utf-8")
 
 
 def shipped_configuration(output: Path) -> Path:

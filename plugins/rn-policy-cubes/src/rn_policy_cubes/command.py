@@ -11,10 +11,13 @@ from typing import TYPE_CHECKING
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
+    from pydantic import ValidationError
+
     from rn_policy_cubes.packing import Packed
     from rn_policy_cubes.recipe import Recipe
 
 DEFAULT_DIRECTORY = Path("out/train-cubes")
+IMPROVED_DIRECTORY = Path("out/improve-cubes")
 
 
 class CubesPolicy:
@@ -53,6 +56,16 @@ class CubesPolicy:
         train.add_argument(
             "--fuse", action="store_true", help="compile the layers: half the time; needs C++"
         )
+        _configure_improve(
+            actions.add_parser(
+                "improve",
+                help="train on what the policy fails at, compare, promote if it is not worse",
+            )
+        )
+        rollback = actions.add_parser("rollback", help="return to the policy before the promoted")
+        rollback.add_argument(
+            "--out", type=Path, default=IMPROVED_DIRECTORY, help="default: %(default)s"
+        )
         pack = actions.add_parser("pack", help="write the trained weights as one small file")
         pack.add_argument(
             "--out", type=Path, default=DEFAULT_DIRECTORY, help="folder of the training"
@@ -71,10 +84,93 @@ class CubesPolicy:
         match arguments.action:
             case "train":
                 return _train(arguments)
+            case "improve":
+                return _improve(arguments)
+            case "rollback":
+                return _roll_back(arguments)
             case "pack":
                 return _pack(arguments)
             case _:
                 return _unpack(arguments)
+
+
+def _configure_improve(parser: ArgumentParser) -> None:
+    add = parser.add_argument
+    add("--out", type=Path, default=IMPROVED_DIRECTORY, help="default: %(default)s")
+    add("--weights", type=Path, help="packed file of the first champion; default: the shipped one")
+    add(
+        "--corrections",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="DATASET",
+        help="LeRobot data set in which people corrected the policy; repeatable",
+    )
+    for name, default, text in (
+        ("shards", 8, "shards of demonstrations"),
+        ("rollouts", 3, "shards of what the champion itself comes into, labelled by the teacher"),
+        ("views", 256, "pictures of a shard"),
+        ("steps", 300, "of the training"),
+        ("seeds", 40, "unseen scenes of the evaluation"),
+    ):
+        add(f"--{name}", type=int, default=default, help=f"{text} (default: %(default)s)")
+    add("--time-limit", type=float, default=30.0, metavar="S", help="of a scene (default: 30)")
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="another value of the training's recipe: rate=0.0005",
+    )
+    add("--threads", type=int, default=1, help="threads of the training on a CPU (default: 1)")
+
+
+def _improve(arguments: Namespace) -> int:
+    """Status 0 also when the champion stays."""
+    os.environ["OMP_NUM_THREADS"] = str(arguments.threads)
+    import torch
+    from pydantic import ValidationError
+
+    from rn_policy_cubes.improvement_ledger import alone_in
+    from rn_policy_cubes.improving import RoundPlan, Wheel, recipe_of_round
+    from rn_policy_cubes.weights import shipped_weights
+
+    torch.set_num_threads(arguments.threads)
+    try:
+        plan = RoundPlan(
+            recipe=recipe_of_round(arguments.shards, arguments.steps, _settings(arguments.set)),
+            rollouts=arguments.rollouts,
+            views=arguments.views,
+            seeds=arguments.seeds,
+            time_limit_s=arguments.time_limit,
+        )
+    except ValidationError as error:
+        raise _wrong_value(error) from None
+    with alone_in(arguments.out):
+        wheel = Wheel(arguments.out, _say)
+        number = wheel.begin(arguments.weights or shipped_weights(), plan, arguments.corrections)
+        test = wheel.run(number)
+        is_promoted = wheel.champion == number
+        _say(f"round {number}, {test.seeds} unseen scenes: {test}")
+        _say("the challenger is promoted" if is_promoted else "it is worse: the champion stays")
+        _say(f"the champion: {wheel.checkpoint(wheel.champion)}")
+    return 0
+
+
+def _roll_back(arguments: Namespace) -> int:
+    from rn_policy_cubes.improvement_ledger import LEDGER_FILE, alone_in
+    from rn_policy_cubes.improving import Wheel
+
+    if not (arguments.out / LEDGER_FILE).exists():
+        raise ConfigurationError(
+            f"{arguments.out} holds no improved policy.",
+            hint="Begin: roboneuron cubes-policy improve",
+        )
+    with alone_in(arguments.out):
+        wheel = Wheel(arguments.out, _say)
+        gone, back = wheel.roll_back()
+        print(f"round {gone} is rolled back; the champion: {wheel.checkpoint(back)}")
+    return 0
 
 
 def _train(arguments: Namespace) -> int:
@@ -105,6 +201,18 @@ def _recipe(settings: list[str]) -> Recipe:
 
     from rn_policy_cubes.recipe import Recipe
 
+    try:
+        return Recipe.model_validate(_settings(settings))
+    except ValidationError as error:
+        raise _wrong_value(error) from None
+
+
+def _wrong_value(error: ValidationError) -> ConfigurationError:
+    first = error.errors()[0]
+    return ConfigurationError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}.")
+
+
+def _settings(settings: list[str]) -> dict[str, object]:
     values: dict[str, object] = {}
     for setting in settings:
         name, equals, value = setting.partition("=")
@@ -114,13 +222,7 @@ def _recipe(settings: list[str]) -> Recipe:
             values[name] = json.loads(value)
         except ValueError:
             values[name] = value
-    try:
-        return Recipe.model_validate(values)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigurationError(
-            f"--set {'.'.join(map(str, first['loc']))}: {first['msg']}."
-        ) from None
+    return values
 
 
 def _pack(arguments: Namespace) -> int:

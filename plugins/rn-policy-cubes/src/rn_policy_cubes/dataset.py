@@ -50,11 +50,20 @@ class Shards:
             patches.append(patches_of(pictures))
             shares.append(coloured_share(patches[-1]))
             labels.append(label(rows))
-        joined = {
-            field.name: np.concatenate([getattr(part, field.name) for part in labels])
+        parts = zip(patches, shares, labels, strict=True)
+        return cls.joined([cls(*part) for part in parts])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Shards]) -> Shards:
+        """All of them as one."""
+        if len(parts) == 1:
+            return parts[0]
+        labels = {
+            field.name: np.concatenate([getattr(part.labels, field.name) for part in parts])
             for field in fields(Labels)
         }
-        return cls(np.concatenate(patches), np.concatenate(shares), Labels(**joined))
+        patches = np.concatenate([part.patches for part in parts])
+        return cls(patches, np.concatenate([part.share for part in parts]), Labels(**labels))
 
     def __len__(self) -> int:
         return len(self.patches)
@@ -70,7 +79,7 @@ class Batch:
         ids: (views, colours, n).
         actions: (pairs, ROWS, 7).
         place: (pairs, 5).
-        known: (pairs,) float, 1 where `actions` count.
+        known, placed: (pairs,) float, 1 where `actions` count, and where `place` does.
         distance_m: (pairs,).
         shows_named: (pairs, tokens) bool, the token shows the named cube.
         shows_other: (pairs, tokens) bool, it shows another one and not the named one.
@@ -82,6 +91,7 @@ class Batch:
     actions: Tensor
     place: Tensor
     known: Tensor
+    placed: Tensor
     distance_m: Tensor
     shows_named: Tensor
     shows_other: Tensor
@@ -165,6 +175,7 @@ def _batch(
         actions=tensor(labels.actions[chosen]).flatten(0, 1),
         place=tensor(labels.place[chosen]).flatten(0, 1),
         known=tensor(labels.known[chosen].astype(np.float32)).flatten(0, 1),
+        placed=tensor(np.repeat(labels.is_placed[chosen].astype(np.float32), len(COLOURS))),
         distance_m=tensor(labels.distance_m[chosen]).flatten(0, 1),
         shows_named=tensor(named).flatten(0, 1),
         shows_other=tensor(other).flatten(0, 1),

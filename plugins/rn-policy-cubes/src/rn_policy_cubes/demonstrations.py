@@ -76,9 +76,15 @@ def write_shard(
 
     `tell` gets the number of its views after each episode.
     """
-    rows_file, pictures_file = shard_files(directory, number)
+    return fill_shard(directory, ShardRecorder(number, views), tell)
+
+
+def fill_shard(
+    directory: Path, recorder: ShardRecorder, tell: Callable[[int], object] | None = None
+) -> tuple[int, int]:
+    """Have a recorder fill its shard and write it; as `write_shard`."""
+    rows_file, pictures_file = shard_files(directory, recorder.number)
     directory.mkdir(parents=True, exist_ok=True)
-    recorder = _Recorder(number, views)
     recorder.run(tell or (lambda made: None))
     # the rows last: they count
     for path, array in ((pictures_file, recorder.pictures), (rows_file, recorder.rows)):
@@ -125,15 +131,23 @@ class _Disturbance:
         return action
 
 
-class _Recorder:
-    """Plays episodes until the shard is full."""
+class ShardRecorder:
+    """Plays episodes until the shard is full.
+
+    Attributes:
+        number: of the shard, which is all that its episodes depend on.
+        pictures: uint8 (views, 224, 224, 3) RGB.
+        rows: of the dtype `ROW`, (views,).
+        lifted: episodes that lifted the named cube.
+        random: draws of this shard.
+    """
 
     def __init__(self, number: int, views: int) -> None:
         self.pictures = np.zeros((views, SIDE_PX, SIDE_PX, 3), dtype=np.uint8)
         self.rows = np.zeros(views, dtype=ROW)
         self.lifted = 0
-        self._number, self._views, self._count = number, views, 0
-        self._random = np.random.default_rng([number, 0x7265])
+        self.number, self._views, self._count = number, views, 0
+        self.random = np.random.default_rng([number, 0x7265])
         self._controller = UrdfController(None, profile())
         self._controller.load()
         self._seed = 0
@@ -141,20 +155,29 @@ class _Recorder:
     def run(self, tell: Callable[[int], object]) -> None:
         """Fill the arrays."""
         for episode in range(SEEDS_PER_SHARD):
-            if self._count == self._views:
+            if self.is_full:
                 return
-            self._seed = FIRST_SEED + SEEDS_PER_SHARD * self._number + episode
+            self._seed = FIRST_SEED + SEEDS_PER_SHARD * self.number + episode
             with ArmSimulation(self._seed, engine="pybullet") as simulation:
-                target = COLOURS[int(self._random.integers(len(COLOURS)))]
-                if self._random.random() < 0.65:
+                target = self.choose(simulation)
+                if self.random.random() < 0.65:
                     self._wander(simulation, target)
-                self._pick(simulation, target)
+                self.pick(simulation, target)
                 self.lifted += simulation.cubes()[target].held_s > 0.3
             tell(self._count)
 
+    def choose(self, simulation: ArmSimulation) -> str:
+        """The cube to be named."""
+        return COLOURS[int(self.random.integers(len(COLOURS)))]
+
+    @property
+    def is_full(self) -> bool:
+        """No view is missing."""
+        return self._count == self._views
+
     def _wander(self, simulation: ArmSimulation, target: str) -> None:
         """Go somewhere first, so that demonstrations begin everywhere."""
-        random = self._random
+        random = self.random
         cube = simulation.cubes()[target].position_m
         if random.random() < 0.6:
             goal = np.array([*(cube[:2] + random.normal(0, 0.05, 2)), random.uniform(0.09, 0.25)])
@@ -172,24 +195,26 @@ class _Recorder:
             turn_left -= turn
             move *= min(1.0, 0.06 / distance)
             if random.random() < 0.25:
-                self._keep(simulation, target)
-            self._execute(simulation, np.array([*move, 0.0, 0.0, turn, 1.0]))
+                self.keep(simulation, target)
+            self.execute(simulation, np.array([*move, 0.0, 0.0, turn, 1.0]))
 
-    def _pick(self, simulation: ArmSimulation, target: str) -> None:
-        random = self._random
+    def pick(self, simulation: ArmSimulation, target: str) -> None:
+        """One episode."""
+        random = self.random
         disturbance = _Disturbance(random, float(random.choice([0.0, 0.003, 0.006, 0.012])))
         held_steps = 0
         for _ in range(_MOST_STEPS):
-            now = situations(self._look(simulation, target)[None], COLOURS.index(target))
+            now = situations(self.look(simulation, target)[None], COLOURS.index(target))
             near = float(np.linalg.norm(now.to_cube_m)) < 0.10
             if random.random() < (0.7 if near else 0.35):
-                self._keep(simulation, target)
+                self.keep(simulation, target)
             held_steps += simulation.cubes()[target].held_s > 0.5
-            if held_steps > 3 or self._count == self._views:
+            if held_steps > 3 or self.is_full:
                 return
-            self._execute(simulation, disturbance.apply(act(now)[0], now))
+            self.execute(simulation, disturbance.apply(act(now)[0], now))
 
-    def _execute(self, simulation: ArmSimulation, action: F64) -> None:
+    def execute(self, simulation: ArmSimulation, action: F64) -> None:
+        """One action (7,) of the contract, for `STEP_S`."""
         joints = JointSample(names=JOINTS, position=simulation.joint_positions(), stamp_ns=0)
         command = self._controller.compute(Action.from_vector(action), joints, STEP_S)
         if isinstance(command, Hold):
@@ -198,16 +223,18 @@ class _Recorder:
             simulation.set_target(command.names, command.position, command.duration_s)
         simulation.step(_TICKS)
 
-    def _keep(self, simulation: ArmSimulation, target: str) -> None:
-        """Take a picture; the cubes that are not named are put elsewhere first, so that each
-        picture has new places.
+    def keep(self, simulation: ArmSimulation, target: str) -> U8 | None:
+        """Take a picture and return it; None when the shard is full. The cubes that are not named
+        are put elsewhere first, so that each picture has new places.
         """
-        if self._count == self._views:
-            return
+        if self.is_full:
+            return None
         self._scatter(simulation, target)
-        self.rows[self._count] = self._look(simulation, target)
-        self.pictures[self._count] = simulation.render("front", SIDE_PX, SIDE_PX)
+        self.rows[self._count] = self.look(simulation, target)
+        picture: U8 = simulation.render("front", SIDE_PX, SIDE_PX)
+        self.pictures[self._count] = picture
         self._count += 1
+        return picture
 
     def _scatter(self, simulation: ArmSimulation, target: str) -> None:
         cubes, tcp = simulation.cubes(), simulation.tcp_pose().position_m
@@ -220,21 +247,22 @@ class _Recorder:
                 continue
             for _ in range(200):
                 place = np.array(
-                    [self._random.uniform(*REGION_X_M), self._random.uniform(*REGION_Y_M)]
+                    [self.random.uniform(*REGION_X_M), self.random.uniform(*REGION_Y_M)]
                 )
                 if min(float(np.hypot(*(place - other))) for other in taken) >= SPACING_M:
                     break
             else:
                 return  # no room this time: they stay where they are
             taken.append(place)
-            half_yaw = self._random.uniform(-np.pi / 8, np.pi / 8)
+            half_yaw = self.random.uniform(-np.pi / 8, np.pi / 8)
             poses[name] = (
                 (float(place[0]), float(place[1]), cube.edge_m / 2),
                 (0.0, 0.0, float(np.sin(half_yaw)), float(np.cos(half_yaw))),
             )
         simulation.world.set_cubes(poses)
 
-    def _look(self, simulation: ArmSimulation, target: str) -> NDArray[np.void]:
+    def look(self, simulation: ArmSimulation, target: str) -> NDArray[np.void]:
+        """What is known of this moment, of the dtype `ROW`."""
         row = np.zeros((), dtype=ROW)
         pose, cubes = simulation.tcp_pose(), simulation.cubes()
         row["tcp_m"], row["rotation"] = (

@@ -47,6 +47,7 @@ class Labels:
             another cube.
         distance_m: float32 (n, c), between TCP and cube.
         is_target: bool (n, c), the cube that the demonstration picked.
+        is_placed: bool (n,), `place` and `distance_m` are known.
     """
 
     state: F32
@@ -55,10 +56,11 @@ class Labels:
     known: NDArray[np.bool_]
     distance_m: F32
     is_target: NDArray[np.bool_]
+    is_placed: NDArray[np.bool_]
 
 
-def state_of(row: np.void) -> F32:
-    """The state as rn-backend-oft normalises it, float32 (7,)."""
+def state_of(row: np.void | NDArray[np.void]) -> F32:
+    """The state of one view as rn-backend-oft normalises it, float32 (7,)."""
     rotation = row["rotation"].astype(np.float64)
     values = np.concatenate([row["tcp_m"], rpy_by_down(rotation), [row["opening"]]])
     scaled = np.clip(2.0 * (values - _LOW) / (_HIGH - _LOW) - 1.0, -1.0, 1.0)
@@ -82,7 +84,8 @@ def label(rows: NDArray[np.void]) -> Labels:
     known = is_target | ~is_busy[:, None]
     state = np.stack([state_of(row) for row in rows])
     actions[..., :6] /= np.array(ACTION_SCALE, dtype=np.float32)
-    return Labels(state, actions, place, known, distance, is_target)
+    is_placed = np.ones(count, dtype=bool)
+    return Labels(state, actions, place, known, distance, is_target, is_placed)
 
 
 def patches_of(pictures: U8) -> U8:

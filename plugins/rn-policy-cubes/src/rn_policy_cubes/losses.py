@@ -60,8 +60,8 @@ class Losses:
         return {name: float(getattr(self, name).detach()) for name in names}
 
 
-def losses(thought: Thought, helpers: Helpers, batch: Batch) -> Losses:
-    """All terms, in float32."""
+def losses(thought: Thought, helpers: Helpers, batch: Batch, guidance: float = 1.0) -> Losses:
+    """All terms, in float32; `guidance` is the weight of those of the helpers, 0 .. 1."""
     weight = thought.actions.new_tensor(ACTION_WEIGHT, dtype=torch.float32)
     error = (thought.actions.float() - batch.actions).abs() * weight
     action = (error.mean(dim=(1, 2)) * batch.known).sum() / batch.known.sum().clamp(min=1)
@@ -73,10 +73,12 @@ def losses(thought: Thought, helpers: Helpers, batch: Batch) -> Losses:
     named = batch.shows_named
     guess = helpers.spot(_normed(thought.visual[1])).float()
     spot_error = (guess - batch.place[:, None]).abs().mean(dim=-1)
-    spot = (spot_error * named).sum() / named.sum().clamp(min=1)
+    spotted = named * batch.placed[:, None]
+    spot = (spot_error * spotted).sum() / spotted.sum().clamp(min=1)
     told = helpers.place(thought.rows[:, 0].float())
-    place = (told - batch.place).abs().mean()
-    total = action + _POINT * point + _SPOT * spot + _PLACE * place
+    place_error = (told - batch.place).abs().mean(dim=1)
+    place = (place_error * batch.placed).sum() / batch.placed.sum().clamp(min=1)
+    total = action + guidance * (_POINT * point + _SPOT * spot + _PLACE * place)
     return Losses(total, action, point, spot, place, accuracy, told)
 
 

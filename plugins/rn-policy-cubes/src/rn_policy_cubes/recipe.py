@@ -75,3 +75,7 @@ class Recipe(BaseModel):
     """Share of the steps after which all visual tokens are seen."""
     full_views: Size = 8
     """Views of a step from then on."""
+    continues: bool = False
+    """Training begins with weights that were trained before. What only training has begins anew, so
+    its losses grow to their full weight during the warm-up.
+    """

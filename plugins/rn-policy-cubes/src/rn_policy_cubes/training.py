@@ -7,6 +7,7 @@ import copy
 import json
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from rn_policy_cubes.dataset import Batch, Shards, draw, sampling
 from rn_policy_cubes.losses import Helpers, losses
 from rn_policy_cubes.measure import measure
 from rn_policy_cubes.network import CubesNetwork
-from rn_policy_cubes.packing import Card, Packed
+from rn_policy_cubes.packing import Card, Packed, network_of
 from rn_policy_cubes.progress import EVERY_S, Progress, Say
 from rn_policy_cubes.recipe import PATCHES, Recipe
 from rn_policy_cubes.replacing import replacing
@@ -57,10 +58,20 @@ class Training:
 
     @classmethod
     def begin(
-        cls, recipe: Recipe, prompts: Prompts, shards: Shards | None, device: torch.device
+        cls,
+        recipe: Recipe,
+        prompts: Prompts,
+        shards: Shards | None,
+        device: torch.device,
+        weights: Packed | None = None,
     ) -> Training:
-        """A new one; without shards the weights are not set up, for `read`."""
-        if shards is None:
+        """A new one, from `weights` if there are any; without shards and weights they are not set
+        up, for `read`.
+        """
+        if weights is not None:
+            torch.manual_seed(recipe.seed)
+            network = network_of(weights)
+        elif shards is None:
             network = CubesNetwork(recipe.shape, prompts.in_use)
         else:
             network = new_network(recipe.shape, prompts.in_use, shards, recipe.seed)
@@ -100,6 +111,10 @@ class Training:
         left = (recipe.steps - self.step) / falling
         return recipe.rate * min(1.0, (self.step + 1) / recipe.warm_up, max(left, 0.0))
 
+    def guidance(self) -> float:
+        """Weight of the helpers' losses."""
+        return min(1.0, self.step / self.recipe.warm_up) if self.recipe.continues else 1.0
+
     def is_full(self) -> bool:
         """Whether all visual tokens are seen."""
         return (
@@ -120,7 +135,7 @@ class Training:
             group["lr"] = rate
         with half_precision(batch.state.device):
             thought = self.network(batch.look, batch.state, batch.ids, torch.bfloat16)
-        result = losses(thought, self.helpers, batch)
+        result = losses(thought, self.helpers, batch, self.guidance())
         result.total.backward()  # type: ignore[no-untyped-call]
         parameters = [*self.network.parameters(), *self.helpers.parameters()]
         nn.utils.clip_grad_norm_(parameters, _CLIP)
@@ -148,6 +163,9 @@ def train(
     directory: Path,
     data: Path,
     *,
+    weights: Packed | None = None,
+    more: Sequence[int] = (),
+    corrections: Sequence[Shards] = (),
     until: int | None = None,
     say: Say = print,
     log_every: int = 50,
@@ -163,6 +181,9 @@ def train(
         recipe: what to do.
         directory: of state, curve and tokenizer.
         data: of the shards.
+        weights: what a training begins with; its recipe says `continues`.
+        more: numbers of shards that are trained on beside those of the recipe.
+        corrections: other views that are trained on.
         until: stop there, to go on another time.
         say: gets lines for people: rate, time left, losses, figures on held-out views.
         log_every, measure_every: steps between entries, and between measurements on held-out views.
@@ -179,13 +200,14 @@ def train(
     prompts = read_prompts(tokenizer)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     seen = recipe.shards - recipe.held_out
-    say(f"training: reading {recipe.shards} shards of demonstrations")
-    shards, held_out = Shards.load(data, range(seen)), Shards.load(data, range(seen, recipe.shards))
+    say(f"training: reading {recipe.shards + len(more)} shards of demonstrations")
+    shards = Shards.joined([Shards.load(data, [*range(seen), *more]), *corrections])
+    held_out = Shards.load(data, range(seen, recipe.shards))
     state = directory / STATE_FILE
     if state.exists():
         training = Training.read(state, recipe, prompts, device)
     else:
-        training = Training.begin(recipe, prompts, shards, device)
+        training = Training.begin(recipe, prompts, shards, device, weights)
     if fuse:
         for layer in training.network.layers:
             layer.compile(dynamic=False)
@@ -255,7 +277,12 @@ def pack(directory: Path) -> Packed:
     ]
     figures: dict[str, float] = {}
     for line in lines:
-        figures |= {name: value for name, value in line.items() if name.startswith("held_out_")}
+        # JSON has no NaN, which stands for what the held-out views do not show
+        figures |= {
+            name: value
+            for name, value in line.items()
+            if name.startswith("held_out_") and not math.isnan(value)
+        }
     return Packed.of(
         training.average,
         Card(recipe=recipe, step=training.step, cpu_s=training.cpu_s, figures=figures),

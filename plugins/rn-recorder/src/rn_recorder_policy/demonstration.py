@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 ACTION, STATE = "action", "observation.state"
+INTERVENTION = "intervention"
+"""1 where a person acted, else 0."""
 IMAGES = "observation.images."
 
 
@@ -49,8 +51,8 @@ class Demonstration:
         source: where it comes from, for messages.
         fps: rows per second.
         instruction: what was done; empty where the files do not say.
-        columns: by name of the feature; `ACTION`, `STATE` and others that begin with
-            "observation.".
+        columns: by name of the feature; `ACTION`, `STATE`, `INTERVENTION` and others that
+            begin with "observation.".
         cameras: names of the features with pictures.
         read_pictures: reads them.
     """

@@ -14,7 +14,7 @@ from typing import Any, NotRequired, TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_recorder_policy.demonstration import ACTION, Column, Demonstration
+from rn_recorder_policy.demonstration import ACTION, INTERVENTION, Column, Demonstration
 from rn_recorder_policy.pictures import decode_image, read_video_frames
 from roboneuron import InvalidInputError, MissingDependencyError
 
@@ -22,7 +22,7 @@ U8 = NDArray[np.uint8]
 INFO = Path("meta") / "info.json"
 _OLD, _NEW = ("v2.0", "v2.1"), "v3."
 _CHUNK_SIZE = 1000
-_NUMBERS = ("float32", "float64", "int32", "int64")
+_NUMBERS = ("float32", "float64", "int32", "int64", "bool")
 
 
 class _Feature(TypedDict):
@@ -65,6 +65,11 @@ def read_lerobot(directory: Path, episode: int) -> Demonstration:
     return _Episode(directory, info, episode, entry, is_old).demonstration()
 
 
+def episode_count(directory: Path) -> int:
+    """How many episodes a data set has. Raises InvalidInputError when it is none."""
+    return int(_json(directory / INFO).get("total_episodes", 0))
+
+
 class _Episode:
     """Files of one episode."""
 
@@ -91,7 +96,7 @@ class _Episode:
             name: Column(names=_names(feature.get("names")), values=self._numbers(name))
             for name, feature in self._features.items()
             if feature["dtype"] in _NUMBERS
-            and (name.startswith((ACTION, "observation.")))
+            and (name.startswith((ACTION, "observation.")) or name == INTERVENTION)
             and name in self._table.column_names
         }
         tasks = self._entry.get("tasks") or [""]

@@ -42,7 +42,8 @@ def read_run(files: Sequence[Path], episode: int) -> Demonstration:
         )
     columns = {
         ACTION: Column(
-            names=channel_keys(found.labels[0]), values=np.stack([row.action for row in found.rows])
+            names=channel_keys(found.labels[0]),
+            values=np.stack([row.policy_action for row in found.rows]),
         )
     }
     if all(row.joints.size == len(streams.joint_names) > 0 for row in found.rows):

@@ -5,9 +5,8 @@ from __future__ import annotations
 import json
 import sys
 from argparse import ArgumentParser, Namespace
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rn_standard.console.plugin_options import add_option, read_options
 from roboneuron import ConfigurationError, InvalidInputError
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from rn_recorder_runs.store import Run, Store
 
 _NEWEST = 'id of a run (its beginning will do), "latest", or a path of MCAP files'
+_OUTCOMES = ("success", "failure", "unknown")
 _SEVERAL = f'{_NEWEST}; "all" for all recordings'
 
 
@@ -40,6 +40,16 @@ class Runs:
         )
         show.add_argument("run", help=_NEWEST)
         show.add_argument("--json", action="store_true", help="for programs")
+        led = actions.add_parser("interventions", help="spans in which a person moved the arm")
+        led.add_argument("runs", nargs="+", metavar="RUN", help=_SEVERAL)
+        led.add_argument("--json", action="store_true", help="for programs")
+        label = actions.add_parser("label", help="say how a recording, or an episode, has ended")
+        label.add_argument("run", help=_NEWEST)
+        label.add_argument("--outcome", choices=_OUTCOMES)
+        label.add_argument("--comment", help="any text")
+        label.add_argument(
+            "--episode", type=int, metavar="N", help="counted from 0; default: all of the run"
+        )
         delete = actions.add_parser("delete", help="delete runs")
         delete.add_argument("runs", nargs="+", metavar="RUN", help="ids")
         delete.add_argument("--yes", action="store_true", help="do not ask")
@@ -66,8 +76,13 @@ class Runs:
         target.add_argument("--mcap", type=Path, metavar="FILE", help="one MCAP file of all parts")
         add(
             "--outcome",
-            choices=("success", "failure", "unknown"),
+            choices=_OUTCOMES,
             help="only episodes that ended so",
+        )
+        add(
+            "--interventions",
+            action="store_true",
+            help="only spans in which a person moved the arm, each as an episode",
         )
         add(
             "--fps",
@@ -114,11 +129,17 @@ class Runs:
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron runs`."""
+        from rn_recorder_runs.listing import list_runs, show_run
+
         store = open_store(arguments)
         if arguments.action == "list":
-            return _list(store, arguments.json)
+            return list_runs(store, arguments.json)
         if arguments.action == "show":
-            return _show(find_run(store, arguments.run), arguments.json)
+            return show_run(find_run(store, arguments.run), arguments.json)
+        if arguments.action == "interventions":
+            return _interventions(store, arguments.runs, arguments.json)
+        if arguments.action == "label":
+            return _label(store, arguments)
         if arguments.action == "delete":
             return _delete(store, arguments.runs, arguments.yes)
         if arguments.action == "replay":
@@ -168,92 +189,34 @@ def find_runs(store: Store, name: str) -> list[Run]:
     return [find_run(store, name)]
 
 
-def _list(store: Store, as_json: bool) -> int:
-    for path in store.repair():
-        print(f"Repaired: {path}", file=sys.stderr)
-    rows: list[dict[str, Any]] = []
-    for run in store.runs():
-        first_ns, last_ns, messages = run.span()
-        rows.append(
-            {
-                "id": run.id,
-                "kind": run.kind,
-                "begun_at": _time(first_ns or int(run.facts.get("begun_ns") or 0)),
-                "duration_s": round((last_ns - first_ns) / 1e9, 1),
-                "messages": messages,
-                "size_bytes": run.size_bytes,
-                "files": [str(path) for path in run.files],
-                "state": str(run.facts.get("state", "finished")),
-                "outcome": str(run.facts.get("outcome", "")),
-                "note": str(run.facts.get("note") or run.facts.get("incident") or ""),
-                "complete": run.is_complete,
-            }
-        )
-    if as_json:
-        print(json.dumps(rows, indent=1))
-        return 0
-    for row in rows:
-        what = " ".join(str(row[key]) for key in ("state", "outcome", "note") if row[key])
-        size = f"{row['size_bytes'] / 1e6:.1f} MB"
-        print(
-            f"{row['id']:<52} {row['kind']:<9} {row['duration_s']:>7.1f} s {size:>11} "
-            f"{row['messages']:>8}  {what}"
-        )
-    if not rows:
-        print(f"There are no runs in {store.directory}.")
+def _interventions(store: Store, names: list[str], as_json: bool) -> int:
+    from rn_recorder_runs.interventions import interventions, to_text
+
+    runs = [run for name in names for run in find_runs(store, name)]
+    print(to_text([one for run in runs for one in interventions(run)], as_json))
     return 0
 
 
-def _show(run: Run, as_json: bool) -> int:
-    from rn_recorder_runs.files import read_about
-    from rn_recorder_runs.reading import count_topics, iterate
+def _label(store: Store, arguments: Namespace) -> int:
+    if arguments.outcome is None and arguments.comment is None:
+        raise InvalidInputError("There is nothing to note.", hint="Give --outcome or --comment.")
+    run = store.get(arguments.run)
+    if arguments.episode is not None:
+        from rn_recorder_runs.episodes import read_episodes
 
-    topics = count_topics(run.files)
-    about = read_about(run.files[0]) if run.files else {}
-    events = []
-    for found in iterate(run.files, lambda topic: topic.startswith("/roboneuron/")):
-        events.append(
-            {
-                "topic": found.record.topic,
-                "at_ns": found.record.publish_ns,
-                **json.loads(found.message.data),
-            }
-        )
-    if as_json:
-        rows = {
-            topic: {name: getattr(counts, name) for name in counts.__dataclass_fields__}
-            for topic, counts in topics.items()
-        }
-        print(
-            json.dumps(
-                {
-                    "id": run.id,
-                    "about": about,
-                    "facts": run.facts,
-                    "topics": rows,
-                    "events": events,
-                },
-                indent=1,
+        count = len(read_episodes(run.id, run.files, run.facts)[0])
+        if not 0 <= arguments.episode < count:
+            raise InvalidInputError(
+                f"{run.id} has no episode {arguments.episode}.",
+                hint=f"It has {count}, counted from 0.",
             )
-        )
-        return 0
-    print(
-        f"{run.id} ({run.kind}), robot {about.get('robot', '?')}, images {about.get('images', '?')}"
+    label = store.label(
+        run,
+        outcome=arguments.outcome,
+        comment=arguments.comment,
+        episode=arguments.episode,
     )
-    for path in run.files:
-        print(f"  {path}")
-    print(f"\n{'topic':<46} {'type':<34} {'count':>7} {'rate':>8} {'lost':>5}")
-    for topic, counts in topics.items():
-        span_s = (counts.last_ns - counts.first_ns) / 1e9
-        rate = f"{(counts.messages - 1) / span_s:.1f} Hz" if span_s > 0 else ""
-        lost = "?" if counts.lost is None else str(counts.lost)
-        print(f"{topic:<46} {counts.type:<34} {counts.messages:>7} {rate:>8} {lost:>5}")
-    print()
-    for event in events:
-        facts = {
-            k: v for k, v in event.items() if k not in ("topic", "at_ns", "time", "time_ns") and v
-        }
-        print(f"{_time(event['at_ns'])} {json.dumps(facts)[:160]}")
+    print(f"{run.id}: {' '.join(text for text in label.values() if text)}")
     return 0
 
 
@@ -287,7 +250,8 @@ def _replay(run: Run, arguments: Namespace) -> int:
         return int(bool(set(played.dropped) - {"holds"}))  # it holds when the actions have ended
     from rn_recorder_runs.comparison import compare, describe, write_report
     from rn_recorder_runs.files import read_about
-    from rn_recorder_runs.replay import load_replayed, replay
+    from rn_recorder_runs.replay import replay
+    from rn_recorder_runs.replayed_run import load_replayed
 
     about = read_about(run.files[0])
     recorded = ((json.loads(about.get("config", "{}")) or {}).get("inference") or {}).get("backend")
@@ -326,6 +290,10 @@ def _export(store: Store, arguments: Namespace) -> int:
     """Status 1 when something was left out."""
     from rn_recorder_runs.files import copy_records, read_about
 
+    if arguments.interventions and arguments.lerobot is None:
+        raise InvalidInputError(
+            "--interventions cuts a data set.", hint="Give --lerobot DIRECTORY instead of --mcap."
+        )
     if arguments.with_lerobot is not None and arguments.lerobot is None:
         raise InvalidInputError(
             "--with-lerobot writes a data set.", hint="Give --lerobot DIRECTORY instead of --mcap."
@@ -341,6 +309,7 @@ def _export(store: Store, arguments: Namespace) -> int:
             fps=arguments.fps,
             codec=arguments.codec,
             with_lerobot=arguments.with_lerobot,
+            only_interventions=arguments.interventions,
         )
         frames = f"{written.frames} frames at {written.fps} Hz"
         print(f"{arguments.lerobot}: {written.episodes} episodes, {frames}")
@@ -363,9 +332,3 @@ def _export(store: Store, arguments: Namespace) -> int:
     )
     print(f"{arguments.mcap}: {count} messages")
     return 0
-
-
-def _time(at_ns: int) -> str:
-    return (
-        datetime.fromtimestamp(at_ns / 1e9, UTC).isoformat(timespec="milliseconds") if at_ns else ""
-    )

@@ -18,8 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_recorder_runs.acted import POLICY, ActedRow, Deeds
 from rn_recorder_runs.files import read_about
 from rn_recorder_runs.reading import camera_of, iterate
+from rn_recorder_runs.store import LABELS, WHOLE_RUN
 from roboneuron import ACTION_LABEL, InvalidInputError, channel_keys
 
 F64 = NDArray[np.float64]
@@ -27,13 +29,9 @@ EVENTS = "/roboneuron/events"
 EPISODE_END = "episode_end"
 """Event that closes an episode: facts `outcome` and `reason`."""
 UNKNOWN = "unknown"
+_LAST_NS = 100_000_000
+"""Time of a run's last action, after which none tells how long it was."""
 POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
-
-
-POLICY = "policy"
-"""Who moves the arm where nothing else is told."""
-_TOLD_NS = 250_000_000
-"""What control tells later is of another action."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,18 +54,21 @@ class EpisodeRow:
     """One action and what was seen before it.
 
     Attributes:
-        action: float64 (n,), contract units.
-        label: of its control space.
-        sent_ns: when it was sent [ns].
+        action: float64 (n,) that was executed, contract units: what a person did where one acted,
+            otherwise the policy's; (0,) where a person acted and it is not told in that space.
+        policy_action: float64 (n,) of the policy, which is a shadow's where a person acted alone.
+        label: of their control space.
+        sent_ns: when the policy's was sent [ns].
         images: capture time [ns] by camera.
         joints: float64 (n,), rad or m; empty when there were none.
         ee_pose: float64 (7 n,), x y z [m] and quaternion x y z w of each arm, see
             `Streams.pose_names`; empty when one of them was not measured.
         who: who moved the arm then: "policy", "person" (the policy's action was not executed),
-            "blend" (with a person's correction added) or "nobody".
+            "blend" (with a person's correction added) or "nobody" (it was held).
     """
 
     action: F64
+    policy_action: F64
     label: str
     sent_ns: int
     images: dict[str, int]
@@ -83,6 +84,7 @@ class RecordedEpisode:
     instruction: str
     outcome: str
     run: str
+    comment: str = ""
     rows: list[EpisodeRow] = field(default_factory=list)
 
     @property
@@ -120,7 +122,7 @@ class Streams:
     arm_poses: dict[str, list[tuple[int, F64]]] = field(default_factory=dict)
     images: dict[str, list[tuple[int, int]]] = field(default_factory=dict)
     events: list[dict[str, Any]] = field(default_factory=list)
-    acting: list[tuple[int, str]] = field(default_factory=list)
+    acting: list[ActedRow] = field(default_factory=list)
     joint_names: tuple[str, ...] = ()
 
     @property
@@ -170,7 +172,7 @@ def read_streams(files: Sequence[Path]) -> Streams:
                 values = np.array(data, dtype=np.float64)
                 found.actions.append(RecordedAction(record.publish_ns, values, label))
         elif name == "acting":
-            found.acting.append((record.publish_ns, _who(message)))
+            found.acting.append(ActedRow.from_message(message, record.publish_ns))
         elif name == "predictions":
             found.predictions.append(
                 RecordedPrediction(record.publish_ns, json.loads(message.data), record.sequence)
@@ -185,7 +187,7 @@ def read_streams(files: Sequence[Path]) -> Streams:
             poses.setdefault(record.topic, []).append((record.log_ns, pose))
     _sort_poses(found, poses)
     found.actions.sort(key=lambda action: action.sent_ns)
-    found.acting.sort()
+    found.acting.sort(key=lambda row: row.at_ns)
     first_ns = {
         camera: min(stamp_ns for _, stamp_ns in seen) for camera, seen in found.images.items()
     }
@@ -198,15 +200,6 @@ def read_streams(files: Sequence[Path]) -> Streams:
         )
     ]
     return found
-
-
-def _who(message: Any) -> str:
-    """Who has moved the arm, by a message of the topic `acting`; see
-    `rn_standard.teleoperation.rows.Acting`.
-    """
-    dims = message.layout.dim
-    word, _, who = (dims[0].label if dims else "").partition(":")
-    return who if word == "acting" else POLICY
 
 
 def _sort_poses(found: Streams, poses: dict[str, list[tuple[int, F64]]]) -> None:
@@ -254,8 +247,17 @@ def read_episodes(
         )
         rows = _rows(streams, begin_ns, min(last_ns, until_ns))
         if rows:
-            episodes.append(RecordedEpisode(instruction, outcome, run, rows))
+            label = _label(facts, len(episodes))
+            word = label.get("outcome", outcome)
+            comment = label.get("comment", "")
+            episodes.append(RecordedEpisode(instruction, word, run, comment, rows))
     return episodes, streams
+
+
+def _label(facts: dict[str, Any], episode: int) -> dict[str, str]:
+    """What a person has said of an episode, or of its whole run; see `Store.label`."""
+    labels: dict[str, dict[str, str]] = facts.get(LABELS, {})
+    return {**labels.get(WHOLE_RUN, {}), **labels.get(str(episode), {})}
 
 
 def _cuts(streams: Streams, fallback: str) -> list[tuple[int, str]]:
@@ -287,7 +289,7 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
     joint_times = [at for at, _ in streams.joints]
     pose_streams = streams.pose_streams
     pose_times = {arm: [at for at, _ in seen] for arm, seen in pose_streams.items()}
-    told = [at for at, _ in streams.acting]
+    deeds = Deeds(streams.acting)
     rows: list[EpisodeRow] = []
     used = -1
     for index in range(bisect_right(times, begin_ns - 1), len(times)):
@@ -315,11 +317,20 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
         if len(images) == len(image_times):
             is_whole = all(pose.size for pose in poses.values())
             pose = np.concatenate(list(poses.values())) if is_whole else np.zeros(0)
-            # control tells it once it has executed the action, or a row of a person meanwhile
-            place = bisect_right(told, sent_ns)
-            is_told = place < len(told) and told[place] - sent_ns < _TOLD_NS
-            who = streams.acting[place][1] if is_told else POLICY
-            rows.append(EpisodeRow(action.values, action.label, sent_ns, images, joints, pose, who))
+            until_ns = times[index + 1] if index + 1 < len(times) else sent_ns + _LAST_NS
+            deed = deeds.next(action.values, action.label, sent_ns, until_ns)
+            rows.append(
+                EpisodeRow(
+                    action=deed.action,
+                    policy_action=action.values,
+                    label=action.label,
+                    sent_ns=sent_ns,
+                    images=images,
+                    joints=joints,
+                    ee_pose=pose,
+                    who=deed.who,
+                )
+            )
     return rows
 
 

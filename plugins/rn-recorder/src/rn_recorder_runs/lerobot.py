@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_recorder_runs import lerobot_meta as meta
+from rn_recorder_runs.acted import LED, WHO
 from rn_recorder_runs.episodes import RecordedEpisode
+from rn_recorder_runs.interventions import cut
 from rn_recorder_runs.lerobot_meta import ExportSource
 from rn_recorder_runs.lerobot_process import lerobot_writer
 from rn_recorder_runs.row_images import row_images
@@ -54,6 +56,7 @@ def export(
     fps: int | None,
     codec: Codec,
     with_lerobot: Path | None = None,
+    only_interventions: bool = False,
 ) -> Written:
     """Write the episodes of these runs; those that lack something are left out and named in the
     result.
@@ -69,6 +72,8 @@ def export(
         codec: of the videos.
         with_lerobot: an interpreter that has lerobot, whose own writer then writes; by default the
             files are written here, without lerobot.
+        only_interventions: each span in which a person moved the arm is an episode; the others are
+            left out.
 
     Raises:
         ConfigurationError: the directory exists, or there is no such interpreter.
@@ -86,7 +91,7 @@ def export(
     unfinished = directory.with_name(f".{directory.name}.part")
     shutil.rmtree(unfinished, ignore_errors=True)
     try:
-        written = _export(runs, unfinished, outcome, fps, codec, with_lerobot)
+        written = _export(runs, unfinished, outcome, fps, codec, with_lerobot, only_interventions)
         unfinished.rename(directory)
     except OSError as error:
         raise StateError(
@@ -106,13 +111,17 @@ def _export(
     fps: int | None,
     codec: Codec,
     with_lerobot: Path | None,
+    only_interventions: bool,
 ) -> Written:
     sources, skipped = whole_sources(runs, outcome)
+    if only_interventions:
+        sources = [replace(source, episodes=cut(source.episodes)) for source in sources]
+        sources = [source for source in sources if source.episodes]
     episodes = [episode for source in sources for episode in source.episodes]
     if not episodes:
         raise InvalidInputError(
-            f"No episode{f' with the outcome {outcome!r}' if outcome else ''} in these runs can "
-            "be exported.",
+            f"No {'intervention' if only_interventions else 'episode'}"
+            f"{f' with the outcome {outcome!r}' if outcome else ''} in these runs can be exported.",
             hint=" ".join(f"{left}." for left in skipped),
         )
     rate = fps or _rate(episodes)
@@ -244,7 +253,9 @@ def _values(episode: RecordedEpisode) -> dict[str, list[Any]]:
         columns["observation.ee_pose"] = [row.ee_pose.astype(np.float32) for row in rows]
     columns["action"] = [row.action.astype(np.float32) for row in rows]
     columns["roboneuron.action"] = [row.action for row in rows]
-    columns["intervention"] = [row.who in ("person", "blend") for row in rows]
+    columns["roboneuron.policy_action"] = [row.policy_action for row in rows]
+    columns["intervention"] = [row.who in LED for row in rows]
+    columns["roboneuron.who"] = [np.int64(WHO.index(row.who)) for row in rows]
     columns["roboneuron.sent_ns"] = [np.int64(row.sent_ns) for row in rows]
     columns["roboneuron.seen_ns"] = [np.int64(row.images[leading]) for row in rows]
     return columns

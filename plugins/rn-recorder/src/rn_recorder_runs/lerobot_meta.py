@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rn_recorder_runs.acted import WHO
 from rn_recorder_runs.episodes import RecordedEpisode
 from rn_recorder_runs.files import read_about
 from rn_recorder_runs.store import Run
@@ -72,6 +73,7 @@ def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) ->
     names = channel_keys(source.episodes[0].labels[0])
     features["action"] = _feature("float32", names)
     features["roboneuron.action"] = _feature("float64", names)
+    features["roboneuron.policy_action"] = _feature("float64", names)
     for camera, shape in shapes.items():
         features[f"observation.images.{camera}"] = {
             "dtype": "video",
@@ -80,7 +82,7 @@ def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) ->
         }
     features["intervention"] = {"dtype": "bool", "shape": [1], "names": None}
     # none has "image" in its name, because lerobot takes such a feature for a camera's
-    for name in ("roboneuron.sent_ns", "roboneuron.seen_ns"):
+    for name in ("roboneuron.who", "roboneuron.sent_ns", "roboneuron.seen_ns"):
         features[name] = _COUNTER
     return features
 
@@ -167,8 +169,10 @@ def origin(
         "action_space": sources[0].episodes[0].labels[0],
         "rows": "one for each action that was sent; timestamp is frame_index / fps, "
         "roboneuron.sent_ns the time itself",
-        "intervention": "a person moved the arm, alone or with the policy; action is what the "
-        "policy asked for, which was not executed where the person was alone",
+        "intervention": "a person moved the arm, alone or with the policy; action is then the "
+        "displacement that was commanded, with the opening asked for last; "
+        "roboneuron.policy_action is what the policy asked for",
+        "roboneuron.who": dict(enumerate(WHO)),
         "config": json.loads(about.get("config", "{}")),
         "roboneuron": about.get("roboneuron", ""),
         "episodes": [
@@ -176,6 +180,7 @@ def origin(
                 "run": e.run,
                 "instruction": e.instruction,
                 "outcome": e.outcome,
+                "comment": e.comment,
                 "begun_ns": e.rows[0].sent_ns,
             }
             for e in episodes

@@ -23,6 +23,8 @@ from roboneuron import InvalidInputError, StateError
 
 log = logging.getLogger(__name__)
 RUN_FILE = "run.json"
+LABELS, WHOLE_RUN = "labels", "all"
+"""Key of `Run.facts` for what people have said of it, by episode, or of all of it."""
 LOCK = "recorder.lock"
 """Held by a recorder that works in the directory."""
 Kind = Literal["recording", "incident"]
@@ -51,6 +53,13 @@ class Run:
             with suppress(OSError):
                 sizes += path.stat().st_size
         return sizes
+
+    @property
+    def told(self) -> dict[str, str]:
+        """Outcome and comment of the whole run, as people have said it; else as it was recorded."""
+        label: dict[str, str] = self.facts.get(LABELS, {}).get(WHOLE_RUN, {})
+        comment = str(self.facts.get("note") or self.facts.get("incident") or "")
+        return {"outcome": str(self.facts.get("outcome", "")), "comment": comment, **label}
 
     @property
     def is_complete(self) -> bool:
@@ -166,6 +175,50 @@ class Store:
                 path.unlink()
         else:
             shutil.rmtree(self.recordings / run.id)
+
+    def label(
+        self, run: Run, *, outcome: str | None, comment: str | None, episode: int | None = None
+    ) -> dict[str, str]:
+        """Note what a person says of a recording, or of one episode of it; it counts more than what
+        was told before. Returns the whole label.
+
+        Args:
+            run: of this directory.
+            outcome: "success", "failure" or "unknown"; None leaves it as it is.
+            comment: any text; None leaves it as it is.
+            episode: its number, from 0; None for the whole run.
+
+        Raises:
+            InvalidInputError: it is no recording of this directory.
+            StateError: it is being written, or cannot be.
+        """
+        from rn_recorder_runs.files import write_json  # heavy
+
+        folder = self.recordings / run.id
+        if run.kind != "recording" or not folder.is_dir():
+            raise InvalidInputError(
+                f"{run.id} is no recording in {self.directory}.",
+                hint="`roboneuron runs list` names them.",
+            )
+        if run.facts.get("state") == "recording" and self.is_in_use():
+            raise StateError(
+                f"The run {run.id} is being recorded.", hint="Call stop_recording first."
+            )
+        told = {"outcome": outcome, "comment": comment}
+        labels: dict[str, dict[str, str]] = dict(run.facts.get(LABELS, {}))
+        key = WHOLE_RUN if episode is None else str(episode)
+        labels[key] = {
+            **labels.get(key, {}),
+            **{name: text for name, text in told.items() if text is not None},
+        }
+        try:
+            write_json(folder / RUN_FILE, {**run.facts, LABELS: labels})
+        except OSError as error:
+            raise StateError(
+                f"{folder / RUN_FILE} cannot be written: {error.strerror or error}.",
+                hint="Free space on that disk or mend the permissions.",
+            ) from error
+        return labels[key]
 
     def is_in_use(self) -> bool:
         """Whether a recorder works in the directory."""

@@ -112,6 +112,12 @@ def _kind(source: ExportSource, episode: RecordedEpisode, sizes: Sizes) -> Kind 
     labels = episode.labels
     if len(labels) > 1:
         return f"its actions change from one control space to another ({' to '.join(labels)})"
+    untold = sum(not row.action.size for row in episode.rows)
+    if untold:
+        return (
+            f"what a person did is not recorded as {labels[0]} in {untold} of its "
+            f"{len(episode.rows)} rows"
+        )
     return (
         labels[0],
         source.joint_names,

@@ -13,7 +13,7 @@ from string import Template
 from roboneuron import ConfigurationError
 from roboneuron.command import PLUGIN_KINDS, descriptor
 
-BROUGHT = {"monitor": "rn-standard", "suite": "rn-eval"}
+BROUGHT = {"monitor": "rn-standard", "suite": "rn-eval", "teleoperator": "rn-standard"}
 """Kinds whose hook another package brings, with that package."""
 NEW_KINDS = sorted([*PLUGIN_KINDS, *BROUGHT])
 """Kinds that there are templates for."""

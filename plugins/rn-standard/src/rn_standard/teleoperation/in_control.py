@@ -17,6 +17,7 @@ from rn_standard.control.module import ControlModule
 from rn_standard.direct_path.exposed import ACTING_TOPIC, LEAD_TOPIC
 from rn_standard.teleoperation.authority import Authority
 from rn_standard.teleoperation.correction import Correction
+from rn_standard.teleoperation.executed import Executed
 from rn_standard.teleoperation.rows import Acting, LeadRow
 from rn_standard.teleoperation.samples import F64
 from roboneuron import (
@@ -64,6 +65,7 @@ class LeadInControl:
         self._node = control.node
         self._authority = Authority()
         self._correction = Correction()
+        self._executed = Executed(poses=control.poses)
         self._limited: LimitedCommand | None = None
         self._acting = self._node.advertise(Float64MultiArray, ACTING_TOPIC)
         self._node.subscribe(Float64MultiArray, LEAD_TOPIC, self._on_lead)
@@ -73,6 +75,8 @@ class LeadInControl:
 
     def _note_limited(self, limited: LimitedCommand) -> None:
         self._limited = limited
+        command = limited.command
+        self._executed.command = command if isinstance(command, JointCommand) else None
 
     def _deliver(self, source_ns: int, read: Callable[[], Asked]) -> None:
         """Execute an action of the policy, with the person's correction if there is one, unless a
@@ -85,6 +89,7 @@ class LeadInControl:
             return
         row = self._authority.row
         self._limited = None
+        self._executed.begin()
         if row is None:
             self._control.act(source_ns, read)
         else:
@@ -106,6 +111,7 @@ class LeadInControl:
             control.status.drop("stale_lead")
             return
         self._limited = None
+        self._executed.begin()
         if row.mode in ("back", "lost"):
             self._end(row, source_ns)
             return
@@ -176,7 +182,8 @@ class LeadInControl:
     ) -> JointCommand | Hold:
         """The command for one row, from where the command in progress ends."""
         period_s = 1.0 / row.rate_hz
-        answer = self._moved(row, self._control.reference(joints, now_s), period_s)
+        self._executed.start = reference = self._control.reference(joints, now_s)
+        answer = self._moved(row, reference, period_s)
         if isinstance(answer, Hold):
             return answer
         # what is left of the row before is not rushed
@@ -250,6 +257,7 @@ class LeadInControl:
             command = asked.now(joints, step_s, now_s)
             if isinstance(command, Hold):
                 return command
+            self._executed.start = joints
             return self._on_top(command, row, joints, step_s)
 
         return Asked(now=now)
@@ -290,8 +298,13 @@ class LeadInControl:
             who, note = "nobody", f"{reason}: {self._node.needs_start}".rstrip(": ")
         if not note and limited is not None:
             note = limited.reason if limited.acted else ""
+        is_led = row is not None and who in ("person", "blend")
+        if control.is_holding:  # also a command that was ready too late is answered with a hold
+            self._executed.begin()
         acting = Acting(
             who=who,
+            moved=self._executed.displacement() if is_led else (),
+            gripper_open=row.gripper_open if is_led and row is not None else None,
             session="" if row is None else row.session,
             number=0 if row is None else row.number,
             share=1.0 if limited is None else limited.share,

@@ -24,6 +24,8 @@ RowKind = Literal["rest", "still", "twist", "joint_velocity", "joint_position"]
 """`rest` lets control hold; `still` brakes within the limits to where the arm was sent."""
 _LEAD, _GRIPPER, _ACTING, _LIMITS, _NOTE = "lead", "gripper", "acting", "limits", "note"
 _MOST_RATE_HZ = 1000.0
+_MOVED = 6
+"""Values of a displacement."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -129,6 +131,9 @@ class Acting:
         share: length of the sent step over that of the asked one, 0 .. 1.
         limits: that acted, separated by commas.
         note: why the arm holds; empty when it does not.
+        moved: where a person acts: displacement of the TCP that was commanded, after the limits;
+            x y z [m], rotation vector [rad], in the base. Empty where it is not told.
+        gripper_open: opening that the person has asked for, 0 closed .. 1 open; None for none.
     """
 
     who: str
@@ -137,16 +142,21 @@ class Acting:
     share: float = 1.0
     limits: str = ""
     note: str = ""
+    moved: tuple[float, ...] = ()
+    gripper_open: float | None = None
 
     def to_message(self) -> Float64MultiArray:
         """std_msgs/Float64MultiArray with the labels that `from_message` reads."""
+        moved = [self.share, *self.moved]
+        if self.moved and self.gripper_open is not None:
+            moved.append(self.gripper_open)
         labels = [
-            (f"{_ACTING}:{self.who}", 1),
+            (f"{_ACTING}:{self.who}", len(moved)),
             (f"{_LEAD}:{self.session}:{self.number}", 0),
             (f"{_LIMITS}:{self.limits}", 0),
             (f"{_NOTE}:{self.note}", 0),
         ]
-        return _message(labels, [self.share])
+        return _message(labels, moved)
 
     @classmethod
     def from_message(cls, message: Float64MultiArray) -> Self:
@@ -155,11 +165,20 @@ class Acting:
         try:
             who, lead, limits, note = (label.partition(":")[2] for label in labels)
             session, _, number = lead.rpartition(":")
-            share = float(message.data[0])
+            share, *rest = message.data
             count = int(number)
         except (ValueError, IndexError) as error:
             raise InvalidInputError(f"{labels} are not the labels of `acting`.") from error
-        return cls(who=who, session=session, number=count, share=share, limits=limits, note=note)
+        return cls(
+            who=who,
+            session=session,
+            number=count,
+            share=float(share),
+            limits=limits,
+            note=note,
+            moved=tuple(map(float, rest[:_MOVED])),
+            gripper_open=float(rest[_MOVED]) if len(rest) > _MOVED else None,
+        )
 
 
 def _message(labels: Sequence[tuple[str, int]], data: Sequence[float]) -> Float64MultiArray:

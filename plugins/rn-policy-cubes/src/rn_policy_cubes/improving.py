@@ -1,0 +1,291 @@
+"""The wheel: rollouts of the champion, labels of the teacher and corrections of people, training,
+a paired evaluation, and promotion. A process that is killed at any time goes on where it was.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from rn_policy_cubes.checkpoint import unpack
+from rn_policy_cubes.corrections import corrections_in, take_corrections
+from rn_policy_cubes.demonstrations import FIRST_SEED, VIEWS, shard_files
+from rn_policy_cubes.evaluation import evaluate
+from rn_policy_cubes.improvement_ledger import (
+    BEGUN,
+    EVALUATED,
+    FIRST,
+    KEPT,
+    PROMOTED,
+    ROLLED_BACK,
+    ROLLED_OUT,
+    TRAINED,
+    ImprovementLedger,
+)
+from rn_policy_cubes.packing import Packed
+from rn_policy_cubes.paired import PairedTest, paired
+from rn_policy_cubes.progress import Say
+from rn_policy_cubes.recipe import Recipe
+from rn_policy_cubes.record import record
+from rn_policy_cubes.replacing import replacing
+from rn_policy_cubes.rollouts import SHARDS_PER_ROUND, Student, write_rollouts
+from rn_policy_cubes.training import pack, train
+from rn_policy_cubes.words import write_tokenizer
+from roboneuron import ConfigurationError, MissingDependencyError, StateError
+
+EVALUATION_SEED, SEEDS_PER_ROUND = 100_000, 1000
+"""Scenes of the evaluation of round n begin at the first plus n times the second: no round is
+judged by scenes of another one, nor by those of demonstrations.
+"""
+_CHAMPION, _CHALLENGER = "champion", "challenger"
+
+
+class RoundPlan(BaseModel):
+    """What one round does; kept in the ledger, so that it is the same when it goes on.
+
+    Attributes:
+        recipe: of the training; its shards are the demonstrations.
+        rollouts: shards of the champion's states.
+        views: pictures of each shard.
+        seeds: unseen scenes that champion and challenger are tried on.
+        time_limit_s: of each of them [simulated s].
+        corrections: names of the data sets of people's corrections that came with this round.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    recipe: Recipe
+    rollouts: int = Field(ge=0, lt=SHARDS_PER_ROUND)
+    views: int = Field(default=VIEWS, ge=1)
+    seeds: int = Field(ge=1, le=SEEDS_PER_ROUND)
+    time_limit_s: float = Field(default=30.0, gt=0)
+    corrections: tuple[str, ...] = ()
+
+
+def recipe_of_round(shards: int, steps: int, settings: Mapping[str, object]) -> Recipe:
+    """The recipe of a training that goes on from a champion.
+
+    Raises:
+        pydantic.ValidationError: a setting is wrong.
+    """
+    usual: dict[str, object] = {
+        "shards": shards,
+        "steps": steps,
+        "rate": 1e-3,
+        "cool_down": 0.4,
+        "warm_up": max(1, min(100, steps // 4)),
+        "full_from": 0.95,
+        "continues": True,
+    }
+    return Recipe.model_validate({**usual, **settings})
+
+
+class Wheel:
+    """One directory of rounds; held by one process, see `alone_in`.
+
+    Args:
+        directory: of everything.
+        say: gets lines for people.
+    """
+
+    def __init__(self, directory: Path, say: Say) -> None:
+        self.directory, self._say = directory, say
+        self.ledger = ImprovementLedger(directory)
+        self._data = directory / "demonstrations"
+
+    def begin(self, weights: Path, plan: RoundPlan, corrections: Sequence[Path]) -> int:
+        """The round to work at: the one that is under way, else a new one.
+
+        Args:
+            weights: packed file of the first champion; looked at only once.
+            plan: of a new round, without its corrections.
+            corrections: data sets in the layout of LeRobot v3.
+
+        Raises:
+            StateError: a round is under way by another plan.
+            RoboNeuronError: a data set cannot be taken.
+        """
+        if importlib.util.find_spec("rn_eval") is None:
+            raise MissingDependencyError(
+                "Champion and challenger are evaluated by rn-eval, which is not installed.",
+                hint="Install it: pip install ./plugins/rn-eval",
+            )
+        first = self._weights(FIRST)
+        if not first.exists():
+            first.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(first) as unfinished:
+                shutil.copyfile(weights, unfinished)
+        # a copy that was cut short is made again: it counts once its round has begun
+        names = tuple(take_corrections(self.directory, path) for path in corrections)
+        shape = Packed.read(self._weights(self.champion)).card.recipe.shape
+        number = self.ledger.unfinished
+        wanted = len(self.ledger.rounds) + 1 if number is None else number
+        recipe = plan.recipe.model_copy(update={"shape": shape, "seed": wanted})
+        plan = plan.model_copy(update={"recipe": recipe, "corrections": names})
+        if number is None:
+            facts = {"champion": self.champion, "plan": plan.model_dump(mode="json")}
+            self.ledger.add(wanted, BEGUN, facts)
+        elif plan != self._plan(number):
+            raise StateError(
+                f"Round {number} in {self.directory} is under way by another plan: "
+                f"{self._plan(number).model_dump_json()}.",
+                hint="Give the same arguments to go on with it, or another --out.",
+            )
+        return wanted
+
+    def run(self, number: int) -> PairedTest:
+        """Do what is left of a round; returns how champion and challenger compare.
+
+        Raises:
+            PluginError: the evaluation has failed.
+            StateError: the disk is full, or cannot be written.
+        """
+        plan = self._plan(number)
+        begun = self.ledger.of(number, BEGUN)
+        assert begun is not None, "a round is worked at once it has begun"
+        champion = int(begun["champion"])
+        self._say(f"round {number}: the champion is {self._title(champion)}")
+        record(self._data, plan.recipe.shards, workers=1, say=self._say, views=plan.views)
+        self._roll_out(number, plan, champion)
+        self._train(number, plan, champion)
+        test = self._evaluate(number, plan, champion)
+        if self.ledger.of(number, PROMOTED) is None and self.ledger.of(number, KEPT) is None:
+            is_worse = test.challenger < test.champion
+            self.ledger.add(number, KEPT if is_worse else PROMOTED, {"difference": test.difference})
+        return test
+
+    def roll_back(self) -> tuple[int, int]:
+        """Make the champion before this one the champion again; returns the rounds of the one that
+        went and of the one that is back.
+
+        Raises:
+            StateError: a round is under way, or there was no promotion.
+        """
+        if self.ledger.unfinished is not None:
+            raise StateError(
+                f"Round {self.ledger.unfinished} is under way.",
+                hint="Let `cubes-policy improve` end it first.",
+            )
+        *before, champion = self.ledger.champions
+        if not before:
+            raise StateError(f"The champion in {self.directory} is the first one.")
+        self.ledger.add(champion, ROLLED_BACK, {"back": before[-1]})
+        return champion, before[-1]
+
+    @property
+    def champion(self) -> int:
+        """The round whose weights are the champion's."""
+        return self.ledger.champions[-1]
+
+    def checkpoint(self, number: int) -> Path:
+        """The weights of a round in the layout that the backend loads; written when it is not
+        there.
+        """
+        directory = self._folder(number) / "checkpoint"
+        if not directory.exists():
+            unfinished = directory.with_name("checkpoint.part")
+            shutil.rmtree(unfinished, ignore_errors=True)
+            unpack(Packed.read(self._weights(number)), unfinished, directory)
+            unfinished.rename(directory)
+        return directory
+
+    def _roll_out(self, number: int, plan: RoundPlan, champion: int) -> None:
+        if self.ledger.of(number, ROLLED_OUT) is not None:
+            return
+        tokenizer = self.directory / "tokenizer.json"
+        write_tokenizer(tokenizer)
+        student = Student(Packed.read(self._weights(champion)), tokenizer)
+        for shard in _numbers(number, plan.rollouts):
+            rows, _ = shard_files(self._data, shard)
+            if rows.exists():
+                continue
+            lifted, episodes = write_rollouts(self._data, shard, plan.views, student)
+            self._say(
+                f"rollouts: {shard % SHARDS_PER_ROUND + 1} of {plan.rollouts} shards; "
+                f"{lifted} of {episodes} episodes ended with the cube lifted"
+            )
+        self.ledger.add(number, ROLLED_OUT, {"views": plan.rollouts * plan.views})
+
+    def _train(self, number: int, plan: RoundPlan, champion: int) -> None:
+        if self.ledger.of(number, TRAINED) is not None:
+            return
+        folder = self._folder(number)
+        more = [
+            shard
+            for earlier in range(1, number + 1)
+            for shard in _numbers(earlier, self._plan(earlier).rollouts)
+        ]
+        training = train(
+            plan.recipe,
+            folder / "training",
+            self._data,
+            weights=Packed.read(self._weights(champion)),
+            more=more,
+            corrections=corrections_in(self.directory, self._corrections(number)),
+            say=self._say,
+        )
+        packed = pack(folder / "training")
+        with replacing(self._weights(number)) as unfinished:
+            packed.write(unfinished)
+        self.ledger.add(number, TRAINED, {"step": training.step, "figures": packed.card.figures})
+
+    def _evaluate(self, number: int, plan: RoundPlan, champion: int) -> PairedTest:
+        found = self.ledger.of(number, EVALUATED)
+        if found is not None:
+            return PairedTest(**found["test"])
+        verdicts = []
+        for who, policy in ((_CHAMPION, champion), (_CHALLENGER, number)):
+            self._say(f"evaluation of the {who} on {plan.seeds} unseen scenes")
+            verdicts.append(
+                evaluate(
+                    self.checkpoint(policy),
+                    self._folder(number) / "evaluation" / who,
+                    first_seed=evaluation_seed(number),
+                    count=plan.seeds,
+                    time_limit_s=plan.time_limit_s,
+                )
+            )
+        test = paired(*verdicts)
+        self.ledger.add(number, EVALUATED, {"test": asdict(test)})
+        return test
+
+    def _plan(self, number: int) -> RoundPlan:
+        begun = self.ledger.of(number, BEGUN)
+        assert begun is not None, "a round has a plan once it has begun"
+        return RoundPlan.model_validate(begun["plan"])
+
+    def _corrections(self, number: int) -> list[str]:
+        """Names of all data sets that came until this round."""
+        names = [
+            name for earlier in range(1, number + 1) for name in self._plan(earlier).corrections
+        ]
+        return list(dict.fromkeys(names))
+
+    def _folder(self, number: int) -> Path:
+        return self.directory / "rounds" / f"{number:04d}"
+
+    def _weights(self, number: int) -> Path:
+        return self._folder(number) / "weights.safetensors"
+
+    def _title(self, number: int) -> str:
+        return "that of the beginning" if number == FIRST else f"that of round {number}"
+
+
+def evaluation_seed(number: int) -> int:
+    """First seed of a round's evaluation. Raises ConfigurationError when no unseen one is left."""
+    seed = EVALUATION_SEED + SEEDS_PER_ROUND * number
+    if seed + SEEDS_PER_ROUND > FIRST_SEED:
+        raise ConfigurationError(
+            f"Round {number} has no scenes that were not seen.", hint="Name another --out."
+        )
+    return seed
+
+
+def _numbers(number: int, rollouts: int) -> range:
+    """Numbers of a round's shards."""
+    return range(number * SHARDS_PER_ROUND, number * SHARDS_PER_ROUND + rollouts)

@@ -1,0 +1,104 @@
+"""Champion and challenger on the same episodes: the exact paired test, and an interval.
+
+Source: McNemar 1947, exact as a sign test of the pairs that differ; Clopper and Pearson 1934 for
+the interval of their share, from which that of the difference follows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import comb
+
+CONFIDENCE = 0.95
+_HALVINGS = 50
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class PairedTest:
+    """Success by seed of two policies.
+
+    Attributes:
+        seeds: that both were tried on.
+        champion, challenger: how many each of them solved.
+        only_champion, only_challenger: solved by one alone.
+        difference: share of the challenger less that of the champion, -1 .. 1.
+        low, high: of its 95 % interval, given how many pairs differ.
+        p_value: two-sided.
+    """
+
+    seeds: int
+    champion: int
+    challenger: int
+    only_champion: int
+    only_challenger: int
+    difference: float
+    low: float
+    high: float
+    p_value: float
+
+    def __str__(self) -> str:
+        """For people."""
+        champion, challenger = (
+            f"{count}/{self.seeds} ({100 * count / self.seeds:.1f} %)"
+            for count in (self.champion, self.challenger)
+        )
+        return (
+            f"champion {champion}, challenger {challenger}; alone {self.only_champion} and "
+            f"{self.only_challenger}; {100 * self.difference:+.1f} points "
+            f"[{100 * self.low:+.1f}, {100 * self.high:+.1f}], p = {self.p_value:.3g}"
+        )
+
+
+def paired(champion: Mapping[int, bool], challenger: Mapping[int, bool]) -> PairedTest:
+    """Compare success by seed. Both have the same seeds, at least one."""
+    if champion.keys() != challenger.keys() or not champion:
+        raise ValueError("champion and challenger were tried on different seeds")
+    count = len(champion)
+    only_champion = sum(champion[seed] and not challenger[seed] for seed in champion)
+    only_challenger = sum(challenger[seed] and not champion[seed] for seed in champion)
+    differing = only_champion + only_challenger
+    low, high = share_interval(only_challenger, differing)
+    least = min(only_champion, only_challenger)
+    return PairedTest(
+        seeds=count,
+        champion=sum(champion.values()),
+        challenger=sum(challenger.values()),
+        only_champion=only_champion,
+        only_challenger=only_challenger,
+        difference=(only_challenger - only_champion) / count,
+        low=(2 * low - 1) * differing / count,
+        high=(2 * high - 1) * differing / count,
+        p_value=min(1.0, 2.0 * _at_most(least, differing, 0.5)) if differing else 1.0,
+    )
+
+
+def share_interval(successes: int, trials: int) -> tuple[float, float]:
+    """Exact interval of a share (Clopper and Pearson); 0 and 1 of no trials."""
+    tail = (1.0 - CONFIDENCE) / 2
+    low, high = 0.0, 1.0
+    if successes > 0:
+        low = _root(lambda share: 1.0 - _at_most(successes - 1, trials, share) - tail)
+    if successes < trials:
+        high = _root(lambda share: tail - _at_most(successes, trials, share))
+    return low, high
+
+
+def _at_most(successes: int, trials: int, share: float) -> float:
+    """Probability of so many successes or fewer."""
+    terms = (
+        comb(trials, k) * share**k * (1.0 - share) ** (trials - k) for k in range(successes + 1)
+    )
+    return sum(terms)
+
+
+def _root(rising: Callable[[float], float]) -> float:
+    """Where a function that rises between 0 and 1 is zero."""
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        if rising(middle) < 0:
+            low = middle
+        else:
+            high = middle
+    return (low + high) / 2

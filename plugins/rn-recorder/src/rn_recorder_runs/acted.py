@@ -1,0 +1,123 @@
+"""Who moved the arm in each row of a run, and what a person did in it, by what control has told on
+the topic `acting`.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roboneuron import EE_DELTA, matrix_from_rotvec, rotvec_from_matrix
+
+F64 = NDArray[np.float64]
+
+POLICY, PERSON, BLEND, NOBODY = WHO = ("policy", "person", "blend", "nobody")
+"""Who moves the arm; the first where nothing else is told."""
+LED = (PERSON, BLEND)
+_WORD = "acting"
+_MOVED = 6
+_TOLD_NS = 250_000_000
+"""What control tells later is of another action."""
+
+
+@dataclass(frozen=True, slots=True)
+class ActedRow:
+    """What control did with an action of the policy or a row of a person.
+
+    Attributes:
+        at_ns: when it was told [ns].
+        who: one of `WHO`.
+        moved: float64 (6,), displacement of the TCP in the base that a person's row commanded: x y
+            z [m], rotation vector [rad]; (0,) where it is not told.
+        gripper_open: that the person asked for, 0 closed .. 1 open; None for none.
+    """
+
+    at_ns: int
+    who: str
+    moved: F64
+    gripper_open: float | None = None
+
+    @classmethod
+    def from_message(cls, message: Any, at_ns: int) -> ActedRow:
+        """Read a message of the topic; see `rn_standard.teleoperation.rows.Acting`."""
+        dims = message.layout.dim
+        word, _, who = (dims[0].label if dims else "").partition(":")
+        if word != _WORD or who not in WHO:
+            return cls(at_ns, POLICY, np.zeros(0))
+        values = np.array(message.data[1:], dtype=np.float64)
+        gripper = float(values[_MOVED]) if len(values) > _MOVED else None
+        return cls(at_ns, who, values[:_MOVED], gripper)
+
+
+@dataclass(frozen=True, slots=True)
+class Deed:
+    """What happened in the time of one action of the policy.
+
+    Attributes:
+        who: one of `WHO`.
+        action: float64 (n,) that was executed, in the policy's space; (0,) where a person acted and
+            it cannot be told in that space.
+    """
+
+    who: str
+    action: F64
+
+
+class Deeds:
+    """Goes through the actions of a run in their order.
+
+    Args:
+        acted: in order of time.
+    """
+
+    def __init__(self, acted: Sequence[ActedRow]) -> None:
+        self._acted = acted
+        self._times = [row.at_ns for row in acted]
+        self._opening: float | None = None
+
+    def next(self, action: F64, label: str, sent_ns: int, until_ns: int) -> Deed:
+        """What was done from this action of the policy until the next one.
+
+        Args:
+            action: float64 (n,) of the policy.
+            label: of its control space.
+            sent_ns: when it was sent [ns].
+            until_ns: when the next one was sent [ns].
+        """
+        first = bisect_right(self._times, sent_ns)
+        # control tells it once it has executed the action, or a row of a person meanwhile
+        is_told = first < len(self._acted) and self._times[first] - sent_ns < _TOLD_NS
+        who = self._acted[first].who if is_told else POLICY
+        is_delta = label == EE_DELTA.label
+        if who == POLICY:
+            self._opening = float(action[-1]) if is_delta else None
+            return Deed(who, action)
+        if not is_delta:
+            return Deed(who, np.zeros(0))
+        rows = self._acted[first : bisect_right(self._times, until_ns)]
+        asked = [row.gripper_open for row in rows if row.gripper_open is not None]
+        if asked:
+            self._opening = asked[-1]
+        elif who == BLEND or self._opening is None:
+            self._opening = float(action[-1])
+        moved = composed([row.moved for row in rows if row.who in LED])
+        return Deed(who, np.append(moved, self._opening) if len(moved) else moved)
+
+
+def composed(displacements: Sequence[F64]) -> F64:
+    """Displacements one after the other as one, float64 (6,); (0,) when one of them is not told.
+
+    Of none: zeros.
+    """
+    if any(len(one) != _MOVED for one in displacements):
+        return np.zeros(0)
+    place, turn = np.zeros(3), np.eye(3)
+    for one in displacements:
+        place = place + one[:3]
+        turn = matrix_from_rotvec(one[3:]) @ turn
+    return np.concatenate([place, rotvec_from_matrix(turn)])
