@@ -254,9 +254,11 @@ def read_episodes(
     return episodes, streams
 
 
-def _label(facts: dict[str, Any], episode: int) -> dict[str, str]:
+def _label(facts: Mapping[str, object], episode: int) -> dict[str, str]:
     """What a person has said of an episode, or of its whole run; see `Store.label`."""
-    labels: dict[str, dict[str, str]] = facts.get(LABELS, {})
+    labels = facts.get(LABELS)
+    if not isinstance(labels, Mapping):
+        return {}
     return {**labels.get(WHOLE_RUN, {}), **labels.get(str(episode), {})}
 
 
