@@ -85,6 +85,7 @@ def words_of(names: Iterable[str]) -> list[str]:
     ]
 
 
+@pytest.mark.release
 def test_a_package_that_is_named_by_its_folder_is_not_looked_for(tmp_path, index) -> None:
     """What the install lines of README and docs rely on, and that the index would have been asked
     otherwise.
@@ -121,6 +122,7 @@ def test_files_of_requirements_name_every_package_by_its_folder(tmp_path, index)
     assert asked == []
 
 
+@pytest.mark.release
 def test_a_package_beside_those_that_are_installed_is_not_looked_for(tmp_path, index) -> None:
     """What `pip install -r requirements.txt` and then one more folder rely on."""
     url, asked = index
@@ -133,6 +135,7 @@ def test_a_package_beside_those_that_are_installed_is_not_looked_for(tmp_path, i
     assert not [path for path in asked if "rn-" in path or "roboneuron" in path]
 
 
+@pytest.mark.release
 @pytest.mark.parametrize(
     "file", ["requirements.txt", pytest.param("requirements-vla.txt", marks=pytest.mark.slow)]
 )

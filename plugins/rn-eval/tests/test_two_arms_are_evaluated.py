@@ -25,6 +25,7 @@ def plan(**changes: Any) -> EvalPlan:
     return EvalPlan.model_validate({**given, "first_seed": 3, **changes})
 
 
+@pytest.mark.slow  # the servo hands cubes over in its own tests too
 def test_a_policy_of_two_arms_hands_the_named_cube_over() -> None:
     runner = Runner(plan())
     try:

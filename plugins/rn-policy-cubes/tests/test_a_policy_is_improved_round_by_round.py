@@ -114,7 +114,16 @@ def test_a_worse_challenger_is_not_promoted_but_what_it_learnt_from_is_kept(
         assert len(np.load(rows)) == plan.views
 
 
-@pytest.mark.parametrize("what", ["begun", "rolled_out", "trained", "evaluated", "promoted"])
+@pytest.mark.parametrize(
+    "what",
+    [
+        "trained",
+        *(
+            pytest.param(word, marks=pytest.mark.slow)
+            for word in ("begun", "rolled_out", "evaluated", "promoted")
+        ),
+    ],
+)
 def test_a_round_that_was_ended_anywhere_ends_as_one_that_was_not(
     judged: list[tuple[int, ...]],
     weights: Path,

@@ -73,7 +73,14 @@ def made(kind, tmp_path):
     return project, site
 
 
-@pytest.mark.parametrize("kind", NEW_KINDS)
+# a project, an installation and a pytest for each
+@pytest.mark.parametrize(
+    "kind",
+    [
+        kind if kind in {"backend", "robot"} else pytest.param(kind, marks=pytest.mark.slow)
+        for kind in NEW_KINDS
+    ],
+)
 def test_a_new_plugin_passes_its_own_tests(made):
     project, site = made
     tests = run(["-m", "pytest", "-q", "-p", "no:cacheprovider", "-W", "error"], project, site)

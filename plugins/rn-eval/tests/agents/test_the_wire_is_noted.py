@@ -263,6 +263,7 @@ def test_what_passes_over_http_is_noted_the_same(tmp_path):
 
 def test_a_server_that_never_listens_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr(http_tap, "_READY_S", 1.0)
+    monkeypatch.setattr(tap_module, "_END_S", 0.3)
     hanging = Tap(
         [sys.executable, "-c", "import time; time.sleep(60)"], os.environ, tmp_path, port=9
     )

@@ -211,8 +211,8 @@ def foreign_rclpy(folder: Path) -> str:
     ("variable", "value", "words"),
     [
         ("ROS_DOMAIN_ID", "abc", "ROS_DOMAIN_ID is 'abc', expected a whole number from 0 to 232."),
-        ("ROS_DOMAIN_ID", "300", "ROS_DOMAIN_ID is '300'"),
-        ("ROS_DOMAIN_ID", "-1", "ROS_DOMAIN_ID is '-1'"),
+        pytest.param("ROS_DOMAIN_ID", "300", "ROS_DOMAIN_ID is '300'", marks=pytest.mark.slow),
+        pytest.param("ROS_DOMAIN_ID", "-1", "ROS_DOMAIN_ID is '-1'", marks=pytest.mark.slow),
         (
             "RMW_IMPLEMENTATION",
             "rmw_nope_cpp",

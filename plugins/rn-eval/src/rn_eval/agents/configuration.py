@@ -10,7 +10,7 @@ from rn_eval.agents.task import AgentScene, Companion
 _SHARED = """\
 [supervisor]
 state_directory = "{state}"
-{supervisor}[http]
+{start_timeout}[http]
 lease_s = {lease_s}
 [[http.tokens]]
 name = "agent"
@@ -53,7 +53,7 @@ def configuration_of(scene: AgentScene, state: Path) -> str:
     parts = [
         _SHARED.format(
             state=state,
-            supervisor=_START_TIMEOUT if scene.companions else "",
+            start_timeout=_START_TIMEOUT if scene.companions else "",
             lease_s=_OTHERS_LEASE_S if scene.other_client else '"auto"',
             token=TOKEN,
         )
