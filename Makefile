@@ -84,12 +84,16 @@ test-units: $(VENV)/.develop ## its tests without ROS processes, UNIT_JOBS at a 
 	$(BIN)/python -m pytest -n $(UNIT_JOBS) --dist worksteal --max-worker-restart=0 \
 	  -m "not ros and not gpu and not hardware and not slow and not release" $(ARGS)
 
+# To collect the other files takes as long as a few of these tests.
+ROS_TESTS = $(if $(ARGS),,$(shell for folder in tests roboneuron-core/tests plugins; do \
+  grep -rl --include='test_*.py' 'mark\.ros' $$folder | sort; done))
+
 test-ros: $(VENV)/.develop ## its tests with ROS processes, ROS_JOBS at a time
 	$(BIN)/python -m pytest -n $(ROS_JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(RERUN) \
-	  -m "ros and not timing and not sourced and not peers and not gpu and not hardware and not slow" $(ARGS)
+	  -m "ros and not timing and not sourced and not peers and not gpu and not hardware and not slow" $(ROS_TESTS) $(ARGS)
 
 test-timing: $(VENV)/.develop ## tests that judge how soon something happens, one at a time: let nothing run beside them
-	$(BIN)/python -m pytest $(RERUN) -m "ros and timing and not gpu and not hardware and not slow" $(ARGS)
+	$(BIN)/python -m pytest $(RERUN) -m "ros and timing and not gpu and not hardware and not slow" $(ROS_TESTS) $(ARGS)
 
 test-release: $(VENV)/.develop ## every package as a wheel: what it holds, and whether it works without the sources
 	$(BIN)/python -m pytest -n $(JOBS) -m release $(ARGS)

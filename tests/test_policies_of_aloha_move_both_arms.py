@@ -204,7 +204,9 @@ def oft(folder: Path) -> tuple[str, ActionChunk]:
 
 @pytest.mark.ros
 @pytest.mark.timeout(180)
-@pytest.mark.parametrize("make", [pi0, oft], ids=["pi0", "oft"])
+@pytest.mark.parametrize(
+    "make", [pytest.param(pi0, id="pi0"), pytest.param(oft, id="oft", marks=pytest.mark.slow)]
+)
 def test_both_arms_follow_a_policy_of_aloha(tmp_path: Path, make: Any) -> None:
     text, chunk = make(tmp_path)
     with installed(tmp_path, "rn-two-arms", (robot.PLUGIN,), source=Path(__file__).parent):

@@ -26,7 +26,7 @@ LAYOUTS = {"openvla": 440, "oft": 640, "pi0-lerobot": 720, "pi0-openpi": 440}
 """Layouts, and how many damages there are at least."""
 
 
-STRIDE = 23
+STRIDE = 47
 """Every so many damages one is tried; all of them in the slow test."""
 
 

@@ -50,6 +50,7 @@ class Publisher:
 
 
 @pytest.mark.ros
+@pytest.mark.timing
 @pytest.mark.timeout(240)
 def test_what_came_while_it_was_stopped_is_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -74,11 +74,43 @@ GOOD: dict[str, Case[Any]] = {
 QUICK_S = 0.3
 """What a mutant's constructor may take [s]: one that sleeps need not sleep for a second."""
 SLOW = {
+    "backend:constructor_computes",
+    "backend:every_image_is_copied_and_kept",
+    "backend:every_image_is_kept",
+    "controllers:constructor_computes",
+    "controllers:every_action_is_kept",
+    "devices:driver_hold_creeps_home",
+    "devices:driver_hold_creeps_home_slowly",
+    "devices:driver_hold_sags",
+    "devices:driver_hold_shuts_the_gripper",
     "devices:driver_state_of_a_second_ago",
+    "devices:driver_velocity_in_degrees",
+    "devices:source_faster_than_its_case_says",
+    "devices:source_read_waits_half_a_second",
+    "drivers:driver_constructor_computes",
+    "drivers:driver_gripper_inverted",
+    "drivers:driver_hold_coasts_on",
+    "drivers:driver_hold_does_nothing",
+    "drivers:driver_hold_drives_home",
+    "drivers:driver_hold_jumps_to_the_goal",
+    "drivers:driver_jumps_whatever_the_duration",
+    "drivers:driver_send_moves_by_the_position",
+    "drivers:driver_stamp_stays",
+    "engines:acceleration_constructor_computes",
+    "engines:runtime_abort_hangs",
+    "engines:runtime_constructor_computes",
+    "processes:backend_constructor_sleeps",
+    "processes:controller_constructor_sleeps",
+    "processes:driver_constructor_sleeps",
+    "processes:perception_constructor_sleeps",
+    "processes:runtime_constructor_sleeps",
+    "sources:constructor_computes",
+    "sources:read_hangs",
     "sources:read_ignores_its_timeout",
     "sources:read_waits_a_second_longer",
+    "sources:read_waits_whole_seconds",
 }
-"""Mutants that wait for seconds, and others of the same rule that make the same mistake quicker."""
+"""Mutants that take about a second or more; each of their rules has another one that is quicker."""
 PATIENT = {"constructor": 60.0}
 """Bounds under which a mutant that computes comes to its end on a busy machine too [s]."""
 KINDS = {"driver": "robot", "descriptor": "backend"}

@@ -152,7 +152,8 @@ def test_a_client_that_leaves_during_a_start_is_not_waited_for(
         assert "python" not in children.stdout
 
 
-@pytest.mark.parametrize("end", ["stdin", pytest.param("SIGTERM", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("end", ["stdin", "SIGTERM"])
 def test_what_hangs_on_the_way_out_keeps_neither_modules_nor_the_server(
     serve_command: ServeCommand, server_environment: dict[str, str], end: str
 ) -> None:
