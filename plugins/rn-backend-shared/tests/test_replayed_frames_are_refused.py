@@ -122,7 +122,8 @@ REQUESTS: dict[str, Callable[[Recording, bytes], Sequence[bytes]]] = {
         *the_one_before(recording.asked, frame, Kind.REQUEST),
         frame,
     ),
-    "introduced-again": lambda recording, frame: (recording.asked[0], frame),
+    # nothing was asked yet on a connection made anew
+    "introduced-again": lambda recording, frame: (*list(recording.asked)[:1], frame),
 }
 
 
