@@ -72,7 +72,7 @@ def served(tmp_path: Path) -> Iterator[tuple[Mapping[str, Machine], Mapping[str,
             pair(robot.state, made[name].state, name=name, address=made[name].address)
             folder = tmp_path / name[0]  # a path that sockets can have
             folder.mkdir()
-            model = {"only": {"options": {"rows": ROWS, "step_s": STEP_S, "gain": 0.0002}}}
+            model = {"only": {"options": {"rows": ROWS, "step_s": STEP_S, "gain": 0.00006}}}
             listen = {"host": "0.0.0.0", "port": 7420}
             server = FarServer(folder, model, listen, made[name].state)
             server.machine = made[name]
