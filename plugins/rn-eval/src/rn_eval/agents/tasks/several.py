@@ -191,7 +191,31 @@ def base_of(truth: Truth) -> BaseTruth:
     return truth.bases.get(BASE, BaseTruth(t_s=nothing.t_s, poses=nothing.tcp_m))
 
 
-class DriveBase(_WithBase):
+class _BaseAlone(_WithBase):
+    """The base drives straight on, or turns; the arm stands."""
+
+    turns: ClassVar[bool] = False
+
+    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
+        """The base stands where it should, the arm has not moved."""
+        way_m, turn_rad = scene.number("way_m"), scene.number("turn_rad")
+        wanted = (0.0, turn_rad) if self.turns else (way_m, 0.0)
+        return AgentVerdict.of(
+            (not truth.ever_moved(), "The arm has moved."), *_stands(base_of(truth), *wanted)
+        )
+
+    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+        """By its odometry."""
+        base = tools.of(BASE)
+        await start_base(base)
+        if self.turns:
+            await turn(base, scene.number("turn_rad"))
+        else:
+            await drive(base, scene.number("way_m"))
+        return DONE
+
+
+class DriveBase(_BaseAlone):
     """The base drives straight on."""
 
     wordings: ClassVar[tuple[str, ...]] = (
@@ -199,44 +223,17 @@ class DriveBase(_WithBase):
         "The mobile base is to go {distance} cm straight {side}, and stop. Leave the arm alone.",
     )
 
-    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It stands there, the arm has not moved."""
-        return AgentVerdict.of(
-            (not truth.ever_moved(), "The arm has moved."),
-            *_stands(base_of(truth), scene.number("way_m"), 0.0),
-        )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
-        """By its odometry."""
-        base = tools.of(BASE)
-        await start_base(base)
-        await drive(base, scene.number("way_m"))
-        return DONE
-
-
-class TurnBase(_WithBase):
+class TurnBase(_BaseAlone):
     """The base turns on the spot."""
 
+    turns = True
     sides = ("left", "right")
     wordings: ClassVar[tuple[str, ...]] = (
         "Turn the mobile base by {degrees} degrees to the {side}, on the spot. The arm must not "
         "move.",
         "The mobile base is to turn to the {side} by {degrees} degrees and to stay where it is.",
     )
-
-    def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It points there, the arm has not moved."""
-        return AgentVerdict.of(
-            (not truth.ever_moved(), "The arm has moved."),
-            *_stands(base_of(truth), 0.0, scene.number("turn_rad")),
-        )
-
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
-        """By its odometry."""
-        base = tools.of(BASE)
-        await start_base(base)
-        await turn(base, scene.number("turn_rad"))
-        return DONE
 
 
 class ArmAndBase(_WithBase):
