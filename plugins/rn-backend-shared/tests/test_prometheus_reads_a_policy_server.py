@@ -75,7 +75,14 @@ def test_requests_times_and_robots_are_told_by_model(server: RunningServer, tmp_
     robot.close()
 
 
+def replicas_that_tell(server: RunningServer) -> set[str]:
+    """Replicas whose times are told: from when they have loaded."""
+    told = [labels for name, labels in read(server) if name.endswith("model_seconds_sum")]
+    return {value for labels in told for key, value in labels if key == "replica"}
+
+
 def test_who_connects_adds_no_labels(server: RunningServer, tmp_path: Path) -> None:
+    wait_until(lambda: replicas_that_tell(server) == {"0", "1"}, 60.0)
     before = read(server)
     port = server.port
     for word in (b"x" * 64, b'[{"model": "made-up"}, []]', b"GET / HTTP/1.1\r\n\r\n"):
