@@ -1,8 +1,33 @@
 """Tests of the limiter share arms whose numbers are worked out by hand, in `gantry.py` and
-`planar.py`.
+`planar.py`; tests of the latch share what they watch.
 """
 
+from __future__ import annotations
+
+import os
 import sys
 from pathlib import Path
 
+import pytest
+
+from roboneuron.gate import AuditLog, AuditRecord
+
 sys.path.append(str(Path(__file__).parent))
+
+
+@pytest.fixture
+def records(audit: AuditLog) -> list[AuditRecord]:
+    """What the audit writes."""
+    seen: list[AuditRecord] = []
+    audit.on_record = seen.append
+    return seen
+
+
+@pytest.fixture
+def synced(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Files and directories that are waited for until they are on the disk."""
+    seen: list[str] = []
+    monkeypatch.setattr(
+        os, "fsync", lambda descriptor: seen.append(os.readlink(f"/proc/self/fd/{descriptor}"))
+    )
+    return seen
