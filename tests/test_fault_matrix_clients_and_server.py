@@ -12,7 +12,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -21,39 +20,21 @@ from pathlib import Path
 from typing import Any
 
 import anyio
-import httpx2
 import pytest
-from anyio.from_thread import BlockingPortal, start_blocking_portal
-from mcp import Client
-from mcp.client.streamable_http import streamable_http_client
 
 from roboneuron.ros.environment import prepare_environment
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
+sys.path.insert(0, str(Path(__file__).parent))
 from fault_loop import JointWitness, config_text, environment
+from served_cell import LEASE_S, SERVER, SERVER_TIMEOUT_S, Cell
 
-from rn_testing.waiting import holds_within, wait_until
+from rn_testing.waiting import wait_until
 
+sys.path.pop(0)
 sys.path.pop(0)
 
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(150)]
-LEASE_S, SERVER_TIMEOUT_S = 8.0, 1.0
-SERVER = """
-[server]
-transport = "http"
-reset_emergency_stop = "client"
-[http]
-port = {port}
-lease_s = {lease_s}
-[[http.tokens]]
-name = "ann"
-role = "admin"
-variable = "TEST_ANN"
-[[http.tokens]]
-name = "bob"
-role = "operator"
-variable = "TEST_BOB"
-"""
 VANISHING = """
 import json, sys, anyio, httpx2
 from mcp import Client
@@ -68,32 +49,6 @@ async def main():
 
 anyio.run(main)
 """
-
-
-class Caller:
-    """A connected client whose calls block; usable from any thread."""
-
-    def __init__(self, client: Client, portal: BlockingPortal, name: str) -> None:
-        self.name = name
-        self._client, self._portal = client, portal
-
-    def answer(self, tool: str, **arguments: Any) -> Any:
-        return self._portal.call(self._client.call_tool, tool, arguments)
-
-    def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """Structured content of a call that must succeed."""
-        answer = self.answer(tool, **arguments)
-        assert not answer.is_error, answer.content
-        return dict(answer.structured_content)
-
-    def fail(self, tool: str, **arguments: Any) -> str:
-        """Code and text of a call that must fail."""
-        answer = self.answer(tool, **arguments)
-        assert answer.is_error, answer.structured_content
-        return f"{answer.meta['roboneuron/error']['code']}: {answer.content[0].text}"
-
-    def module(self, kind: str) -> dict[str, Any]:
-        return next(m for m in self.do("get_status")["modules"] if m["module"] == kind)
 
 
 async def flood(port: int, token: str, tool: str, at_once: int) -> Counter[str]:
@@ -144,61 +99,6 @@ async def flood(port: int, token: str, tool: str, at_once: int) -> Counter[str]:
         for _ in range(1000):
             group.start_soon(one)
     return results
-
-
-class Cell:
-    """A server in a process of its own, two clients, and the gantry's true joints."""
-
-    def __init__(
-        self, process: subprocess.Popen[bytes], folder: Path, url: str, witness: JointWitness
-    ) -> None:
-        self.process, self.folder, self.url, self.witness = process, folder, url, witness
-        self.ann: Any = None
-        self.bob: Any = None
-        self.operator: Any = None
-        self.alive = threading.Event()
-        self.alive.set()
-        self._end = threading.Event()
-        self._beats = threading.Thread(target=self._beat, daemon=True)
-
-    @contextlib.contextmanager
-    def connected(self) -> Iterator[None]:
-        with start_blocking_portal() as portal, contextlib.ExitStack() as stack:
-            for name in ("ann", "bob"):
-                http = httpx2.AsyncClient(
-                    headers={"Authorization": f"Bearer the-token-of-test-{name}"},
-                    timeout=60,
-                    limits=httpx2.Limits(),
-                )
-                stack.enter_context(portal.wrap_async_context_manager(http))
-                client = Client(streamable_http_client(self.url, http_client=http))
-                stack.enter_context(portal.wrap_async_context_manager(client))
-                setattr(self, name, Caller(client, portal, name))
-            self.operator = self.ann
-            self._beats.start()
-            yield
-            self._end.set()
-            self._beats.join(10.0)
-
-    def _beat(self) -> None:
-        """The operator shows that she lives, as long as she does; a refusal is an answer too."""
-        while not self._end.wait(0.8):
-            if self.alive.is_set():
-                self.operator.answer("heartbeat")
-
-    def start_loop(self) -> None:
-        """Ann starts what does not run."""
-        for kind in ("robot", "perception", "control"):
-            if self.ann.module(kind)["phase"] != "running":
-                self.ann.do(f"start_{kind}")
-        if self.ann.module("inference")["phase"] != "running":
-            self.ann.do("start_inference", instruction="move on")
-        if not holds_within(self.witness.moves, 3.0):
-            # a stop that a busy machine has earned, such as a silence of the server or a lapsed
-            # lease: who goes on says so
-            print("the arm stands:", [self.ann.module(kind) for kind in ("robot", "inference")])
-            self.ann.do("set_instruction", instruction="move on")
-        wait_until(self.witness.moves, 10.0, "the arm moves")
 
 
 @pytest.fixture(scope="module")

@@ -11,11 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rn_controller_urdf.controller import UrdfController
-from rn_interfaces.finder import PREFIXES, install
-from rn_interfaces.learning import learn
-from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_standard.direct_path.fields import filled, load_type
@@ -26,10 +21,9 @@ from rn_standard.direct_path.places import FindTransform
 from rn_standard.direct_path.plans import check_plan_frame
 from rn_standard.direct_path.request import AllowedEndpoint
 from rn_standard.direct_path.transforms import Transform
-from rn_standard.direct_path.way_watch import WayWatch, watch_of
+from rn_standard.direct_path.way_watch import watch_of
 from roboneuron import (
     ConfigurationError,
-    Endpoint,
     JointSample,
     NotReadyError,
     Obstacle,
@@ -38,90 +32,37 @@ from roboneuron import (
 from roboneuron.config import LimitsConfig
 from roboneuron.feature import GateRequest, motion_rules
 
+sys.path.insert(0, str(Path(__file__).parent))
+from planner_goals import (
+    BASE,
+    EXECUTE,
+    HOME,
+    LIMITS,
+    MOVE,
+    endpoint,
+    goal_of,
+    joint_goal,
+    learnt_types,
+    limiter_of_fr3,
+    place_goal,
+    trajectory,
+)
+
+sys.path.pop(0)
+
 pytest_plugins = ["rn_testing.gate_fixtures"]
-EXAMPLES = Path(__file__).parents[1] / "examples"
-MOVE, EXECUTE = "moveit_msgs/action/MoveGroup", "moveit_msgs/action/ExecuteTrajectory"
-BASE, TCP = "fr3_link0", "fr3_hand_tcp"
-HOME = JointSample(names=ARM_JOINTS, position=np.array(HOME_RAD))
-CUP = {"name": "cup", "lower_m": [0.45, 0.15, 0.0], "upper_m": [0.55, 0.25, 0.3]}
-LIMITS = {"velocity_fraction": 0.5, "acceleration_fraction": 0.4, "zones": [CUP]}
 Case = tuple[Callable[[dict[str, Any]], object], str]
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _learnt(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """This process knows the types of the examples."""
-    folder = tmp_path_factory.mktemp("user")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_DATA_HOME", str(folder / "data"))
-        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-        patch.setenv(PREFIXES, sys.prefix)
-        patch.setattr(sys, "meta_path", list(sys.meta_path))
-        install()
-        assert not learn(Store(), definitions(EXAMPLES / "ros")).refused
+    with learnt_types(tmp_path_factory.mktemp("user")):
         yield
-
-
-def joint_goal(**changed: float) -> dict[str, Any]:
-    """Constraints of every joint, from home."""
-    at = dict(zip(ARM_JOINTS, HOME_RAD, strict=True)) | changed
-    tolerances = {"tolerance_above": 0.001, "tolerance_below": 0.001}
-    return {
-        "joint_constraints": [
-            {"joint_name": name, "position": float(position), **tolerances, "weight": 1.0}
-            for name, position in at.items()
-        ]
-    }
-
-
-def place_goal(x: float, y: float, z: float, radius_m: float = 0.005) -> dict[str, Any]:
-    """Constraints that have the TCP in a ball, with the hand straight down."""
-    header = {"frame_id": BASE}
-    region = {
-        "primitives": [{"type": 2, "dimensions": [radius_m]}],
-        "primitive_poses": [{"position": {"x": x, "y": y, "z": z}}],
-    }
-    turn = {"x": 1.0, "w": 0.0}
-    return {
-        "position_constraints": [
-            {"header": header, "link_name": TCP, "constraint_region": region, "weight": 1.0}
-        ],
-        "orientation_constraints": [
-            {"header": header, "link_name": TCP, "orientation": turn, "weight": 1.0}
-        ],
-    }
-
-
-def goal_of(*constraints: dict[str, Any]) -> dict[str, Any]:
-    """A goal of MoveGroup that nothing is wrong with."""
-    return {
-        "request": {
-            "group_name": "fr3_arm",
-            "start_state": {"is_diff": True},
-            "goal_constraints": list(constraints),
-            "max_velocity_scaling_factor": 0.3,
-            "max_acceleration_scaling_factor": 0.3,
-            "allowed_planning_time": 2.0,
-        },
-        "planning_options": {
-            "planning_scene_diff": {"is_diff": True, "robot_state": {"is_diff": True}}
-        },
-    }
-
-
-def endpoint(type_name: str = MOVE, **changes: Any) -> Endpoint:
-    kept = {"name": "arm", "kind": "action", "topic": "/move", "summary": "", "joint_limited": True}
-    return Endpoint(**{**kept, "type": type_name, **changes})
 
 
 @pytest.fixture(scope="module")
 def limiter() -> PathLimiter:
-    facts = profile()
-    controller = UrdfController(None, facts)
-    controller.load()
-    return PathLimiter(
-        motion_rules(LimitsConfig.model_validate(LIMITS), facts), facts, controller.inspect
-    )
+    return limiter_of_fr3()
 
 
 @pytest.fixture
@@ -357,18 +298,6 @@ def test_zones_in_another_frame_than_the_arm_are_refused() -> None:
     check_plan_frame(endpoint(frame=BASE), BASE)
 
 
-def trajectory(*rows: tuple[float, float]) -> dict[str, Any]:
-    """The last joint goes so far from home, at these times [s]."""
-    points = [
-        {
-            "positions": [*HOME_RAD[:6], HOME_RAD[6] + step],
-            "time_from_start": {"sec": int(at_s), "nanosec": round(at_s % 1 * 1e9)},
-        }
-        for step, at_s in rows
-    ]
-    return {"trajectory": {"joint_trajectory": {"joint_names": list(ARM_JOINTS), "points": points}}}
-
-
 def test_a_trajectory_that_is_to_be_executed_is_judged_row_by_row(ask: Callable[..., None]) -> None:
     ask(trajectory((0.1, 1.0), (0.2, 2.0)), EXECUTE)
     with pytest.raises(RefusedError, match=r"points\[1\]: fr3_joint7 would move at"):
@@ -379,61 +308,6 @@ def test_a_trajectory_that_is_to_be_executed_is_judged_row_by_row(ask: Callable[
         ask(moved, EXECUTE)
     with pytest.raises(RefusedError, match="names no joints"):
         ask({}, EXECUTE)
-
-
-class Way:
-    """Measured joints, and a watch over them."""
-
-    def __init__(self, limiter: PathLimiter, zones: tuple[Obstacle, ...] = ()) -> None:
-        self.now_s, self.joints = 0.0, HOME
-        self.watch = WayWatch(limiter, zones, lambda: self.joints, lambda: self.now_s)
-
-    def see(self, joints: Any, after_s: float = 0.1) -> None:
-        self.now_s += after_s
-        self.joints = joints
-        self.watch.check()
-
-
-def turned(rad: float) -> JointSample:
-    """Home, turned about the base."""
-    return JointSample(names=ARM_JOINTS, position=np.array([rad, *HOME_RAD[1:]]))
-
-
-def test_a_way_ends_where_the_arm_may_not_be(limiter: PathLimiter) -> None:
-    tcp = limiter.posture(turned(0.5)).pose.position_m
-    lamp = Obstacle(name="lamp", lower_m=tcp - 0.03, upper_m=tcp + 0.03)
-    way = Way(limiter, (lamp,))
-    way.see(turned(0.0))
-    way.see(turned(0.3))
-    with pytest.raises(
-        RefusedError, match=r"left its limits\. The TCP may come into the zone 'lamp'"
-    ):
-        way.see(turned(0.5))
-
-
-def test_a_way_out_of_the_workspace_ends(limiter: PathLimiter) -> None:
-    way = Way(limiter)
-    way.see(turned(0.5))
-    with pytest.raises(RefusedError, match="outside the workspace"):
-        way.see(turned(1.2))
-
-
-def test_a_way_that_is_not_measured_ends_after_a_second(limiter: PathLimiter) -> None:
-    way = Way(limiter)
-    way.see(turned(0.1))
-    way.see(None, after_s=0.9)
-    with pytest.raises(RefusedError, match="not measured any more"):
-        way.see(None, after_s=0.2)
-
-
-def test_an_arm_that_rests_in_a_zone_may_be_led_out_of_it(limiter: PathLimiter) -> None:
-    tcp = limiter.posture(turned(0.5)).pose.position_m
-    lamp = Obstacle(name="lamp", lower_m=tcp - 0.03, upper_m=tcp + 0.03)
-    way = Way(limiter, (lamp,))
-    for rad in (0.5, 0.5002, 0.5, 0.48, 0.4, 0.3):
-        way.see(turned(rad))
-    with pytest.raises(RefusedError, match="'lamp'"):
-        way.see(turned(0.5))
 
 
 def test_only_what_a_planner_carries_out_is_watched(limiter: PathLimiter) -> None:

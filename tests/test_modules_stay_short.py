@@ -1,4 +1,4 @@
-"""No source module is so long that a reader has to guess what it holds."""
+"""No module, of tests neither, is so long that a reader has to guess what it holds."""
 
 from __future__ import annotations
 
@@ -7,7 +7,17 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PATTERNS = ("*/src/**/*.py", "plugins/*/src/**/*.py", "benchmarks/*.py", "tools/*.py")
+PATTERNS = (
+    "*/src/**/*.py",
+    "plugins/*/src/**/*.py",
+    "benchmarks/*.py",
+    "tools/*.py",
+    "tests/**/*.py",
+    "*/tests/**/*.py",
+    "plugins/*/tests/**/*.py",
+    "conftest.py",
+    "plugins/conftest.py",
+)
 MOST_LINES = 400
 """A module of more lines has two subjects."""
 
@@ -23,12 +33,22 @@ def _too_long(root: Path) -> list[str]:
     return sorted(f"{path}: {count} lines" for path, count in counts.items() if count > MOST_LINES)
 
 
-def test_no_source_module_is_longer_than_400_lines():
+def test_no_module_is_longer_than_400_lines():
     assert _too_long(ROOT) == [], "divide each by subject, with names that say what it holds"
 
 
 @pytest.mark.parametrize(
-    "place", ["core/src/core/a.py", "plugins/b/src/b/c/d.py", "benchmarks/e.py", "tools/f.py"]
+    "place",
+    [
+        "core/src/core/a.py",
+        "plugins/b/src/b/c/d.py",
+        "benchmarks/e.py",
+        "tools/f.py",
+        "tests/peers/conftest.py",
+        "core/tests/gate/test_g.py",
+        "plugins/b/tests/c/h_cell.py",
+        "plugins/conftest.py",
+    ],
 )
 def test_a_module_that_has_grown_is_named(tmp_path, place):
     path = tmp_path / place

@@ -243,11 +243,12 @@ class Host:
 
 
 def install_loop_plugin(folder: Path) -> Path:
-    """Install the plugin of loop_plugin.py below a folder; returns what to import it from."""
+    """Install loop_plugin.py and its backends below a folder; returns what to import them from."""
     site = folder / "site"
     info = site / "rn_loop-1.0.dist-info"
     info.mkdir(parents=True)
-    shutil.copy(HERE / "loop_plugin.py", site)
+    for name in ("loop_plugin.py", "loop_backends.py"):
+        shutil.copy(HERE / name, site)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: rn-loop\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[roboneuron]\nrn-loop = loop_plugin\n")
     return site

@@ -1,12 +1,11 @@
-"""A robot with two joints, a camera, a controller and backends with faults, as one plugin for tests
-of the modules.
+"""A robot with two joints, a camera and controllers, as one plugin for tests of the modules; its
+backends are in loop_backends.py.
 """
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -24,15 +23,13 @@ from roboneuron.contract import (
     JointCommand,
     JointLimits,
     JointSample,
-    Observation,
     Pose,
     RobotProfile,
     RobotState,
     Topics,
-    robot_space,
 )
 from roboneuron.contract.arrays import F64
-from roboneuron.errors import CheckpointError, NotReadyError, UngroundedError
+from roboneuron.errors import NotReadyError
 from roboneuron.modules.module_host import Handover
 from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import (
@@ -66,7 +63,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
         BackendSpec(
             name=name,
             summary="x",
-            target=f"loop_plugin:{cls}",
+            target=f"loop_backends:{cls}",
             action_space=SPACE,
             needs_state=name == "picky",
         )
@@ -75,21 +72,21 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
         BackendSpec(
             name="fickle",
             summary="x",
-            target="loop_plugin:Fickle",
+            target="loop_backends:Fickle",
             action_space=SPACE,
-            space="loop_plugin:declared",
+            space="loop_backends:declared",
         ),
         BackendSpec(
             name="planner",
             summary="x",
-            target="loop_plugin:Planner",
+            target="loop_backends:Planner",
             action_space=SPACE,
-            space="loop_plugin:positions",
+            space="loop_backends:positions",
         ),
         BackendSpec(
             name="served",
             summary="x",
-            target="loop_plugin:Served",
+            target="loop_backends:Served",
             action_space=SPACE,
             family="pair",
             runtimes_required=True,
@@ -101,7 +98,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
 @hookimpl
 def roboneuron_runtimes() -> Sequence[RuntimeSpec]:
     return [
-        RuntimeSpec(name="patient", summary="x", target="loop_plugin:Patient", families=("pair",))
+        RuntimeSpec(name="patient", summary="x", target="loop_backends:Patient", families=("pair",))
     ]
 
 
@@ -237,134 +234,6 @@ def join(host: Any) -> None:
         host.add_parameter(
             name, moment_ns, partial(windows.set, name), lambda ns: "no ROS time" if ns < 0 else ""
         )
-
-
-class Instant:
-    def __init__(self, config: None, runtime: Any = None, acceleration: Any = None) -> None:
-        self.resets = 0
-
-    def load(self) -> None: ...
-
-    def predict(self, observation: Observation) -> ActionChunk:
-        return ActionChunk(
-            actions=np.array([[0.01, 0, 0, 0, 0, 0, 1.0]]),
-            step_s=0.02,
-            metrics={"tokens_kept": 3.0},
-        )
-
-    def reset(self) -> None:
-        self.resets += 1
-
-    def close(self) -> None: ...
-
-
-class Broken(Instant):
-    def load(self) -> None:
-        raise CheckpointError("The checkpoint is cut short.", hint="Copy it again.")
-
-
-class Picky(Instant):
-    def predict(self, observation: Observation) -> ActionChunk:
-        if "red" not in observation.instruction:
-            raise UngroundedError(f"Nothing here is called {observation.instruction!r}.")
-        assert observation.ee_pose is not None
-        assert observation.joints is not None
-        return super().predict(observation)
-
-
-class Slow(Instant):
-    def predict(self, observation: Observation) -> ActionChunk:
-        time.sleep(0.3)
-        return super().predict(observation)
-
-
-class Moody(Instant):
-    """Answers when it may, half as fast as `Instant` moves."""
-
-    may_answer = threading.Event()
-
-    def predict(self, observation: Observation) -> ActionChunk:
-        self.may_answer.wait(30.0)
-        return ActionChunk(actions=np.array([[0.005, 0, 0, 0, 0, 0, 1.0]]), step_s=0.02)
-
-
-class NaN(Instant):
-    def predict(self, observation: Observation) -> ActionChunk:
-        return ActionChunk(actions=np.full((1, 7), np.nan), step_s=0.02)
-
-
-def declared(options: Mapping[str, Any], profile: RobotProfile) -> ControlSpace:
-    """The space that the option `kind` names."""
-    kind = options.get("kind", "joint_velocity")
-    if kind == "number":
-        return 5  # type: ignore[return-value]
-    return robot_space(kind, profile, 50.0)
-
-
-class Fickle(Instant):
-    """Answers with velocities until the instruction is "another"."""
-
-    def __init__(self, config: None, runtime: Any = None, acceleration: Any = None) -> None:
-        super().__init__(config)
-        self.space = declared({}, profile())
-
-    def predict(self, observation: Observation) -> ActionChunk:
-        if observation.instruction == "another":
-            return super().predict(observation)
-        return ActionChunk(actions=np.array([[0.1, -0.1]]), step_s=0.02, space=self.space)
-
-
-def positions(options: Mapping[str, Any], profile: RobotProfile) -> ControlSpace:
-    return robot_space("joint_position", profile, 20.0)
-
-
-class Planner(Instant):
-    """Answers with six positions of a steady motion."""
-
-    def predict(self, observation: Observation) -> ActionChunk:
-        actions = np.zeros((6, 2))
-        actions[:, 0] = np.arange(1, 7) / 1000
-        return ActionChunk(actions=actions, step_s=0.05, space=positions({}, profile()))
-
-
-class Chunked(Instant):
-    def predict(self, observation: Observation) -> ActionChunk:
-        actions = np.zeros((5, 7))
-        actions[:, 0] = np.arange(5) / 1000
-        return ActionChunk(actions=actions, step_s=0.05)
-
-
-class Patient:
-    """A runtime whose requests last a minute, unless they are given up."""
-
-    def __init__(self, config: None) -> None:
-        self.running = False
-        self._aborted = threading.Event()
-
-    def load(self, model: Any, acceleration: Any = None) -> None: ...
-
-    def run(self, request: Any) -> Any:
-        self._aborted.clear()
-        self.running = True
-        given_up = self._aborted.wait(60.0)
-        self.running = False
-        if given_up:
-            raise NotReadyError("The request was given up.")
-
-    def abort(self) -> None:
-        self._aborted.set()
-
-    def close(self) -> None: ...
-
-
-class Served(Instant):
-    def __init__(self, config: None, runtime: Patient, acceleration: Any = None) -> None:
-        super().__init__(config)
-        self.runtime = runtime
-
-    def predict(self, observation: Observation) -> ActionChunk:
-        self.runtime.run("what to do")
-        return super().predict(observation)
 
 
 class Noise:

@@ -5,9 +5,11 @@ The gate and the arbiter are real; what would be on ROS is played by the test.
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,6 +28,7 @@ from roboneuron.estop import EmergencyStopLatch
 from roboneuron.feature import ExposedEndpoint, GateRequest, TimedCommand
 from roboneuron.gate import AuditLog
 
+sys.path.append(str(Path(__file__).parent))  # for arbiter_cell
 ONE = np.ones(2)
 PROFILE = RobotProfile(
     name="arm",

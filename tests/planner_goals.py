@@ -1,0 +1,120 @@
+"""Goals of MoveIt for an FR3, and the limits that they are judged by."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rn_controller_urdf.controller import UrdfController
+from rn_interfaces.finder import PREFIXES, install
+from rn_interfaces.learning import learn
+from rn_interfaces.sources import definitions
+from rn_interfaces.store import Store
+from rn_robot_fr3.limits import ARM_JOINTS
+from rn_robot_fr3.profile import HOME_RAD, profile
+from rn_standard.direct_path.path_limits import PathLimiter
+from roboneuron import (
+    Endpoint,
+    JointSample,
+)
+from roboneuron.config import LimitsConfig
+from roboneuron.feature import motion_rules
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+MOVE, EXECUTE = "moveit_msgs/action/MoveGroup", "moveit_msgs/action/ExecuteTrajectory"
+BASE, TCP = "fr3_link0", "fr3_hand_tcp"
+HOME = JointSample(names=ARM_JOINTS, position=np.array(HOME_RAD))
+CUP = {"name": "cup", "lower_m": [0.45, 0.15, 0.0], "upper_m": [0.55, 0.25, 0.3]}
+LIMITS = {"velocity_fraction": 0.5, "acceleration_fraction": 0.4, "zones": [CUP]}
+
+
+def joint_goal(**changed: float) -> dict[str, Any]:
+    """Constraints of every joint, from home."""
+    at = dict(zip(ARM_JOINTS, HOME_RAD, strict=True)) | changed
+    tolerances = {"tolerance_above": 0.001, "tolerance_below": 0.001}
+    return {
+        "joint_constraints": [
+            {"joint_name": name, "position": float(position), **tolerances, "weight": 1.0}
+            for name, position in at.items()
+        ]
+    }
+
+
+def place_goal(x: float, y: float, z: float, radius_m: float = 0.005) -> dict[str, Any]:
+    """Constraints that have the TCP in a ball, with the hand straight down."""
+    header = {"frame_id": BASE}
+    region = {
+        "primitives": [{"type": 2, "dimensions": [radius_m]}],
+        "primitive_poses": [{"position": {"x": x, "y": y, "z": z}}],
+    }
+    turn = {"x": 1.0, "w": 0.0}
+    return {
+        "position_constraints": [
+            {"header": header, "link_name": TCP, "constraint_region": region, "weight": 1.0}
+        ],
+        "orientation_constraints": [
+            {"header": header, "link_name": TCP, "orientation": turn, "weight": 1.0}
+        ],
+    }
+
+
+def goal_of(*constraints: dict[str, Any]) -> dict[str, Any]:
+    """A goal of MoveGroup that nothing is wrong with."""
+    return {
+        "request": {
+            "group_name": "fr3_arm",
+            "start_state": {"is_diff": True},
+            "goal_constraints": list(constraints),
+            "max_velocity_scaling_factor": 0.3,
+            "max_acceleration_scaling_factor": 0.3,
+            "allowed_planning_time": 2.0,
+        },
+        "planning_options": {
+            "planning_scene_diff": {"is_diff": True, "robot_state": {"is_diff": True}}
+        },
+    }
+
+
+def endpoint(type_name: str = MOVE, **changes: Any) -> Endpoint:
+    kept = {"name": "arm", "kind": "action", "topic": "/move", "summary": "", "joint_limited": True}
+    return Endpoint(**{**kept, "type": type_name, **changes})
+
+
+def trajectory(*rows: tuple[float, float]) -> dict[str, Any]:
+    """The last joint goes so far from home, at these times [s]."""
+    points = [
+        {
+            "positions": [*HOME_RAD[:6], HOME_RAD[6] + step],
+            "time_from_start": {"sec": int(at_s), "nanosec": round(at_s % 1 * 1e9)},
+        }
+        for step, at_s in rows
+    ]
+    return {"trajectory": {"joint_trajectory": {"joint_names": list(ARM_JOINTS), "points": points}}}
+
+
+@contextmanager
+def learnt_types(folder: Path) -> Iterator[None]:
+    """Let this process know the types of the examples, kept in that folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_DATA_HOME", str(folder / "data"))
+        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+        patch.setenv(PREFIXES, sys.prefix)
+        patch.setattr(sys, "meta_path", list(sys.meta_path))
+        install()
+        assert not learn(Store(), definitions(EXAMPLES / "ros")).refused
+        yield
+
+
+def limiter_of_fr3() -> PathLimiter:
+    """Judge paths of an FR3 by LIMITS."""
+    facts = profile()
+    controller = UrdfController(None, facts)
+    controller.load()
+    rules = motion_rules(LimitsConfig.model_validate(LIMITS), facts)
+    return PathLimiter(rules, facts, controller.inspect)
