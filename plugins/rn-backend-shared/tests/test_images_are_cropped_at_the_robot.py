@@ -47,28 +47,33 @@ def seen(number: int = 0, width: int = 320, height: int = 240) -> Observation:
     return replace(observation, frames={"primary": frame})
 
 
-@pytest.fixture
-def robot(tmp_path: Path) -> Iterator[Callable[..., SharedBackend]]:
-    """Return a function that makes a loaded backend of a server whose models crop."""
-    install(tmp_path)
-    listen = {"keys": "token", "token_file": str(tmp_path / "token")}
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
+    """A server whose models crop."""
+    folder = tmp_path_factory.mktemp("served")
+    listen = {"keys": "token", "token_file": str(folder / "token")}
     crops = {"primary": list(RECTANGLE)}
     models = {
         "crops": {"crop": crops},
         "shrinks": {"crop": crops, "options": {"shrinks_to": [64, 48]}},
         "whole": {},
     }
-    server = RunningServer(tmp_path, models, listen)
+    made = RunningServer(folder, models, listen)
+    try:
+        yield made.start()
+    finally:
+        made.end()
+
+
+@pytest.fixture
+def robot(server: RunningServer) -> Iterator[Callable[..., SharedBackend]]:
+    """Return a function that makes a loaded backend of the server."""
     with ExitStack() as stack:
-        stack.callback(server.end)
-        server.start()
 
         def make(model: str, **options: Any) -> SharedBackend:
-            made = robot_of(
-                server.address,
-                **{"token_file": str(tmp_path / "token"), "coding": "raw", **options},
-                model=model,
-            )
+            token = str(server.folder / "token")
+            given = {"token_file": token, "coding": "raw", **options}
+            made = robot_of(server.address, **given, model=model)
             stack.callback(made.close)
             made.load()
             return made
@@ -77,7 +82,7 @@ def robot(tmp_path: Path) -> Iterator[Callable[..., SharedBackend]]:
 
 
 def test_cropped_at_the_robot_equals_cropped_at_the_server_bit_for_bit(
-    robot: Callable[..., SharedBackend], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    robot: Callable[..., SharedBackend], server: RunningServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     here = {model: robot(model) for model in ("crops", "shrinks")}
     # this robot takes no notice of what the server says, which crops itself
@@ -91,7 +96,7 @@ def test_cropped_at_the_robot_equals_cropped_at_the_server_bit_for_bit(
         for number in range(5)
     }
     monkeypatch.undo()
-    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    monkeypatch.syspath_prepend(str(server.folder / "site"))
     reflex = importlib.import_module("rn_reflex_plugin")
     monkeypatch.delitem(sys.modules, "rn_reflex_plugin")
     alone = reflex.Reflex(reflex.Options())

@@ -6,7 +6,6 @@ import socket
 import time
 import urllib.request
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from policy_servers import RunningServer, robot_of
@@ -24,10 +23,11 @@ SEEN = make_observation(BACKEND)
 Numbers = dict[tuple[str, frozenset[tuple[str, str]]], float]
 
 
-@pytest.fixture
-def server(tmp_path: Path) -> Iterator[RunningServer]:
-    listen = {"keys": "token", "token_file": str(tmp_path / "token"), "metrics_port": 0}
-    made = RunningServer(tmp_path, {"one": {"replicas": 2}, "other": {}}, listen)
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
+    folder = tmp_path_factory.mktemp("served")
+    listen = {"keys": "token", "token_file": str(folder / "token"), "metrics_port": 0}
+    made = RunningServer(folder, {"one": {"replicas": 2}, "other": {}}, listen)
     try:
         yield made.start()
     finally:
@@ -49,9 +49,10 @@ def found(numbers: Numbers, name: str, **labels: str) -> float:
     return numbers[f"roboneuron_policy_{name}", frozenset(labels.items())]
 
 
-def test_requests_times_and_robots_are_told_by_model(server: RunningServer, tmp_path: Path) -> None:
+def test_requests_times_and_robots_are_told_by_model(server: RunningServer) -> None:
     wait_until(lambda: found(read(server), "ready", model="one", replica="1") == 1.0, 60.0)
-    robot = robot_of(server.address, token_file=str(tmp_path / "token"), model="one", coding="raw")
+    token = str(server.folder / "token")
+    robot = robot_of(server.address, token_file=token, model="one", coding="raw")
     robot.load()
     for _ in range(5):
         robot.predict(SEEN)
@@ -81,16 +82,16 @@ def replicas_that_tell(server: RunningServer) -> set[str]:
     return {value for labels in told for key, value in labels if key == "replica"}
 
 
-def test_who_connects_adds_no_labels(server: RunningServer, tmp_path: Path) -> None:
+def test_who_connects_adds_no_labels(server: RunningServer) -> None:
     wait_until(lambda: replicas_that_tell(server) == {"0", "1"}, 60.0)
-    before = read(server)
+    before, refused = read(server), "refused_connections_total"
     port = server.port
     for word in (b"x" * 64, b'[{"model": "made-up"}, []]', b"GET / HTTP/1.1\r\n\r\n"):
         with socket.create_connection(("127.0.0.1", port), 20.0) as stranger:
             stranger.sendall(word)
-    wait_until(lambda: found(read(server), "refused_connections_total") == 3.0, 30.0)
+    wait_until(lambda: found(read(server), refused) == found(before, refused) + 3.0, 30.0)
     with pytest.raises(ConfigurationError, match="no model"):
-        robot_of(server.address, token_file=str(tmp_path / "token"), model="made-up").load()
+        robot_of(server.address, token_file=str(server.folder / "token"), model="made-up").load()
     assert read(server).keys() == before.keys()
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -78,32 +79,41 @@ def application(application_of: Callable[..., Application]) -> Application:
     return application_of(FEATURE, CLIENTS, text=MODULES.format(source="controlled"))
 
 
+def environment_in(folder: Path) -> dict[str, str]:
+    """Environment of a server process that finds the fakes, which are installed in `folder`."""
+    site = folder / "site"
+    PluginSite(path=site).install("rn-fakes", PLUGIN, header="")
+    return {**os.environ, "PYTHONPATH": str(site), "ROS_DOMAIN_ID": str(free_ros_domain())}
+
+
+def command_in(
+    folder: Path, *, source: str = "controlled", start_timeout_s: float = 60.0
+) -> list[str]:
+    """Write a configuration into `folder`; returns the command that serves it."""
+    path = folder / "roboneuron.toml"
+    supervisor = f"start_timeout_s = {start_timeout_s}\nstop_timeout_s = 3.0\n"
+    supervisor += f'state_directory = "{folder}/state"\n'
+    path.write_text(f"{MODULES.format(source=source)}[supervisor]\n{supervisor}")
+    words = ["serve", "--config", str(path), "--log-level", "warning"]
+    return [sys.executable, "-m", "roboneuron.cli.main", *words]
+
+
 @pytest.fixture
 def server_environment(tmp_path: Path) -> dict[str, str]:
     """Environment of a server process that finds the fakes."""
-    site = tmp_path / "site"
-    PluginSite(path=site).install("rn-fakes", PLUGIN, header="")
-    return {**os.environ, "PYTHONPATH": str(site), "ROS_DOMAIN_ID": str(free_ros_domain())}
+    return environment_in(tmp_path)
 
 
 @pytest.fixture
 def serve_command(tmp_path: Path) -> Callable[..., list[str]]:
     """Return a function that writes a configuration and returns the command that serves it."""
+    return partial(command_in, tmp_path)
 
-    def make(*, source: str = "controlled", start_timeout_s: float = 60.0) -> list[str]:
-        path = tmp_path / "roboneuron.toml"
-        supervisor = f"start_timeout_s = {start_timeout_s}\nstop_timeout_s = 3.0\n"
-        supervisor += f'state_directory = "{tmp_path}/state"\n'
-        path.write_text(f"{MODULES.format(source=source)}[supervisor]\n{supervisor}")
-        return [
-            sys.executable,
-            "-m",
-            "roboneuron.cli.main",
-            "serve",
-            "--config",
-            str(path),
-            "--log-level",
-            "warning",
-        ]
 
-    return make
+@pytest.fixture(scope="module")
+def shared_folder(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> tuple[Path, list[str], dict[str, str]]:
+    """A folder for a server that the tests of a module share, its command and its environment."""
+    folder = tmp_path_factory.mktemp("shared")
+    return folder, command_in(folder), environment_in(folder)

@@ -69,7 +69,7 @@ class HttpServer:
             if body is not None
             else json.dumps({"jsonrpc": "2.0", "id": 1, "method": "ping"}).encode()
         )
-        return httpx2.post(self.url, headers=sent, content=text, timeout=30)
+        return httpx2.post(self.url, headers=sent, content=text, timeout=30, verify=False)
 
 
 async def with_client(
@@ -134,11 +134,11 @@ def is_gone(pid: int) -> bool:
         return True
 
 
-@pytest.fixture
-def server(
-    serve_command: ServeCommand, server_environment: dict[str, str], tmp_path: Path
-) -> Iterator[HttpServer]:
-    with serving(serve_command(), server_environment, tmp_path) as running:
+@pytest.fixture(scope="module")
+def server(shared_folder: tuple[Path, list[str], dict[str, str]]) -> Iterator[HttpServer]:
+    """For tests that leave it as it was: its stop is released, its list of tools the same."""
+    folder, command, environment = shared_folder
+    with serving(command, environment, folder) as running:
         yield running
 
 
@@ -213,13 +213,16 @@ def test_a_session_is_of_one_token(server: HttpServer) -> None:
     assert server.post(**session).status_code == 200
 
 
-def test_clients_share_one_robot_that_ends_with_the_server(server: HttpServer) -> None:
-    pid = ask(server, "operator", "start_robot").structured_content["pid"]
-    assert code_of(ask(server, "admin", "start_robot", "legacy")) == "refused"
-    modules = ask(server, "viewer", "get_status", "legacy").structured_content["modules"]
-    assert [module["pid"] for module in modules if module["module"] == "robot"] == [pid]
-    server.process.send_signal(signal.SIGTERM)
-    assert server.process.wait(20) == 0
+def test_clients_share_one_robot_that_ends_with_the_server(
+    serve_command: ServeCommand, server_environment: dict[str, str], tmp_path: Path
+) -> None:
+    with serving(serve_command(), server_environment, tmp_path) as server:
+        pid = ask(server, "operator", "start_robot").structured_content["pid"]
+        assert code_of(ask(server, "admin", "start_robot", "legacy")) == "refused"
+        modules = ask(server, "viewer", "get_status", "legacy").structured_content["modules"]
+        assert [module["pid"] for module in modules if module["module"] == "robot"] == [pid]
+        server.process.send_signal(signal.SIGTERM)
+        assert server.process.wait(20) == 0
     wait_until(lambda: is_gone(pid), 5.0, "the module is gone")
 
 
