@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import subprocess
@@ -22,6 +23,8 @@ from roboneuron.errors import ConfigurationError, NotReadyError
 from roboneuron.estop import ESTOP_FILE, EmergencyStopLatch
 
 MIB = 1 << 20
+LOADED = functools.cache(checks.installations._loaded)
+"""A process that loads rclpy, once for all tests."""
 
 
 def config_in(state: Path) -> Config:
@@ -74,6 +77,7 @@ def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
         checks.shutil, "disk_usage", lambda _: SimpleNamespace(free=1 << 40, total=1 << 40)
     )
     monkeypatch.setattr(checks.peers, "look_around", lambda: ok("Nobody else."))
+    monkeypatch.setattr(checks.installations, "_loaded", LOADED)
     kept = tuple(check for check in checks.CHECKS if check.id != "gpu")
     monkeypatch.setattr(checks, "CHECKS", kept)
 
