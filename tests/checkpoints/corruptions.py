@@ -1,9 +1,9 @@
 """Damaged checkpoints by the hundred: made, loaded and run under limits of memory and time, in a
 process of their own.
 
-    corruptions.py LAYOUT DIRECTORY [STRIDE]
+    corruptions.py LAYOUT[,LAYOUT] DIRECTORY [STRIDE]
 
-Writes a tiny checkpoint of LAYOUT into DIRECTORY, damages a copy for every case (or every
+Writes a tiny checkpoint of each LAYOUT into DIRECTORY, damages a copy for every case (or every
 STRIDE-th), and prints one JSON object per case.
 """
 
@@ -157,24 +157,33 @@ def _run(layout: str, directory: Path, expected: list[float]) -> dict[str, objec
     }
 
 
-def main(layout: str, scratch: Path, stride: int) -> None:
+def main(layouts: str, scratch: Path, stride: int) -> None:
     """See the module."""
     import torch
 
     torch.set_num_threads(1)
     os.chdir(scratch)
-    original = scratch / "original"
+    for layout in layouts.split(","):
+        _damage(layout, scratch, stride)
+
+
+def _damage(layout: str, scratch: Path, stride: int) -> None:
+    """Print what became of the damages to one layout."""
+    most = resource.getrlimit(resource.RLIMIT_AS)[1]
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    original = scratch / layout
     make(layout, original)
     expected = act(layout, original)
     for number in (signal.SIGPROF, signal.SIGALRM):
         signal.signal(number, _expire)
     limit = _memory("VmSize") + GROWTH_BYTES
-    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    resource.setrlimit(resource.RLIMIT_AS, (limit, most))
     for name, damage in itertools.islice(cases(layout, original), 0, None, stride):
         directory = scratch / "damaged"
         shutil.copytree(original, directory)
         damage(directory)
         result = _run(layout, directory, expected) | {
+            "layout": layout,
             "case": name,
             "executed": (scratch / "executed").exists(),
         }
