@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,14 @@ import pytest
 from rn_testing.domain import free_ros_domain
 
 ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _one_thread() -> None:
+    """Compute models on one thread: each worker of pytest-xdist would use all cores."""
+    torch = sys.modules.get("torch")  # what needs it imports it when it is collected
+    if torch is not None:
+        torch.set_num_threads(1)
 
 
 @pytest.fixture
@@ -29,25 +38,44 @@ def environment(tmp_path: Path) -> dict[str, str]:
     }
 
 
-@pytest.fixture
-def learnt_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
-    """Environment for child processes that know the interface types of the examples."""
+@pytest.fixture(scope="session")
+def learnt(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
+    """Variables of a user who has learnt the interface types of the examples, once for all tests.
+
+    Workers of pytest-xdist share what is made of the types, which is named by what it is made of.
+    """
     from rn_interfaces.finder import PREFIXES
     from rn_interfaces.learning import learn
     from rn_interfaces.sources import definitions
     from rn_interfaces.store import Store
 
-    monkeypatch.setenv(PREFIXES, sys.prefix)
-    store = Store(tmp_path / "data" / "roboneuron" / "interfaces")
-    assert not learn(store, definitions(ROOT / "examples" / "ros")).refused
-    environment = {
-        **os.environ,
-        "XDG_DATA_HOME": str(tmp_path / "data"),
-        "XDG_CACHE_HOME": str(tmp_path / "cache"),
-        "ROS_DOMAIN_ID": str(free_ros_domain()),
-    }
-    del environment[PREFIXES]
-    return environment
+    base = tmp_path_factory.getbasetemp()
+    cache = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "user-cache"
+    user = {"XDG_DATA_HOME": str(base / "user-data"), "XDG_CACHE_HOME": str(cache)}
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (user | {PREFIXES: sys.prefix}).items():
+            patch.setenv(name, value)
+        assert not learn(Store(), definitions(ROOT / "examples" / "ros")).refused
+    return user
+
+
+@pytest.fixture(scope="module")
+def learnt_types(learnt: Mapping[str, str]) -> Iterator[None]:
+    """This process knows the interface types of the examples."""
+    from rn_interfaces.finder import PREFIXES, install
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in (learnt | {PREFIXES: sys.prefix}).items():
+            patch.setenv(name, value)
+        patch.setattr(sys, "meta_path", list(sys.meta_path))
+        install()
+        yield
+
+
+@pytest.fixture
+def learnt_environment(learnt: Mapping[str, str]) -> dict[str, str]:
+    """Environment for child processes that know the interface types of the examples."""
+    return {**os.environ, **learnt, "ROS_DOMAIN_ID": str(free_ros_domain())}
 
 
 @pytest.fixture

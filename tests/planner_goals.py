@@ -2,20 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from rn_controller_urdf.controller import UrdfController
-from rn_interfaces.finder import PREFIXES, install
-from rn_interfaces.learning import learn
-from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_standard.direct_path.path_limits import PathLimiter
@@ -96,19 +88,6 @@ def trajectory(*rows: tuple[float, float]) -> dict[str, Any]:
         for step, at_s in rows
     ]
     return {"trajectory": {"joint_trajectory": {"joint_names": list(ARM_JOINTS), "points": points}}}
-
-
-@contextmanager
-def learnt_types(folder: Path) -> Iterator[None]:
-    """Let this process know the types of the examples, kept in that folder."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_DATA_HOME", str(folder / "data"))
-        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-        patch.setenv(PREFIXES, sys.prefix)
-        patch.setattr(sys, "meta_path", list(sys.meta_path))
-        install()
-        assert not learn(Store(), definitions(EXAMPLES / "ros")).refused
-        yield
 
 
 def limiter_of_fr3() -> PathLimiter:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,6 @@ from planner_goals import (
     endpoint,
     goal_of,
     joint_goal,
-    learnt_types,
     limiter_of_fr3,
     place_goal,
     trajectory,
@@ -51,13 +50,8 @@ from planner_goals import (
 sys.path.pop(0)
 
 pytest_plugins = ["rn_testing.gate_fixtures"]
+pytestmark = pytest.mark.usefixtures("learnt_types")
 Case = tuple[Callable[[dict[str, Any]], object], str]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _learnt(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with learnt_types(tmp_path_factory.mktemp("user")):
-        yield
 
 
 @pytest.fixture(scope="module")

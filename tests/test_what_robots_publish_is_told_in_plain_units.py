@@ -16,10 +16,7 @@ from typing import Any
 import anyio
 import pytest
 
-from rn_interfaces.finder import PREFIXES, install
-from rn_interfaces.learning import learn
-from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
+from rn_interfaces.finder import PREFIXES
 from rn_standard.direct_path.fields import filled, load_type
 from rn_standard.tools_ros.battery import battery_of
 from rn_standard.tools_ros.detections import GetDetections, detections_of
@@ -68,19 +65,11 @@ zones = [{{ name = "stairs", lower_m = [3.0, 0.5, -1.0], upper_m = [4.0, 1.5, 1.
 
 
 @pytest.fixture(scope="module")
-def user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
+def user(learnt_types: None) -> dict[str, str]:
     """The environment of a user who has learnt the types of the examples; this process has too."""
-    folder = tmp_path_factory.mktemp("user")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_DATA_HOME", str(folder / "data"))
-        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-        patch.setenv(PREFIXES, sys.prefix)
-        patch.setattr(sys, "meta_path", list(sys.meta_path))
-        install()
-        assert not learn(Store(), definitions(EXAMPLES / "ros")).refused
-        environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
-        environment.pop(PREFIXES)
-        yield environment
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
+    environment.pop(PREFIXES)
+    return environment
 
 
 # A battery
