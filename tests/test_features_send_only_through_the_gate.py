@@ -86,7 +86,7 @@ def _uses_of_the_supervisor(path: Path) -> Iterator[str]:
     """Where a file names the supervisor; `[supervisor]` is a section of the configuration too."""
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         match node:
-            case ast.Attribute(attr=name, value=owner):
+            case ast.Attribute(attr=name, value=owner) if name in SUPERVISOR:
                 is_section = re.search(r"(^|\.|_)config(\(.*\))?$", ast.unparse(owner))
                 names = set() if is_section else {name}
             case ast.Name(id=name) | ast.arg(arg=name) | ast.keyword(arg=str(name)):

@@ -276,6 +276,10 @@ def test_no_chunk_of_any_space_breaks_a_limit(
         assert len(acted) >= 6
 
 
+TELLING = (0, 1, 2, 10, 16)
+"""Seeds by which everything is broken; they are tried before the others."""
+
+
 def test_the_judge_sees_what_the_limits_prevent(
     make_loop: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -283,7 +287,8 @@ def test_the_judge_sees_what_the_limits_prevent(
     prevented = {"position", "velocity", "braking", "acceleration", "speed"}
     prevented |= {"workspace", "height", "zone", "collision"}
     broken: set[str] = set()
-    for seed, kind in enumerate(SPACE_KINDS * 4):
+    for seed in sorted(range(4 * len(SPACE_KINDS)), key=lambda seed: seed not in TELLING):
+        kind = SPACE_KINDS[seed % len(SPACE_KINDS)]
         loop = make_loop(SUBJECTS["fr3"], "")
         monkeypatch.setattr(loop.control, "_limit", lambda command, joints, now_s: command)
         drive(loop, kind, profile(), 100, np.random.default_rng(seed))

@@ -39,6 +39,7 @@ def test_an_engine_is_gone_before_the_next_one_is_built(bench, monkeypatch, tmp_
         return engine
 
     monkeypatch.setattr(bench, "Engine", build)
+    monkeypatch.setattr(bench, "PRESETS", {"none": 0.0, "fastv-p50": 0.5})
     config = bench.TorchRuntimeConfig(device="cpu", dtype="float32", warm_prompt_tokens=(24, 24))
     run = bench.Bench(config=config, speed=bench.Speed(bandwidth=1e10, throughput=1e11), repeat=1)
     for name, checkpoint, model in bench.policies("small", tmp_path):
