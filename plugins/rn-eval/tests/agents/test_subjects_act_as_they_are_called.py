@@ -6,6 +6,7 @@ import io
 import random
 from collections import Counter
 from functools import partial
+from types import SimpleNamespace
 
 import anyio
 import jsonschema
@@ -290,13 +291,21 @@ class Slipping(FakeTools):
         return ToolAnswer(ok=True, data={"outcome": "succeeded", "attempts": attempts})
 
 
-def test_a_cube_that_slips_is_held_for_the_whole_time_once_more():
+def test_a_cube_that_slips_is_held_for_the_whole_time_once_more(monkeypatch):
+    """On a clock that only sleeping moves: a busy machine would look less often."""
+    slept_s = [0.0]
+
+    async def sleep(delay_s):
+        slept_s.append(delay_s)
+
+    monkeypatch.setattr(steps, "time", SimpleNamespace(monotonic=lambda: sum(slept_s)))
+    monkeypatch.setattr(steps, "anyio", SimpleNamespace(sleep=sleep))
     tools = Slipping(slips_at=3)
     anyio.run(partial(steps.hold_up, tools, "red", 0.2, look_s=0.06))
-    assert tools.tasks >= 3 + 3
+    assert tools.tasks == 3 + 4
     steady = Slipping(slips_at=0)
     anyio.run(partial(steps.hold_up, steady, "red", 0.2, look_s=0.06))
-    assert steady.tasks < tools.tasks
+    assert steady.tasks == 1 + 4
 
 
 class Remembered:
