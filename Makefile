@@ -84,9 +84,11 @@ test-units: $(VENV)/.develop ## its tests without ROS processes, UNIT_JOBS at a 
 	$(BIN)/python -m pytest -n $(UNIT_JOBS) --dist worksteal --max-worker-restart=0 \
 	  -m "not ros and not gpu and not hardware and not slow and not release" $(ARGS)
 
-# To collect the other files takes as long as a few of these tests.
-ROS_TESTS = $(if $(ARGS),,$(shell for folder in tests roboneuron-core/tests plugins; do \
-  grep -rl --include='test_*.py' 'mark\.ros' $$folder | sort; done))
+# To collect the other files takes as long as a few of these tests. Those of the top-level tests/ run whole cells, which take
+# all cores, most others wait: they are spread among them, the last ones before the end.
+ROS_FILES = grep -rl --include='test_*.py' 'mark\.ros' $(1) | sort | awk '{print NR * $(2), $$0}'
+ROS_TESTS = $(if $(ARGS),,$(shell { $(call ROS_FILES,tests,3); $(call ROS_FILES,roboneuron-core/tests plugins,2); } | \
+  sort -n | cut -d ' ' -f 2))
 
 test-ros: $(VENV)/.develop ## its tests with ROS processes, ROS_JOBS at a time
 	$(BIN)/python -m pytest -n $(ROS_JOBS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 $(RERUN) \
