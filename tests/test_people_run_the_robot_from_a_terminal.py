@@ -90,10 +90,12 @@ def test_an_instruction_is_run_and_everything_is_stopped(environment: dict[str, 
     [
         # the demo refuses it too, see test_commands_end_in_one_line.py
         pytest.param(("make me a coffee",), 2, "'make me a coffee'", marks=pytest.mark.slow),
-        (
+        # judged as in test_a_run_is_judged_by_what_is_known.py, which says so too
+        pytest.param(
             ("pick up the red cube", "--timeout-s", "0.5"),
             1,
             "not done: 0.5 s are over and red is not lifted",
+            marks=pytest.mark.slow,
         ),
     ],
 )
