@@ -63,13 +63,31 @@ class EventList:
         self.count = 0
         """How many there were; tells whether there is news."""
 
-    def add(self, what: str, text: str, *, is_bad: bool = False, at_s: float | None = None) -> None:
-        """Add one that happened now, or at `at_s`."""
+    def now_s(self) -> float:
+        """Time of an event that is added now: wall clock [s]."""
+        return self._clock()
+
+    def add(
+        self,
+        what: str,
+        text: str,
+        *,
+        is_bad: bool = False,
+        at_s: float | None = None,
+        instead_of: ShownEvent | None = None,
+    ) -> ShownEvent:
+        """Add an event that happened now, or at `at_s`. It replaces `instead_of`, if that is still
+        listed.
+        """
         text = text if len(text) <= _MOST_TEXT else f"{text[: _MOST_TEXT - 4]} ..."
         at_s = self._clock() if at_s is None else at_s
+        event = ShownEvent(at_s=at_s, what=what, text=text, is_bad=is_bad)
         with self._lock:
-            self._kept.append(ShownEvent(at_s=at_s, what=what, text=text, is_bad=is_bad))
+            if instead_of is not None and instead_of in self._kept:
+                self._kept.remove(instead_of)
+            self._kept.append(event)
             self.count += 1
+        return event
 
     def newest(self, most: int) -> list[ShownEvent]:
         """The newest ones, newest first."""

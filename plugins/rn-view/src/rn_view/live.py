@@ -18,6 +18,7 @@ from rn_standard.tools_loop.results import ModuleStatus
 from rn_view.event_list import AuditReader, EventList, add_record, failure_of
 from rn_view.lead_page import RATE_HZ
 from rn_view.lead_socket import PageTeleoperator
+from rn_view.module_health import HealthLines
 from rn_view.source import ModuleRow, PageState, said_of
 from roboneuron import Host, RobotProfile
 from roboneuron.feature import (
@@ -57,15 +58,12 @@ class LiveSource:
         self._host = host
         self._audit = AuditReader(host.audit.path)
         self.shown_events = EventList()
+        self._health_lines = HealthLines(self.shown_events)
 
     def on_health(self, view: ModuleView, before: Health, health: Health) -> None:
         """Listener of `Events.health`."""
-        told = view.report.error if view.report is not None and health in FAULTS else ""
-        self.shown_events.add(
-            "health",
-            f"{view.kind}: {health}{f': {told}' if told else ''} (was {before})",
-            is_bad=health in FAULTS,
-        )
+        why = view.report.error if view.report is not None and health in FAULTS else ""
+        self._health_lines.add(view.kind, health, before=before, why=why)
 
     def on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:
         """Listener of `Events.fault`."""

@@ -6,12 +6,14 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rn_view.lead import Lead
 from rn_view.measured import MeasuredTopics
+from rn_view.module_health import SteadyHealth
 from rn_view.page import Page
 from rn_view.plots import History
 from rn_view.source import Source
@@ -50,6 +52,7 @@ class Showing:
         self._lead: Lead | None = None
         self._place: tuple[str, str] = ("", "")
         self._history = History()
+        self._steady = SteadyHealth()
         self._shown: dict[str, tuple[int, float, float]] = {}
         self._is_closing = threading.Event()
         self._motion = Periodic("view-motion", _MOTION_S, self._show_motion)
@@ -150,7 +153,9 @@ class Showing:
             return
         self.source.look()
         snapshot = self.source.snapshot()
-        self._history.add(snapshot, self.source.now_s())
+        now_s = self.source.now_s()
+        self._history.add(snapshot, now_s)
+        snapshot = replace(snapshot, modules=self._steady.rows(snapshot.modules, now_s))
         for page in self._all_pages():
             page.update_state(self.source, snapshot, measured)
 

@@ -14,9 +14,10 @@ from rn_standard.console.diagnostics import DiagnosticsListener
 from rn_standard.console.status import ReportedModule, ServerStatus
 from rn_view.event_list import AuditReader, EventList, add_record
 from rn_view.live import robot_profile
+from rn_view.module_health import HealthLines
 from rn_view.source import ModuleRow, PageState, said_of
 from roboneuron import RobotProfile
-from roboneuron.command import FAULTS, AuditLog, Config, Registry, estop
+from roboneuron.command import AuditLog, Config, Registry, estop
 
 M = TypeVar("M")
 _ORDER = ("robot", "perception", "inference", "control")
@@ -78,6 +79,7 @@ class AttachedSource:
         self._audit = AuditReader(AuditLog.in_directory(state_directory).path)
         self._healths: dict[str, str] = {}
         self.shown_events = EventList()
+        self._health_lines = HealthLines(self.shown_events)
 
     def now_s(self) -> float:
         """See Source."""
@@ -99,8 +101,7 @@ class AttachedSource:
         for row in rows:
             before = self._healths.get(row.kind, "stopped")
             if row.health != before:
-                text = f"{row.kind}: {row.health} (was {before})"
-                self.shown_events.add("health", text, is_bad=row.health in FAULTS)
+                self._health_lines.add(row.kind, row.health, before=before)
             self._healths[row.kind] = row.health
         latch = estop.EmergencyStopLatch.in_directory(self._state_directory).read_state()
         return PageState(
