@@ -10,6 +10,7 @@ from typing import Literal, cast
 from pydantic import Field
 
 from rn_standard.direct_path import truth
+from rn_standard.direct_path.exposed import check_no_preview
 from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.tasks.approval import Approval
@@ -75,6 +76,7 @@ class RunTask(Arguments):
         max_length=64,
         description="Then: hold, stop (the policy), or go to a name of move_to.",
     )
+    preview: bool = False
 
 
 class FinalArm(Result):
@@ -152,6 +154,7 @@ class TaskTool:
 
     async def __call__(self, arguments: RunTask, context: CallContext) -> Reply:
         """Raises InvalidInputError, RefusedError, StateError, NotReadyError."""
+        check_no_preview(arguments.given())
         instruction = arguments.instruction
         predicate = None if arguments.until is None else parse_predicate(arguments.until)
         known = [HOLD, STOP, *self._names()]
