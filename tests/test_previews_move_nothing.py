@@ -176,6 +176,33 @@ def test_a_preview_that_takes_too_long_says_so(
     assert "longer than 0.001 s" in told["reason"]
 
 
+def test_a_twin_that_dies_ends_one_preview_and_not_the_server(
+    application: Application, sent: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    feature = application.host.feature("preview", PreviewFeature)
+    turn = {"positions": {"fr3_joint1": 0.2}}
+    previewed(application, "move_joints", **turn)
+    first = feature._process
+    assert first is not None
+
+    def die(duration_s: float) -> None:
+        first._process.kill()
+        first._process.wait(10)
+        type(first).advance(first, duration_s)
+
+    monkeypatch.setattr(first, "advance", die)
+    answer = call(application, "move_joints", **turn, preview=True)
+    assert answer.is_error
+    assert "twin of the cell has ended" in answer.content[0].text
+    assert previewed(application, "move_joints", **turn)["outcome"] == "reached"
+    second = feature._process
+    assert second is not None
+    assert second is not first
+    feature.close()
+    assert not second.is_alive
+    assert sent == []
+
+
 @pytest.mark.parametrize(
     ("tool", "arguments"),
     [

@@ -17,7 +17,8 @@ from rn_standard.preview.calls import NAME, PreviewCalls
 from rn_standard.preview.options import PreviewOptions
 from rn_standard.preview.results import Outcome, PreviewResult, Survey
 from rn_standard.preview.session import MODELS, EndedError, Session, arm_endpoint, paths_of
-from rn_standard.preview.twin import Twin, scene_of, twin_of
+from rn_standard.preview.twin import Twin, driver_of, scene_of
+from rn_standard.preview.twin_process import TwinProcess
 from rn_standard.tasks.run_task import RunTask
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from roboneuron import (
@@ -31,11 +32,16 @@ from roboneuron import (
     RefusedError,
     Reply,
     RoboNeuronError,
+    RobotProfile,
     Tool,
 )
 from roboneuron.feature import AuditRecord, MotionLimiter, Role, Shape
 
 _JOINTS_S = 2.0
+_START_S = 30.0
+"""Longest start of the process, which imports a physics engine."""
+_GRACE_S = 3.0
+"""So much later than the preview's own bound a twin that does not answer is killed."""
 _SIZE_PX = (320, 240)
 
 
@@ -50,6 +56,8 @@ class PreviewFeature(Feature[PreviewOptions]):
     """Answers calls with preview=true from a twin of the cell. It sends nothing, and has no
     publisher.
     """
+
+    _process: TwinProcess | None = None
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """One tool that is not listed: calls come to it by `PreviewCalls`."""
@@ -70,6 +78,12 @@ class PreviewFeature(Feature[PreviewOptions]):
                 listed=False,
             )
         ]
+
+    def close(self) -> None:
+        """End the process of the twin."""
+        if self._process is not None:
+            self._process.end()
+            self._process = None
 
     def _can(self, name: str) -> bool:
         tool = self._host.tools.get(name)
@@ -97,11 +111,10 @@ class PreviewFeature(Feature[PreviewOptions]):
 
     def _work(self, tool: Tool[Any], parsed: object, context: CallContext) -> Reply:
         began_s = time.monotonic()
-        end_s = began_s + self.options.limit_s
         if not self._one.acquire(timeout=self.options.limit_s):
             raise NotReadyError("Another preview takes all the time.", hint="Call again.")
         try:
-            return self._in_twin(tool, parsed, context, began_s, end_s)
+            return self._in_twin(tool, parsed, context, began_s)
         finally:
             self._one.release()
 
@@ -111,7 +124,6 @@ class PreviewFeature(Feature[PreviewOptions]):
         parsed: object,
         context: CallContext,
         began_s: float,
-        end_s: float,
     ) -> Reply:
         host = self._host
         exposed = arm_endpoint(host)
@@ -133,11 +145,13 @@ class PreviewFeature(Feature[PreviewOptions]):
                 immediate=control is not None and control.command == "joint_state",
                 longest_s=host.loop.base.robot.server_timeout_s,
             )
-            twin = twin_of(host, profile)
+            twin = self._twin(profile)
             scene = scene_of(host, twin) if self.options.objects else None
             open_.callback(twin.close)
             twin.open(joints, scene)
             survey = Survey(rules, controller)
+            end_s = time.monotonic() + self.options.limit_s
+            twin.end_s = end_s + _GRACE_S
             arm = TwinArm(twin, controller, limiter, limited, survey, end_s)
             session = Session(host, exposed, limited, rules, controller, arm, twin.moved, context)
             outcome: Outcome = "reached"
@@ -172,6 +186,18 @@ class PreviewFeature(Feature[PreviewOptions]):
                 took_s=round(time.monotonic() - began_s, 3),
             )
             return Reply(result=result, pictures=self._pictures(twin))
+
+    def _twin(self, profile: RobotProfile) -> TwinProcess:
+        """The process of the last preview, or another one. Raises NotReadyError."""
+        spec, options = driver_of(self._host)
+        last = self._process
+        if last is not None and last.is_alive and last.key == (spec, repr(options)):
+            last.end_s = time.monotonic() + _START_S
+            return last
+        if last is not None:
+            last.end()
+        self._process = TwinProcess(spec, options, profile, time.monotonic() + _START_S)
+        return self._process
 
     def _pictures(self, twin: Twin) -> tuple[Picture, ...]:
         """The scene at the end, by the first camera."""

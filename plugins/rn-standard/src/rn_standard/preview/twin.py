@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
-from typing import Protocol, TypeVar, runtime_checkable
+from collections.abc import Mapping
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron import (
+    DriverSpec,
     Host,
     JointCommand,
     JointSample,
     NotReadyError,
-    RobotProfile,
     RobotSpec,
-    StateError,
 )
-from roboneuron.feature import build
 
-M = TypeVar("M")
 _SCENE_S = 1.0
 
 
@@ -67,51 +64,20 @@ class HasTwin(Protocol):
         """A new one; the driver itself is not open."""
 
 
-class _NoTopics:
-    """What a driver that only makes twins is lent of the ROS graph: nothing."""
-
-    def subscribe(
-        self,
-        topic: str,
-        message_type: type[M],
-        callback: Callable[[M], None],
-        *,
-        best_effort: bool = False,
-    ) -> None:
-        raise StateError("A twin hears nothing.")
-
-    def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
-        raise StateError("A twin tells nothing.")
-
-    def publisher_types(self, topic: str) -> tuple[str, ...]:
-        return ()
-
-    def now_ns(self) -> int:
-        return 0
-
-
-def twin_of(host: Host, profile: RobotProfile) -> Twin:
-    """The twin of the present robot, from its simulated driver; not open.
-
-    Raises:
-        NotReadyError: no simulated driver of the robot has one.
-        RoboNeuronError: the simulation cannot be loaded.
-    """
+def driver_of(host: Host) -> tuple[DriverSpec, Mapping[str, object]]:
+    """The simulated driver of the present robot, and its options. Raises NotReadyError."""
     robot = host.config.robot
     spec = host.registry.get(RobotSpec, robot.name)
     driver = next((one for one in spec.drivers if one.simulated), None)
-    if driver is not None:
-        configured = spec.driver(robot.driver)
-        # the options of a real driver are not those of the simulated one
-        is_same = configured is not None and configured.config == driver.config
-        options: Mapping[str, object] = host.config.options(robot.name) if is_same else {}
-        made = build(driver, options, profile, _NoTopics())
-        if isinstance(made, HasTwin):
-            return made.twin()
-    raise NotReadyError(
-        f"There is no simulated twin of {robot.name!r}: it cannot be previewed.",
-        hint="Use dry_run, which computes the way and its limits without a simulation.",
-    )
+    if driver is None:
+        raise NotReadyError(
+            f"There is no simulated twin of {robot.name!r}: it cannot be previewed.",
+            hint="Use dry_run, which computes the way and its limits without a simulation.",
+        )
+    configured = spec.driver(robot.driver)
+    # the options of a real driver are not those of the simulated one
+    is_same = configured is not None and configured.config == driver.config
+    return driver, host.config.options(robot.name) if is_same else {}
 
 
 def scene_of(host: Host, twin: Twin) -> object | None:
