@@ -166,7 +166,10 @@ class PreviewFeature(Feature[PreviewOptions]):
                     f"The preview took longer than {self.options.limit_s:g} s; it has come to "
                     f"{arm.passed_s:.1f} s of the motion."
                 )
-            pose, there = arm.poses()[0], twin.joints()
+            names = [part.name for part in limited.each_arm]
+            named = getattr(parsed, "arm", "")
+            pose = arm.poses()[names.index(named) if named in names else 0]
+            there = twin.joints()
             result = PreviewResult(
                 tool=tool.name,
                 outcome=outcome,

@@ -42,7 +42,9 @@ class PreviewResult(Result):
     collides_with: list[str] = Field(default_factory=list, description="what would be moved")
     nearest: list[Nearest] = Field(default_factory=list, description="the nearest first")
     duration_s: float = Field(description="of the motion")
-    position_m: list[float] = Field(description="TCP at the end, base frame; of the first arm")
+    position_m: list[float] = Field(
+        description="TCP at the end, base frame; of the named arm, or the first"
+    )
     quaternion_xyzw: list[float]
     joints: dict[str, float] = Field(description="at the end [rad or m]")
     now: str = Field(
