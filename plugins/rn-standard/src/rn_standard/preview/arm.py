@@ -42,6 +42,7 @@ class TwinArm:
         rule: the limit, or code of the controller, by which it was not; empty when it was.
         survey: what was seen on the way.
         passed_s: simulated time since the beginning [s].
+        rested_s: how much of it came after the end of calls [s].
     """
 
     def __init__(
@@ -62,7 +63,7 @@ class TwinArm:
         """
         self.held = self.rule = ""
         self.survey = survey
-        self.passed_s = 0.0
+        self.passed_s = self.rested_s = 0.0
         self._twin, self._controller, self._limiter = twin, controller, limiter
         self._profile, self._end_s = profile, end_s
         self._is_holding = False
@@ -120,8 +121,10 @@ class TwinArm:
 
     def settle(self) -> None:
         """Let the arm come to rest where it is. Raises TooLongError."""
+        began_s = self.passed_s
         self._hold(self._twin.joints())
         self.advance(5 * _LOOK_S)
+        self.rested_s += self.passed_s - began_s
 
     def advance(self, duration_s: float) -> None:
         """Let simulated time pass, and look. Raises TooLongError."""

@@ -178,7 +178,7 @@ class PreviewFeature(Feature[PreviewOptions]):
                 limits=dict(survey.limits),
                 collides_with=list(twin.moved()),
                 nearest=survey.nearest(),
-                duration_s=round(arm.passed_s, 2),
+                duration_s=round(arm.passed_s - arm.rested_s, 2),
                 position_m=[round(value, 5) for value in pose.position_m.tolist()],
                 quaternion_xyzw=[round(value, 5) for value in pose.quaternion_xyzw.tolist()],
                 joints={
