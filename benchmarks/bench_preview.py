@@ -1,13 +1,14 @@
-"""What previews of direct moves promise, against what then happens in the simulated cell.
+"""What previews promise, against what then happens in the simulated cell.
 
-    python benchmarks/bench_preview.py [--scenes 500] [--minutes 60] [--folder out/bench-preview]
+    python benchmarks/bench_preview.py [--scenes 500] [--pushes 50] [--tasks 50] [--minutes 60]
     python benchmarks/bench_preview.py --judge
 
 A scene is a random posture of the FR3 among cubes, a lamp and a zone, and one call of move_ee or
-move_joints, drawn from the scene's number. The call is made with preview=true, then without, at a
-server of `roboneuron serve` in real time. Each scene is a line of the ledger in the folder; a run
-goes on where it was, and --judge prints the table of what is there. A joint command that is sent
-during a preview would move the joints: how far they moved is noted too.
+move_joints; a push is a move along the table, past a cube or against it; a task is run_task with a
+cube that may be there or not. Everything is drawn from its number. The call is made with
+preview=true, then without, at a server of `roboneuron serve` in real time. Each is a line of a
+ledger in the folder; a run goes on where it was, and --judge prints the tables of what is there. A
+joint command that is sent during a preview would move the joints: how far they moved is noted too.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ CONFIG = """
 name = "fr3"
 [perception]
 source = "fr3-sim-camera"
+[inference]
+backend = "servo"
 [control]
 controller = "urdf"
 [limits]
@@ -56,6 +59,8 @@ state_directory = "{folder}/state"
 CUBES_EVERY = 20
 """After so many scenes the cubes lie elsewhere."""
 ATTEMPTS = 8
+COLOURS = ("red", "green", "blue", "yellow", "purple")
+"""The last one is in no scene."""
 MOVED_M = 0.004
 WORDS = {
     "would enter": "zone",
@@ -84,6 +89,7 @@ class Cell:
 
     def __init__(self, client: Any) -> None:
         self._client = client
+        self.seed = -1
 
     async def ask(self, tool: str, arguments: dict[str, Any]) -> Any:
         """A call, whatever becomes of it."""
@@ -102,6 +108,7 @@ class Cell:
         await self.must("stop_all")
         await self.must("start_robot", options={"seed": seed})
         await self.must("start_control")
+        self.seed = seed
 
     async def joints(self) -> dict[str, float]:
         """Measured joints."""
@@ -151,38 +158,24 @@ def drawn_call(chance: random.Random, tcp: list[float]) -> tuple[str, dict[str, 
     return "move_ee", {**arguments, "rz_rad": round(chance.uniform(-0.4, 0.4), 3)}
 
 
-async def play(cell: Cell, scene: int) -> dict[str, Any]:
-    """One scene: to its start, the preview, the call."""
-    chance = random.Random(f"preview {scene}")
-    for _ in range(ATTEMPTS):
-        answer = await cell.ask("move_joints", {"positions": drawn_posture(chance)})
-        if not answer.is_error:
-            break
-    tool, arguments = drawn_call(chance, await cell.tcp())
+async def compare(cell: Cell, tool: str, arguments: dict[str, Any]) -> dict[str, Any]:
+    """The preview of a call, and the call."""
     before, cubes = await cell.joints(), await cell.cubes()
-    promise = await cell.ask(tool, {**arguments, "preview": True})
+    told = await cell.must(tool, **arguments, preview=True)
     after = await cell.joints()
-    if promise.is_error:
-        raise SystemExit(f"The preview failed: {promise.content[0].text}")
-    told = promise.structured_content
     began_s = time.monotonic()
     happened = await cell.ask(tool, arguments)
     took_s = time.monotonic() - began_s
     # the arm comes to its hold after the last action
     await anyio.sleep(0.6)
-    text = happened.content[0].text if happened.is_error else ""
-    details = (happened.meta or {}).get("roboneuron/error", {})
-    rule = details.get("rule", "")
-    is_refused = happened.is_error and rule not in ("", "path")
-    outcome = "refused" if is_refused else "stopped" if happened.is_error else "reached"
     now = await cell.cubes()
+    promised, ended = _words(told, happened)
     return {
-        "scene": scene,
         "tool": tool,
         "arguments": arguments,
-        "promised": kind_of(told["outcome"], told["rule"], told["reason"]),
-        "happened": kind_of(outcome, rule, text),
-        "text": text[:300],
+        "promised": promised,
+        "happened": ended,
+        "text": happened.content[0].text[:300] if happened.is_error else "",
         "reason": told["reason"][:300],
         "moved_in_preview_rad": max(abs(after[name] - before[name]) for name in ARM_JOINTS),
         "promised_m": told["position_m"],
@@ -197,11 +190,75 @@ async def play(cell: Cell, scene: int) -> dict[str, Any]:
     }
 
 
-async def run(folder: Path, scenes: int, minutes: float) -> None:
+def _words(told: dict[str, Any], happened: Any) -> tuple[str, str]:
+    """How a preview says that it ends, and how it ended."""
+    if told["tool"] == "run_task" and not happened.is_error:
+        promised = "succeeded" if told["outcome"] == "reached" else told["rule"]
+        return promised, happened.structured_content["outcome"]
+    details = (happened.meta or {}).get("roboneuron/error", {})
+    rule = details.get("rule", "")
+    is_refused = happened.is_error and rule not in ("", "path")
+    outcome = "refused" if is_refused else "stopped" if happened.is_error else "reached"
+    text = happened.content[0].text if happened.is_error else ""
+    promised = kind_of(told["outcome"], told["rule"], told["reason"])
+    return promised, kind_of(outcome, rule, text)
+
+
+async def play_scene(cell: Cell, number: int) -> dict[str, Any]:
+    """A random call from a random posture."""
+    if cell.seed != number // CUBES_EVERY:
+        await cell.restart(number // CUBES_EVERY)
+    chance = random.Random(f"preview {number}")
+    for _ in range(ATTEMPTS):
+        answer = await cell.ask("move_joints", {"positions": drawn_posture(chance)})
+        if not answer.is_error:
+            break
+    return await compare(cell, *drawn_call(chance, await cell.tcp()))
+
+
+async def play_push(cell: Cell, number: int) -> dict[str, Any]:
+    """A closed hand goes along the table, past a cube or against it."""
+    await cell.restart(2000 + number)
+    chance = random.Random(f"push {number}")
+    place = chance.choice(list((await cell.cubes()).values()))
+    aside_m = chance.uniform(-0.08, 0.08)
+    above = [place[0] - 0.09, place[1] + aside_m, 0.2]
+    delta = [there - here for there, here in zip(above, await cell.tcp(), strict=True)]
+    names = ("dx_m", "dy_m", "dz_m")
+    moves = [dict(zip(names, delta, strict=True)), {"gripper_open": 0.0}, {"dz_m": -0.175}]
+    for move in moves:
+        await cell.ask("move_ee", move)
+    return await compare(cell, "move_ee", {"dx_m": 0.15})
+
+
+async def play_task(cell: Cell, number: int) -> dict[str, Any]:
+    """A cube is to be picked up; it may not be there."""
+    await cell.restart(1000 + number)
+    await cell.must("start_all")
+    colour = COLOURS[number % len(COLOURS)]
+    lifted = {
+        "kind": "monitor",
+        "name": "colour-lifted",
+        "options": {"colour": colour, "height_m": 0.1},
+    }
+    holds = {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85}
+    until = {"kind": "held", "for_s": 1.0, "of": {"kind": "all", "of": [holds, lifted]}}
+    instruction = f"pick up the {colour} cube"
+    bounds = {"max_s": 20.0, "max_attempts": 1}
+    return await compare(cell, "run_task", {"instruction": instruction, "until": until, **bounds})
+
+
+PLAYS = {"scenes": play_scene, "pushes": play_push, "tasks": play_task}
+"""What makes a line of each ledger."""
+
+
+async def run(folder: Path, wanted: dict[str, int], minutes: float) -> None:
     """Play what is missing, for so long."""
-    ledger = folder / "scenes.jsonl"
-    done = {row["scene"] for row in rows_of(folder)}
-    missing = [scene for scene in range(scenes) if scene not in done]
+    missing = [
+        (what, number)
+        for what, count in wanted.items()
+        for number in sorted(set(range(count)) - {row["number"] for row in rows_of(folder, what)})
+    ]
     if not missing:
         return
     config = folder / "roboneuron.toml"
@@ -213,22 +270,22 @@ async def run(folder: Path, scenes: int, minutes: float) -> None:
     )
     end_s = time.monotonic() + minutes * 60.0
     async with bounded(server) as client:
-        cell, cubes = Cell(client), -1
-        for scene in missing:
+        cell = Cell(client)
+        for what, number in missing:
             if time.monotonic() > end_s:
                 break
-            if scene // CUBES_EVERY != cubes:
-                cubes = scene // CUBES_EVERY
-                await cell.restart(cubes)
-            row = await play(cell, scene)
-            with ledger.open("a") as lines:
-                lines.write(json.dumps(row) + "\n")
+            _note(folder, what, {"number": number, **await PLAYS[what](cell, number)})
         await cell.must("stop_all")
 
 
-def rows_of(folder: Path) -> list[dict[str, Any]]:
-    """The ledger."""
-    path = folder / "scenes.jsonl"
+def _note(folder: Path, what: str, row: dict[str, Any]) -> None:
+    with (folder / f"{what}.jsonl").open("a") as lines:
+        lines.write(json.dumps(row) + "\n")
+
+
+def rows_of(folder: Path, what: str) -> list[dict[str, Any]]:
+    """A ledger, by its name in `PLAYS`."""
+    path = folder / f"{what}.jsonl"
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
@@ -237,19 +294,18 @@ def percentile(values: list[float], share: float) -> float:
     return sorted(values)[max(0, math.ceil(share * len(values)) - 1)]
 
 
-def judge(folder: Path) -> None:
-    """Print what is in the ledger."""
-    rows, console = rows_of(folder), Console(width=120)
-    if not rows:
-        raise SystemExit("The ledger is empty.")
+def judge(what: str, rows: list[dict[str, Any]]) -> None:
+    """Print what is in a ledger."""
+    console = Console(width=120)
     pairs = Counter((row["promised"], row["happened"]) for row in rows)
     columns = sorted({happened for _, happened in pairs})
-    table = Table("promised", *columns, title=f"{len(rows)} scenes; columns: what happened")
+    table = Table("promised", *columns, title=f"{len(rows)} {what}; columns: what happened")
     for promised in sorted({promised for promised, _ in pairs}):
         table.add_row(promised, *(str(pairs[promised, name] or "") for name in columns))
     console.print(table)
     same = sum(row["promised"] == row["happened"] for row in rows)
-    ended = sum((row["promised"] == "reached") == (row["happened"] == "reached") for row in rows)
+    good = ("reached", "succeeded")
+    ended = sum((row["promised"] in good) == (row["happened"] in good) for row in rows)
     cubes = sum(row["promised_cubes"] == row["happened_cubes"] for row in rows)
     pushed = sum(bool(row["happened_cubes"]) for row in rows)
     console.print(f"same outcome and limit: {same}; reached or not: {ended}; of {len(rows)}")
@@ -258,7 +314,7 @@ def judge(folder: Path) -> None:
         name: [
             math.dist(row["promised_m"], row["happened_m"]) * 1e3
             for row in rows
-            if row["promised"] == row["happened"] and is_reached == (row["promised"] == "reached")
+            if row["promised"] == row["happened"] and is_reached == (row["promised"] in good)
         ]
         for name, is_reached in (("reached", True), ("stopped or refused", False))
     }
@@ -281,6 +337,8 @@ def main() -> None:
     """Play and judge."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("--scenes", type=int, default=500)
+    parser.add_argument("--pushes", type=int, default=50, help="along the table, past cubes")
+    parser.add_argument("--tasks", type=int, default=50)
     parser.add_argument("--minutes", type=float, default=60.0, help="longest time of this run")
     parser.add_argument("--folder", type=Path, default=Path("out/bench-preview"))
     parser.add_argument("--judge", action="store_true", help="only print what is there")
@@ -288,8 +346,11 @@ def main() -> None:
     folder = options.folder.resolve()
     folder.mkdir(parents=True, exist_ok=True)
     if not options.judge:
-        anyio.run(run, folder, options.scenes, options.minutes)
-    judge(folder)
+        wanted = {what: getattr(options, what) for what in PLAYS}
+        anyio.run(run, folder, wanted, options.minutes)
+    for what in PLAYS:
+        if rows := rows_of(folder, what):
+            judge(what, rows)
 
 
 if __name__ == "__main__":

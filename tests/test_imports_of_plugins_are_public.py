@@ -52,7 +52,7 @@ PUBLISHED = {
     "inference": "agreement execution instruction_text module planning",
     "selection": "choosing options requests restricted",
     "stdio": "envelope",
-    "tasks": "contract_cases history hooks monitor moving run_task",
+    "tasks": "contract_cases history hooks judging monitor moving run_task runner snapshot",
     "teleoperation": "contract_cases feature hooks rows samples",
     "tools_arm": "ee_move end_effector joints prediction tightening tools",
     "tools_loop": "instructing results",

@@ -6,7 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import anyio
 import numpy as np
@@ -14,15 +15,21 @@ import pytest
 from mcp import Client
 
 from rn_robot_fr3.profile import HOME_RAD
+from rn_robot_fr3.scene import random_cubes
 from rn_robot_fr3.world import JOINTS
+from rn_simulation.scene_state import SceneState, at_rest, to_message
 from rn_standard.http.feature import HttpFeature
+from rn_standard.preview import feature as feature_module
 from rn_standard.preview.feature import PreviewFeature
+from rn_standard.preview.task import policy_of
 from roboneuron.config import parse_config
 from roboneuron.config.reading import default_text
 from roboneuron.contract import JointSample
+from roboneuron.errors import RefusedError
 from roboneuron.plugins.discovery import discover
 from roboneuron.server import surface
 from roboneuron.server.app import Application
+from roboneuron.server.host import Host
 from roboneuron.server.tool import LOCAL_AGENT
 
 CELL = """
@@ -158,11 +165,67 @@ def test_a_viewer_looks_while_another_operates_and_touches_no_lease(
     lease.release("ann")
 
 
-def test_a_task_is_not_previewed_and_says_what_is(application: Application) -> None:
+def told_scene() -> Any:
+    cubes = random_cubes(3, ("red", "green", "blue", "yellow"))
+    return to_message(
+        SceneState(
+            robot="fr3",
+            engine="pybullet",
+            seed=3,
+            cubes=tuple((cube.name, cube.edge_m) for cube in cubes),
+            joints=HOME.position,
+            cube_poses=at_rest(cubes),
+            stamp_ns=1,
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("colour", "outcome", "rule", "said", "moved"),
+    [
+        ("red", "reached", "", "", ["red cube"]),
+        ("purple", "stopped", "failed", "No purple cube is visible", []),
+    ],
+)
+def test_a_task_is_carried_out_in_the_twin(
+    application: Application,
+    sent: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    colour: str,
+    outcome: str,
+    rule: str,
+    said: str,
+    moved: list[str],
+) -> None:
+    monkeypatch.setattr(feature_module, "scene_of", lambda host, twin: told_scene())
+    holds = {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85}
+    high = {"kind": "tcp_in", "lower_m": [0.2, -0.5, 0.15], "upper_m": [0.8, 0.5, 0.4]}
+    until = {"kind": "all", "of": [holds, high]}
+    instruction = f"pick up the {colour} cube"
+    told = previewed(application, "run_task", instruction=instruction, until=until)
+    assert (told["outcome"], told["rule"], told["collides_with"]) == (outcome, rule, moved)
+    assert said in told["reason"]
+    assert sent == []
+
+
+def test_a_task_in_a_cell_that_is_not_known_is_refused(application: Application) -> None:
     answer = call(application, "run_task", instruction="pick up the red cube", preview=True)
-    assert answer.is_error
     assert answer.meta["roboneuron/error"]["rule"] == "preview"
     assert "move_ee" in answer.content[0].text
+
+
+def test_a_task_of_a_policy_with_a_model_is_refused(application: Application) -> None:
+    host = application.host
+    inference = host.config.inference
+    assert inference is not None
+    config = host.config.model_copy(
+        update={"inference": inference.model_copy(update={"backend": "oft"})}
+    )
+    view = SimpleNamespace(plan=SimpleNamespace(config=config))
+    modules = SimpleNamespace(view=lambda kind: view)
+    with pytest.raises(RefusedError, match="'oft' cannot be previewed") as refused:
+        policy_of(cast("Host", SimpleNamespace(modules=modules, registry=host.registry)))
+    assert refused.value.rule == "preview"
 
 
 def test_a_preview_that_takes_too_long_says_so(

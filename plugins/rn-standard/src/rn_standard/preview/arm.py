@@ -79,9 +79,12 @@ class TwinArm:
         return self._limiter.poses(self._twin.joints())
 
     def follow(self, space: ControlSpace, row: F64, step_s: float) -> None:
-        """Carry out a row as control does: the same controller, limits and holds. Raises
-        TooLongError.
-        """
+        """As `command`, and let its time pass. Raises TooLongError."""
+        self.command(space, row, step_s)
+        self.advance(step_s)
+
+    def command(self, space: ControlSpace, row: F64, step_s: float) -> None:
+        """Send what control makes of a row: the same controller, limits and holds."""
         joints = self._twin.joints()
         answered = answer_to(
             self._controller, self._limiter, space, row, joints, self.passed_s, step_s
@@ -95,7 +98,6 @@ class TwinArm:
         elif not (answered.is_ignored or self._is_holding):
             self._is_holding = True
             self._hold(joints)
-        self.advance(step_s)
 
     def play(self, legs: Sequence[Leg]) -> bool:
         """Send a joint path as the robot module does, and wait until the joints rest; whether they
@@ -118,6 +120,12 @@ class TwinArm:
                 return True
             before = here
         return self._is_there(target, before)
+
+    def hold(self) -> None:
+        """Hold the arm where it is measured, as control does when actions cease."""
+        if not self._is_holding:
+            self._is_holding = True
+            self._hold(self._twin.joints())
 
     def settle(self) -> None:
         """Let the arm come to rest where it is. Raises TooLongError."""

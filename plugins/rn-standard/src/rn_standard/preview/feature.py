@@ -17,6 +17,7 @@ from rn_standard.preview.calls import NAME, PreviewCalls
 from rn_standard.preview.options import PreviewOptions
 from rn_standard.preview.results import Outcome, PreviewResult, Survey
 from rn_standard.preview.session import MODELS, EndedError, Session, arm_endpoint, paths_of
+from rn_standard.preview.task import policy_of
 from rn_standard.preview.twin import Twin, driver_of, scene_of
 from rn_standard.preview.twin_process import TwinProcess
 from rn_standard.tasks.run_task import RunTask
@@ -99,12 +100,7 @@ class PreviewFeature(Feature[PreviewOptions]):
             raise InvalidInputError(f"{arguments.tool[:64]!r} cannot be previewed.", path="tool")
         parsed = tool.parsed(arguments.arguments)
         if isinstance(parsed, RunTask):
-            raise RefusedError(
-                "A task cannot be previewed: its policy looks through cameras, and acts on what it "
-                "sees.",
-                hint="Preview single motions: move_ee, move_joints, move_to.",
-                rule=NAME,
-            )
+            policy_of(self._host)
         reply = await context.run(lambda _: self._work(tool, parsed, context))
         self._note(arguments, reply.result, context)
         return reply
@@ -147,13 +143,20 @@ class PreviewFeature(Feature[PreviewOptions]):
             )
             twin = self._twin(profile)
             scene = scene_of(host, twin) if self.options.objects else None
+            if isinstance(parsed, RunTask) and scene is None:
+                raise RefusedError(
+                    "A task can be previewed in a simulated cell that runs: elsewhere it is not "
+                    "known what stands where.",
+                    hint="Preview single motions: move_ee, move_joints, move_to.",
+                    rule=NAME,
+                )
             open_.callback(twin.close)
             twin.open(joints, scene)
             survey = Survey(rules, controller)
             end_s = time.monotonic() + self.options.limit_s
             twin.end_s = end_s + _GRACE_S
             arm = TwinArm(twin, controller, limiter, limited, survey, end_s)
-            session = Session(host, exposed, limited, rules, controller, arm, twin.moved, context)
+            session = Session(host, exposed, limited, rules, controller, arm, twin, context)
             outcome: Outcome = "reached"
             rule = reason = ""
             try:

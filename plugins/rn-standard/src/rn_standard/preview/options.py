@@ -11,7 +11,7 @@ class PreviewOptions(Section):
     """`[preview]`: calls with preview=true."""
 
     limit_s: float = Field(
-        default=10.0, gt=0, le=60, description="longest time that one may take [s]"
+        default=20.0, gt=0, le=60, description="longest time that one may take [s]"
     )
     objects: bool = Field(
         default=True, description="a simulated cell tells its twin where the objects are"

@@ -32,9 +32,11 @@ class PreviewResult(Result):
     tool: str
     outcome: Outcome = Field(
         description="reached; refused: before it moves, by `rule`; stopped: on the way, by `rule`; "
-        "blocked: by contact; unclear: the preview took too long"
+        "blocked: by contact; unclear: the preview took too long, or a task cannot be judged"
     )
-    rule: str = Field(default="", description="as refusals name it, or the controller's code")
+    rule: str = Field(
+        default="", description="as refusals name it, the controller's code, or a task's outcome"
+    )
     reason: str = ""
     limits: dict[str, int] = Field(
         default_factory=dict, description="limits that would act, by the number of steps"

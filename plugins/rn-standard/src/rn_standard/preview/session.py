@@ -13,8 +13,10 @@ from rn_standard.direct_path.joints import check_joints, joint_commands
 from rn_standard.direct_path.path_limits import PathLimiter
 from rn_standard.preview.arm import TwinArm
 from rn_standard.preview.results import Outcome
+from rn_standard.preview.task import run_in_twin
+from rn_standard.preview.twin import Twin
 from rn_standard.tasks.moving import Mover, MoveToArguments, Places
-from rn_standard.tasks.run_task import RunTask
+from rn_standard.tasks.run_task import RunTask, TaskTool
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
 from rn_standard.tools_arm.joints import JointMover, MoveJoints
@@ -76,7 +78,7 @@ class Session:
         rules: MotionRules,
         controller: Controller,
         arm: TwinArm,
-        moved: Callable[[], tuple[str, ...]],
+        twin: Twin,
         context: CallContext,
     ) -> None:
         """Args:
@@ -86,11 +88,11 @@ class Session:
         rules: limits in force.
         controller: of control, loaded.
         arm: of the twin.
-        moved: objects of the twin that were moved.
+        twin: that of the arm.
         context: of the call.
         """
         self._host, self._exposed, self._profile, self._rules = host, exposed, profile, rules
-        self._arm, self._moved, self._context = arm, moved, context
+        self._arm, self._twin, self._context = arm, twin, context
         self._paths = PathLimiter(rules, profile, inspector_of(controller))
 
     def call(self, tool: Tool[Any], arguments: object) -> None:
@@ -103,6 +105,8 @@ class Session:
             self._move_joints(cast("JointMover", tool.handler), arguments)
         elif isinstance(arguments, MoveToArguments):
             self._move_to(arguments)
+        elif isinstance(arguments, RunTask):
+            self._run_task(cast("TaskTool", tool.handler), arguments)
         else:
             self._trajectory(cast("Publishing", tool.handler), cast("Publish", arguments))
 
@@ -120,7 +124,7 @@ class Session:
         except RefusedError as error:
             held = bool(self._arm.held)
             self._arm.settle()
-            outcome: Outcome = "blocked" if self._moved() and not held else "stopped"
+            outcome: Outcome = "blocked" if self._twin.moved() and not held else "stopped"
             raise EndedError(outcome, self._arm.rule or error.rule, error.message) from error
         self._arm.settle()
 
@@ -150,7 +154,7 @@ class Session:
             _refuse(error)
         if not self._arm.play(legs):
             reason = "The joints do not come to the end of the way."
-            raise EndedError("blocked" if self._moved() else "stopped", "path", reason)
+            raise EndedError("blocked" if self._twin.moved() else "stopped", "path", reason)
 
     def _move_to(self, arguments: MoveToArguments) -> None:
         tasks = self._host.features.loaded["tasks"]
@@ -158,6 +162,14 @@ class Session:
             self._host, Places(self._host, tasks.options), self._pose_now, self._call_by_name
         )
         asyncio.run(_go(mover, arguments.name, cast("CallContext", _Inline(self._context))))
+
+    def _run_task(self, handler: TaskTool, arguments: RunTask) -> None:
+        """The task's own rules; what is done after its end is not looked at."""
+        judge, plan = handler.rehearsal(arguments, self._profile)
+        end = run_in_twin(self._host, self._arm, self._twin, self._profile, judge, plan)
+        if end.outcome != "succeeded":
+            outcome: Outcome = "unclear" if end.outcome == "unclear" else "stopped"
+            raise EndedError(outcome, end.outcome.value, f"{end.reason.rstrip('.')}.")
 
     async def _call_by_name(
         self, name: str, arguments: Mapping[str, object], _: CallContext
