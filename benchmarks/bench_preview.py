@@ -72,6 +72,8 @@ WORDS = {
     "in one step": "joint_jump",
     "beyond its limits": "position",
     "limits shorten": "limits",
+    # what control says of itself meanwhile
+    "following actions": "limits",
 }
 """What limits say of themselves, by the name in the table."""
 
