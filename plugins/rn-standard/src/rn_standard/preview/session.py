@@ -14,7 +14,7 @@ from rn_standard.direct_path.path_limits import PathLimiter
 from rn_standard.preview.arm import TwinArm
 from rn_standard.preview.results import Outcome
 from rn_standard.preview.task import run_in_twin
-from rn_standard.preview.twin import Twin
+from rn_standard.preview.twin_process import TwinProcess
 from rn_standard.tasks.moving import Mover, MoveToArguments, Places
 from rn_standard.tasks.run_task import RunTask, TaskTool
 from rn_standard.tools_arm.ee_move import MoveEndEffector
@@ -78,7 +78,7 @@ class Session:
         rules: MotionRules,
         controller: Controller,
         arm: TwinArm,
-        twin: Twin,
+        twin: TwinProcess,
         context: CallContext,
     ) -> None:
         """Args:

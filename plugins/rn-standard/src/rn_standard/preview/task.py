@@ -5,16 +5,14 @@ it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import cast
 
 from rn_standard.preview.arm import TwinArm
-from rn_standard.preview.twin import Twin
+from rn_standard.preview.twin_process import TwinProcess
 from rn_standard.tasks.judging import PredicateJudge
 from rn_standard.tasks.runner import PolicyState, Task, TaskEnd, TaskPlan
 from rn_standard.tasks.snapshot import Snapshot, StillClock
 from roboneuron import (
     EE_DELTA,
-    Backend,
     BackendSpec,
     CameraProfile,
     Frame,
@@ -23,10 +21,9 @@ from roboneuron import (
     Observation,
     Picture,
     RefusedError,
-    RoboNeuronError,
     RobotProfile,
 )
-from roboneuron.feature import Config, build
+from roboneuron.feature import Config
 
 _CAMERA_S = 0.1
 """Period of images, and of the policy's actions."""
@@ -57,15 +54,14 @@ class TwinCell:
     """Follows the protocol `Cell`, by the clock of a twin."""
 
     def __init__(
-        self, arm: TwinArm, twin: Twin, backend: Backend, spec: BackendSpec, profile: RobotProfile
+        self, arm: TwinArm, twin: TwinProcess, spec: BackendSpec, profile: RobotProfile
     ) -> None:
         """Args:
-        arm, twin: of the preview.
-        backend: loaded.
-        spec: of the backend.
+        arm, twin: of the preview; the twin has loaded the policy.
+        spec: of the policy.
         profile: of the robot.
         """
-        self._arm, self._twin, self._backend, self._profile = arm, twin, backend, profile
+        self._arm, self._twin, self._profile = arm, twin, profile
         wanted = (*spec.cameras, *spec.optional_cameras)
         self._cameras = [camera for camera in profile.cameras if camera.role in wanted]
         self._still = StillClock()
@@ -90,7 +86,7 @@ class TwinCell:
 
     def begin(self, instruction: str) -> None:
         """See `Cell`."""
-        self._backend.reset()
+        self._twin.begin_task()
         self._instruction, self._failure = instruction, ""
         self._has_acted, self._is_done = False, False
         self._due_s = self.now_s()
@@ -135,13 +131,11 @@ class TwinCell:
             ee_pose=self._arm.poses()[0],
             gripper_open=self._opening(measured),
         )
-        try:
-            chunk = self._backend.predict(observation)
-        except RoboNeuronError as error:
-            self._failure = str(error)
+        chunk, self._failure = self._twin.predict(observation)
+        if chunk is None:
             self._arm.hold()
             return
-        self._failure, self._has_acted = "", True
+        self._has_acted = True
         self._is_done = chunk.metrics.get("done", 0.0) >= 0.5
         self._arm.command(EE_DELTA, chunk.actions[0], _CAMERA_S)
 
@@ -170,18 +164,14 @@ class TwinCell:
 def run_in_twin(
     host: Host,
     arm: TwinArm,
-    twin: Twin,
+    twin: TwinProcess,
     profile: RobotProfile,
     judge: PredicateJudge | None,
     plan: TaskPlan,
 ) -> TaskEnd:
-    """Carry out a task. Raises RefusedError as `policy_of`, and RoboNeuronError when the policy
+    """Carry out a task. Raises RefusedError as `policy_of`, and NotReadyError when the policy
     cannot be loaded.
     """
     spec, options = policy_of(host)
-    backend = cast("Backend", build(spec, options))
-    try:
-        backend.load()
-        return Task(TwinCell(arm, twin, backend, spec, profile), judge, plan, lambda _: None).run()
-    finally:
-        backend.close()
+    twin.load_policy(spec, options)
+    return Task(TwinCell(arm, twin, spec, profile), judge, plan, lambda _: None).run()

@@ -20,10 +20,14 @@ from numpy.typing import NDArray
 
 from rn_standard.preview.twin import HasTwin, Twin
 from roboneuron import (
+    ActionChunk,
+    Backend,
+    BackendSpec,
     DriverSpec,
     JointCommand,
     JointSample,
     NotReadyError,
+    Observation,
     RoboNeuronError,
     RobotProfile,
     StateError,
@@ -114,6 +118,18 @@ class TwinProcess:
         with suppress(NotReadyError):
             self._ask("close")
 
+    def load_policy(self, spec: BackendSpec, options: Mapping[str, object]) -> None:
+        """Load the policy of a task, instead of the last one. Raises NotReadyError."""
+        self._ask("load_policy", spec, options)
+
+    def begin_task(self) -> None:
+        """Have the policy forget what it has seen."""
+        self._ask("begin_task")
+
+    def predict(self, observation: Observation) -> tuple[ActionChunk | None, str]:
+        """What the policy does, or why it does nothing. Raises NotReadyError."""
+        return cast("tuple[ActionChunk | None, str]", self._ask("predict", observation))
+
     def end(self) -> None:
         """End the process; may be called twice."""
         self._pipe.close()
@@ -160,10 +176,11 @@ class _NoTopics:
 
 
 class _Served:
-    """The twin, and how it is made."""
+    """The twin and the policy, and how they are made."""
 
     def __init__(self) -> None:
         self.twin: Twin | None = None
+        self._policy: Backend | None = None
 
     def make(
         self, spec: DriverSpec, options: Mapping[str, object], profile: RobotProfile
@@ -177,9 +194,30 @@ class _Served:
         self.twin = driver.twin()
         return self.twin.scene_topic, self.twin.scene_type
 
+    def load_policy(self, spec: BackendSpec, options: Mapping[str, object]) -> None:
+        """See `TwinProcess`. Raises RoboNeuronError."""
+        if self._policy is not None:
+            self._policy.close()
+        self._policy = cast("Backend", build(spec, options))
+        self._policy.load()
+
+    def begin_task(self) -> None:
+        """See `TwinProcess`."""
+        if self._policy is not None:
+            self._policy.reset()
+
+    def predict(self, observation: Observation) -> tuple[ActionChunk | None, str]:
+        """See `TwinProcess`."""
+        if self._policy is None:
+            return None, "there is no policy"
+        try:
+            return self._policy.predict(observation), ""
+        except RoboNeuronError as error:
+            return None, str(error)
+
     def answer(self, name: str, arguments: tuple[object, ...]) -> object:
         """Do what is asked."""
-        return getattr(self if name == "make" else self.twin, name)(*arguments)
+        return getattr(self if hasattr(self, name) else self.twin, name)(*arguments)
 
 
 def serve(pipe: Connection) -> None:
