@@ -59,6 +59,8 @@ state_directory = "{folder}/state"
 CUBES_EVERY = 20
 """After so many scenes the cubes lie elsewhere."""
 ATTEMPTS = 8
+REST_S = 0.6
+"""The arm comes to its hold after the last action."""
 COLOURS = ("red", "green", "blue", "yellow", "purple")
 """The last one is in no scene."""
 MOVED_M = 0.004
@@ -168,8 +170,7 @@ async def compare(cell: Cell, tool: str, arguments: dict[str, Any]) -> dict[str,
     began_s = time.monotonic()
     happened = await cell.ask(tool, arguments)
     took_s = time.monotonic() - began_s
-    # the arm comes to its hold after the last action
-    await anyio.sleep(0.6)
+    await anyio.sleep(REST_S)
     now = await cell.cubes()
     promised, ended = _words(told, happened)
     return {
@@ -230,6 +231,7 @@ async def play_push(cell: Cell, number: int) -> dict[str, Any]:
     moves = [dict(zip(names, delta, strict=True)), {"gripper_open": 0.0}, {"dz_m": -0.175}]
     for move in moves:
         await cell.ask("move_ee", move)
+    await anyio.sleep(REST_S)
     return await compare(cell, "move_ee", {"dx_m": 0.15})
 
 
