@@ -31,6 +31,7 @@ NEEDS = {
     "http": {"stdio"},
     "limits": {"tools_arm"},
     "ops": {"tools_loop"},
+    "preview": {"direct_path", "tasks", "tools_arm", "tools_ros"},
     "selection": {"inference"},
     "switching": {"control", "inference", "selection", "tools_loop"},
     "tasks": {"direct_path", "inference", "selection", "teleoperation", "tools_loop"},
@@ -44,18 +45,18 @@ PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
     "control": "module planning",
     "direct_path": "allow_list arbiter delivery derived exposed fields joints limits message_types "
-    "peers places speeds truth twists type_hashes transforms",
+    "path_limits peers places speeds truth twists type_hashes transforms",
     "execution": "adaptive mode",
     "http": "addresses authentication bounded_server connections feature listener operator_lease "
     "options origins plugin tokens",
     "inference": "agreement execution instruction_text module planning",
     "selection": "choosing options requests restricted",
     "stdio": "envelope",
-    "tasks": "contract_cases history hooks monitor",
+    "tasks": "contract_cases history hooks judging monitor moving run_task runner snapshot",
     "teleoperation": "contract_cases feature hooks rows samples",
-    "tools_arm": "tightening",
+    "tools_arm": "ee_move end_effector joints prediction tightening tools",
     "tools_loop": "instructing results",
-    "tools_ros": "interfaces",
+    "tools_ros": "interfaces publish",
 }
 """Modules of these packages that others may import."""
 

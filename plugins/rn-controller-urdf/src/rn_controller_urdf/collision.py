@@ -129,6 +129,20 @@ class CollisionModel:
                 )
         return tuple(found.values())
 
+    def distances(self, joints: JointSample) -> tuple[Proximity, ...]:
+        """Every pair of bodies that are compared, each once with its smallest distance, the nearest
+        first. Takes ten times as long as `near`.
+        """
+        self._measure(self._full(joints))
+        found: dict[tuple[str, str], Proximity] = {}
+        for pair, least_m, distance_m in self._results():
+            names = (self._links[pair.first], self._links[pair.second])
+            if names not in found or distance_m < found[names].distance_m:
+                found[names] = Proximity(
+                    first=names[0], second=names[1], distance_m=distance_m, least_m=least_m
+                )
+        return tuple(sorted(found.values(), key=lambda pair: pair.distance_m))
+
     def _place_base(self, base_link: str) -> pinocchio.SE3:
         """Pose of the base link in the model's own frame; obstacles are given in the base frame."""
         pin = self._pin

@@ -29,6 +29,7 @@ from roboneuron import (
     JointSample,
     Pose,
     Posture,
+    Proximity,
     RobotProfile,
     StateError,
     robot_space,
@@ -104,6 +105,12 @@ class UrdfController:
                 Posture(pose=other, smallest_singular_value=value) for other, value in others
             ),
         )
+
+    def distances(self, joints: JointSample) -> tuple[Proximity, ...]:
+        """Distances of links to each other and to obstacles, the nearest first; () where the
+        profile asks for none. Raises as `forward`.
+        """
+        return () if self._collision is None else self._collision.distances(joints)
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
         """Return joint positions that move the TCP by `action`, or why the robot should hold.

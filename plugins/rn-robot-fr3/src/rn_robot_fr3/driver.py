@@ -6,6 +6,7 @@ from rn_robot_fr3.cell import CELLS, FR3
 from rn_robot_fr3.options import SimulatedDriverOptions
 from rn_robot_fr3.simulation import ArmSimulation
 from rn_simulation.arm_driver import SimulatedArmDriver
+from rn_simulation.twin import CellTwin
 from roboneuron import RobotProfile, Topics
 
 
@@ -17,11 +18,20 @@ class SimulatedDriver(SimulatedArmDriver):
     ) -> None:
         """Remember what to simulate."""
         options = config or SimulatedDriverOptions()
-        simulation = ArmSimulation(
-            options.seed,
-            colours=options.colours,
-            engine=options.engine,
-            gui=options.gui,
-            cell=CELLS.get(profile.name, FR3),
-        )
-        super().__init__("FR3", simulation, options, profile, topics)
+        cell = CELLS.get(profile.name, FR3)
+
+        def simulation(gui: bool) -> ArmSimulation:
+            return ArmSimulation(
+                options.seed,
+                colours=options.colours,
+                engine=options.engine,
+                gui=gui,
+                cell=cell,
+            )
+
+        super().__init__("FR3", simulation(options.gui), options, profile, topics)
+        self._headless = simulation(gui=False)
+
+    def twin(self) -> CellTwin:
+        """What previews move instead of this cell; without a window."""
+        return CellTwin(self._headless)

@@ -20,6 +20,7 @@ from rn_simulation.scene_state import (
     to_message,
 )
 from rn_simulation.slip import slips_after_s
+from rn_simulation.twin import CellTwin
 from roboneuron import (
     ConfigurationError,
     JointCommand,
@@ -91,6 +92,10 @@ class SimulatedArmDriver:
                 self._tell = self._topics.advertise(HANDED_OVER_TOPIC, Float64)
         self._simulation.let_slip(slips_after_s())
         self._time.start(self._simulation, self._advance)
+
+    def twin(self) -> CellTwin:
+        """What previews move instead of this cell; of a driver that is not open."""
+        return CellTwin(self._simulation)
 
     def read(self) -> RobotState:
         """Return the newest state, measured 120 times per second.

@@ -5,7 +5,7 @@ time.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import TracebackType
 from typing import Self
 
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from rn_simulation.arm_cell import STEP_S, ArmCell
 from rn_simulation.arm_world import ArmWorld
 from rn_simulation.command import checked
-from rn_simulation.cubes import Cube
+from rn_simulation.cubes import Cube, RawPose
 from rn_simulation.engine import Engine
 from rn_simulation.ground_truth import CubeState, LiftClock
 from rn_simulation.pinhole import DEFAULT_SIZE_PX, PinholeCamera
@@ -106,6 +106,18 @@ class CellSimulation(ABC):
         if self._world is not None:
             self._world.close()
             self._world = None
+
+    def place(self, joints: F64, cubes: Mapping[str, RawPose]) -> None:
+        """Put joints, in the order of the cell's `joints`, and cubes somewhere else, at rest.
+
+        Raises:
+            StateError: it is not open.
+        """
+        cell = self._arms
+        first = [cell.followed.index(number) for number in range(len(cell.commanded))]
+        self._setpoint = JointSetpoint(joints[first], cell.velocity, cell.acceleration)
+        self.world.set_joints(joints.tolist())
+        self.world.set_cubes(cubes)
 
     @property
     def arm_cell(self) -> ArmCell:

@@ -5,6 +5,7 @@ one robot.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -95,3 +96,17 @@ def test_each_folder_says_which_namespace_it_is_of(
     make_fleet(text)._note_namespaces()  # as `open` does
     noted = {path.parent.name: path.read_text() for path in tmp_path.glob("robots/*/namespace")}
     assert noted == {"left": "hall_2/a", "b-1": "b_1"}
+
+
+def test_a_feature_of_a_robot_hands_on_another_call_of_that_robot(
+    fleet: Fleet, call: Call, seen: list[Any]
+) -> None:
+    async def other(ctx: Any, call_next: Any) -> Any:
+        params = {**ctx.params, "name": "get_status", "arguments": {}}
+        return await call_next(replace(ctx, params=params))
+
+    fleet.robots["right-arm"].server.middleware.append(other)
+    answer = call(fleet, "stop_robot", {"robot": "right-arm"})
+    assert not answer.is_error
+    assert "modules" in (answer.structured_content or {})
+    assert "modules" not in (call(fleet, "stop_robot", {"robot": "left"}).structured_content or {})

@@ -12,9 +12,9 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 
 from rn_standard.tasks.examples import EXAMPLES
 from rn_standard.tasks.judging import PredicateJudge
-from rn_standard.tasks.monitor import Score
-from rn_standard.tasks.predicates import parse_predicate
-from rn_standard.tasks.run_task import TaskTool
+from rn_standard.tasks.monitor import Monitor, Score
+from rn_standard.tasks.predicates import MonitorSays, parse_predicate
+from rn_standard.tasks.run_task import judge_of
 from rn_standard.tasks.snapshot import ArmSnapshot, Snapshot, StillClock
 from roboneuron import ArmProfile, Pose, RobotProfile
 from roboneuron.errors import InvalidInputError
@@ -261,8 +261,11 @@ def test_each_gripper_has_to_stand_still_by_itself() -> None:
     assert judge_of_right.look(at(1.5, 0.5)).value is True
 
 
+def no_monitor(predicate: MonitorSays) -> Monitor:
+    raise AssertionError(predicate)
+
+
 def test_a_predicate_of_an_arm_that_is_not_there_is_refused() -> None:
-    tool = TaskTool.__new__(TaskTool)
     arms = tuple(
         ArmProfile(name=name, joints=(name,), base_link="b", tcp_link=name)
         for name in ("left", "right")
@@ -270,6 +273,6 @@ def test_a_predicate_of_an_arm_that_is_not_there_is_refused() -> None:
     pair = RobotProfile(name="pair", arm_joints=("left", "right"), arms=arms)
     told = parse_predicate({"kind": "not", "of": {"kind": "gripper_holds", "arm": "middle"}})
     with pytest.raises(InvalidInputError, match="There is no arm 'middle'") as caught:
-        tool._judge(told, "try", pair)
+        judge_of(told, "try", pair, no_monitor)
     assert caught.value.hint == "The arms are: left, right."
-    tool._judge(parse_predicate({"kind": "gripper_holds", "arm": "right"}), "try", pair)
+    judge_of(parse_predicate({"kind": "gripper_holds", "arm": "right"}), "try", pair, no_monitor)

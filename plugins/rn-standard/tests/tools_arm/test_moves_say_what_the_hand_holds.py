@@ -16,7 +16,7 @@ import pytest
 from rn_standard.tools_arm import end_effector, grip, joints
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
-from rn_standard.tools_arm.joints import MoveJoints, _JointMover
+from rn_standard.tools_arm.joints import JointMover, MoveJoints
 from rn_standard.tools_arm.options import ArmToolsOptions
 from rn_standard.tools_arm.placing import GripHeight, PlaceArguments, _Placer
 from roboneuron.config import LimitsConfig
@@ -196,7 +196,7 @@ def test_a_finger_that_something_blocks_grasps(arm: Arm) -> None:
         "j1": JointLimit(lower=-1, upper=1, velocity=1, acceleration=1),
         "finger": JointLimit(lower=0, upper=0.04),
     }
-    joint_mover = _JointMover(exposed(), limits, gate, arm.host)
+    joint_mover = JointMover(exposed(), limits, gate, arm.host)
     moved = anyio.run(joint_mover, MoveJoints(positions={"finger": 0.0}), CONTEXT)
     assert (moved.holding, moved.error, moved.position["finger"]) == (True, 0.0, OBJECT_M)
     turned = anyio.run(joint_mover, MoveJoints(positions={"j1": 0.3}), CONTEXT)
@@ -207,7 +207,7 @@ def test_missing_joint_states_of_a_robot_that_runs_are_not_a_robot_that_was_not_
     arm: Arm,
 ) -> None:
     gate: Any = arm
-    joint_mover = _JointMover(exposed(), {"j1": JointLimit(lower=-1, upper=1)}, gate, arm.host)
+    joint_mover = JointMover(exposed(), {"j1": JointLimit(lower=-1, upper=1)}, gate, arm.host)
     arm.phase = "stopped"
     with pytest.raises(NotReadyError) as caught:
         anyio.run(joint_mover, MoveJoints(positions={"j1": 0.3}), CONTEXT)

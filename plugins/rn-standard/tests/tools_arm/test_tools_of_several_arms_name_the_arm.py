@@ -20,11 +20,11 @@ from rn_standard.direct_path.exposed import POSES_LABEL, action_endpoint
 from rn_standard.tools_arm import end_effector, grip, joints
 from rn_standard.tools_arm.arm_rows import ArmRows, Rest, of_named_arm
 from rn_standard.tools_arm.ee_move import MoveEndEffector
-from rn_standard.tools_arm.end_effector import EndEffectorMover, MoveOfArm
-from rn_standard.tools_arm.joints import MoveJoints, _JointMover
+from rn_standard.tools_arm.end_effector import EndEffectorMover
+from rn_standard.tools_arm.joints import JointMover, MoveJoints
 from rn_standard.tools_arm.options import ArmToolsOptions
 from rn_standard.tools_arm.prediction import PredictedArm
-from rn_standard.tools_arm.tools import arm_tools
+from rn_standard.tools_arm.tools import MoveOfArm, arm_tools
 from roboneuron.config import LimitsConfig
 from roboneuron.contract import (
     EE_DELTA,
@@ -246,7 +246,7 @@ def test_rows_of_an_arm_without_a_gripper_have_none() -> None:
 def test_move_joints_says_of_each_arm_that_moved_what_its_hand_holds(pair: Pair) -> None:
     limits = {name: JointLimit(lower=-1, upper=1, velocity=1, acceleration=1) for name in JOINTS}
     gate: Any = pair
-    mover = _JointMover(exposed(), limits, gate, pair.host)
+    mover = JointMover(exposed(), limits, gate, pair.host)
     positions = {"left_x": 0.1, "right_x": 0.1}
     both = anyio.run(mover, MoveJoints(positions=positions), CONTEXT)
     assert (both.hands, both.holding) == ({"left": False, "right": True}, True)
@@ -257,7 +257,7 @@ def test_move_joints_says_of_each_arm_that_moved_what_its_hand_holds(pair: Pair)
 def test_a_finger_of_the_second_arm_that_something_blocks_grasps(pair: Pair) -> None:
     gate: Any = pair
     pair.openings["right"] = 1.0
-    mover = _JointMover(
+    mover = JointMover(
         exposed(), {"right_finger": JointLimit(lower=0, upper=0.04)}, gate, pair.host
     )
     moved = anyio.run(mover, MoveJoints(positions={"right_finger": 0.0}), CONTEXT)

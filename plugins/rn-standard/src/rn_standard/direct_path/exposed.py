@@ -21,6 +21,7 @@ from roboneuron import (
     Endpoint,
     InvalidInputError,
     JointSample,
+    RefusedError,
     RobotProfile,
 )
 from roboneuron.feature import ExposedEndpoint, GateRequest, ModuleKind, settings, topics
@@ -310,6 +311,19 @@ def same_for_each_topic(
     return made
 
 
+def check_no_preview(arguments: Mapping[str, object]) -> None:
+    """Raise RefusedError for a call that is only to be looked at: nothing acts on one.
+
+    The feature `preview` answers such calls before they come to a tool that acts.
+    """
+    if arguments.get("preview"):
+        raise RefusedError(
+            "The call cannot be previewed here; nothing moves.",
+            hint="The feature 'preview' does that; see disabled_plugins.",
+            rule="preview",
+        )
+
+
 def gate_request(
     context: CallContext,
     tool: str,
@@ -322,7 +336,8 @@ def gate_request(
     send_at_s: Sequence[float] = (),
     dry_run: bool = False,
 ) -> GateRequest:
-    """What the gate is asked for this call."""
+    """What the gate is asked for this call. Raises RefusedError for a preview."""
+    check_no_preview(arguments)
     return GateRequest(
         who=context.who,
         role=context.role,

@@ -21,7 +21,7 @@ class RobotMiddleware:
 
     Each robot's features append to a server of their own, which no client reaches. What they have
     appended is applied to a call that means their robot; they see it as in a server of one robot,
-    without `robot`.
+    without `robot`, and may hand on another call of it.
 
     Args:
         tools: tells which robot a call means.
@@ -43,14 +43,21 @@ class RobotMiddleware:
         if robot is None:
             return await call_next(ctx)
 
-        async def as_sent(_: ServerRequestContext) -> HandlerResult:
-            return await call_next(ctx)
+        own = {key: value for key, value in arguments.items() if key != "robot"}
+        of_robot = replace(ctx, params={**params, "name": name, "arguments": own})
+        named = {"robot": arguments["robot"]} if "robot" in arguments else {}
+
+        async def as_sent(sent: ServerRequestContext) -> HandlerResult:
+            if sent is of_robot:
+                return await call_next(ctx)
+            changed: Mapping[str, Any] = sent.params or {}
+            with_robot = {**(changed.get("arguments") or {}), **named}
+            return await call_next(replace(sent, params={**changed, "arguments": with_robot}))
 
         chain: CallNext = as_sent
         for middleware in reversed(robot.server.middleware[self._given[id(robot)] :]):
             chain = partial(_through, middleware, chain)
-        own = {key: value for key, value in arguments.items() if key != "robot"}
-        return await chain(replace(ctx, params={**params, "name": name, "arguments": own}))
+        return await chain(of_robot)
 
 
 async def _through(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from rn_standard.direct_path.exposed import check_no_preview
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.options import PlaceOptions, PostureOptions, TasksSections
 from rn_standard.tasks.run_task import profile_of
@@ -40,11 +41,15 @@ PoseNow = Callable[[str], tuple[F64, F64]]
 (3, 3) in the base frame.
 """
 
+CallArm = Callable[[str, Mapping[str, object], CallContext], Awaitable[dict[str, Any]]]
+"""Calls a tool of the arm by its name; returns what it answers. Raises as the tool."""
+
 
 class MoveToArguments(Arguments):
     """Arguments of move_to."""
 
     name: str = Field(description="Where to.")
+    preview: bool = False
 
 
 class MovedTo(Result):
@@ -87,10 +92,19 @@ class Places:
 class Mover:
     """Goes to a posture or a place, by calling move_joints or move_ee as the same client."""
 
-    def __init__(self, host: Host, places: Places, pose_now: PoseNow) -> None:
+    def __init__(
+        self, host: Host, places: Places, pose_now: PoseNow, call: CallArm | None = None
+    ) -> None:
+        """Args:
+        host: of the feature.
+        places: those it knows.
+        pose_now: tells where the arm is.
+        call: what moves the arm instead of the tools.
+        """
         self._host = host
         self._places = places
         self._pose_now = pose_now
+        self._call = call or self._call_tool
 
     async def __call__(self, name: str, context: CallContext) -> MovedTo:
         """Go there.
@@ -164,7 +178,7 @@ class Mover:
             matrix_from_quaternion(wanted / np.linalg.norm(wanted)) @ rotation.T
         )
 
-    async def _call(
+    async def _call_tool(
         self, tool_name: str, arguments: Mapping[str, object], context: CallContext
     ) -> dict[str, Any]:
         tool = self._host.tools.get(tool_name)
@@ -209,6 +223,7 @@ def move_to_tool(mover: Mover, places: Places, approval: Approval) -> Tool[MoveT
     """move_to."""
 
     async def handler(arguments: MoveToArguments, context: CallContext) -> MovedTo:
+        check_no_preview(arguments.given())
         if arguments.name in places.choices():
             await approval.ask("move_to", f"Let the robot move to {arguments.name!r}?", context)
         return await mover(arguments.name, context)

@@ -10,12 +10,13 @@ from typing import Literal, cast
 from pydantic import Field
 
 from rn_standard.direct_path import truth
+from rn_standard.direct_path.exposed import check_no_preview
 from rn_standard.direct_path.fields import check_path, load_type
 from rn_standard.inference.instruction_text import InstructionText
 from rn_standard.tasks.approval import Approval
 from rn_standard.tasks.arbiter import TaskArbiter
 from rn_standard.tasks.hooks import MonitorSpec
-from rn_standard.tasks.judging import PredicateJudge
+from rn_standard.tasks.judging import MonitorFor, PredicateJudge
 from rn_standard.tasks.live import LiveCell
 from rn_standard.tasks.monitor import Monitor, RememberingMonitor
 from rn_standard.tasks.options import TaskOptions
@@ -75,6 +76,7 @@ class RunTask(Arguments):
         max_length=64,
         description="Then: hold, stop (the policy), or go to a name of move_to.",
     )
+    preview: bool = False
 
 
 class FinalArm(Result):
@@ -152,6 +154,7 @@ class TaskTool:
 
     async def __call__(self, arguments: RunTask, context: CallContext) -> Reply:
         """Raises InvalidInputError, RefusedError, StateError, NotReadyError."""
+        check_no_preview(arguments.given())
         instruction = arguments.instruction
         predicate = None if arguments.until is None else parse_predicate(arguments.until)
         known = [HOLD, STOP, *self._names()]
@@ -163,18 +166,15 @@ class TaskTool:
             )
         profile = profile_of(self._host)
         topics = {} if predicate is None else topics_of(predicate)
-        judge = None if predicate is None else self._judge(predicate, instruction, profile)
+        judge = (
+            None
+            if predicate is None
+            else judge_of(predicate, instruction, profile, self._remembered_monitor)
+        )
         for kind in ("robot", "control"):
             self._host.modules.require_running(kind)
         await self._approval.ask("run_task", f"Let the robot carry out {instruction!r}?", context)
-        plan = TaskPlan(
-            instruction=instruction,
-            max_s=arguments.max_s or self._options.max_s,
-            max_attempts=arguments.max_attempts or self._options.max_attempts,
-            period_s=self._options.period_s,
-            end_wait_s=self._options.end_wait_s,
-            give_up_s=self._options.give_up_s,
-        )
+        plan = self._plan(arguments)
         halt = threading.Event()
         holder: list[LiveCell] = []
 
@@ -216,25 +216,38 @@ class TaskTool:
             return f"{HOLD}: {on_end!r} was not possible: {error}"
         return on_end
 
-    def _judge(
-        self, predicate: Predicate, instruction: str, profile: RobotProfile | None
-    ) -> PredicateJudge:
-        arms = {} if profile is None else {arm.name: arm for arm in profile.arms}
-        for part in flat(predicate):
-            if isinstance(part, TcpIn | GripperHolds) and part.arm not in ("", *arms):
-                raise InvalidInputError(
-                    f"There is no arm {part.arm[:64]!r}.",
-                    hint=f"The arms are: {', '.join(arms) or 'one without a name'}.",
-                    path="until",
-                )
-        grippers = {name: arm.gripper for name, arm in arms.items()}
-        grippers[""] = None if profile is None else profile.gripper
-        joints = {name: grip.joint for name, grip in grippers.items() if grip is not None}
-        return PredicateJudge(predicate, instruction, self._monitor, joints)
+    def rehearsal(
+        self, arguments: RunTask, profile: RobotProfile
+    ) -> tuple[PredicateJudge | None, TaskPlan]:
+        """What a call is judged by, and its bounds, for a cell that is simulated: what monitors
+        remember of the robot's own is neither used nor changed. Raises InvalidInputError,
+        RefusedError.
+        """
+        plan = self._plan(arguments)
+        if arguments.until is None:
+            return None, plan
+        predicate = parse_predicate(arguments.until)
+        topics_of(predicate)
+        return judge_of(predicate, arguments.instruction, profile, self._new_monitor), plan
 
-    def _monitor(self, predicate: MonitorSays) -> Monitor:
+    def _plan(self, arguments: RunTask) -> TaskPlan:
+        options = self._options
+        return TaskPlan(
+            instruction=arguments.instruction,
+            max_s=arguments.max_s or options.max_s,
+            max_attempts=arguments.max_attempts or options.max_attempts,
+            period_s=options.period_s,
+            end_wait_s=options.end_wait_s,
+            give_up_s=options.give_up_s,
+        )
+
+    def _new_monitor(self, predicate: MonitorSays) -> Monitor:
         spec = self._host.registry.get(MonitorSpec, predicate.name)
-        monitor = cast("Monitor", build(spec, predicate.options))
+        return cast("Monitor", build(spec, predicate.options))
+
+    def _remembered_monitor(self, predicate: MonitorSays) -> Monitor:
+        spec = self._host.registry.get(MonitorSpec, predicate.name)
+        monitor = self._new_monitor(predicate)
         key = f"{spec.target} {json.dumps(predicate.options, sort_keys=True, default=str)}"
         if isinstance(monitor, RememberingMonitor):
             if (previous := self._monitors.pop(key, None)) is not None:
@@ -261,6 +274,27 @@ class TaskTool:
                     name for name, role in roles.items() if role in wanted and name not in names
                 ]
         return names
+
+
+def judge_of(
+    predicate: Predicate,
+    instruction: str,
+    profile: RobotProfile | None,
+    monitor_for: MonitorFor,
+) -> PredicateJudge:
+    """What judges a task. Raises InvalidInputError for an arm that the robot does not have."""
+    arms = {} if profile is None else {arm.name: arm for arm in profile.arms}
+    for part in flat(predicate):
+        if isinstance(part, TcpIn | GripperHolds) and part.arm not in ("", *arms):
+            raise InvalidInputError(
+                f"There is no arm {part.arm[:64]!r}.",
+                hint=f"The arms are: {', '.join(arms) or 'one without a name'}.",
+                path="until",
+            )
+    grippers = {name: arm.gripper for name, arm in arms.items()}
+    grippers[""] = None if profile is None else profile.gripper
+    joints = {name: grip.joint for name, grip in grippers.items() if grip is not None}
+    return PredicateJudge(predicate, instruction, monitor_for, joints)
 
 
 def profile_of(host: Host) -> RobotProfile | None:

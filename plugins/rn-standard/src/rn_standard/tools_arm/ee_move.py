@@ -35,6 +35,7 @@ class MoveEndEffector(Arguments):
         default=None, gt=0, description="Time for the move; as fast as allowed when omitted [s]."
     )
     dry_run: bool = Field(default=False, description="Only say what would happen.")
+    preview: bool = Field(default=False, description="Only in a simulated twin.")
 
 
 class EndEffectorMove(Result):

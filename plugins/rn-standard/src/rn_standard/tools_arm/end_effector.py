@@ -14,7 +14,7 @@ from itertools import count
 import numpy as np
 
 from rn_standard.direct_path.exposed import gate_request
-from rn_standard.tools_arm.arm_rows import ArmRows, Rest, of_named_arm, to_message
+from rn_standard.tools_arm.arm_rows import ArmRows, Rest, to_message
 from rn_standard.tools_arm.ee_line import (
     F64,
     STEP_S,
@@ -28,7 +28,7 @@ from rn_standard.tools_arm.ee_move import AXES, EndEffectorMove, MoveEndEffector
 from rn_standard.tools_arm.grip import Grip, is_lost
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
-from rn_standard.tools_arm.prediction import PredictedArm, control_of
+from rn_standard.tools_arm.prediction import DrivenArm, PredictedArm, control_of
 from roboneuron import (
     CallContext,
     Host,
@@ -97,7 +97,7 @@ class EndEffectorMover:
 
     async def __call__(self, arguments: MoveEndEffector, context: CallContext) -> EndEffectorMove:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
-        order = self._order(arguments)
+        order = self.order(arguments)
         # stands for the actions to come, which are judged one by one; it is never sent
         any_rows = ArmRows.of(self._profile, self._arm, dict.fromkeys(self._tcps, Rest()))
         row = any_rows.row(Rest().pose, np.zeros(6), order.gripper_open or 0.0)
@@ -125,7 +125,8 @@ class EndEffectorMover:
         """The measured TCP; blocks. Raises as `MeasuredPose.wait`."""
         return self._tcp.wait(_MEASURED_S)
 
-    def _order(self, arguments: MoveEndEffector) -> Order:
+    def order(self, arguments: MoveEndEffector) -> Order:
+        """The move that a call asks for. Raises InvalidInputError, RefusedError."""
         values = np.array([getattr(arguments, name) for name in AXES])
         gripper = arguments.gripper_open
         if gripper is not None and self._arm and self._grip.profile is None:
@@ -284,26 +285,37 @@ class EndEffectorMover:
             raise RefusedError(
                 "The joints are not measured, so that the path cannot be judged.", rule="kinematics"
             )
-        gripper = self._grip.kept() if order.gripper_open is None else order.gripper_open
-        ticks = count()
         with closing(PredictedArm(*control_of(self._host, self._exposed), joints)) as arm:
-            rows = self._rows(dict(zip(self._tcps, arm.poses(), strict=True)))
-
-            def pose() -> Pose:
-                return arm.poses()[self._number]
-
-            def note() -> str:
-                return f"holding: {arm.held}" if arm.held else "limits shorten its steps"
-
             forecast.took_s = 0.0
-            try:
-                for _, _, here, delta in self._steps(
-                    order, pose(), pose, lambda: next(ticks) * STEP_S, note
-                ):
-                    arm.follow(rows.space, rows.row(here, delta, gripper), STEP_S)
-                    forecast.took_s += STEP_S
-            except StateError as error:
-                raise RefusedError(error.message, rule="path") from error
+            for _ in self.drive(order, arm):
+                forecast.took_s += STEP_S
+
+    def drive(self, order: Order, arm: DrivenArm) -> Iterator[None]:
+        """Have another arm than the robot's make the move, action by action, as control would; ends
+        when it is there.
+
+        Raises:
+            RefusedError: it does not get there, and why.
+            NotReadyError: the gripper is not measured.
+        """
+        gripper = self._grip.kept() if order.gripper_open is None else order.gripper_open
+        rows = self._rows(dict(zip(self._tcps, arm.poses(), strict=True)))
+        ticks = count()
+
+        def pose() -> Pose:
+            return arm.poses()[self._number]
+
+        def note() -> str:
+            return f"holding: {arm.held}" if arm.held else "limits shorten its steps"
+
+        try:
+            for _, _, here, delta in self._steps(
+                order, pose(), pose, lambda: next(ticks) * STEP_S, note
+            ):
+                arm.follow(rows.space, rows.row(here, delta, gripper), STEP_S)
+                yield
+        except StateError as error:
+            raise RefusedError(error.message, rule="path") from error
 
     def _steps(
         self,
@@ -376,14 +388,3 @@ class EndEffectorMover:
             allowed=allowed,
             reason=reason,
         )
-
-
-class MoveOfArm:
-    """The handler of move_ee for several arms."""
-
-    def __init__(self, movers: Mapping[str, EndEffectorMover]) -> None:
-        self._movers = movers
-
-    async def __call__(self, arguments: MoveEndEffector, context: CallContext) -> EndEffectorMove:
-        """Raises as `EndEffectorMover`; InvalidInputError also for an arm that is not there."""
-        return await of_named_arm(self._movers, arguments.arm)(arguments, context)

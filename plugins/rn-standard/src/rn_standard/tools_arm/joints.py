@@ -31,6 +31,7 @@ from roboneuron import (
 )
 from roboneuron.feature import (
     ExposedEndpoint,
+    GateRequest,
     MotionGate,
     Stage,
     TimedCommand,
@@ -58,6 +59,7 @@ class MoveJoints(Arguments):
         default=None, gt=0, description="Time for the move [s]; an easy pace when omitted."
     )
     dry_run: bool = Field(default=False, description="Only say what would happen.")
+    preview: bool = False
 
 
 class JointMove(Result):
@@ -91,7 +93,7 @@ def joint_tools(
     if found is None or found.profile is None:
         return []
     limits = joint_space.JointLimit.by_joint(found.profile)
-    mover = _JointMover(found, limits, gate, host)
+    mover = JointMover(found, limits, gate, host)
     joints: JsonSchemaValue = {
         "properties": {
             name: {"type": "number", "minimum": limit.lower, "maximum": limit.upper}
@@ -104,8 +106,7 @@ def joint_tools(
             name="move_joints",
             title="Move joints",
             description=(
-                f"Move joints of {found.robot!r} to positions [rad, m], within their position and "
-                "velocity limits. "
+                f"Move joints of {found.robot!r} to positions [rad, m], within their limits. "
                 "Needs start_robot; refused while a policy runs. Returns when they are measured "
                 "there, at rest."
             ),
@@ -115,6 +116,7 @@ def joint_tools(
                     "positions": joints,
                     "duration_s": {"maximum": gate.max_duration_s},
                     "dry_run": {},
+                    "preview": {},
                 },
                 required=["positions"],
             ),
@@ -125,7 +127,7 @@ def joint_tools(
     ]
 
 
-class _JointMover:
+class JointMover:
     """The handler of move_joints."""
 
     def __init__(
@@ -135,7 +137,7 @@ class _JointMover:
         gate: MotionGate,
         host: Host,
     ) -> None:
-        self._exposed = exposed
+        self.exposed = self._exposed = exposed
         self._limits = limits
         self._gate = gate
         self._host = host
@@ -149,6 +151,16 @@ class _JointMover:
 
     async def __call__(self, arguments: MoveJoints, context: CallContext) -> JointMove:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError."""
+        self.check(arguments)
+        halt = threading.Event()
+        return await context.run(
+            lambda stage: self._move(arguments, context, stage, halt),
+            on_cancel=halt.set,
+            on_leave=halt.set,
+        )
+
+    def check(self, arguments: MoveJoints) -> None:
+        """Raise InvalidInputError unless the joints have these positions."""
         for name, value in arguments.positions.items():
             if name not in self._limits:
                 raise InvalidInputError.unknown_name("positions", name, list(self._limits))
@@ -159,34 +171,16 @@ class _JointMover:
                     f"{limit.upper:g}.",
                     path=f"positions.{name}",
                 )
-        halt = threading.Event()
-        return await context.run(
-            lambda stage: self._move(arguments, context, stage, halt),
-            on_cancel=halt.set,
-            on_leave=halt.set,
-        )
 
     def _move(
         self, arguments: MoveJoints, context: CallContext, stage: Stage, halt: threading.Event
     ) -> JointMove:
         exposed, gate = self._exposed, self._gate
-        target, asked_s, dry_run = arguments.positions, arguments.duration_s, arguments.dry_run
+        target, dry_run = arguments.positions, arguments.dry_run
         joints = gate.joints(exposed, _MEASURED_S)
         if joints is None:
             raise self._unmeasured()
-        duration_s = asked_s or self._easy_s(target, joints)
-        request = gate_request(
-            context,
-            "move_joints",
-            exposed,
-            [_message(target, duration_s)],
-            arguments.given(),
-            joints=joints,
-            dry_run=dry_run,
-        )
-        if asked_s is None and (slower := gate.slowdown(request)) > 1.0:
-            duration_s *= slower * 1.01  # rounding
-            request = replace(request, messages=(_message(target, duration_s),))
+        request, duration_s = self.request(arguments, joints, context)
         if dry_run:
             verdict = gate.ask(exposed, request)
             return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
@@ -212,6 +206,28 @@ class _JointMover:
         if exposed.profile is not None and exposed.profile.arms:
             told["hands"] = hands
         return answer.model_copy(update=told)
+
+    def request(
+        self, arguments: MoveJoints, joints: JointSample, context: CallContext
+    ) -> tuple[GateRequest, float]:
+        """What the gate is asked for a call that begins at `joints`, and how long it lasts [s].
+        Raises RefusedError, NotReadyError.
+        """
+        target, asked_s = arguments.positions, arguments.duration_s
+        duration_s = asked_s or self._easy_s(target, joints)
+        request = gate_request(
+            context,
+            "move_joints",
+            self._exposed,
+            [_message(target, duration_s)],
+            arguments.given(),
+            joints=joints,
+            dry_run=arguments.dry_run,
+        )
+        if asked_s is None and (slower := self._gate.slowdown(request)) > 1.0:
+            duration_s *= slower * 1.01  # rounding
+            request = replace(request, messages=(_message(target, duration_s),))
+        return request, duration_s
 
     def _unmeasured(self) -> NotReadyError:
         """Why there are no joints: the robot is not running, or its states do not come through."""

@@ -4,7 +4,8 @@ follow at once.
 
 from __future__ import annotations
 
-from typing import cast
+from dataclasses import dataclass
+from typing import Protocol, cast
 
 from rn_standard.direct_path.allow_list import ArmPaths
 from rn_standard.tools_arm.ee_line import F64
@@ -44,6 +45,74 @@ def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, Motion
     return controller, limiter
 
 
+class DrivenArm(Protocol):
+    """What carries out rows, of a robot that is computed or simulated.
+
+    Attributes:
+        held: why the newest row was not carried out; empty when it was, shortened or not.
+    """
+
+    held: str
+
+    def poses(self) -> tuple[Pose, ...]:
+        """TCP pose of each arm in the base frame. Raises UnsafeError."""
+
+    def follow(self, space: ControlSpace, row: F64, step_s: float) -> None:
+        """Carry out a row of a space for `step_s`, as far as the limits allow."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Answered:
+    """What control makes of a row.
+
+    Attributes:
+        command: within the limits; None where the arm is held.
+        held: why; empty otherwise.
+        rules: limits, by name, that shortened the command or held the arm, or the controller's code
+            of a hold.
+        is_ignored: the row was refused: the command before it comes to its end.
+    """
+
+    command: JointCommand | None
+    held: str = ""
+    is_ignored: bool = False
+    rules: tuple[str, ...] = ()
+
+
+def answer_to(
+    controller: Controller,
+    limiter: MotionLimiter,
+    space: ControlSpace,
+    row: F64,
+    joints: JointSample,
+    now_s: float,
+    step_s: float,
+) -> Answered:
+    """What control makes of a row.
+
+    Args:
+        controller, limiter: as control has them.
+        space, row: what is asked for.
+        joints: measured.
+        now_s: time, as `MotionLimiter` counts it.
+        step_s: time that the row has.
+    """
+    answer: JointCommand | Hold
+    if space is EE_DELTA:
+        answer = controller.compute(Action.from_vector(row), joints, step_s)
+    else:
+        start = limiter.reference(joints, now_s)
+        # control has looked whether it can
+        answer = cast("SpaceController", controller).execute(space, row, start, step_s)
+    if isinstance(answer, Hold):
+        return Answered(command=None, held=answer.reason, rules=(answer.code,))
+    verdict = limiter.limit(answer, joints, now_s)
+    if isinstance(verdict.command, JointCommand):
+        return Answered(command=verdict.command, rules=verdict.acted)
+    is_ignored = verdict.command is None
+    return Answered(command=None, held=verdict.reason, rules=verdict.acted, is_ignored=is_ignored)
+
+
 class PredictedArm:
     """The arms of a robot in computation only; used from one thread.
 
@@ -70,21 +139,11 @@ class PredictedArm:
         one holds it.
         """
         self._now_s += step_s
-        outcome: JointCommand | Hold | None
-        if space is EE_DELTA:
-            outcome = self._controller.compute(Action.from_vector(row), self._joints, step_s)
-        else:
-            start = self._limiter.reference(self._joints, self._now_s)
-            # control has looked whether it can
-            spaces = cast("SpaceController", self._controller)
-            outcome = spaces.execute(space, row, start, step_s)
-        self.held = outcome.reason if isinstance(outcome, Hold) else ""
-        if isinstance(outcome, JointCommand):
-            verdict = self._limiter.limit(outcome, self._joints, self._now_s)
-            outcome = verdict.command
-            if not isinstance(outcome, JointCommand):
-                self.held = verdict.reason
-        if not isinstance(outcome, JointCommand):
+        answered = answer_to(
+            self._controller, self._limiter, space, row, self._joints, self._now_s, step_s
+        )
+        outcome, self.held = answered.command, answered.held
+        if outcome is None:
             self._limiter.rest(self._joints, self._now_s)
             return
         share = min(1.0, step_s / outcome.duration_s)

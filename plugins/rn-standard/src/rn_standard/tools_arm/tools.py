@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import ACTION_LABELS
+from rn_standard.tools_arm.arm_rows import of_named_arm
 from rn_standard.tools_arm.ee_move import EndEffectorMove, MoveEndEffector
-from rn_standard.tools_arm.end_effector import EndEffectorMover, MoveOfArm
+from rn_standard.tools_arm.end_effector import EndEffectorMover
 from rn_standard.tools_arm.joints import joint_tools
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
 from rn_standard.tools_arm.placing import GripHeight, place_tool
-from roboneuron import Host, Tool
+from roboneuron import CallContext, Host, Tool
 
 
 def arm_tools(
@@ -73,6 +75,21 @@ def arm_tools(
     if not hands:
         return [move, *tools]
     return [move, *tools, place_tool(movers, hands, action.robot)]
+
+
+class MoveOfArm:
+    """The handler of move_ee for several arms."""
+
+    def __init__(self, movers: Mapping[str, EndEffectorMover]) -> None:
+        self._movers = movers
+
+    async def __call__(self, arguments: MoveEndEffector, context: CallContext) -> EndEffectorMove:
+        """Raises as `EndEffectorMover`; InvalidInputError also for an arm that is not there."""
+        return await self.of(arguments.arm)(arguments, context)
+
+    def of(self, arm: str) -> EndEffectorMover:
+        """The one of that arm. Raises InvalidInputError."""
+        return of_named_arm(self._movers, arm)
 
 
 def _one_of(robot: str, arms: list[str]) -> str:

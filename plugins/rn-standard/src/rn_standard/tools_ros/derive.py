@@ -90,6 +90,8 @@ def _publish(name: str, noun: str, targets: Targets, host: Host) -> Tool[Publish
     elif targets.trajectory:
         lasts = "Returns when its time is over; if cancelled, the joints hold. "
     properties |= {"timeout_s": {}, "dry_run": {}}
+    if targets.trajectory:
+        properties["preview"] = {}
     return Tool(
         name=name,
         title=f"Publish {noun}",

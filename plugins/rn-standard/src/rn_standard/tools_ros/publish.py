@@ -57,14 +57,19 @@ class Publish(PublishingCall):
         description="How long it lasts, in seconds; then it is stopped. Joints get there within "
         "it.",
     )
+    preview: bool = False
 
 
 class Publishing:
-    """The handler of one publish tool."""
+    """The handler of one publish tool.
+
+    Attributes:
+        targets: whose topics these are.
+    """
 
     def __init__(self, gate: MotionGate, targets: Targets, tool: str) -> None:
         self._gate = gate
-        self._targets = targets
+        self.targets = self._targets = targets
         self._tool = tool
 
     async def __call__(self, arguments: Publish, context: CallContext) -> Delivery:

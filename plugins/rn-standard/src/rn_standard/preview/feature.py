@@ -1,0 +1,253 @@
+"""The feature: previews of calls that move the arm."""
+
+from __future__ import annotations
+
+import io
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_standard.preview.arm import TooLongError, TwinArm
+from rn_standard.preview.calls import NAME, PreviewCalls
+from rn_standard.preview.options import PreviewOptions
+from rn_standard.preview.results import Outcome, PreviewResult, Survey
+from rn_standard.preview.session import MODELS, EndedError, Session, arm_endpoint, paths_of
+from rn_standard.preview.task import policy_of
+from rn_standard.preview.twin import Twin, driver_of, scene_of
+from rn_standard.preview.twin_process import TwinProcess
+from rn_standard.tasks.run_task import RunTask
+from rn_standard.tools_arm.ee_move import MoveEndEffector
+from roboneuron import (
+    Arguments,
+    CallContext,
+    Feature,
+    Host,
+    InvalidInputError,
+    NotReadyError,
+    Picture,
+    RefusedError,
+    Reply,
+    RoboNeuronError,
+    RobotProfile,
+    Tool,
+)
+from roboneuron.feature import AuditRecord, MotionLimiter, Role, Shape
+
+_JOINTS_S = 2.0
+_START_S = 30.0
+"""Longest start of the process, which imports a physics engine."""
+_GRACE_S = 3.0
+"""So much later than the preview's own bound a twin that does not answer is killed."""
+_SIZE_PX = (320, 240)
+
+
+class PreviewArguments(Arguments):
+    """Arguments of preview."""
+
+    tool: str
+    arguments: dict[str, object]
+
+
+class PreviewFeature(Feature[PreviewOptions]):
+    """Answers calls with preview=true from a twin of the cell. It sends nothing, and has no
+    publisher.
+    """
+
+    _process: TwinProcess | None = None
+
+    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+        """One tool that is not listed: calls come to it by `PreviewCalls`."""
+        self._host = host
+        self._one = threading.Lock()
+        # around those that note what a client did: this does nothing
+        host.server.middleware.insert(1, PreviewCalls(self._can))
+        return [
+            Tool(
+                name=NAME,
+                title="Preview a motion",
+                description="What a call that moves the arm would do, in a simulated twin.",
+                arguments=PreviewArguments,
+                result=PreviewResult,
+                handler=self._preview,
+                read_only=True,
+                idempotent=True,
+                listed=False,
+            )
+        ]
+
+    def close(self) -> None:
+        """End the process of the twin."""
+        if self._process is not None:
+            self._process.end()
+            self._process = None
+
+    def _can(self, name: str) -> bool:
+        tool = self._host.tools.get(name)
+        if tool is None:
+            return False
+        kind = tool.arguments
+        return (kind.model if isinstance(kind, Shape) else kind) in MODELS
+
+    async def _preview(self, arguments: PreviewArguments, context: CallContext) -> Reply:
+        """Raises InvalidInputError, NotReadyError, RefusedError."""
+        tool = self._host.tools.get(arguments.tool)
+        if tool is None or not self._can(arguments.tool):
+            raise InvalidInputError(f"{arguments.tool[:64]!r} cannot be previewed.", path="tool")
+        parsed = tool.parsed(arguments.arguments)
+        if isinstance(parsed, RunTask):
+            policy_of(self._host)
+        reply = await context.run(lambda _: self._work(tool, parsed, context))
+        self._note(arguments, reply.result, context)
+        return reply
+
+    def _work(self, tool: Tool[Any], parsed: object, context: CallContext) -> Reply:
+        began_s = time.monotonic()
+        if not self._one.acquire(timeout=self.options.limit_s):
+            raise NotReadyError("Another preview takes all the time.", hint="Call again.")
+        try:
+            return self._in_twin(tool, parsed, context, began_s)
+        finally:
+            self._one.release()
+
+    def _in_twin(
+        self,
+        tool: Tool[Any],
+        parsed: object,
+        context: CallContext,
+        began_s: float,
+    ) -> Reply:
+        host = self._host
+        exposed = arm_endpoint(host)
+        profile = exposed.profile
+        assert profile is not None
+        joints = host.gate.joints(exposed, _JOINTS_S)
+        if joints is None:
+            raise NotReadyError("The joints are not measured.", hint="Call start_robot first.")
+        with ExitStack() as open_:
+            paths = paths_of(host)
+            controller, limited = paths.load(exposed.robot, profile)
+            open_.callback(controller.close)
+            rules = paths.rules(exposed.robot, profile)
+            control = host.loop.base.control
+            limiter = MotionLimiter.of(
+                rules,
+                limited,
+                controller,
+                immediate=control is not None and control.command == "joint_state",
+                longest_s=host.loop.base.robot.server_timeout_s,
+            )
+            twin = self._twin(profile)
+            scene = scene_of(host, twin) if self.options.objects else None
+            if isinstance(parsed, RunTask) and scene is None:
+                raise RefusedError(
+                    "A task can be previewed in a simulated cell that runs: elsewhere it is not "
+                    "known what stands where.",
+                    hint="Preview single motions: move_ee, move_joints, move_to.",
+                    rule=NAME,
+                )
+            open_.callback(twin.close)
+            twin.open(joints, scene)
+            survey = Survey(rules, controller)
+            end_s = time.monotonic() + self.options.limit_s
+            twin.end_s = end_s + _GRACE_S
+            arm = TwinArm(twin, controller, limiter, limited, survey, end_s)
+            session = Session(host, exposed, limited, rules, controller, arm, twin, context)
+            outcome: Outcome = "reached"
+            rule = reason = ""
+            try:
+                session.call(tool, parsed)
+            except EndedError as error:
+                outcome, rule, reason = error.outcome, error.rule, str(error)
+            except TooLongError:
+                outcome = "unclear"
+                reason = (
+                    f"The preview took longer than {self.options.limit_s:g} s; it has come to "
+                    f"{arm.passed_s:.1f} s of the motion."
+                )
+            names = [part.name for part in limited.each_arm]
+            named = getattr(parsed, "arm", "")
+            pose = arm.poses()[names.index(named) if named in names else 0]
+            there = twin.joints()
+            result = PreviewResult(
+                tool=tool.name,
+                outcome=outcome,
+                rule=rule,
+                reason=reason,
+                limits=dict(survey.limits),
+                collides_with=list(twin.moved()),
+                nearest=survey.nearest(),
+                duration_s=round(arm.passed_s - arm.rested_s, 2),
+                position_m=[round(value, 5) for value in pose.position_m.tolist()],
+                quaternion_xyzw=[round(value, 5) for value in pose.quaternion_xyzw.tolist()],
+                joints={
+                    name: round(value, 5)
+                    for name, value in zip(there.names, there.position.tolist(), strict=True)
+                },
+                now=self._why_not_now(tool, parsed, context),
+                took_s=round(time.monotonic() - began_s, 3),
+            )
+            return Reply(result=result, pictures=self._pictures(twin))
+
+    def _twin(self, profile: RobotProfile) -> TwinProcess:
+        """The process of the last preview, or another one. Raises NotReadyError."""
+        spec, options = driver_of(self._host)
+        last = self._process
+        if last is not None and last.is_alive and last.key == (spec, repr(options)):
+            last.end_s = time.monotonic() + _START_S
+            return last
+        if last is not None:
+            last.end()
+        self._process = TwinProcess(spec, options, profile, time.monotonic() + _START_S)
+        return self._process
+
+    def _pictures(self, twin: Twin) -> tuple[Picture, ...]:
+        """The scene at the end, by the first camera."""
+        camera = next(iter(self._host.loop.camera_roles()), None)
+        if camera is None:
+            return ()
+        return (_png(twin.picture(camera, *_SIZE_PX)),)
+
+    def _why_not_now(self, tool: Tool[Any], parsed: object, context: CallContext) -> str:
+        """Why the call itself would be refused; empty when nothing is known that speaks against
+        it.
+        """
+        host = self._host
+        if not tool.least_role.is_held_by(context.role):
+            return f"It needs the role {Role.OPERATOR!r}."
+        try:
+            host.loop.emergency_stop.check()
+            host.gate.check_free(arm_endpoint(host))
+            if isinstance(parsed, MoveEndEffector):
+                host.modules.require_running("control")
+        except RoboNeuronError as error:
+            return str(error)
+        return ""
+
+    def _note(self, arguments: PreviewArguments, result: object, context: CallContext) -> None:
+        """Write it down; a full disk keeps nobody from looking."""
+        assert isinstance(result, PreviewResult)
+        record = AuditRecord(
+            who=context.who,
+            role=context.role,
+            tool=arguments.tool[:200],
+            robot=self._host.config.robot.name,
+            verdict="would_allow" if result.outcome == "reached" else "would_refuse",
+            rule=result.rule,
+            reason=f"preview: {result.outcome}. {result.reason}"[:500],
+            arguments=arguments.arguments,
+        )
+        with suppress(RefusedError):
+            self._host.audit.write(record)
+
+
+def _png(image: NDArray[np.uint8]) -> Picture:
+    from PIL import Image as Pillow  # heavy
+
+    buffer = io.BytesIO()
+    Pillow.fromarray(image).save(buffer, "PNG", compress_level=6)
+    return Picture(data=buffer.getvalue(), mime_type="image/png")

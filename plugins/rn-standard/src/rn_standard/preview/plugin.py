@@ -1,0 +1,18 @@
+"""What this package offers; standard library and descriptors only."""
+
+from roboneuron import FeatureSpec, hookimpl
+
+FEATURE = FeatureSpec(
+    name="preview",
+    summary="preview=true: what a motion would do, found out in a simulated twin of the cell.",
+    target="rn_standard.preview.feature:PreviewFeature",
+    config="rn_standard.preview.options:PreviewOptions",
+    needs=("direct-path", "tools-arm"),
+)
+"""Descriptor of the feature."""
+
+
+@hookimpl
+def roboneuron_features() -> tuple[FeatureSpec, ...]:
+    """The features of this package."""
+    return (FEATURE,)

@@ -1,0 +1,219 @@
+"""One preview: the calls of the arm's tools, carried out in a twin."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from typing import Any, NoReturn, TypeVar, cast
+
+import numpy as np
+
+from rn_standard.direct_path.allow_list import ArmPaths
+from rn_standard.direct_path.joints import check_joints, joint_commands
+from rn_standard.direct_path.path_limits import PathLimiter
+from rn_standard.preview.arm import TwinArm
+from rn_standard.preview.results import Outcome
+from rn_standard.preview.task import run_in_twin
+from rn_standard.preview.twin_process import TwinProcess
+from rn_standard.tasks.moving import Mover, MoveToArguments, Places
+from rn_standard.tasks.run_task import RunTask, TaskTool
+from rn_standard.tools_arm.ee_move import MoveEndEffector
+from rn_standard.tools_arm.end_effector import EndEffectorMover
+from rn_standard.tools_arm.joints import JointMover, MoveJoints
+from rn_standard.tools_arm.tools import MoveOfArm
+from rn_standard.tools_ros.publish import Publish, Publishing, encode_step
+from roboneuron import (
+    F64,
+    CallContext,
+    Controller,
+    Host,
+    NotReadyError,
+    RefusedError,
+    RobotProfile,
+    Tool,
+    matrix_from_quaternion,
+)
+from roboneuron.feature import ExposedEndpoint, MotionRules, Stage, inspector_of, joint_space
+
+T = TypeVar("T")
+MODELS = (MoveEndEffector, MoveJoints, MoveToArguments, Publish, RunTask)
+"""Arguments of the tools that can be previewed."""
+
+
+class EndedError(Exception):
+    """The motion would not come to its end."""
+
+    def __init__(self, outcome: Outcome, rule: str, reason: str) -> None:
+        super().__init__(reason)
+        self.outcome, self.rule = outcome, rule
+
+
+class _Inline:
+    """A CallContext for what runs on the thread of the preview already."""
+
+    def __init__(self, context: CallContext) -> None:
+        self.who, self.role = context.who, context.role
+
+    async def run(
+        self,
+        work: Callable[[Stage], T],
+        *,
+        on_cancel: Callable[[], object] = lambda: None,
+        on_leave: Callable[[], object] | None = None,
+    ) -> T:
+        return work(lambda _: None)
+
+    async def ask(self, question: str, what: str = "") -> str | None:
+        return None
+
+
+class Session:
+    """Carries out calls one after the other, from where the one before has ended; one thread."""
+
+    def __init__(
+        self,
+        host: Host,
+        exposed: ExposedEndpoint,
+        profile: RobotProfile,
+        rules: MotionRules,
+        controller: Controller,
+        arm: TwinArm,
+        twin: TwinProcess,
+        context: CallContext,
+    ) -> None:
+        """Args:
+        host: of the feature.
+        exposed: an endpoint of the robot.
+        profile: with the collisions in force.
+        rules: limits in force.
+        controller: of control, loaded.
+        arm: of the twin.
+        twin: that of the arm.
+        context: of the call.
+        """
+        self._host, self._exposed, self._profile, self._rules = host, exposed, profile, rules
+        self._arm, self._twin, self._context = arm, twin, context
+        self._paths = PathLimiter(rules, profile, inspector_of(controller))
+
+    def call(self, tool: Tool[Any], arguments: object) -> None:
+        """Carry out a call. Raises EndedError when it does not come to its end, and what the tool
+        raises for a call that makes no sense.
+        """
+        if isinstance(arguments, MoveEndEffector):
+            self._move_ee(tool, arguments)
+        elif isinstance(arguments, MoveJoints):
+            self._move_joints(cast("JointMover", tool.handler), arguments)
+        elif isinstance(arguments, MoveToArguments):
+            self._move_to(arguments)
+        elif isinstance(arguments, RunTask):
+            self._run_task(cast("TaskTool", tool.handler), arguments)
+        else:
+            self._trajectory(cast("Publishing", tool.handler), cast("Publish", arguments))
+
+    def _move_ee(self, tool: Tool[Any], arguments: MoveEndEffector) -> None:
+        handler = tool.handler
+        mover = handler.of(arguments.arm) if isinstance(handler, MoveOfArm) else handler
+        assert isinstance(mover, EndEffectorMover)
+        try:
+            order = mover.order(arguments)
+        except RefusedError as error:
+            _refuse(error)
+        try:
+            for _ in mover.drive(order, self._arm):
+                pass
+        except RefusedError as error:
+            held = bool(self._arm.held)
+            self._arm.settle()
+            outcome: Outcome = "blocked" if self._twin.moved() and not held else "stopped"
+            raise EndedError(outcome, self._arm.rule or error.rule, error.message) from error
+        self._arm.settle()
+
+    def _move_joints(self, mover: JointMover, arguments: MoveJoints) -> None:
+        mover.check(arguments)
+        try:
+            request, _ = mover.request(arguments, self._arm.joints(), self._context)
+        except RefusedError as error:
+            _refuse(error)
+        self._play(request.messages[0])
+
+    def _trajectory(self, handler: Publishing, arguments: Publish) -> None:
+        exposed = handler.targets.of(arguments.robot)
+        if exposed.namespace != self._exposed.namespace:
+            raise NotReadyError("Only trajectories of this server's own arm can be previewed.")
+        self._play(encode_step(exposed, arguments.message, 0.0).message)
+
+    def _play(self, message: Any) -> None:
+        """A joint trajectory: judged as the gate does, then played."""
+        joints = self._arm.joints()
+        limits = joint_space.JointLimit.by_joint(self._profile, self._rules)
+        try:
+            legs = check_joints(limits, list(joint_commands(message)), joints)
+            self._paths.check(legs, joints)
+        except RefusedError as error:
+            error.rule = error.rule or "joints"
+            _refuse(error)
+        if not self._arm.play(legs):
+            reason = "The joints do not come to the end of the way."
+            raise EndedError("blocked" if self._twin.moved() else "stopped", "path", reason)
+
+    def _move_to(self, arguments: MoveToArguments) -> None:
+        tasks = self._host.features.loaded["tasks"]
+        mover = Mover(
+            self._host, Places(self._host, tasks.options), self._pose_now, self._call_by_name
+        )
+        asyncio.run(_go(mover, arguments.name, cast("CallContext", _Inline(self._context))))
+
+    def _run_task(self, handler: TaskTool, arguments: RunTask) -> None:
+        """The task's own rules; what is done after its end is not looked at."""
+        judge, plan = handler.rehearsal(arguments, self._profile)
+        end = run_in_twin(self._host, self._arm, self._twin, self._profile, judge, plan)
+        if end.outcome != "succeeded":
+            outcome: Outcome = "unclear" if end.outcome == "unclear" else "stopped"
+            raise EndedError(outcome, end.outcome.value, f"{end.reason.rstrip('.')}.")
+
+    async def _call_by_name(
+        self, name: str, arguments: Mapping[str, object], _: CallContext
+    ) -> dict[str, Any]:
+        tool = self._host.tools.get(name)
+        if tool is None:
+            raise NotReadyError(
+                f"There is no tool {name} now.", hint="It comes with rn-tools-arm and an arm."
+            )
+        began_s = self._arm.passed_s
+        self.call(tool, tool.parsed(arguments))
+        return {"duration_s": self._arm.passed_s - began_s, "error": 0.0}
+
+    def _pose_now(self, arm: str) -> tuple[F64, F64]:
+        names = [part.name for part in self._profile.each_arm]
+        pose = self._arm.poses()[names.index(arm)]
+        return np.array(pose.position_m), matrix_from_quaternion(pose.quaternion_xyzw)
+
+
+async def _go(mover: Mover, name: str, context: CallContext) -> None:
+    await mover(name, context)
+
+
+def arm_endpoint(host: Host) -> ExposedEndpoint:
+    """An endpoint of the present arm. Raises NotReadyError."""
+    found = next(
+        (
+            one
+            for one in host.gate.exposed
+            if one.robot == host.config.robot.name
+            and one.profile is not None
+            and one.profile.tcp_link
+        ),
+        None,
+    )
+    if found is None:
+        raise NotReadyError("There is no arm here whose motion could be previewed.")
+    return found
+
+
+def paths_of(host: Host) -> ArmPaths:
+    """Controller and limits in force, as the gate has them."""
+    return ArmPaths(host.loop.base, lambda: host.registry, lambda: host.loop.limits)
+
+
+def _refuse(error: RefusedError) -> NoReturn:
+    raise EndedError("refused", error.rule, str(error)) from error

@@ -1,0 +1,126 @@
+"""Previews of a served FR3: nothing is published for them, and what they promise then happens."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import anyio
+import numpy as np
+import pytest
+from mcp import Client, StdioServerParameters
+
+from rn_testing.waiting import wait_until
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(300)]
+CONFIG = """
+[robot]
+name = "fr3"
+[perception]
+source = "fr3-sim-camera"
+[inference]
+backend = "servo"
+[control]
+controller = "urdf"
+[[limits.zones]]
+name = "person"
+lower_m = [0.22, 0.12, 0.0]
+upper_m = [0.40, 0.30, 0.7]
+[supervisor]
+state_directory = "{state}"
+"""
+LISTENER = """
+import rclpy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
+
+rclpy.init()
+node = rclpy.create_node("listener", namespace="fr3")
+for kind, topic in (
+    (JointTrajectory, "joint_trajectory"),
+    (JointState, "joint_command"),
+    (Float64MultiArray, "action"),
+):
+    node.create_subscription(kind, topic, lambda _, topic=topic: print(topic, flush=True), 10)
+print("up", flush=True)
+rclpy.spin(node)
+"""
+NEAR_M = 0.004
+"""Two millimetres each for where move_ee ends, in the twin and in the cell."""
+
+
+@pytest.fixture
+def heard(tmp_path: Path, environment: dict[str, str]) -> Iterator[Path]:
+    """A file with a line for each message that could move the arm."""
+    path = tmp_path / "heard.txt"
+    with path.open("w") as out:
+        process = subprocess.Popen([sys.executable, "-c", LISTENER], stdout=out, env=environment)
+    try:
+        wait_until(lambda: path.read_text().startswith("up"), 60.0)
+        yield path
+    finally:
+        process.kill()
+        process.wait(10)
+
+
+def test_previews_publish_nothing_and_come_true(
+    tmp_path: Path, environment: dict[str, str], heard: Path
+) -> None:
+    config = tmp_path / "roboneuron.toml"
+    config.write_text(CONFIG.format(state=tmp_path / "state"))
+    command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
+
+    def lines() -> int:
+        return len(heard.read_text().splitlines())
+
+    async def scenario() -> None:
+        server = StdioServerParameters(command=sys.executable, args=command, env=environment)
+        async with Client(server, read_timeout_seconds=90.0) as client:
+
+            async def do(tool: str, **arguments: Any) -> dict[str, Any]:
+                answer = await client.call_tool(tool, arguments)
+                assert not answer.is_error, answer.content
+                result: dict[str, Any] = answer.structured_content
+                return result
+
+            async def joints() -> Any:
+                state = (await do("read_joint_states"))["messages"][0]
+                return np.array(state["position"][:7])
+
+            await do("start_robot")
+            await do("start_control")
+            turn = {"positions": {"fr3_joint1": -0.3}}
+            await do("move_joints", **turn, preview=True)  # what the start has sent is heard now
+            before, start = lines(), await joints()
+            reach = {"dx_m": 0.06, "dy_m": -0.05, "dz_m": -0.1}
+            promise = await do("move_ee", **reach, preview=True)
+            assert promise["outcome"] == "reached"
+            assert promise["now"] == ""
+            stopped = await do("move_ee", dy_m=0.45, preview=True)
+            assert (stopped["outcome"], stopped["rule"]) == ("stopped", "zone")
+            turned = await do("move_joints", **turn, preview=True)
+            assert turned["outcome"] == "reached"
+            assert np.abs(await joints() - start).max() < 1e-3
+            assert lines() == before
+
+            moved = await do("move_ee", **reach)
+            assert np.linalg.norm(np.subtract(moved["position_m"], promise["position_m"])) < NEAR_M
+            assert lines() > before
+            refused = await client.call_tool("move_ee", {"dy_m": 0.45})
+            assert refused.is_error
+            assert "would enter 'person'" in refused.content[0].text  # type: ignore[union-attr]
+
+            await do("emergency_stop", reason="a test")
+            await do("move_joints", **turn, preview=True)  # as is the hold of the stop
+            still, start = lines(), await joints()
+            looked = await do("move_joints", **turn, preview=True)
+            assert "mergency stop" in looked["now"]
+            assert np.abs(await joints() - start).max() < 1e-3
+            assert lines() == still
+            await do("stop_all")
+
+    anyio.run(scenario)

@@ -1,0 +1,293 @@
+"""A preview sends nothing, whoever asks for it and whatever forbids motion; and it says what the
+real limits would do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import anyio
+import numpy as np
+import pytest
+from mcp import Client
+
+from rn_robot_fr3.profile import HOME_RAD
+from rn_robot_fr3.scene import random_cubes
+from rn_robot_fr3.world import JOINTS
+from rn_simulation.scene_state import SceneState, at_rest, to_message
+from rn_standard.http.feature import HttpFeature
+from rn_standard.preview import feature as feature_module
+from rn_standard.preview.feature import PreviewFeature
+from rn_standard.preview.task import policy_of
+from roboneuron.config import parse_config
+from roboneuron.config.reading import default_text
+from roboneuron.contract import JointSample
+from roboneuron.errors import RefusedError
+from roboneuron.plugins.discovery import discover
+from roboneuron.server import surface
+from roboneuron.server.app import Application
+from roboneuron.server.host import Host
+from roboneuron.server.tool import LOCAL_AGENT
+
+CELL = """
+[http]
+lease_s = 60.0
+[places.front]
+position_m = [0.45, 0.0, 0.3]
+[limits]
+obstacles = [{ name = "lamp", lower_m = [0.25, -0.35, 0.02], upper_m = [0.35, -0.25, 0.8] }]
+[[limits.zones]]
+name = "person"
+lower_m = [0.22, 0.12, 0.0]
+upper_m = [0.40, 0.30, 0.7]
+"""
+HOME = JointSample(names=JOINTS, position=np.array([*HOME_RAD, 0.04, 0.04]), stamp_ns=1)
+TRAJECTORY = {
+    "joint_names": ["fr3_joint1"],
+    "points": [
+        {"positions": [0.1], "time_from_start": 1.0},
+        {"positions": [0.0], "time_from_start": 2.0},
+    ],
+}
+SENDS = ("play", "publish", "publish_now", "send_request", "send_goal", "claim")
+
+
+@pytest.fixture(scope="module")
+def application() -> Iterator[Application]:
+    made = Application(parse_config(default_text() + CELL, registry=discover()))
+    gate: Any = made.host.gate
+    gate.joints = lambda exposed, timeout_s: HOME
+    gate.newest_joints = lambda exposed: HOME
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def sent(application: Application, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What was asked of the gate that could move the arm."""
+    asked: list[str] = []
+
+    def note(name: str) -> Any:
+        def refuse(*_: object, **__: object) -> None:
+            asked.append(name)
+            raise AssertionError(name)
+
+        return refuse
+
+    for name in SENDS:
+        monkeypatch.setattr(application.host.gate, name, note(name))
+    return asked
+
+
+def call(application: Application, tool: str, **arguments: Any) -> Any:
+    async def ask() -> Any:
+        async with Client(application.server) as client:
+            return await client.call_tool(tool, arguments)
+
+    return anyio.run(ask)
+
+
+def previewed(application: Application, tool: str, **arguments: Any) -> Mapping[str, Any]:
+    answer = call(application, tool, preview=True, **arguments)
+    assert not answer.is_error, answer.content
+    assert [part.type for part in answer.content] == ["text", "image"]
+    assert answer.content[1].mime_type == "image/png"
+    result: Mapping[str, Any] = answer.structured_content
+    return result
+
+
+@pytest.mark.parametrize(
+    ("tool", "arguments", "outcome", "rule"),
+    [
+        ("move_ee", {"dx_m": 0.05, "dz_m": -0.1}, "reached", ""),
+        ("move_ee", {"dy_m": 0.45}, "stopped", "zone"),
+        ("move_ee", {"dz_m": -0.5}, "stopped", "outside_workspace"),
+        ("move_ee", {"dx_m": 0.3, "duration_s": 0.2}, "refused", "speed"),
+        ("move_joints", {"positions": {"fr3_joint1": 0.2}}, "reached", ""),
+        ("move_joints", {"positions": {"fr3_joint1": -0.6}}, "refused", "collision"),
+        ("move_joints", {"positions": {"fr3_joint1": 0.2}, "duration_s": 0.1}, "refused", "joints"),
+        ("move_to", {"name": "home"}, "reached", ""),
+        ("move_to", {"name": "front"}, "reached", ""),
+        ("publish_joint_trajectory", {"message": TRAJECTORY}, "reached", ""),
+    ],
+)
+def test_a_preview_tells_the_outcome_and_sends_nothing(
+    application: Application,
+    sent: list[str],
+    tool: str,
+    arguments: dict[str, Any],
+    outcome: str,
+    rule: str,
+) -> None:
+    told = previewed(application, tool, **arguments)
+    assert (told["outcome"], told["rule"]) == (outcome, rule)
+    assert bool(told["reason"]) is (outcome != "reached")
+    assert {near["to"] for near in told["nearest"]} >= {"lamp", "itself", "zone person"}
+    assert sent == []
+    if tool == "move_to" and arguments["name"] == "front":
+        assert np.linalg.norm(np.array(told["position_m"]) - [0.45, 0.0, 0.3]) < 0.004
+
+
+def test_a_latched_stop_keeps_nobody_from_looking(
+    application: Application, sent: list[str]
+) -> None:
+    latch = application.loop.emergency_stop
+    latch.file.press(who="ann", reason="a test")
+    try:
+        told = previewed(application, "move_joints", positions={"fr3_joint1": 0.2})
+        assert told["outcome"] == "reached"
+        assert "mergency stop" in told["now"]
+        assert latch.is_latched()
+    finally:
+        latch.file.reset(who="ann", role="admin", audit=application.host.audit)
+    assert sent == []
+
+
+def test_a_viewer_looks_while_another_operates_and_touches_no_lease(
+    application: Application, sent: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lease = application.host.feature("http", HttpFeature).lease
+    assert lease is not None
+    lease.take_over("ann", "operator")
+    renewed_s = lease._renewed_s
+    viewer = replace(LOCAL_AGENT, who="eve", role="viewer")
+    monkeypatch.setattr(surface, "holder_of", lambda request: viewer)
+    told = previewed(application, "move_joints", positions={"fr3_joint1": 0.2})
+    assert told["outcome"] == "reached"
+    assert "role" in told["now"]
+    assert (lease._operator, lease._renewed_s) == ("ann", renewed_s)
+    refused = call(application, "move_joints", positions={"fr3_joint1": 0.2})
+    assert refused.meta["roboneuron/error"]["rule"] == "role"
+    assert sent == []
+    lease.release("ann")
+
+
+def told_scene() -> Any:
+    cubes = random_cubes(3, ("red", "green", "blue", "yellow"))
+    return to_message(
+        SceneState(
+            robot="fr3",
+            engine="pybullet",
+            seed=3,
+            cubes=tuple((cube.name, cube.edge_m) for cube in cubes),
+            joints=HOME.position,
+            cube_poses=at_rest(cubes),
+            stamp_ns=1,
+        )
+    )
+
+
+@pytest.mark.parametrize(
+    ("colour", "outcome", "rule", "said", "moved"),
+    [
+        ("red", "reached", "", "", ["red cube"]),
+        ("purple", "stopped", "failed", "No purple cube is visible", []),
+    ],
+)
+def test_a_task_is_carried_out_in_the_twin(
+    application: Application,
+    sent: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    colour: str,
+    outcome: str,
+    rule: str,
+    said: str,
+    moved: list[str],
+) -> None:
+    monkeypatch.setattr(feature_module, "scene_of", lambda host, twin: told_scene())
+    holds = {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85}
+    high = {"kind": "tcp_in", "lower_m": [0.2, -0.5, 0.15], "upper_m": [0.8, 0.5, 0.4]}
+    until = {"kind": "all", "of": [holds, high]}
+    instruction = f"pick up the {colour} cube"
+    told = previewed(application, "run_task", instruction=instruction, until=until)
+    assert (told["outcome"], told["rule"], told["collides_with"]) == (outcome, rule, moved)
+    assert said in told["reason"]
+    assert sent == []
+
+
+def test_a_task_in_a_cell_that_is_not_known_is_refused(application: Application) -> None:
+    answer = call(application, "run_task", instruction="pick up the red cube", preview=True)
+    assert answer.meta["roboneuron/error"]["rule"] == "preview"
+    assert "move_ee" in answer.content[0].text
+
+
+def test_a_task_of_a_policy_with_a_model_is_refused(application: Application) -> None:
+    host = application.host
+    inference = host.config.inference
+    assert inference is not None
+    config = host.config.model_copy(
+        update={"inference": inference.model_copy(update={"backend": "oft"})}
+    )
+    view = SimpleNamespace(plan=SimpleNamespace(config=config))
+    modules = SimpleNamespace(view=lambda kind: view)
+    with pytest.raises(RefusedError, match="'oft' cannot be previewed") as refused:
+        policy_of(cast("Host", SimpleNamespace(modules=modules, registry=host.registry)))
+    assert refused.value.rule == "preview"
+
+
+def test_a_preview_that_takes_too_long_says_so(
+    application: Application, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    feature = application.host.feature("preview", PreviewFeature)
+    options = feature.options.model_copy(update={"limit_s": 1e-3})
+    monkeypatch.setattr(feature, "options", options)
+    told = previewed(application, "move_ee", dx_m=0.05)
+    assert told["outcome"] == "unclear"
+    assert "longer than 0.001 s" in told["reason"]
+
+
+def test_a_twin_that_dies_ends_one_preview_and_not_the_server(
+    application: Application, sent: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    feature = application.host.feature("preview", PreviewFeature)
+    turn = {"positions": {"fr3_joint1": 0.2}}
+    previewed(application, "move_joints", **turn)
+    first = feature._process
+    assert first is not None
+
+    def die(duration_s: float) -> None:
+        first._process.kill()
+        first._process.wait(10)
+        type(first).advance(first, duration_s)
+
+    monkeypatch.setattr(first, "advance", die)
+    answer = call(application, "move_joints", **turn, preview=True)
+    assert answer.is_error
+    assert "twin of the cell has ended" in answer.content[0].text
+    assert previewed(application, "move_joints", **turn)["outcome"] == "reached"
+    second = feature._process
+    assert second is not None
+    assert second is not first
+    feature.close()
+    assert not second.is_alive
+    assert sent == []
+
+
+@pytest.mark.parametrize(
+    ("tool", "arguments"),
+    [
+        ("move_ee", {"dx_m": 0.05}),
+        ("move_joints", {"positions": {"fr3_joint1": 0.2}}),
+        ("move_to", {"name": "home"}),
+        ("run_task", {"instruction": "pick up the red cube"}),
+        ("publish_joint_trajectory", {"message": TRAJECTORY}),
+    ],
+)
+def test_without_the_feature_a_call_with_preview_is_refused_and_never_carried_out(
+    application: Application,
+    sent: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    tool: str,
+    arguments: dict[str, Any],
+) -> None:
+    middleware = application.server.middleware
+    own = [one for one in middleware if type(one).__name__ != "PreviewCalls"]
+    assert len(own) == len(middleware) - 1
+    monkeypatch.setattr(application.server, "middleware", own)
+    answer = call(application, tool, preview=True, **arguments)
+    assert answer.is_error
+    assert answer.meta["roboneuron/error"]["rule"] == "preview"
+    assert sent == []
