@@ -32,7 +32,7 @@ from rn_standard.console.client import spawned_server
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenTable
 from rn_testing.domain import free_ros_domain
-from rn_view.access import Admission, host_rules
+from rn_view.access import ViewAccess, host_rules
 from rn_view.options import ViewOptions
 from rn_view.viewer import Viewer
 from rn_view_recorded.source import RecordedSource
@@ -172,7 +172,7 @@ async def recorded(folder: Path, state: Path, browser: Browser) -> None:
     viewer = Viewer(
         options,
         source,
-        Admission(tokens=TokenTable([]), rules=host_rules(options, HttpOptions())),
+        ViewAccess(tokens=TokenTable([]), rules=host_rules(options, HttpOptions())),
         None,
     )
     viewer.open()

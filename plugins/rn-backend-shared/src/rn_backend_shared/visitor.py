@@ -37,7 +37,7 @@ _GRACE_S = 0.1
 """So much later than its deadline an answer of the model is passed on, for the robot to count."""
 
 
-class Admission(Protocol):
+class VisitorServer(Protocol):
     """The server that a visitor asks."""
 
     def admit(self, visitor: Visitor, hello: Document) -> Replicas:
@@ -87,7 +87,7 @@ class Visitor:
 
     def __init__(
         self,
-        server: Admission,
+        server: VisitorServer,
         guard: Guard,
         connected: socket.socket,
         address: str,

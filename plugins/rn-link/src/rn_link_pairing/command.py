@@ -145,10 +145,10 @@ def _join(folder: Path, arguments: Namespace) -> None:
 
 
 def _add(folder: Path, arguments: Namespace) -> None:
-    from rn_link_pairing.pairing import PAIRING_S, Admission, new_code, open_listener  # heavy
+    from rn_link_pairing.pairing import PAIRING_S, PairingHub, new_code, open_listener  # heavy
 
     address = None if arguments.address is None else check_address(arguments.address)
-    admission = Admission(
+    admission = PairingHub(
         folder, arguments.name, address=address, days=arguments.days, notify=_complain
     )
     code = new_code()

@@ -16,7 +16,7 @@ _ANY_ADDRESS = ("0.0.0.0", "::", "")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Admission:
+class ViewAccess:
     """Who may look, and as whom.
 
     Attributes:

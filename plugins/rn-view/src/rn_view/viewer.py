@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed
 
 from rn_standard.http.addresses import bind
 from rn_standard.http.listener import BoundedListener, other_bounds
-from rn_view.access import Admission
+from rn_view.access import ViewAccess
 from rn_view.lead import RENEWED_S, Lead
 from rn_view.lead_socket import LeadSeats
 from rn_view.measured import MeasuredTopics
@@ -63,7 +63,7 @@ class Viewer:
         self,
         options: ViewOptions,
         source: Source | Mapping[str, Source],
-        admission: Admission,
+        admission: ViewAccess,
         operator: Operator | None,
     ) -> None:
         self._options = options

@@ -54,7 +54,7 @@ class ViewCommand:
 
         from rn_standard.http.options import HttpOptions
         from rn_standard.http.tokens import TokenFiles
-        from rn_view.access import Admission, host_rules
+        from rn_view.access import ViewAccess, host_rules
         from rn_view.options import ViewOptions
         from rn_view.plugin import FEATURE
         from rn_view.viewer import Viewer
@@ -72,7 +72,7 @@ class ViewCommand:
             if getattr(arguments, name) is not None
         }
         options = ViewOptions.model_validate({**options.model_dump(), **given})
-        admission = Admission(
+        admission = ViewAccess(
             tokens=TokenFiles(http.tokens, os.environ), rules=host_rules(options, http)
         )
         source, graph = _sources(arguments, robots, discover(config.disabled_plugins))
