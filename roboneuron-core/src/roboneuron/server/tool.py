@@ -73,7 +73,7 @@ class Reply:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Answer:
+class ToolOutput:
     """What a client gets: JSON-able values that fit the tool's output schema, and pictures beside
     them.
     """
@@ -242,12 +242,12 @@ class Tool(Generic[A]):
         """The arguments of a call as the model. Raises InvalidInputError: they do not fit."""
         return parse(self.arguments, arguments, self._choices())
 
-    async def call(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
+    async def call(self, arguments: Mapping[str, Any], context: CallContext) -> ToolOutput:
         """Check the arguments and do it. Raises as `parsed`, and what the handler raises."""
         outcome = await self.handler(self.parsed(arguments), context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
         is_sparse = isinstance(self.result, Shape) or self.result.sparse
-        return Answer(
+        return ToolOutput(
             structured=reply.result.model_dump(mode="json", exclude_unset=is_sparse),
             pictures=reply.pictures,
         )
