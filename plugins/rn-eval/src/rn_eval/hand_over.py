@@ -10,7 +10,7 @@ from pydantic import Field
 
 from rn_eval.cubes import Cubes, CubesOptions, CubesScene
 from rn_eval.suite import Episode, Judgement, Setup
-from rn_robot_fr3.cell import PAIR, Cell
+from rn_robot_fr3.cell import PAIR, Workcell
 
 
 class HandOverOptions(CubesOptions):
@@ -44,7 +44,7 @@ class HandOver(Cubes):
 class HandOverScene(CubesScene):
     """One open scene; follows the protocol `Scene`."""
 
-    cell: ClassVar[Cell] = PAIR
+    cell: ClassVar[Workcell] = PAIR
 
     def judge(self) -> Judgement:
         """Success: another arm than the one that lifted the named cube has held it alone for long

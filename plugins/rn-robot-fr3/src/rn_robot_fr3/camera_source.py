@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from rn_robot_fr3.cameras import cell_cameras
-from rn_robot_fr3.cell import CELLS, FR3, PAIR, Cell
+from rn_robot_fr3.cell import CELLS, FR3, PAIR, Workcell
 from rn_robot_fr3.world import build_world
 from rn_simulation.arm_cameras import SimulatedArmCameras
 from rn_simulation.arm_world import ArmWorld
@@ -22,7 +22,7 @@ class SimulatedCameras(SimulatedArmCameras):
         cell: whose cameras they are.
     """
 
-    cell: ClassVar[Cell] = FR3
+    cell: ClassVar[Workcell] = FR3
     robot = FR3.robot
 
     def known(self) -> Sequence[PinholeCamera]:
@@ -41,5 +41,5 @@ class SimulatedCameras(SimulatedArmCameras):
 class SimulatedPairCameras(SimulatedCameras):
     """The cameras of two simulated FR3s."""
 
-    cell: ClassVar[Cell] = PAIR
+    cell: ClassVar[Workcell] = PAIR
     robot = PAIR.robot
