@@ -15,7 +15,7 @@ from rn_simulation.pinhole import PinholeCamera
 from rn_simulation.scene_state import SceneState
 
 
-class SimulatedCameras(SimulatedArmCameras):
+class SimulatedFr3Cameras(SimulatedArmCameras):
     """Front and wrist camera of the simulated FR3.
 
     Attributes:
@@ -38,7 +38,7 @@ class SimulatedCameras(SimulatedArmCameras):
         return build_world(state.engine, cubes, cell=CELLS[state.robot])
 
 
-class SimulatedPairCameras(SimulatedCameras):
+class SimulatedPairCameras(SimulatedFr3Cameras):
     """The cameras of two simulated FR3s."""
 
     cell: ClassVar[Workcell] = PAIR
