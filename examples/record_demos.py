@@ -27,7 +27,7 @@ from rn_recorder_runs.files import Record, RunFile, write_json
 from rn_recorder_runs.images import to_string
 from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.predictions import prediction_record
-from rn_recorder_runs.store import RUN_FILE, Store
+from rn_recorder_runs.store import RUN_FILE, RunStore
 from roboneuron import ActionChunk, Observation, __version__
 from roboneuron.config import load_config
 from roboneuron.plugins.discovery import discover
@@ -41,7 +41,7 @@ NAMESPACE = "/fr3"
 class Tape:
     """The run that is being written: one file of messages as ROS would carry them."""
 
-    def __init__(self, store: Store, about: dict[str, str]) -> None:
+    def __init__(self, store: RunStore, about: dict[str, str]) -> None:
         self._store, self._about = store, about
         self._file: RunFile | None = None
         self._sequences: dict[str, int] = {}
@@ -231,7 +231,7 @@ def main() -> int:
         first_seed=arguments.seed,
         strips="none",
     )
-    store = Store(arguments.out / "runs")
+    store = RunStore(arguments.out / "runs")
     store.make()
     sections = {
         k: v for k, v in plan.config.items() if k in ("robot", "inference", "control", "limits")

@@ -22,7 +22,7 @@ from rn_recorder_runs.settings import (
     RulesSettings,
     spawn_recorder,
 )
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 from roboneuron import (
     ConfigurationError,
     Feature,
@@ -88,7 +88,7 @@ class Recorder(Feature[RecorderOptions]):
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
         """start_recording, stop_recording and list_recordings."""
         self._host = host
-        self._store = Store(runs_directory(self.options, host.state_directory))
+        self._store = RunStore(runs_directory(self.options, host.state_directory))
         self._restarting = threading.Lock()
         self._namespace = host.config.namespace
         self._process = self._make()

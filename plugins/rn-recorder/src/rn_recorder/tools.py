@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from rn_recorder.process import RecorderProcess
-from rn_recorder_runs.store import Run, Store
+from rn_recorder_runs.store import Run, RunStore
 from roboneuron import (
     Arguments,
     CallContext,
@@ -138,7 +138,7 @@ class RecordingEnds:
 
 
 def recording_tools(
-    store: Store,
+    store: RunStore,
     process: Callable[[], RecorderProcess | None],
     is_enabled: bool,
     ends: RecordingEnds,
