@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_eval.plan import EvalPlan
-from rn_eval.policy import Policy, load_backend
+from rn_eval.policy import EpisodePolicy, load_backend
 from rn_eval.runner import Runner
 from rn_eval.suite import Episode, Scene, Setup, Suite
 from rn_recorder.feature import CONTRACT
@@ -175,7 +175,7 @@ class TapedSuite:
 class TapedPolicy:
     """A policy whose answers go to the tape."""
 
-    def __init__(self, policy: Policy, tape: Tape) -> None:
+    def __init__(self, policy: EpisodePolicy, tape: Tape) -> None:
         self._policy, self._tape = policy, tape
         self._resets = True
         self.close = policy.close

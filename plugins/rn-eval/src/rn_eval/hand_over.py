@@ -13,7 +13,7 @@ from rn_eval.suite import Episode, Judgement, Setup
 from rn_robot_fr3.cell import PAIR, Workcell
 
 
-class HandOverOptions(CubesOptions):
+class HandOverSuiteOptions(CubesOptions):
     """Options of the suite `hand-over`, given as `--suite-option NAME=VALUE`."""
 
     wordings: Literal["plain"] = Field(default="plain", description="one sentence")
@@ -31,8 +31,8 @@ class HandOver(Cubes):
     phrase: ClassVar[str] = "hand over the {colour} cube"
     verb: ClassVar[str] = "hand-over"
 
-    def __init__(self, config: HandOverOptions | None) -> None:
-        super().__init__(config or HandOverOptions())
+    def __init__(self, config: HandOverSuiteOptions | None) -> None:
+        super().__init__(config or HandOverSuiteOptions())
 
     def open(self, episode: Episode, setup: Setup) -> HandOverScene:
         """Build the world and put the cubes where the seed says."""
