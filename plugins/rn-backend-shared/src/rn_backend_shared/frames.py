@@ -49,7 +49,7 @@ class VersionError(FrameError):
         self.version = version
 
 
-class Kind(IntEnum):
+class FrameKind(IntEnum):
     """What a frame is."""
 
     HELLO = 1
@@ -78,7 +78,7 @@ class Header(NamedTuple):
         array_bytes: of the arrays behind it.
     """
 
-    kind: Kind
+    kind: FrameKind
     number: int = 0
     clock_ns: int = 0
     left_s: float = 0.0
@@ -122,9 +122,9 @@ def read_header(data: bytes | bytearray) -> Header:
         raise VersionError(version)
     if document > MOST_DOCUMENT_BYTES or arrays > MOST_ARRAY_BYTES:
         raise FrameError(f"a frame of {document} and {arrays} bytes is more than allowed")
-    if reserved or kind not in Kind.__members__.values() or left_us > MOST_LEFT_S * _MICRO:
+    if reserved or kind not in FrameKind.__members__.values() or left_us > MOST_LEFT_S * _MICRO:
         raise FrameError("the header of a frame is damaged")
-    return Header(Kind(kind), number, clock_ns, left_us / _MICRO, document, arrays)
+    return Header(FrameKind(kind), number, clock_ns, left_us / _MICRO, document, arrays)
 
 
 def encode(header: Header, document: Mapping[str, object]) -> list[bytes | memoryview]:
