@@ -35,10 +35,10 @@ def learnt_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[
     from rn_interfaces.finder import PREFIXES
     from rn_interfaces.learning import learn
     from rn_interfaces.sources import definitions
-    from rn_interfaces.store import Store
+    from rn_interfaces.store import DefinitionStore
 
     monkeypatch.setenv(PREFIXES, sys.prefix)
-    store = Store(tmp_path / "data" / "roboneuron" / "interfaces")
+    store = DefinitionStore(tmp_path / "data" / "roboneuron" / "interfaces")
     assert not learn(store, definitions(ROOT / "examples" / "ros")).refused
     environment = {
         **os.environ,

@@ -15,7 +15,7 @@ from rn_controller_urdf.controller import UrdfController
 from rn_interfaces.finder import PREFIXES, install
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 from rn_robot_fr3.limits import ARM_JOINTS
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_standard.direct_path.fields import filled, load_type
@@ -58,7 +58,7 @@ def _learnt(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         patch.setenv(PREFIXES, sys.prefix)
         patch.setattr(sys, "meta_path", list(sys.meta_path))
         install()
-        assert not learn(Store(), definitions(EXAMPLES / "ros")).refused
+        assert not learn(DefinitionStore(), definitions(EXAMPLES / "ros")).refused
         yield
 
 

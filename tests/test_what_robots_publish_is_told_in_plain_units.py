@@ -19,7 +19,7 @@ import pytest
 from rn_interfaces.finder import PREFIXES, install
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 from rn_standard.direct_path.fields import filled, load_type
 from rn_standard.tools_ros.battery import battery_of
 from rn_standard.tools_ros.detections import GetDetections, detections_of
@@ -77,7 +77,7 @@ def user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
         patch.setenv(PREFIXES, sys.prefix)
         patch.setattr(sys, "meta_path", list(sys.meta_path))
         install()
-        assert not learn(Store(), definitions(EXAMPLES / "ros")).refused
+        assert not learn(DefinitionStore(), definitions(EXAMPLES / "ros")).refused
         environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
         environment.pop(PREFIXES)
         yield environment

@@ -15,7 +15,7 @@ from made_packages import WELD, write_package
 from rn_interfaces.finder import PREFIXES, install
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 
 
 @pytest.fixture(scope="package")
@@ -32,9 +32,9 @@ def user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.fixture(scope="package")
-def store(user: Path) -> Store:
+def store(user: Path) -> DefinitionStore:
     """That of the user, who has learnt `weld_msgs`."""
-    found = Store()
+    found = DefinitionStore()
     learnt = learn(found, definitions(write_package(user / "src", "weld_msgs", WELD)))
     assert not learnt.refused
     return found
