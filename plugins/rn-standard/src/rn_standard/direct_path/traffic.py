@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from rn_standard.direct_path.fields import load_type
-from rn_standard.direct_path.peers import NodeGraph, check_server
+from rn_standard.direct_path.peers import NodeDdsGraph, check_server
 from roboneuron import InvalidInputError, JointSample
 from roboneuron.feature import ExposedEndpoint, topics
 
@@ -89,7 +89,7 @@ class Traffic:
         `peers.check_server`.
         """
         endpoint = exposed.endpoint
-        graph = NodeGraph(self.link().node)
+        graph = NodeDdsGraph(self.link().node)
         check_server(endpoint.kind, exposed.topic, endpoint.type, graph)
 
     def action_client(self, exposed: ExposedEndpoint) -> Any:

@@ -56,7 +56,7 @@ class PolicyState:
     led: str = ""
 
 
-class Cell(Protocol):
+class TaskRobot(Protocol):
     """The robot of one task, as the task sees it. Used from one thread."""
 
     def now_s(self) -> float:
@@ -174,7 +174,11 @@ class Task:
     """
 
     def __init__(
-        self, cell: Cell, judge: PredicateJudge | None, plan: TaskPlan, tell: Callable[[str], None]
+        self,
+        cell: TaskRobot,
+        judge: PredicateJudge | None,
+        plan: TaskPlan,
+        tell: Callable[[str], None],
     ) -> None:
         self._cell = cell
         self._judge = judge

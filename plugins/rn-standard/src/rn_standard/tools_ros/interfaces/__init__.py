@@ -9,9 +9,9 @@ from __future__ import annotations
 from rn_standard.tools_ros.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
 from rn_standard.tools_ros.interfaces.description import (
     Array,
-    Field,
     FieldChoice,
     FieldType,
+    MessageField,
     MessageType,
     Nested,
     Plain,

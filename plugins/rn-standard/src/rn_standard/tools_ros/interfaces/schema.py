@@ -14,8 +14,8 @@ from typing import Any
 from rn_standard.tools_ros.interfaces.description import (
     FLOAT32_MAX,
     Array,
-    Field,
     FieldType,
+    MessageField,
     MessageType,
     Nested,
     Scalar,
@@ -75,7 +75,7 @@ class _Writer:
         schema["additionalProperties"] = False
         return schema
 
-    def _field(self, field: Field) -> Schema:
+    def _field(self, field: MessageField) -> Schema:
         schema = self._type(field.type)
         if field.choices:
             schema = {
@@ -154,7 +154,7 @@ def _scalar(scalar: Scalar) -> Schema:
     )
 
 
-def field_text(field: Field) -> str:
+def field_text(field: MessageField) -> str:
     """One line about a field: comment, unit, and for nested messages without a comment what they
     are.
     """
