@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_view.lead import Lead
+from rn_view.lead import PageLead
 from rn_view.measured import MeasuredTopics
 from rn_view.page import Page
 from rn_view.plots import History
@@ -47,7 +47,7 @@ class Showing:
         self._lock = threading.RLock()
         self._pages: list[Page] = []
         self._profile: RobotProfile | None = None
-        self._lead: Lead | None = None
+        self._lead: PageLead | None = None
         self._place: tuple[str, str] = ("", "")
         self._history = History()
         self._shown: dict[str, tuple[int, float, float]] = {}
@@ -108,7 +108,7 @@ class Showing:
 
     def _start_looking(self) -> None:
         self._profile = self.source.profile()
-        self._lead = Lead(self._profile)
+        self._lead = PageLead(self._profile)
         config = self.source.config()
         self._place = (config.robot.name, config.namespace)
         measured = MeasuredTopics(self.source, self._profile)
