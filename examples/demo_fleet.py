@@ -344,9 +344,8 @@ async def play(seed: int, colours: Mapping[str, str], output: Path, console: Con
         async with spawned_server(["--config", str(path)], log) as client:
             demo = Demo(DemoAgent(client), screen, colours)
             with screen.step("connect to the MCP server") as told:
-                told.append(
-                    f"{len(await Agent(client).tools())} typed tools for {len(demo.works)} robots"
-                )
+                tools = await DemoAgent(client).tools()
+                told.append(f"{len(tools)} typed tools for {len(demo.works)} robots")
             try:
                 begun_s = time.monotonic()
                 with screen.step("start two arms and a base") as told:

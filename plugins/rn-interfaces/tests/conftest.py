@@ -25,7 +25,7 @@ def user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_DATA_HOME", str(folder / "data"))
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-        patch.setenv(PREFIXES, f"{sys.prefix}:{Store().prefix}")
+        patch.setenv(PREFIXES, f"{sys.prefix}:{DefinitionStore().prefix}")
         patch.setattr(sys, "meta_path", list(sys.meta_path))
         install()
         yield folder

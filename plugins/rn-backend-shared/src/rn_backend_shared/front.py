@@ -159,7 +159,7 @@ class PolicyServer:
             log.info("A robot at %s is gone: %s", visitor.address, why)
 
     def note_served(self, model: str, took_s: float) -> None:
-        """See `Admission`."""
+        """See `VisitorServer`."""
         with self._lock:
             self._served[model].note(took_s)
 

@@ -94,7 +94,7 @@ class SourceText(ctypes.Structure):
 
 
 class SourceTexts(ctypes.Structure):
-    """Sequence of Source."""
+    """Sequence of SourceText."""
 
     _fields_ = (
         ("data", ctypes.POINTER(SourceText)),

@@ -89,7 +89,7 @@ class ServerPool:
 
         Raises:
             NotReadyError: no server answered in time.
-            RoboNeuronError: see `Server.generate`.
+            RoboNeuronError: see `SglangServer.generate`.
         """
         failed: list[SglangServer] = []
         error: NotReadyError | None = None

@@ -3,8 +3,8 @@ computation.
 
 The arm differences what it is sent: of the last three positions it knows a velocity and an
 acceleration, and of the next one a jerk. For a cycle without a command it extrapolates with
-constant acceleration, and counts the result as commanded (libfranka, docs/overview.rst). `Arm`
-keeps the same books, `Follower` plans from them.
+constant acceleration, and counts the result as commanded (libfranka, docs/overview.rst).
+`CommandedState` keeps the same books, `Follower` plans from them.
 
 Every course begins on the parabola through the last three positions and has a bounded jerk. So the
 third difference of what is sent is a mean of jerks that are within the limit, whatever was missed

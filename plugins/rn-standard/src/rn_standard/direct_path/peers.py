@@ -66,11 +66,11 @@ class NodeDdsGraph:
         self._node = node
 
     def dds_publishers(self, topic: str) -> Sequence[TopicEndpointInfo]:
-        """See `Graph`."""
+        """See `DdsGraph`."""
         return list(self._node.get_publishers_info_by_topic(topic, True))
 
     def dds_subscriptions(self, topic: str) -> Sequence[TopicEndpointInfo]:
-        """See `Graph`."""
+        """See `DdsGraph`."""
         return list(self._node.get_subscriptions_info_by_topic(topic, True))
 
 

@@ -1,7 +1,7 @@
 """A task: bounded attempts of a policy, each watched until its predicate is true, and ended
 whatever happens.
 
-Nothing here knows of ROS or of threads: the robot is a `Cell`, time is the cell's.
+Nothing here knows of ROS or of threads: the robot is a `TaskRobot`, time is that of the robot.
 """
 
 from __future__ import annotations
