@@ -136,7 +136,7 @@ def encode(header: Header, document: Mapping[str, object]) -> list[bytes | memor
     Raises:
         ValueError: it is larger than allowed, or holds a number that is not finite outside arrays.
     """
-    parts: list[NDArray[Any]] = []
+    parts: list[NDArray[np.generic]] = []
 
     def default(value: object) -> object:
         if not isinstance(value, np.ndarray):
@@ -183,10 +183,10 @@ def _refuse_constant(name: str) -> Never:
     raise FrameError(f"{name} is no number")
 
 
-def _arrays(heads: object, data: memoryview) -> list[NDArray[Any]]:
+def _arrays(heads: object, data: memoryview) -> list[NDArray[np.generic]]:
     if not isinstance(heads, list) or len(heads) > _MOST_ARRAYS:
         raise FrameError("the arrays of a frame are not described")
-    arrays: list[NDArray[Any]] = []
+    arrays: list[NDArray[np.generic]] = []
     offset = 0
     for dtype, shape in heads:
         if (
@@ -207,7 +207,7 @@ def _arrays(heads: object, data: memoryview) -> list[NDArray[Any]]:
     return arrays
 
 
-def _filled(value: object, arrays: list[NDArray[Any]]) -> object:
+def _filled(value: object, arrays: list[NDArray[np.generic]]) -> object:
     if isinstance(value, dict):
         if value.keys() == {_ARRAY}:
             place = value[_ARRAY]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from pydantic import BaseModel, Field
 
@@ -41,10 +40,10 @@ class UnknownTypes(Result):
     how: str = Field(description="how to learn unknown ones; empty when there are none")
 
 
-class Interfaces(Feature[Any]):
+class Interfaces(Feature[None]):
     """One tool; imports of learnt types work without it (`rn_interfaces.finder`)."""
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """The tool."""
 
         async def unknown(arguments: ListUnknownTypes, context: CallContext) -> UnknownTypes:

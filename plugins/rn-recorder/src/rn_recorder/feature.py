@@ -9,7 +9,6 @@ import subprocess
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from rn_recorder.options import RecorderOptions
 from rn_recorder.process import RecorderProcess
@@ -85,7 +84,7 @@ class Recorder(Feature[RecorderOptions]):
                 hint="Name a folder.",
             )
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """start_recording, stop_recording and list_recordings."""
         self._host = host
         self._store = RunStore(runs_directory(self.options, host.state_directory))

@@ -142,7 +142,7 @@ def recording_tools(
     process: Callable[[], RecorderProcess | None],
     is_enabled: bool,
     ends: RecordingEnds,
-) -> list[Tool[Any]]:
+) -> list[Tool]:
     """start_recording, stop_recording and list_recordings."""
 
     def recorder() -> RecorderProcess:
@@ -175,7 +175,7 @@ def recording_tools(
         return StartedRecording(id=answer["id"], directory=str(store.recordings / answer["id"]))
 
     async def stop_recording(arguments: StopRecording, context: CallContext) -> StoppedRecording:
-        facts: dict[str, Any] = {"outcome": arguments.outcome}
+        facts: dict[str, object] = {"outcome": arguments.outcome}
         if arguments.note:
             facts["note"] = arguments.note
         ends.close()

@@ -8,7 +8,7 @@ import os
 import threading
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from anyio import from_thread
 
@@ -48,7 +48,7 @@ class ViewFeature(Feature[ViewOptions]):
             http = HttpOptions.of(config)
             check_port(self.options, read_tokens(http.tokens, os.environ))
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """None; what happens is listened to from now on."""
         if self.options.enabled:
             self._source = LiveSource(host)

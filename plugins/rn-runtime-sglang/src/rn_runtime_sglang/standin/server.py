@@ -208,7 +208,7 @@ class _StandInHandler(BaseHTTPRequestHandler):
             self.close_connection = True
             return
         tokens = expected_tokens(body["input_ids"], base64.b64decode(body["image_data"]), count)
-        finish: dict[str, Any] = {"type": "length", "length": count}
+        finish: dict[str, object] = {"type": "length", "length": count}
         if aborted:
             tokens, finish = (
                 [],

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from typing import Any
+
+from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.tools_ros.interfaces.description import (
     FLOAT32_MAX,
@@ -28,7 +29,7 @@ do not.
 """
 
 _SHORT, _LONG = 110, 400
-Schema = dict[str, Any]
+Schema = JsonSchemaValue
 
 
 def make_schema(message: MessageType, *, inline_bytes: int = INLINE_BYTES) -> Schema:
