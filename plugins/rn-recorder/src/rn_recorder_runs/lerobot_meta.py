@@ -17,7 +17,7 @@ from rn_recorder_runs.store import Run
 from rn_recorder_runs.video import Codec
 from roboneuron import channel_keys
 
-Features = dict[str, dict[str, object]]
+ColumnFeatures = dict[str, dict[str, object]]
 """What LeRobot is told of each column, by name."""
 VERSION = "v3.0"
 _COUNTER: dict[str, object] = {"dtype": "int64", "shape": [1], "names": None}
@@ -46,7 +46,7 @@ class ExportSource:
 
 def features(
     source: ExportSource, shapes: Mapping[str, tuple[int, ...]], fps: int, codec: Codec
-) -> Features:
+) -> ColumnFeatures:
     """What the columns are, by name; `shapes` are those of the images by camera."""
     features = row_features(source, shapes)
     for camera, (height, width, _) in shapes.items():
@@ -66,9 +66,9 @@ def features(
     return features
 
 
-def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) -> Features:
+def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) -> ColumnFeatures:
     """Those that RoboNeuron gives a value; every data set has others besides."""
-    features: Features = {}
+    features: ColumnFeatures = {}
     if source.episodes[0].rows[0].joints.size:
         features["observation.state"] = _feature("float32", source.joint_names)
     if source.episodes[0].rows[0].ee_pose.size:
