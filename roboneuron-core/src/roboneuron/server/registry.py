@@ -24,7 +24,7 @@ from roboneuron.errors import (
 )
 from roboneuron.gate.roles import Role
 from roboneuron.server.schema import listed_output
-from roboneuron.server.tool import CallContext, Tool, ToolOutput
+from roboneuron.server.tool import Answer, CallContext, Tool
 
 log = logging.getLogger(__name__)
 Admission = Callable[[Tool[Any], CallContext], None]
@@ -254,7 +254,7 @@ class ToolRegistry:
 
     async def _carry_out(
         self, tool: Tool[Any], arguments: Mapping[str, Any], context: CallContext
-    ) -> ToolOutput:
+    ) -> Answer:
         self._calls[context.role] += 1
         try:
             if self._calls[context.role] > self._most_calls and not tool.always:

@@ -74,7 +74,7 @@ class Reply:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class ToolOutput:
+class Answer:
     """What a client gets: JSON-able values that fit the tool's output schema, and pictures beside
     them.
     """
@@ -243,11 +243,11 @@ class Tool(Generic[A]):
         """The arguments of a call as the model. Raises InvalidInputError: they do not fit."""
         return parse(self.arguments, arguments, self._choices())
 
-    async def call(self, arguments: Mapping[str, Any], context: CallContext) -> ToolOutput:
+    async def call(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
         """Check the arguments and do it. Raises as `parsed`, and what the handler raises."""
         outcome = await self.handler(self.parsed(arguments), context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
-        return ToolOutput(
+        return Answer(
             structured=reply.result.model_dump(
                 mode="json", exclude_unset=isinstance(self.result, Shape) or self.result.sparse
             ),
