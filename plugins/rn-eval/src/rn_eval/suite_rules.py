@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -228,7 +228,7 @@ def _check_start(case: SuiteCase) -> None:
 def _check_judge(case: SuiteCase) -> None:
     with _first_scene(case) as (scene, _):
         before = bytes(scene.state())
-        judged: list[object] = [scene.judge() for _ in range(2)]
+        judged: list[Any] = [scene.judge() for _ in range(2)]
         scene.observe(STAMP_NS)
         scene.state()
         after = bytes(scene.state())

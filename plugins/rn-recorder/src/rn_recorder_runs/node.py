@@ -195,7 +195,7 @@ class RecorderWorker:
         if what == "event":
             self._note(order)
             return
-        answer: dict[str, object] = {"re": order.get("number")}
+        answer: dict[str, Any] = {"re": order.get("number")}
         try:
             if what == "start":
                 answer["id"] = self.recording.start(str(order["name"]), dict(order["facts"]))

@@ -58,7 +58,7 @@ def answer(request: pipe.Message, world: LiberoWorld) -> pipe.Message:
     raise TypeError(f"{type(request).__name__} is no request")
 
 
-def serve(source: BinaryIO, sink: BinaryIO, world: object) -> None:
+def serve(source: BinaryIO, sink: BinaryIO, world: LiberoWorld) -> None:
     """Answer until the other end closes."""
 
     def read(count: int) -> bytes:
