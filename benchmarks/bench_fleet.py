@@ -47,7 +47,7 @@ from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 from plugin_site import installed
 
-from rn_standard.demo.agent import Agent, module_status
+from rn_standard.demo.agent import DemoAgent, module_status
 from roboneuron import RoboNeuronError
 from roboneuron.ros.environment import prepare_environment
 
@@ -59,7 +59,7 @@ AT_ONCE = 4
 """So many robots are started at once: each start imports rclpy, which a core does in a second."""
 
 
-async def start(agent: Agent, bases: Iterable[Base]) -> None:
+async def start(agent: DemoAgent, bases: Iterable[Base]) -> None:
     """All robot processes, some at a time."""
     limit = anyio.CapacityLimiter(AT_ONCE)
 
@@ -109,7 +109,7 @@ class Rows:
                 file.write(json.dumps(row) + "\n")
 
 
-async def stop_once(agent: Agent, bases: list[Base]) -> list[float | None]:
+async def stop_once(agent: DemoAgent, bases: list[Base]) -> list[float | None]:
     """Drive all, stop all, release all; ms until each base was told to stand, None for one that was
     not.
     """
@@ -154,7 +154,7 @@ async def stop_once(agent: Agent, bases: list[Base]) -> list[float | None]:
     return [None if zero is None else (zero - stopped_ns) / 1e6 for zero in zeros]
 
 
-async def drive_for(agent: Agent, base: Base, begin_s: float, end_s: float, rows: Rows) -> None:
+async def drive_for(agent: DemoAgent, base: Base, begin_s: float, end_s: float, rows: Rows) -> None:
     """Sequences until the time is over; robots begin one after the other, as they would, not all in
     one instant.
     """
@@ -190,7 +190,7 @@ async def measure(path: Path, bases: list[Base], arguments: argparse.Namespace, 
         async with Client(
             stdio_client(server, errlog=errors), read_timeout_seconds=CALL_S
         ) as client:
-            agent = Agent(client)
+            agent = DemoAgent(client)
             begun_s = time.monotonic()
             await start(agent, bases)
             found.started_s = time.monotonic() - begun_s

@@ -45,16 +45,18 @@ def learn_copies(scratch: Path) -> None:
     os.environ["XDG_DATA_HOME"] = str(scratch / "data")
     os.environ["XDG_CACHE_HOME"] = str(scratch / "cache")
     from rn_interfaces.finder import install
-    from rn_interfaces.learning import Text, learn
-    from rn_interfaces.store import Name, Store
+    from rn_interfaces.learning import FoundDefinition, learn
+    from rn_interfaces.store import DefinitionStore, Name
 
     install()
     share = Path(sys.prefix) / "share" / "sensor_msgs" / "msg"
     texts = {
-        Name("bench_msgs", "msg", word): Text((share / f"{word}.msg").read_text(), "the wheels")
+        Name("bench_msgs", "msg", word): FoundDefinition(
+            (share / f"{word}.msg").read_text(), "the wheels"
+        )
         for word in WORDS
     }
-    learn(Store(), texts)
+    learn(DefinitionStore(), texts)
 
 
 def least_us(rounds: int, calls: int, functions: Sequence[Callable[[], object]]) -> list[float]:

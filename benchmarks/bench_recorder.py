@@ -29,7 +29,7 @@ import psutil
 
 from rn_recorder_runs.reading import count_topics
 from rn_recorder_runs.settings import RecorderSettings, RulesSettings, spawn_recorder
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment
 
@@ -247,7 +247,7 @@ def measure(directory: Path, seconds: float, pairs: int) -> None:
             f"{name:<12} {count:>7} {np.median(latencies):>10.2f} {p99[recorded]:>8.2f} {share:>16}"
         )
     print(f"\nimage -> action, p99: {p99[True] / p99[False]:.2f} x that without the recorder")
-    for run in Store(directory / "runs").runs():
+    for run in RunStore(directory / "runs").runs():
         size = run.size_bytes / 1e6
         topics = {
             topic: c for topic, c in count_topics(run.files).items() if topic.startswith("/bench/")

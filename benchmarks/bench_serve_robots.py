@@ -40,11 +40,11 @@ from bench_serve_policy import pair, seen, started
 
 from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.case import install
-from rn_backend_shared.channel import Channel
+from rn_backend_shared.channel import FrameChannel
 from rn_backend_shared.options import SharedOptions
 from rn_backend_shared.processes import ask_status
 from rn_backend_shared.serve_command import name_of
-from rn_backend_shared.session import Session, greet
+from rn_backend_shared.session import ModelSession, greet
 from rn_backend_shared.wire import from_observation
 from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError, Observation
@@ -107,8 +107,8 @@ class Connection:
         host, _, port = address.rpartition(":")
         connected = socket.create_connection((host, int(port)), 60.0, (source, 0))
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        channel = Channel(connected)
-        self._session = Session(channel, greet(channel, {"token": token}, 60.0))
+        channel = FrameChannel(connected)
+        self._session = ModelSession(channel, greet(channel, {"token": token}, 60.0))
         self._timeout_s = timeout_s
 
     def predict(self, observation: Observation) -> object:

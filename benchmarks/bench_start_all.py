@@ -23,7 +23,7 @@ import anyio
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 
-from rn_standard.demo.agent import Agent
+from rn_standard.demo.agent import DemoAgent
 from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment
 
@@ -31,14 +31,14 @@ INSTRUCTION = {"instruction": "pick up the red cube"}
 LARGEST_RATIO = 0.6
 
 
-async def in_a_row(agent: Agent) -> None:
+async def in_a_row(agent: DemoAgent) -> None:
     """The four calls, one after the other."""
     for module in ("robot", "perception", "control"):
         await agent.call(f"start_{module}")
     await agent.call("start_inference", INSTRUCTION)
 
 
-async def at_once(agent: Agent) -> None:
+async def at_once(agent: DemoAgent) -> None:
     """One call."""
     await agent.call("start_all", INSTRUCTION)
 
@@ -54,7 +54,7 @@ async def measure(cycles: int, scratch: Path) -> dict[str, list[float]]:
     ways = {"in a row": in_a_row, "at once": at_once}
     with (scratch / "server.log").open("w") as log:
         async with Client(stdio_client(parameters, errlog=log), read_timeout_seconds=180) as client:
-            agent = Agent(client)
+            agent = DemoAgent(client)
             await agent.status()
             for cycle in range(cycles + 1):
                 for name in sorted(ways, reverse=bool(cycle % 2)):

@@ -26,7 +26,7 @@ from mcp.client.stdio import stdio_client
 from rich.console import Console
 from rich.table import Table
 
-from rn_standard.demo.agent import Agent
+from rn_standard.demo.agent import DemoAgent
 from rn_testing.domain import free_ros_domain
 from roboneuron.ros.environment import prepare_environment
 
@@ -63,7 +63,7 @@ def floor_s(repeats: int) -> float:
     return float(np.median(times))
 
 
-async def cycle(agent: Agent) -> tuple[dict[str, float], float]:
+async def cycle(agent: DemoAgent) -> tuple[dict[str, float], float]:
     """Start everything, stop everything; seconds per start, and for all stops."""
     took: dict[str, float] = {}
     for module in MODULES:
@@ -88,7 +88,7 @@ async def measure(cycles: int, scratch: Path) -> tuple[Table, Table]:
     leaks: list[dict[str, int]] = []
     with (scratch / "server.log").open("w") as log:
         async with Client(stdio_client(parameters, errlog=log), read_timeout_seconds=120) as client:
-            agent = Agent(client)
+            agent = DemoAgent(client)
             server = psutil.Process((await agent.status())["pid"])
             leaks.append(left_behind(server))
             for _ in range(cycles):

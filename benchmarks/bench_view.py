@@ -30,7 +30,7 @@ from view_stops import Stop, measure_stops  # noqa: E402
 from rn_testing.domain import free_ros_domain  # noqa: E402
 from rn_view.options import ViewOptions  # noqa: E402
 from rn_view.viewer import Viewer  # noqa: E402
-from rn_view_attached.source import AttachedSource, Graph  # noqa: E402
+from rn_view_attached.source import AttachedSource, ViewNode  # noqa: E402
 from roboneuron.config import load_config  # noqa: E402
 from roboneuron.plugins.discovery import discover  # noqa: E402
 from roboneuron.ros.environment import prepare_environment  # noqa: E402
@@ -61,7 +61,7 @@ def measure_pictures(browser: Any, folder: Path, seconds: float) -> tuple[int, l
     import numpy as np
 
     config = load_config(None)
-    graph = Graph(folder)
+    graph = ViewNode(folder)
     graph.open()
     source = AttachedSource(config, discover(), folder, graph)
     from sensor_msgs.msg import Image

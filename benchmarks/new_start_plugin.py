@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rn_robot_fr3.driver import SimulatedDriver
-from rn_robot_fr3.options import SimulatedDriverOptions
+from rn_robot_fr3.driver import SimulatedFr3Driver
+from rn_robot_fr3.options import SimulatedFr3Options
 from rn_robot_fr3.profile import profile as fr3_profile
 from roboneuron.contract import JointCommand, RobotProfile, RobotState
 from roboneuron.errors import RefusedError, StateError, UnsafeError
@@ -22,13 +22,13 @@ from roboneuron.plugins.specs import DriverSpec, PerceptionSpec, RobotSpec
 NAME = "fr3r"
 
 
-class ReflexOptions(SimulatedDriverOptions):
+class ReflexOptions(SimulatedFr3Options):
     """Options of the driver."""
 
     fault_file: str = ""
 
 
-class ReflexDriver(SimulatedDriver):
+class ReflexDriver(SimulatedFr3Driver):
     """Stops by itself while the file exists; `recover` releases it once the file is gone."""
 
     def __init__(self, config: ReflexOptions | None, profile: RobotProfile, topics: Any) -> None:

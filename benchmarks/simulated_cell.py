@@ -75,7 +75,7 @@ class FailingGripper:
 
 
 class SimulatedCell:
-    """Follows `rn_standard.tasks.runner.Cell`, by the clock of a stepped simulation."""
+    """Follows `rn_standard.tasks.runner.TaskRobot`, by the clock of a stepped simulation."""
 
     def __init__(self, scene: CubesScene, backend: Backend, setup: Setup) -> None:
         self._scene, self._backend, self._setup = scene, backend, setup

@@ -9,11 +9,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from rn_standard.console.client import spawned_server
-from rn_standard.demo.agent import Agent
+from rn_standard.demo.agent import DemoAgent
 from rn_standard.demo.film import DemoFilm
 from roboneuron import RoboNeuronError
 
-Play = Callable[[Agent, str, DemoFilm], Awaitable[bool]]
+Play = Callable[[DemoAgent, str, DemoFilm], Awaitable[bool]]
 """Acts on the cube of a colour with everything but inference started; whether it succeeded."""
 
 
@@ -46,7 +46,7 @@ async def run_demo(
     print(f"scene {seed}: {task.format(colour=chosen.colour)}", flush=True)
     film = DemoFilm()
     async with spawned_server(["--config", str(copy)], chosen.output / "server.log") as client:
-        agent = Agent(client)
+        agent = DemoAgent(client)
         try:
             for tool in ("start_robot", "start_perception", "start_control"):
                 await agent.call(tool)

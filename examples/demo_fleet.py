@@ -39,7 +39,7 @@ from rn_robot_bases.paths import PATHS, planned_track
 from rn_robot_bases.platform import PLATFORMS
 from rn_simulation.planar_motion import PlanarPose
 from rn_standard.console.client import leaves_of, spawned_server
-from rn_standard.demo.agent import Agent, module_status, simulated_objects
+from rn_standard.demo.agent import DemoAgent, module_status, simulated_objects
 from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, DemoScreen
 from roboneuron import RoboNeuronError
 
@@ -148,7 +148,7 @@ def write_configuration(output: Path, seed: int) -> Path:
 class Demo:
     """The agent's work with three robots."""
 
-    def __init__(self, agent: Agent, screen: DemoScreen, colours: Mapping[str, str]) -> None:
+    def __init__(self, agent: DemoAgent, screen: DemoScreen, colours: Mapping[str, str]) -> None:
         self._agent = agent
         self._screen = screen
         self._colours = colours
@@ -342,11 +342,10 @@ async def play(seed: int, colours: Mapping[str, str], output: Path, console: Con
     path, log = write_configuration(output, seed), output / "server.log"
     with anyio.fail_after(WHOLE_S):
         async with spawned_server(["--config", str(path)], log) as client:
-            demo = Demo(Agent(client), screen, colours)
+            demo = Demo(DemoAgent(client), screen, colours)
             with screen.step("connect to the MCP server") as told:
-                told.append(
-                    f"{len(await Agent(client).tools())} typed tools for {len(demo.works)} robots"
-                )
+                tools = await DemoAgent(client).tools()
+                told.append(f"{len(tools)} typed tools for {len(demo.works)} robots")
             try:
                 begun_s = time.monotonic()
                 with screen.step("start two arms and a base") as told:

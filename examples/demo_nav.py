@@ -32,7 +32,7 @@ from rich.table import Table
 
 from rn_simulation.planar_motion import PlanarPose
 from rn_standard.console.client import leaves_of, spawned_server
-from rn_standard.demo.agent import Agent, simulated_objects
+from rn_standard.demo.agent import DemoAgent, simulated_objects
 from rn_standard.demo.screen import HOLD_GOAL_S, DemoScreen
 from roboneuron import NotReadyError, RoboNeuronError
 
@@ -97,7 +97,7 @@ def navigator(output: Path) -> Iterator[None]:
 class Demo:
     """The agent's work."""
 
-    def __init__(self, agent: Agent, screen: DemoScreen, colour: str) -> None:
+    def __init__(self, agent: DemoAgent, screen: DemoScreen, colour: str) -> None:
         self._agent = agent
         self._screen = screen
         self._colour = colour
@@ -185,7 +185,7 @@ async def play(seed: int, colour: str, output: Path, console: Console) -> bool:
     begun_s = time.monotonic()
     with anyio.fail_after(WHOLE_S):
         async with spawned_server(["--config", str(path)], output / "server.log") as client:
-            demo = Demo(Agent(client), screen, colour)
+            demo = Demo(DemoAgent(client), screen, colour)
             for step, act in (
                 ("start the base", demo.start_base),
                 ("ask for a place on the stairs", demo.ask_for_the_zone),

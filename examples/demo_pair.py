@@ -19,7 +19,7 @@ from pathlib import Path
 import anyio
 from cube_demo import run_demo
 
-from rn_standard.demo.agent import Agent, module_status
+from rn_standard.demo.agent import DemoAgent, module_status
 from rn_standard.demo.film import DemoFilm
 from roboneuron import NotReadyError
 
@@ -35,7 +35,7 @@ HANDED_OVER = {
 ATTEMPT_S, ATTEMPTS, LOOK_S = 90.0, 2, 0.3
 
 
-async def play(agent: Agent, colour: str, film: DemoFilm) -> bool:
+async def play(agent: DemoAgent, colour: str, film: DemoFilm) -> bool:
     """Have the cube handed over; whether run_task says that it was."""
     answer: dict[str, object] = {}
     begun_s = time.monotonic()

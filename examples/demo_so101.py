@@ -19,7 +19,7 @@ from typing import Any
 import anyio
 from cube_demo import run_demo
 
-from rn_standard.demo.agent import Agent, module_status
+from rn_standard.demo.agent import DemoAgent, module_status
 from rn_standard.demo.film import DemoFilm
 from roboneuron import NotReadyError
 
@@ -28,7 +28,7 @@ COLOURS = ("red", "green", "blue")
 HELD_S, TIMEOUT_S, LOOK_S = 1.0, 90.0, 0.25
 
 
-async def play(agent: Agent, colour: str, film: DemoFilm) -> bool:
+async def play(agent: DemoAgent, colour: str, film: DemoFilm) -> bool:
     """Have the cube picked up; whether the simulator says that it is held."""
     film.add(0.0, "before", await agent.image("front"))
     await agent.call("start_inference", {"instruction": f"pick up the {colour} cube"})

@@ -31,7 +31,7 @@ from sensor_msgs.msg import JointState
 from standin_node import run_node, to_duration
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from rn_controller_urdf.arm import Arm
+from rn_controller_urdf.arm import ArmKinematics
 from rn_controller_urdf.options import UrdfControllerOptions
 from rn_interfaces.finder import install
 from rn_robot_fr3.limits import ACCELERATION_RAD_S2, ARM_JOINTS, VELOCITY_RAD_S
@@ -114,7 +114,7 @@ class MoveGroupStandIn(Node):
         super().__init__("move_group", namespace=options.namespace)
         self._options = options
         self._profile = profile()
-        self._arm = Arm(UrdfControllerOptions(), self._profile, self._profile.each_arm[0])
+        self._arm = ArmKinematics(UrdfControllerOptions(), self._profile, self._profile.each_arm[0])
         self._measured: tuple[float, F64] | None = None
         self._run: Run | None = None
         self._command = self.create_publisher(JointTrajectory, "joint_trajectory", 1)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_eval.plan import EvalPlan
-from rn_eval.policy import Policy, load_backend
+from rn_eval.policy import EpisodePolicy, load_backend
 from rn_eval.runner import Runner
 from rn_eval.suite import Episode, Scene, Setup, Suite
 from rn_recorder.feature import CONTRACT
@@ -27,7 +27,7 @@ from rn_recorder_runs.files import Record, RunFile, write_json
 from rn_recorder_runs.images import to_string
 from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.predictions import prediction_record
-from rn_recorder_runs.store import RUN_FILE, Store
+from rn_recorder_runs.store import RUN_FILE, RunStore
 from roboneuron import ActionChunk, Observation, __version__
 from roboneuron.config import load_config
 from roboneuron.plugins.discovery import discover
@@ -41,7 +41,7 @@ NAMESPACE = "/fr3"
 class Tape:
     """The run that is being written: one file of messages as ROS would carry them."""
 
-    def __init__(self, store: Store, about: dict[str, str]) -> None:
+    def __init__(self, store: RunStore, about: dict[str, str]) -> None:
         self._store, self._about = store, about
         self._file: RunFile | None = None
         self._sequences: dict[str, int] = {}
@@ -175,7 +175,7 @@ class TapedSuite:
 class TapedPolicy:
     """A policy whose answers go to the tape."""
 
-    def __init__(self, policy: Policy, tape: Tape) -> None:
+    def __init__(self, policy: EpisodePolicy, tape: Tape) -> None:
         self._policy, self._tape = policy, tape
         self._resets = True
         self.close = policy.close
@@ -231,7 +231,7 @@ def main() -> int:
         first_seed=arguments.seed,
         strips="none",
     )
-    store = Store(arguments.out / "runs")
+    store = RunStore(arguments.out / "runs")
     store.make()
     sections = {
         k: v for k, v in plan.config.items() if k in ("robot", "inference", "control", "limits")

@@ -23,7 +23,7 @@ import anyio
 from cube_leader import LIFTED_M, CubeLeader
 
 from rn_standard.console.client import spawned_server
-from rn_standard.demo.agent import Agent
+from rn_standard.demo.agent import DemoAgent
 from roboneuron import NotReadyError, RoboNeuronError
 from roboneuron.command import environment
 
@@ -135,7 +135,7 @@ async def record_block(folder: Path, count: int, seed: int, lerobot: Path) -> Se
     async with spawned_server(
         ["--config", str(config)], folder.with_suffix(".server.log")
     ) as client:
-        agent = Agent(client)
+        agent = DemoAgent(client)
         leader.open()
         try:
             for tool in ("start_robot", "start_perception", "start_control"):

@@ -47,7 +47,7 @@ def learnt(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
     from rn_interfaces.finder import PREFIXES
     from rn_interfaces.learning import learn
     from rn_interfaces.sources import definitions
-    from rn_interfaces.store import Store
+    from rn_interfaces.store import DefinitionStore
 
     base = tmp_path_factory.getbasetemp()
     cache = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "user-cache"
@@ -55,7 +55,7 @@ def learnt(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (user | {PREFIXES: sys.prefix}).items():
             patch.setenv(name, value)
-        assert not learn(Store(), definitions(ROOT / "examples" / "ros")).refused
+        assert not learn(DefinitionStore(), definitions(ROOT / "examples" / "ros")).refused
     return user
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import anyio
 
-from rn_standard.demo.agent import Agent
+from rn_standard.demo.agent import DemoAgent
 from rn_testing.fakes.site import plugin_site
 
 CONFIG = """
@@ -40,12 +40,12 @@ def configured(folder: Path) -> Iterator[tuple[Path, Path]]:
         yield config, site.path
 
 
-async def positions(agent: Agent) -> dict[str, float]:
+async def positions(agent: DemoAgent) -> dict[str, float]:
     messages: Any = (await agent.call("read_joint_states"))["messages"]
     return dict(zip(messages[-1]["name"], messages[-1]["position"], strict=True))
 
 
-async def moved_rad(agent: Agent, pause_s: float) -> dict[str, float]:
+async def moved_rad(agent: DemoAgent, pause_s: float) -> dict[str, float]:
     """How far each arm's farthest joint gets in that time [rad]."""
     before = await positions(agent)
     await anyio.sleep(pause_s)

@@ -13,7 +13,7 @@ from anyio.from_thread import start_blocking_portal
 from PIL import Image
 
 from rn_standard.console.client import spawned_server
-from rn_standard.demo.agent import Agent
+from rn_standard.demo.agent import DemoAgent
 from roboneuron import NotReadyError
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
@@ -49,7 +49,7 @@ def test_the_tools_that_move_an_arm_move_this_one(
     with start_blocking_portal() as portal:
         server = portal.wrap_async_context_manager(spawned_server(options, tmp_path / "log"))
         with server as client:
-            agent = Agent(client)
+            agent = DemoAgent(client)
 
             def call(tool: str, **arguments: object) -> dict[str, object]:
                 return portal.call(agent.call, tool, arguments)

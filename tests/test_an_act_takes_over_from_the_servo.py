@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from rn_standard.console.client import spawned_server
-from rn_standard.demo.agent import Agent, module_status
+from rn_standard.demo.agent import DemoAgent, module_status
 from rn_testing.waiting import wait_until
 from roboneuron.command import RosLink, qos, topics
 from roboneuron.ros.environment import prepare_environment
@@ -128,7 +128,7 @@ def test_the_arm_goes_on(policy: dict[str, Any], graph: None, tmp_path: Path) ->
 async def play(config: Path, policy: dict[str, Any], log: Path) -> None:
     with looking() as seen:
         async with spawned_server(["--config", str(config)], log) as client:
-            agent = Agent(client)
+            agent = DemoAgent(client)
             for tool in ("start_robot", "start_perception", "start_control"):
                 await agent.call(tool)
             await agent.call("start_inference", {"backend": "servo", "instruction": INSTRUCTION})

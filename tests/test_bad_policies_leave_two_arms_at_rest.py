@@ -18,7 +18,7 @@ sys.path.append(str(Path(__file__).parent))
 from pair_agent import PATIENCE_S, STILL_RAD, configured, moved_rad, positions
 
 from rn_standard.console.client import spawned_server
-from rn_standard.demo.agent import Agent, module_status
+from rn_standard.demo.agent import DemoAgent, module_status
 from roboneuron import NotReadyError
 
 FAULTS = {
@@ -29,7 +29,9 @@ FAULTS = {
 }
 
 
-async def _until(agent: Agent, told: Callable[[dict[str, float], str], bool], what: str) -> None:
+async def _until(
+    agent: DemoAgent, told: Callable[[dict[str, float], str], bool], what: str
+) -> None:
     until_s = time.monotonic() + PATIENCE_S
     while True:
         moved = await moved_rad(agent, 0.2)
@@ -39,7 +41,7 @@ async def _until(agent: Agent, told: Callable[[dict[str, float], str], bool], wh
         assert time.monotonic() < until_s, f"{what}: {moved}, {error!r}"
 
 
-async def _check_fault(agent: Agent, fault: str, told: str) -> None:
+async def _check_fault(agent: DemoAgent, fault: str, told: str) -> None:
     await agent.call("set_instruction", {"instruction": "wave"})
     await _until(agent, lambda moved, error: min(moved.values()) > 5 * STILL_RAD, "they wave")
     await agent.call("set_instruction", {"instruction": fault})
@@ -53,7 +55,7 @@ async def _check_fault(agent: Agent, fault: str, told: str) -> None:
 
 async def _scenario(config: Path, log: Path) -> None:
     async with spawned_server(["--config", str(config)], log) as client:
-        agent = Agent(client)
+        agent = DemoAgent(client)
         for tool in ("start_robot", "start_control"):
             await agent.call(tool)
         for arguments, told in (

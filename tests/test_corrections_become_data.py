@@ -20,7 +20,7 @@ sys.path.pop(0)
 
 from rn_recorder_runs.acted import WHO, composed
 from rn_recorder_runs.lerobot import export
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 from rn_standard.teleoperation.executed import displacement
 from rn_testing.waiting import wait_until
 from roboneuron import Pose
@@ -64,7 +64,7 @@ def test_what_a_person_did_is_the_action_of_the_rows(
         cell.call("take_over")  # the page operates the robot for a while after it was closed
         run = cell.call("stop_recording", outcome="success")
         cell.call("stop_all")
-    store = Store(Path(run["files"][0]).parents[2])
+    store = RunStore(Path(run["files"][0]).parents[2])
     export([store.get(run["id"])], tmp_path / "set", outcome=None, fps=None, codec="h264")
     table = pq.read_table(tmp_path / "set/data/chunk-000/file-000.parquet").to_pydict()
     actions = np.array(table["roboneuron.action"])

@@ -16,7 +16,7 @@ import anyio
 import pytest
 from mcp import Client, StdioServerParameters
 
-from rn_standard.demo.agent import Agent
+from rn_standard.demo.agent import DemoAgent
 from roboneuron.config import default_text
 from roboneuron.ros.environment import prepare_environment
 
@@ -137,7 +137,7 @@ def test_topics_and_processes_stay_while_four_models_take_turns(
             env=environment,
         )
         async with Client(server) as client:
-            agent = Agent(client)
+            agent = DemoAgent(client)
             for module in ("robot", "perception", "control"):
                 await agent.call(f"start_{module}")
             await agent.call("start_inference", {"instruction": INSTRUCTION})

@@ -17,14 +17,14 @@ sys.path.append(str(Path(__file__).parent))
 from pair_agent import PATIENCE_S, STILL_RAD, configured, moved_rad
 
 from rn_standard.console.client import spawned_server
-from rn_standard.demo.agent import Agent, module_status
+from rn_standard.demo.agent import DemoAgent, module_status
 
 
-async def _control(agent: Agent) -> dict[str, Any]:
+async def _control(agent: DemoAgent) -> dict[str, Any]:
     return module_status(await agent.status(), "control")
 
 
-async def _check_moving(agent: Agent) -> None:
+async def _check_moving(agent: DemoAgent) -> None:
     """Each arm moves, by actions that control follows."""
     until_s = time.monotonic() + PATIENCE_S
     while min((await moved_rad(agent, 0.3)).values()) < 5 * STILL_RAD:
@@ -33,7 +33,7 @@ async def _check_moving(agent: Agent) -> None:
 
 async def _scenario(config: Path, log: Path) -> None:
     async with spawned_server(["--config", str(config)], log) as client:
-        agent = Agent(client)
+        agent = DemoAgent(client)
         for tool in ("start_robot", "start_perception", "start_control"):
             await agent.call(tool)
         await agent.call("start_inference", {"instruction": "wave"})

@@ -61,10 +61,10 @@ def hook(frame, event, argument):
     if not name or code.co_name.startswith("<"):
         return
     thread = threading.current_thread().name
-    if window and (window, thread, name) not in seen:
-        seen[window, thread, name] = time.monotonic_ns(), code.co_name
-    if ("key", thread, name) not in seen and told(frame):
-        seen["key", thread, name] = time.monotonic_ns(), code.co_name
+    if window and (window, thread, name, code.co_qualname) not in seen:
+        seen[window, thread, name, code.co_qualname] = time.monotonic_ns()
+    if ("key", thread, name, code.co_qualname) not in seen and told(frame):
+        seen["key", thread, name, code.co_qualname] = time.monotonic_ns()
 def look():
     global window
     while True:
@@ -73,7 +73,7 @@ def look():
         except OSError:
             window = ""
         time.sleep(0.02)
-        rows = [[at, *key, function] for key, (at, function) in list(seen.items())]
+        rows = [[at, *key] for key, at in list(seen.items())]
         path = os.path.join(folder, f"{os.getpid()}.json")
         with open(path + ".new", "w") as file:
             json.dump({"words": sys.argv, **facts, "rows": rows}, file)
@@ -96,30 +96,32 @@ def window(folder: Path, name: str) -> Iterator[None]:
 
 
 def print_way(folder: Path, way: str, kinds: tuple[str, ...]) -> None:
-    """The files of a way by process and thread, each in the order of its first call."""
-    for kind in kinds:
-        rows = [
-            row
-            for process, found in read(folder)
-            if process == kind
-            for row in found
-            if row[1] == way
-        ]
-        threads: dict[str, list[str]] = {}
-        for _, _, thread, name, function in sorted(rows):
-            threads.setdefault(thread, []).append(f"{name} ({function})")
-        for thread, places in threads.items():
-            print(f"  {kind}, {thread}: {', '.join(places)}")
-    names = {
-        row[3]
+    """The files of a way by process and thread, each in the order of its first call, with the
+    function that was called and how many others of the file were called later.
+    """
+    rows = [
+        (kind, row)
+        for kind in kinds
         for process, found in read(folder)
-        if process in kinds
-        for row in found
+        if process == kind
+        for row in sorted(found)
         if row[1] == way
-    }
+    ]
+    threads: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for kind, (_, _, thread, name, function) in rows:
+        threads.setdefault((kind, thread), {}).setdefault(name, []).append(function)
+    for (kind, thread), files in threads.items():
+        places = [
+            f"{name} ({called[0]}{f' +{len(called) - 1}' if called[1:] else ''})"
+            for name, called in files.items()
+        ]
+        print(f"  {kind}, {thread}: {', '.join(places)}")
+    functions = {(row[3], row[4]) for _, row in rows}
+    names = {name for name, _ in functions}
+    packages = {name.rpartition("/")[0] for name in names}
     print(
-        f"  {len(names)} files, {sum(not name.startswith('rn_') for name in names)} of them in "
-        "core\n"
+        f"  {len(functions)} functions in {len(names)} files of {len(packages)} packages, "
+        f"{sum(not name.startswith('rn_') for name in names)} of the files in core\n"
     )
 
 

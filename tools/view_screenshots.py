@@ -27,12 +27,12 @@ import anyio
 from mcp import Client
 from playwright.async_api import Browser, Page, TimeoutError, async_playwright
 
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 from rn_standard.console.client import spawned_server
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenTable
 from rn_testing.domain import free_ros_domain
-from rn_view.access import Admission, host_rules
+from rn_view.access import ViewAccess, host_rules
 from rn_view.options import ViewOptions
 from rn_view.viewer import Viewer
 from rn_view_recorded.source import RecordedSource
@@ -165,14 +165,14 @@ async def shoot_phone(page: Page, path: Path) -> None:
 
 async def recorded(folder: Path, state: Path, browser: Browser) -> None:
     """The recording of that."""
-    store = Store(state / "runs")
+    store = RunStore(state / "runs")
     run = next(run for run in store.runs() if run.kind == "recording")
     source = RecordedSource(run.id, run.files, load_config(None), discover())
     options = ViewOptions(port=0)
     viewer = Viewer(
         options,
         source,
-        Admission(tokens=TokenTable([]), rules=host_rules(options, HttpOptions())),
+        ViewAccess(tokens=TokenTable([]), rules=host_rules(options, HttpOptions())),
         None,
     )
     viewer.open()

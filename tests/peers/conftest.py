@@ -20,7 +20,7 @@ from foreign import Server
 from rn_interfaces.finder import PREFIXES
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 from rn_testing.domain import free_ros_domain
 
 OTHERWISE = {
@@ -85,7 +85,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
             path = written / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(definition)
-        store = Store(folder / "data" / "roboneuron" / "interfaces")
+        store = DefinitionStore(folder / "data" / "roboneuron" / "interfaces")
         assert not learn(store, definitions(written)).refused
     command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]
     parameters = StdioServerParameters(command=sys.executable, args=command, env=environment)

@@ -11,7 +11,7 @@ import anyio
 import pytest
 
 from rn_standard.console.client import spawned_server
-from rn_standard.demo.agent import Agent, module_status
+from rn_standard.demo.agent import DemoAgent, module_status
 from roboneuron import NotReadyError
 
 CONFIG = Path(__file__).parents[2] / "examples" / "pair.toml"
@@ -19,7 +19,7 @@ STILL_RAD = 0.002
 PATIENCE_S = 60.0
 
 
-async def _positions(agent: Agent) -> dict[str, float]:
+async def _positions(agent: DemoAgent) -> dict[str, float]:
     answer = await agent.call("read_joint_states")
     messages = answer["messages"]
     assert isinstance(messages, list)
@@ -27,7 +27,7 @@ async def _positions(agent: Agent) -> dict[str, float]:
     return dict(zip(newest["name"], newest["position"], strict=True))
 
 
-async def _moved(agent: Agent, pause_s: float) -> dict[str, float]:
+async def _moved(agent: DemoAgent, pause_s: float) -> dict[str, float]:
     """How far each arm's farthest joint gets in that time [rad]."""
     before = await _positions(agent)
     await anyio.sleep(pause_s)
@@ -40,7 +40,7 @@ async def _moved(agent: Agent, pause_s: float) -> dict[str, float]:
 
 async def _stop_while_they_move(log: Path) -> None:
     async with spawned_server(["--config", str(CONFIG)], log) as client:
-        agent = Agent(client)
+        agent = DemoAgent(client)
         for tool in ("start_robot", "start_perception", "start_control"):
             await agent.call(tool)
         positions = {f"{arm}_fr3_joint7": 2.4 for arm in ("left", "right")}

@@ -17,7 +17,7 @@ from anyio.from_thread import BlockingPortal
 from sensor_msgs.msg import JointState
 
 from rn_standard.console.client import spawned_server
-from rn_standard.demo.agent import Agent
+from rn_standard.demo.agent import DemoAgent
 from rn_testing.waiting import wait_until
 from roboneuron.command import RosLink
 from roboneuron.ros.environment import module_environment
@@ -75,7 +75,7 @@ class Served:
         self._context = portal.wrap_async_context_manager(
             spawned_server(["--config", str(config)], log)
         )
-        self._agent = Agent(self._context.__enter__())
+        self._agent = DemoAgent(self._context.__enter__())
 
     def call(self, tool: str, **arguments: object) -> dict[str, Any]:
         return dict(self._portal.call(self._agent.call, tool, arguments))

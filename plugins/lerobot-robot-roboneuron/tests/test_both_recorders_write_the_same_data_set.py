@@ -14,7 +14,7 @@ from lerobot_lane import BIN, Lerobot, Served
 from rn_recorder_runs.episodes import Streams, read_streams
 from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.reading import iterate
-from rn_recorder_runs.store import Run, Store
+from rn_recorder_runs.store import Run, RunStore
 from rn_robot_lerobot.profile import so101_profile
 from rn_robot_lerobot.units import MotorMap, motors_of
 
@@ -136,7 +136,7 @@ def test_they_are_equal_within_rounding_and_a_frame(
     )
     assert recording.wait(300) == 0, lerobot.last_line(recording)
     served.call("stop_recording", outcome="success")
-    run = Store(Path(str(begun["directory"])).parents[1]).get(str(begun["id"]))
+    run = RunStore(Path(str(begun["directory"])).parents[1]).get(str(begun["id"]))
     export([run], ours_in, outcome="success", fps=None, codec="h264")
     compare(arrays_of(theirs_in, lerobot), arrays_of(ours_in, lerobot), run)
 

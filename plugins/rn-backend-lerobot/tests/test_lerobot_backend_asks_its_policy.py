@@ -14,7 +14,7 @@ from PIL import Image
 
 from rn_backend_lerobot import engine
 from rn_backend_lerobot.backend import LeRobotBackend
-from rn_backend_lerobot.exchange import Answer, Prefix, Seen
+from rn_backend_lerobot.exchange import ChunkPrefix, PolicyChunk, PolicyObservation
 from rn_backend_lerobot.options import LeRobotOptions
 from roboneuron import (
     Ahead,
@@ -38,18 +38,18 @@ class FakeEngine:
     options: Any
     names: Sequence[str]
     can_continue: bool = True
-    seen: list[Seen] = field(default_factory=list)
-    prefixes: list[Prefix | None] = field(default_factory=list)
+    seen: list[PolicyObservation] = field(default_factory=list)
+    prefixes: list[ChunkPrefix | None] = field(default_factory=list)
     resets: int = 0
     value: float = 0.0
 
-    def chunk(self, seen: Seen, prefix: Prefix | None = None) -> Answer:
+    def chunk(self, seen: PolicyObservation, prefix: ChunkPrefix | None = None) -> PolicyChunk:
         self.seen.append(seen)
         self.prefixes.append(prefix)
         rows = np.arange(16.0)[:, None] / 100.0 + np.full((16, 8), self.value)
-        return Answer(normalized=rows, rows=rows)  # type: ignore[arg-type]
+        return PolicyChunk(normalized=rows, rows=rows)  # type: ignore[arg-type]
 
-    def action(self, seen: Seen) -> Answer:
+    def action(self, seen: PolicyObservation) -> PolicyChunk:
         whole = self.chunk(seen)
         return replace(whole, rows=whole.rows[:1])
 

@@ -21,8 +21,8 @@ from policy_servers import (
 )
 
 from rn_backend_shared import front as front_module
-from rn_backend_shared.channel import Channel
-from rn_backend_shared.frames import HEADER_BYTES, VERSION, Header, Kind
+from rn_backend_shared.channel import FrameChannel
+from rn_backend_shared.frames import HEADER_BYTES, VERSION, FrameKind, Header
 from rn_backend_shared.front import PolicyServer
 from rn_backend_shared.options import PolicyServerOptions
 from rn_backend_shared.processes import ModelProcess
@@ -39,7 +39,7 @@ def test_strangers_learn_nothing_and_disturb_nobody(
     server = serve()
     one = robot(server.address)
     port = server.port
-    hello = Header(Kind.HELLO).pack() + b"[{}, []]"
+    hello = Header(FrameKind.HELLO).pack() + b"[{}, []]"
     for sent in (b"", b"\xff" * 64, b"GET / HTTP/1.1\r\n\r\n", hello):
         heard = said_to(port, sent) if sent else b""
         # at most an alert of TLS, which says that this was no handshake
@@ -64,18 +64,18 @@ def test_a_peer_of_another_version_is_told_both(serve: Serve, robot: Robot, tmp_
     folder = link_of(tmp_path / "robot")
     machine = read_machine(folder)
     assert machine is not None
-    newer = bytearray(Header(Kind.HELLO).pack())
+    newer = bytearray(Header(FrameKind.HELLO).pack())
     newer[4] = VERSION + 1
     heard = said_to(server.port, bytes(newer), tls_context(machine, folder, "gpu"))
     assert f"version {VERSION + 1}".encode() in heard
     assert f"version {VERSION}:".encode() in heard
 
 
-def admitted(port: int, token: Path) -> tuple[socket.socket, Channel, int]:
+def admitted(port: int, token: Path) -> tuple[socket.socket, FrameChannel, int]:
     """A robot that does as it likes, and the number of its first request."""
     raw = socket.create_connection(("127.0.0.1", port), 20.0)
-    channel = Channel(raw)
-    channel.send(Header(Kind.HELLO), {"token": token.read_text().strip()}, 10.0)
+    channel = FrameChannel(raw)
+    channel.send(Header(FrameKind.HELLO), {"token": token.read_text().strip()}, 10.0)
     told = channel.receive(time.monotonic() + 10.0)
     assert told.document()["state"] == "ready"
     return raw, channel, told.header.number + 1
@@ -90,11 +90,11 @@ def test_robots_that_send_nonsense_are_left_without_harm(
     port = server.port
     for nonsense in (
         lambda first: b"\xff" * HEADER_BYTES,
-        lambda first: Header(Kind.REQUEST, first - 1).pack(),
-        lambda first: Header(Kind.ANSWER, first).pack(),
-        lambda first: Header(Kind.STATUS).pack(),
-        lambda first: Header(Kind.REQUEST, first, array_bytes=(1 << 25) + 1).pack(),
-        lambda first: Header(Kind.REQUEST, first, document_bytes=1 << 18).pack() + b"[",
+        lambda first: Header(FrameKind.REQUEST, first - 1).pack(),
+        lambda first: Header(FrameKind.ANSWER, first).pack(),
+        lambda first: Header(FrameKind.STATUS).pack(),
+        lambda first: Header(FrameKind.REQUEST, first, array_bytes=(1 << 25) + 1).pack(),
+        lambda first: Header(FrameKind.REQUEST, first, document_bytes=1 << 18).pack() + b"[",
     ):
         raw, channel, first = admitted(port, token)
         raw.sendall(nonsense(first))
@@ -105,7 +105,7 @@ def test_robots_that_send_nonsense_are_left_without_harm(
         channel.close()
     raw, channel, first = admitted(port, token)
     for number in (first, first):  # the second one is repeated
-        channel.send(Header(Kind.REQUEST, number, 0, 5.0), {"observation": {}}, 5.0)
+        channel.send(Header(FrameKind.REQUEST, number, 0, 5.0), {"observation": {}}, 5.0)
     told = channel.receive(time.monotonic() + 10.0)
     assert told.header.number == first
     assert told.document()["error"] == "invalid_input"
@@ -171,17 +171,17 @@ def test_who_stalls_is_left_before_and_after_it_was_admitted(
     with socket.create_connection(("127.0.0.1", front.port), 20.0) as silent:
         assert silent.recv(1) == b""
     with socket.create_connection(("127.0.0.1", front.port), 20.0) as slow, suppress(OSError):
-        for byte in Header(Kind.HELLO).pack() * 10:  # a byte now and then is no introduction
+        for byte in Header(FrameKind.HELLO).pack() * 10:  # a byte now and then is no introduction
             slow.send(bytes([byte]))
             time.sleep(0.05)
     wait_until(lambda: front.status()["refused_connections"] == 2, 20.0, "both are left")
     raw = socket.create_connection(("127.0.0.1", front.port), 20.0)
-    channel = Channel(raw)
+    channel = FrameChannel(raw)
     token = (tmp_path / "token").read_text().strip()
-    channel.send(Header(Kind.HELLO), {"token": token}, 10.0)
+    channel.send(Header(FrameKind.HELLO), {"token": token}, 10.0)
     assert channel.receive(time.monotonic() + 10.0).document()["state"] == "loading"
     wait_until(lambda: front.status()["robots"] == 1, 20.0)
-    raw.sendall(Header(Kind.REQUEST, 1, 0, 5.0, 1000).pack())
+    raw.sendall(Header(FrameKind.REQUEST, 1, 0, 5.0, 1000).pack())
     with pytest.raises(OSError, match="closed"):
         channel.receive(time.monotonic() + 20.0)
     channel.close()
@@ -189,11 +189,11 @@ def test_who_stalls_is_left_before_and_after_it_was_admitted(
 
 
 def test_a_robot_is_told_when_there_is_no_model(front: PolicyServer, tmp_path: Path) -> None:
-    channel = Channel(socket.create_connection(("127.0.0.1", front.port), 20.0))
+    channel = FrameChannel(socket.create_connection(("127.0.0.1", front.port), 20.0))
     token = (tmp_path / "token").read_text().strip()
-    channel.send(Header(Kind.HELLO), {"token": token}, 10.0)
+    channel.send(Header(FrameKind.HELLO), {"token": token}, 10.0)
     first = channel.receive(time.monotonic() + 10.0).header.number + 1
-    channel.send(Header(Kind.REQUEST, first, 77, 5.0), {"observation": {}}, 5.0)
+    channel.send(Header(FrameKind.REQUEST, first, 77, 5.0), {"observation": {}}, 5.0)
     told = channel.receive(time.monotonic() + 10.0)
     assert (told.header.number, told.header.clock_ns) == (first, 77)
     assert told.document()["error"] == "not_ready"

@@ -12,9 +12,9 @@ import pytest
 from policy_servers import SEEN, RunningServer, Serve, link_of, pair
 
 from rn_backend_shared.admission import AdmissionTable
-from rn_backend_shared.channel import Channel
+from rn_backend_shared.channel import FrameChannel
 from rn_backend_shared.security import client_of
-from rn_backend_shared.session import Session, Welcome, greet
+from rn_backend_shared.session import ModelSession, Welcome, greet
 from rn_backend_shared.wire import from_observation
 from rn_link.machine import read_machine
 from rn_link.tls import tls_context
@@ -109,12 +109,12 @@ def server(serve: Serve) -> RunningServer:
     return serve({"only": {"options": {"took_s": 0.02}, "most": 1}}, keys="token", robots=MANY)
 
 
-def session_from(address: str, server: RunningServer, token: str) -> Session:
+def session_from(address: str, server: RunningServer, token: str) -> ModelSession:
     """A conversation with a server from one of the addresses of this machine."""
     connected = socket.create_connection(("127.0.0.1", server.port), 20.0, (address, 0))
-    channel = Channel(connected)
+    channel = FrameChannel(connected)
     welcome: Welcome = greet(channel, {"token": token}, 20.0)
-    return Session(channel, welcome)
+    return ModelSession(channel, welcome)
 
 
 def test_many_connections_get_no_more_answers_than_one(
@@ -126,7 +126,7 @@ def test_many_connections_get_no_more_answers_than_one(
     lock, all_ask = threading.Lock(), threading.Barrier(MANY, timeout=MOST_S)
     end_s = time.monotonic() + MOST_S
 
-    def ask(address: str, session: Session) -> None:
+    def ask(address: str, session: ModelSession) -> None:
         session.ask(seen, end_s)
         all_ask.wait()
         while sum(answered.values()) < ANSWERS:

@@ -17,22 +17,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rn_backend_shared.channel import Channel
+from rn_backend_shared.channel import FrameChannel
 from rn_backend_shared.frames import (
     HEADER_BYTES,
     MOST_ARRAY_BYTES,
     MOST_DOCUMENT_BYTES,
     VERSION,
     FrameError,
+    FrameKind,
     Header,
-    Kind,
     VersionError,
     decode,
     encode,
     read_header,
 )
 from rn_backend_shared.plugin import BACKEND
-from rn_backend_shared.session import READY, Session, Welcome
+from rn_backend_shared.session import READY, ModelSession, Welcome
 from rn_backend_shared.wire import (
     HeldContext,
     from_answer,
@@ -87,7 +87,7 @@ def whole() -> Observation:
 
 def arrived(document: dict[str, Any]) -> dict[str, Any]:
     """A document as it arrives."""
-    frame = b"".join(encode(Header(Kind.REQUEST), document))
+    frame = b"".join(encode(Header(FrameKind.REQUEST), document))
     return decode(read_header(frame[:HEADER_BYTES]), frame[HEADER_BYTES:])
 
 
@@ -214,7 +214,7 @@ def test_an_error_arrives_as_it_was() -> None:
 @given(st.binary(max_size=200))
 def test_any_bytes_are_a_frame_or_refused(data: bytes) -> None:
     padded = data[:HEADER_BYTES].ljust(HEADER_BYTES, b"\0")
-    for head in (padded, Header(Kind.HELLO).pack()[:5] + padded[5:]):
+    for head in (padded, Header(FrameKind.HELLO).pack()[:5] + padded[5:]):
         try:
             header = read_header(head)
             assert header.document_bytes <= MOST_DOCUMENT_BYTES
@@ -223,12 +223,12 @@ def test_any_bytes_are_a_frame_or_refused(data: bytes) -> None:
             pass
     for size in (0, len(data)):
         with suppress(FrameError):
-            decode(Header(Kind.REQUEST, document_bytes=size), data)
+            decode(Header(FrameKind.REQUEST, document_bytes=size), data)
 
 
 @given(st.data())
 def test_a_damaged_frame_is_read_or_refused(drawn: st.DataObject) -> None:
-    frame = bytearray(b"".join(encode(Header(Kind.REQUEST), from_observation(whole()))))
+    frame = bytearray(b"".join(encode(Header(FrameKind.REQUEST), from_observation(whole()))))
     document_end = HEADER_BYTES + read_header(frame[:HEADER_BYTES]).document_bytes
     for _ in range(drawn.draw(st.integers(1, 4))):
         place = drawn.draw(st.integers(0, document_end - 1))
@@ -259,11 +259,11 @@ def test_a_damaged_frame_is_read_or_refused(drawn: st.DataObject) -> None:
 )
 def test_a_document_that_is_none_is_refused(text: bytes) -> None:
     with pytest.raises(FrameError):
-        decode(Header(Kind.REQUEST, document_bytes=len(text)), text + b"x")
+        decode(Header(FrameKind.REQUEST, document_bytes=len(text)), text + b"x")
 
 
 def test_both_versions_are_named() -> None:
-    head = bytearray(Header(Kind.HELLO).pack())
+    head = bytearray(Header(FrameKind.HELLO).pack())
     head[4] = 9
     with pytest.raises(VersionError, match=f"version 9 .* version {VERSION}"):
         read_header(head)
@@ -271,15 +271,15 @@ def test_both_versions_are_named() -> None:
 
 def test_what_is_too_large_is_not_sent_and_not_received() -> None:
     with pytest.raises(ValueError, match="more than can be sent"):
-        encode(Header(Kind.REQUEST), {"a": np.zeros(MOST_ARRAY_BYTES + 1, np.uint8)})
+        encode(Header(FrameKind.REQUEST), {"a": np.zeros(MOST_ARRAY_BYTES + 1, np.uint8)})
     with pytest.raises(FrameError, match="more than allowed"):
-        read_header(Header(Kind.REQUEST, array_bytes=MOST_ARRAY_BYTES + 1).pack())
+        read_header(Header(FrameKind.REQUEST, array_bytes=MOST_ARRAY_BYTES + 1).pack())
 
 
 @pytest.fixture
-def ends() -> Iterator[tuple[Channel, Channel]]:
+def ends() -> Iterator[tuple[FrameChannel, FrameChannel]]:
     """Two connected channels."""
-    one, other = map(Channel, socket.socketpair())
+    one, other = map(FrameChannel, socket.socketpair())
     yield one, other
     one.close()
     other.close()
@@ -288,13 +288,13 @@ def ends() -> Iterator[tuple[Channel, Channel]]:
 def answer_to(header: Header, first: float = 0.0, **changed: int) -> list[bytes | memoryview]:
     rows = ROWS.copy()
     rows[:, 0] = first
-    answer = Header(Kind.ANSWER, header.number, header.clock_ns)._replace(**changed)
+    answer = Header(FrameKind.ANSWER, header.number, header.clock_ns)._replace(**changed)
     return encode(answer, from_answer(ActionChunk(actions=rows, step_s=0.1)))
 
 
-def test_late_answers_are_dropped(ends: tuple[Channel, Channel]) -> None:
+def test_late_answers_are_dropped(ends: tuple[FrameChannel, FrameChannel]) -> None:
     here, there = ends
-    session = Session(here, Welcome(state=READY, pid=1))
+    session = ModelSession(here, Welcome(state=READY, pid=1))
     request = from_observation(SMALL)
     late = []
     for _ in range(2):
@@ -318,10 +318,10 @@ def test_late_answers_are_dropped(ends: tuple[Channel, Channel]) -> None:
 
 @pytest.mark.parametrize("changed", ["late twice", "number", "clock", "answered"])
 def test_answers_that_nobody_waits_for_end_the_connection(
-    ends: tuple[Channel, Channel], changed: str
+    ends: tuple[FrameChannel, FrameChannel], changed: str
 ) -> None:
     here, there = ends
-    session = Session(here, Welcome(state=READY, pid=1, number=1 << 60))
+    session = ModelSession(here, Welcome(state=READY, pid=1, number=1 << 60))
     request = from_observation(SMALL)
     with pytest.raises(TimeoutError):
         session.ask(request, time.monotonic() + 0.01)
@@ -348,9 +348,11 @@ def test_answers_that_nobody_waits_for_end_the_connection(
     thread.join(10.0)
 
 
-def test_a_server_that_leaves_questions_open_is_left(ends: tuple[Channel, Channel]) -> None:
+def test_a_server_that_leaves_questions_open_is_left(
+    ends: tuple[FrameChannel, FrameChannel],
+) -> None:
     here, there = ends
-    session = Session(here, Welcome(state=READY, pid=1))
+    session = ModelSession(here, Welcome(state=READY, pid=1))
     for _ in range(64):
         with pytest.raises(TimeoutError):
             session.ask({}, time.monotonic() + 0.001)
@@ -359,16 +361,18 @@ def test_a_server_that_leaves_questions_open_is_left(ends: tuple[Channel, Channe
         session.ask({}, time.monotonic() + 1.0)
 
 
-def test_time_left_is_told_and_not_a_time_of_day(ends: tuple[Channel, Channel]) -> None:
+def test_time_left_is_told_and_not_a_time_of_day(ends: tuple[FrameChannel, FrameChannel]) -> None:
     here, there = ends
     with pytest.raises(TimeoutError):
-        Session(here, Welcome(state=READY, pid=1)).ask({}, time.monotonic() + 0.2)
+        ModelSession(here, Welcome(state=READY, pid=1)).ask({}, time.monotonic() + 0.2)
     assert 0.0 < there.receive(time.monotonic() + 10.0).header.left_s <= 0.2
 
 
-def test_a_connection_with_half_a_frame_is_of_no_more_use(ends: tuple[Channel, Channel]) -> None:
+def test_a_connection_with_half_a_frame_is_of_no_more_use(
+    ends: tuple[FrameChannel, FrameChannel],
+) -> None:
     here, _ = ends
-    session = Session(here, Welcome(state=READY, pid=1))
+    session = ModelSession(here, Welcome(state=READY, pid=1))
     large = {"a": np.zeros(1 << 22, np.uint8)}
     with pytest.raises(TimeoutError):
         session.ask(large, time.monotonic() + 0.1)

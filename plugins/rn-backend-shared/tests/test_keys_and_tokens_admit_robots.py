@@ -16,7 +16,7 @@ from policy_servers import (
     said_to,
 )
 
-from rn_backend_shared.frames import VERSION, Header, Kind
+from rn_backend_shared.frames import VERSION, FrameKind, Header
 from rn_backend_shared.options import ListenOptions, SharedOptions
 from rn_backend_shared.security import Guard, is_loopback, place_of
 from rn_link.certificates import issue, key_to_pem, new_issuer, new_key, to_pem, write_private
@@ -68,12 +68,12 @@ def test_a_token_admits_and_a_wrong_one_is_not_answered(
     port = server.port
     for wrong in ('"x"', '""', "null", "7", '"' + "x" * 3000 + '"'):
         text = f'[{{"token": {wrong}}}, []]'.encode()
-        assert said_to(port, Header(Kind.HELLO, document_bytes=len(text)).pack() + text) == b""
-    newer = bytearray(Header(Kind.HELLO).pack())
+        assert said_to(port, Header(FrameKind.HELLO, document_bytes=len(text)).pack() + text) == b""
+    newer = bytearray(Header(FrameKind.HELLO).pack())
     newer[4] = VERSION + 1
     assert said_to(port, bytes(newer)) == b""
-    assert said_to(port, Header(Kind.HELLO, array_bytes=5000).pack()) == b""
-    assert said_to(port, Header(Kind.STATUS).pack()) == b""
+    assert said_to(port, Header(FrameKind.HELLO, array_bytes=5000).pack()) == b""
+    assert said_to(port, Header(FrameKind.STATUS).pack()) == b""
 
 
 def test_a_token_is_not_sent_in_clear(tmp_path: Path) -> None:

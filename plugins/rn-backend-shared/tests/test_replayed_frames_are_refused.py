@@ -16,8 +16,8 @@ from middle_man import Cut, MiddleMan, Recording, plain_frame, tls_record
 from policy_servers import Robot, RunningServer, Serve, answers, robot_of, seen
 
 from rn_backend_shared.backend import SharedBackend
-from rn_backend_shared.channel import Channel
-from rn_backend_shared.frames import HEADER_BYTES, FrameError, Header, Kind, read_header
+from rn_backend_shared.channel import FrameChannel
+from rn_backend_shared.frames import HEADER_BYTES, FrameError, FrameKind, Header, read_header
 from rn_backend_shared.session import greet
 from rn_testing.waiting import wait_until
 from roboneuron import NotReadyError
@@ -70,11 +70,11 @@ def logged(server: RunningServer) -> str:
     return (server.folder / "server.log").read_text()
 
 
-def kind_of(frame: bytes) -> Kind:
+def kind_of(frame: bytes) -> FrameKind:
     return read_header(frame[:HEADER_BYTES]).kind
 
 
-def of_kind(frames: Sequence[bytes], kind: Kind) -> list[bytes]:
+def of_kind(frames: Sequence[bytes], kind: FrameKind) -> list[bytes]:
     return [frame for frame in frames if kind_of(frame) is kind]
 
 
@@ -95,7 +95,7 @@ def twice(recording: Recording, frame: bytes) -> Sequence[bytes]:
     return (frame, frame)
 
 
-def the_one_before(frames: Sequence[bytes], frame: bytes, kind: Kind) -> Sequence[bytes]:
+def the_one_before(frames: Sequence[bytes], frame: bytes, kind: FrameKind) -> Sequence[bytes]:
     """The frame before, in place of this one."""
     if kind_of(frame) is not kind or not of_kind(frames, kind):
         return (frame,)
@@ -105,10 +105,10 @@ def the_one_before(frames: Sequence[bytes], frame: bytes, kind: Kind) -> Sequenc
 ANSWERS: dict[str, Callable[[Recording, bytes], Sequence[bytes]]] = {
     "twice": twice,
     "old-in-its-place": lambda recording, frame: the_one_before(
-        recording.answered, frame, Kind.ANSWER
+        recording.answered, frame, FrameKind.ANSWER
     ),
     "old-before-it": lambda recording, frame: (
-        *the_one_before(recording.answered, frame, Kind.ANSWER),
+        *the_one_before(recording.answered, frame, FrameKind.ANSWER),
         frame,
     ),
     "question-sent-back": lambda recording, frame: (recording.asked[-1],),
@@ -116,10 +116,10 @@ ANSWERS: dict[str, Callable[[Recording, bytes], Sequence[bytes]]] = {
 REQUESTS: dict[str, Callable[[Recording, bytes], Sequence[bytes]]] = {
     "twice": twice,
     "old-in-its-place": lambda recording, frame: the_one_before(
-        recording.asked, frame, Kind.REQUEST
+        recording.asked, frame, FrameKind.REQUEST
     ),
     "old-before-it": lambda recording, frame: (
-        *the_one_before(recording.asked, frame, Kind.REQUEST),
+        *the_one_before(recording.asked, frame, FrameKind.REQUEST),
         frame,
     ),
     # nothing was asked yet on a connection made anew
@@ -181,7 +181,7 @@ def test_answers_of_another_connection_or_run_are_refused(
     for number in range(5):
         ask(first, number)
     first.close()
-    recorded = of_kind(man.recordings[0].answered, Kind.ANSWER)
+    recorded = of_kind(man.recordings[0].answered, FrameKind.ANSWER)
     assert len(recorded) == 5
     if runs == 2:
         plain.end()
@@ -190,8 +190,8 @@ def test_answers_of_another_connection_or_run_are_refused(
     second = robot(man.address, **shown(plain))
 
     def other(recording: Recording, frame: bytes) -> Sequence[bytes]:
-        place = len(of_kind(recording.answered, Kind.ANSWER))
-        return (recorded[place],) if kind_of(frame) is Kind.ANSWER else (frame,)
+        place = len(of_kind(recording.answered, FrameKind.ANSWER))
+        return (recorded[place],) if kind_of(frame) is FrameKind.ANSWER else (frame,)
 
     man.answer = other
     said = judge(second, man, expected)
@@ -215,7 +215,7 @@ def test_a_conversation_that_is_sent_again_is_computed_no_second_time(
             while part := again.recv(4096):
                 heard += part
     # a welcome at most: what was not read yet resets the connection
-    assert not heard or kind_of(heard) is Kind.WELCOME
+    assert not heard or kind_of(heard) is FrameKind.WELCOME
     assert not heard or len(heard) == HEADER_BYTES + read_header(heard[:HEADER_BYTES]).body_bytes
     assert computed(plain) == before
     assert "was replayed" in logged(plain)[begun:]
@@ -230,7 +230,7 @@ def test_a_request_of_another_connection_is_computed_no_second_time(
     for number in range(3):
         ask(first, number)
         ask(second, number)
-    recorded = of_kind(man.recordings[0].asked, Kind.REQUEST)[-1]
+    recorded = of_kind(man.recordings[0].asked, FrameKind.REQUEST)[-1]
     before = computed(plain)
     man.ask = lambda recording, frame: (recorded,)
     assert "is lost" in ask(second, 3)
@@ -335,7 +335,7 @@ def test_a_welcome_that_was_recorded_introduces_nobody(
     ask(robot(man.address, **shown(plain)), 0)
     recorded = man.recordings[0].answered[0]
     man.answer = lambda recording, frame: (recorded,)
-    channel = Channel(socket.create_connection(("127.0.0.1", man.port), 20.0))
+    channel = FrameChannel(socket.create_connection(("127.0.0.1", man.port), 20.0))
     token = (plain.folder / "token").read_text().strip()
     with closing(channel), pytest.raises(FrameError, match="was replayed"):
         greet(channel, {"token": token}, 10.0)
@@ -345,11 +345,11 @@ def test_the_first_number_is_drawn_for_each_connection(plain: RunningServer) -> 
     token = (plain.folder / "token").read_text().strip()
     numbers = set()
     for _ in range(3):
-        channel = Channel(socket.create_connection(("127.0.0.1", plain.port), 20.0))
+        channel = FrameChannel(socket.create_connection(("127.0.0.1", plain.port), 20.0))
         with closing(channel):
             welcome = greet(channel, {"token": token}, 10.0)
             numbers.add(welcome.number)
-            skipped = Header(Kind.REQUEST, welcome.number + 2, 0, 5.0)
+            skipped = Header(FrameKind.REQUEST, welcome.number + 2, 0, 5.0)
             channel.send(skipped, {"observation": {}}, 5.0)
             with pytest.raises(OSError, match="closed"):
                 channel.receive(time.monotonic() + 10.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rn_backend_shared.batching import _with_metrics
-from rn_backend_shared.frames import HEADER_BYTES, Header, Kind, decode, encode, read_header
+from rn_backend_shared.frames import HEADER_BYTES, FrameKind, Header, decode, encode, read_header
 from rn_backend_shared.space import shared_space
 from rn_backend_shared.wire import from_answer, to_answer
 from roboneuron import (
@@ -42,7 +42,7 @@ ROBOT = RobotProfile(
 
 def sent(chunk: ActionChunk) -> ActionChunk:
     """As it arrives at the robot."""
-    frame = b"".join(encode(Header(Kind.ANSWER), from_answer(chunk)))
+    frame = b"".join(encode(Header(FrameKind.ANSWER), from_answer(chunk)))
     return to_answer(decode(read_header(frame[:HEADER_BYTES]), frame[HEADER_BYTES:]))
 
 

@@ -18,7 +18,7 @@ from policy_servers import (
 )
 
 from rn_backend_shared import server as server_module
-from rn_backend_shared.frames import VERSION, Header, Kind
+from rn_backend_shared.frames import VERSION, FrameKind, Header
 from rn_testing.waiting import wait_until
 
 pytestmark = pytest.mark.timeout(200)
@@ -28,17 +28,17 @@ def test_nonsense_on_the_socket_disturbs_nobody(served: Robot, tmp_path: Path) -
     one = served()
     (path,) = (tmp_path / "run").glob("*.sock")
     body = json.dumps([{"observation": {}}, []]).encode()
-    request = Header(Kind.REQUEST, 1, document_bytes=len(body)).pack()
+    request = Header(FrameKind.REQUEST, 1, document_bytes=len(body)).pack()
     deep = b"[" * 100_000
     for nonsense in (
         b"\xff" * 64,
         b"GET / HTTP/1.1\r\n\r\n" * 2,
         request + body,
         request[:-1],
-        Header(Kind.REQUEST, 1, document_bytes=len(deep)).pack() + deep,
+        Header(FrameKind.REQUEST, 1, document_bytes=len(deep)).pack() + deep,
         2 * (request + body),
-        Header(Kind.REQUEST, 1, array_bytes=1 << 31).pack(),
-        Header(Kind.ANSWER, 1).pack(),
+        Header(FrameKind.REQUEST, 1, array_bytes=1 << 31).pack(),
+        Header(FrameKind.ANSWER, 1).pack(),
     ):
         with socket.socket(socket.AF_UNIX) as wild:
             wild.settimeout(30.0)
@@ -59,7 +59,7 @@ def test_a_server_of_another_version_is_refused_in_words(
     with socket.socket(socket.AF_UNIX) as newer:
         newer.settimeout(30.0)
         newer.connect(str(path))
-        hello = bytearray(Header(Kind.HELLO).pack())
+        hello = bytearray(Header(FrameKind.HELLO).pack())
         hello[4] = VERSION + 1
         newer.sendall(hello)
         newer.shutdown(socket.SHUT_WR)  # else it is left after the time for a first request

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from rn_eval.hand_over import HandOver, HandOverOptions, HandOverScene
+from rn_eval.hand_over import HandOver, HandOverScene, HandOverSuiteOptions
 from rn_eval.plan import EvalPlan
 from rn_eval.policy import AgreedPolicy
 from rn_eval.runner import Runner
@@ -74,7 +74,7 @@ def test_only_the_named_cube_in_the_other_hand_is_a_success(
     )  # fmt: skip
     cubes = {name: replace(cube, handed_over_s=handed.get(name, 0.0)) for name in ("red", "blue")}
     scene._simulation = SimpleNamespace(cubes=lambda: cubes)  # type: ignore[assignment]
-    scene._target, scene._options = "red", HandOverOptions()
+    scene._target, scene._options = "red", HandOverSuiteOptions()
     judged = scene.judge()
     assert (judged.success, judged.is_over) == (handed.get("red") == 1.0, is_over)
     assert reason in judged.reason

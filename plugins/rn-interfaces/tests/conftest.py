@@ -15,7 +15,7 @@ from made_packages import WELD, write_package
 from rn_interfaces.finder import PREFIXES, install
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 
 
 @pytest.fixture(scope="package")
@@ -25,16 +25,16 @@ def user(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_DATA_HOME", str(folder / "data"))
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-        patch.setenv(PREFIXES, f"{sys.prefix}:{Store().prefix}")
+        patch.setenv(PREFIXES, f"{sys.prefix}:{DefinitionStore().prefix}")
         patch.setattr(sys, "meta_path", list(sys.meta_path))
         install()
         yield folder
 
 
 @pytest.fixture(scope="package")
-def store(user: Path) -> Store:
+def store(user: Path) -> DefinitionStore:
     """That of the user, who has learnt `weld_msgs`."""
-    found = Store()
+    found = DefinitionStore()
     learnt = learn(found, definitions(write_package(user / "src", "weld_msgs", WELD)))
     assert not learnt.refused
     return found

@@ -29,7 +29,7 @@ from rclpy.node import Node
 from rn_interfaces.finder import PREFIXES
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 from roboneuron.ros.environment import prepare_environment
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
@@ -125,7 +125,7 @@ class Welder:
 
 
 @pytest.fixture
-def welder(store: Store, tmp_path: Path) -> Iterator[Welder]:
+def welder(store: DefinitionStore, tmp_path: Path) -> Iterator[Welder]:
     """The robot's node."""
     prepare_environment(tmp_path / "log")
     made = Welder()
@@ -134,7 +134,7 @@ def welder(store: Store, tmp_path: Path) -> Iterator[Welder]:
 
 
 def test_an_agent_publishes_reads_and_records_a_learnt_type(
-    welder: Welder, store: Store, tmp_path: Path
+    welder: Welder, store: DefinitionStore, tmp_path: Path
 ) -> None:
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
@@ -234,7 +234,7 @@ rclpy.spin(node)
 """
 
 
-def test_another_definition_of_the_type_is_refused(store: Store, tmp_path: Path) -> None:
+def test_another_definition_of_the_type_is_refused(store: DefinitionStore, tmp_path: Path) -> None:
     prepare_environment(tmp_path / "log")
     other = {**os.environ, "XDG_DATA_HOME": str(tmp_path / "other")}
     other[PREFIXES] = sys.prefix
@@ -242,7 +242,9 @@ def test_another_definition_of_the_type_is_refused(store: Store, tmp_path: Path)
     folder = write_package(tmp_path / "src", "weld_msgs", changed)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(PREFIXES, sys.prefix)  # the other user does not have this one's store
-        learn(Store(tmp_path / "other" / "roboneuron" / "interfaces"), definitions(folder))
+        learn(
+            DefinitionStore(tmp_path / "other" / "roboneuron" / "interfaces"), definitions(folder)
+        )
     config = tmp_path / "roboneuron.toml"
     config.write_text(CONFIG.format(state=tmp_path / "state"))
     command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]

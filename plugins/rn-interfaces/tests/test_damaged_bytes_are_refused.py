@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from rn_interfaces.cdr_fields import CdrError
 from rn_interfaces.codec import codec
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 
 TRIALS = 3000
 
@@ -28,7 +28,7 @@ def damaged(data: bytes, rng: random.Random) -> bytes:
     return bytes(changed)
 
 
-def test_damaged_messages_are_refused_or_decoded(store: Store) -> None:
+def test_damaged_messages_are_refused_or_decoded(store: DefinitionStore) -> None:
     from weld_msgs.msg import Path as Welds
 
     rng = random.Random(3)
@@ -44,7 +44,7 @@ def test_damaged_messages_are_refused_or_decoded(store: Store) -> None:
     assert TRIALS // 10 < refused < TRIALS
 
 
-def test_rclpy_goes_on_after_damaged_bytes(store: Store) -> None:
+def test_rclpy_goes_on_after_damaged_bytes(store: DefinitionStore) -> None:
     from weld_msgs.msg import Path as Welds
 
     rng = random.Random(4)
@@ -71,7 +71,7 @@ def test_rclpy_goes_on_after_damaged_bytes(store: Store) -> None:
     ],
 )
 def test_a_message_that_its_type_has_no_bytes_for_is_refused(
-    store: Store, field: str, value: Any, words: str
+    store: DefinitionStore, field: str, value: Any, words: str
 ) -> None:
     from weld_msgs.msg import Seam
 
@@ -81,7 +81,7 @@ def test_a_message_that_its_type_has_no_bytes_for_is_refused(
         codec(Seam).encode(message)
 
 
-def test_lengths_beyond_the_bytes_take_no_memory(store: Store) -> None:
+def test_lengths_beyond_the_bytes_take_no_memory(store: DefinitionStore) -> None:
     from weld_msgs.msg import Path as Welds
 
     with pytest.raises(CdrError, match="longer than the rest"):

@@ -16,9 +16,9 @@ from made_packages import WELD, write_package
 from mcap.writer import Writer
 
 from rn_interfaces.finder import PREFIXES
-from rn_interfaces.learning import Learnt, Text, learn
+from rn_interfaces.learning import FoundDefinition, Learnt, learn
 from rn_interfaces.sources import definitions
-from rn_interfaces.store import MOST_TEXT, Name, Store, parse_name
+from rn_interfaces.store import MOST_TEXT, DefinitionStore, Name, parse_name
 from rn_interfaces_learning.processes import definition_of, prefixes_of_processes
 from roboneuron import ConfigurationError
 
@@ -26,15 +26,17 @@ SEAM = Name("weld_msgs", "msg", "Seam")
 
 
 @pytest.fixture
-def empty(tmp_path: Path, user: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
+def empty(tmp_path: Path, user: Path, monkeypatch: pytest.MonkeyPatch) -> DefinitionStore:
     """A store of somebody else, who does not have this user's."""
     monkeypatch.setenv(PREFIXES, sys.prefix)
-    return Store(tmp_path / "store")
+    return DefinitionStore(tmp_path / "store")
 
 
-def taught(store: Store, **texts: str) -> Learnt:
+def taught(store: DefinitionStore, **texts: str) -> Learnt:
     """Learn messages of a package `own_msgs`."""
-    return learn(store, {Name("own_msgs", "msg", n): Text(t, "a test") for n, t in texts.items()})
+    return learn(
+        store, {Name("own_msgs", "msg", n): FoundDefinition(t, "a test") for n, t in texts.items()}
+    )
 
 
 def test_a_folder_and_a_tarball_give_the_same(tmp_path: Path) -> None:
@@ -55,7 +57,7 @@ def test_a_folder_and_a_tarball_give_the_same(tmp_path: Path) -> None:
     }
 
 
-def test_a_recording_gives_its_schemas(tmp_path: Path, empty: Store) -> None:
+def test_a_recording_gives_its_schemas(tmp_path: Path, empty: DefinitionStore) -> None:
     path = tmp_path / "weld.mcap"
     rule = "=" * 80
     text = f"Seam[] seams\n{rule}\nMSG: weld_msgs/Seam\nint32 number\n"
@@ -71,7 +73,7 @@ def test_a_recording_gives_its_schemas(tmp_path: Path, empty: Store) -> None:
         definitions(path)
 
 
-def test_what_is_no_definition_is_refused_and_the_rest_is_kept(empty: Store) -> None:
+def test_what_is_no_definition_is_refused_and_the_rest_is_kept(empty: DefinitionStore) -> None:
     learnt = taught(
         empty,
         Good="int32 number\n",
@@ -93,32 +95,32 @@ def test_what_is_no_definition_is_refused_and_the_rest_is_kept(empty: Store) -> 
     assert [str(name) for name in empty.names()] == ["own_msgs/msg/Good"]
 
 
-def test_messages_that_hold_each_other_are_refused(empty: Store) -> None:
+def test_messages_that_hold_each_other_are_refused(empty: DefinitionStore) -> None:
     with pytest.raises(ConfigurationError, match="hold themselves"):
         taught(empty, A="B b\n", B="A a\n")
 
 
-def test_compiled_packages_are_left_alone(empty: Store) -> None:
-    learnt = learn(empty, {Name("std_msgs", "msg", "Own"): Text("int32 a\n", "a test")})
+def test_compiled_packages_are_left_alone(empty: DefinitionStore) -> None:
+    learnt = learn(empty, {Name("std_msgs", "msg", "Own"): FoundDefinition("int32 a\n", "a test")})
     assert learnt.compiled == {"std_msgs"}
     assert not empty.names()
 
 
-def test_a_hash_that_the_node_does_not_have_is_refused(empty: Store) -> None:
+def test_a_hash_that_the_node_does_not_have_is_refused(empty: DefinitionStore) -> None:
     wrong = "RIHS01_" + "0" * 64
-    learnt = learn(empty, {SEAM: Text("int32 a\n", "node /welder", {str(SEAM): wrong})})
+    learnt = learn(empty, {SEAM: FoundDefinition("int32 a\n", "node /welder", {str(SEAM): wrong})})
     assert f"the node says {wrong}" in learnt.refused[SEAM]
     assert not empty.names()
 
 
-def test_missing_messages_come_from_rosbags(empty: Store) -> None:
+def test_missing_messages_come_from_rosbags(empty: DefinitionStore) -> None:
     taught(empty, Frames="tf2_msgs/TFMessage frames\n")
     origins = empty.origins()
     assert origins["tf2_msgs/msg/TFMessage"].source.startswith("rosbags")
     assert origins["own_msgs/msg/Frames"].source == "a test"
 
 
-def test_another_text_changes_what_uses_it(empty: Store) -> None:
+def test_another_text_changes_what_uses_it(empty: DefinitionStore) -> None:
     first = taught(empty, Part="int32 a\n", Whole="Part part\n")
     again = taught(empty, Part="int32 a\n")
     assert (len(again.added), len(again.known)) == (0, 1)
@@ -141,7 +143,7 @@ def test_text_of_strangers_is_never_run(user: Path, tmp_path: Path) -> None:
     code = f"open('{mark}', 'w')"
     quoted = code.replace("'", "\\'")
     learnt = taught(
-        Store(),
+        DefinitionStore(),
         Quotes=f"string A='' + str({code}) + ''\n",
         Double=f"string B=\"'+str({quoted})+'\"\n",
         Slashes=f"string c '\\\\\"+str({quoted})+\"'\n",

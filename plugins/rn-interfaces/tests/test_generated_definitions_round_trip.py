@@ -13,7 +13,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 
 
 def round_trip(folder: Path, package: str, count: int) -> None:
@@ -24,7 +24,7 @@ def round_trip(folder: Path, package: str, count: int) -> None:
         earlier = [f"Made{one}" for one in range(max(0, index - 5), index)]
         files[f"msg/Made{index}.msg"] = definition(rng, earlier[-3:])
     files["msg/All.msg"] = "".join(f"Made{index} made{index}\n" for index in range(count))
-    learnt = learn(Store(), definitions(write_package(folder, package, files)))
+    learnt = learn(DefinitionStore(), definitions(write_package(folder, package, files)))
     assert not learnt.refused
     assert len(learnt.added) == count + 1
     module = import_module(f"{package}.msg")

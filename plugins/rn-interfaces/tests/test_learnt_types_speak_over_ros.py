@@ -21,7 +21,7 @@ from rclpy.serialization import serialize_message
 
 from rn_interfaces.finder import PREFIXES
 from rn_interfaces.graph import hashes_here
-from rn_interfaces.store import Name, Store
+from rn_interfaces.store import DefinitionStore, Name
 from rn_interfaces_learning.nodes import NodeGraph, ask_nodes
 from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import holds_within, wait_until
@@ -35,7 +35,7 @@ WAIT_S = 60.0
 
 
 @pytest.fixture
-def node(store: Store, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
+def node(store: DefinitionStore, tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> Iterator[Node]:
     """A node that four threads spin, in a domain without nodes of other tests."""
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
     prepare_environment(tmp_path)
@@ -155,7 +155,11 @@ def until_discovered(link: RosLink, *topics: str) -> NodeGraph:
 
 
 def test_a_node_gives_the_definition_of_what_it_publishes(
-    node: Node, link: RosLink, store: Store, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+    node: Node,
+    link: RosLink,
+    store: DefinitionStore,
+    tmp_path: Any,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from weld_msgs.msg import Seam
     from weld_msgs.srv import Strike
@@ -163,7 +167,7 @@ def test_a_node_gives_the_definition_of_what_it_publishes(
     node.create_publisher(Seam, "/seam", 10)
     node.create_service(Strike, "/strike", lambda request, response: response)
     monkeypatch.setenv(PREFIXES, sys.prefix)  # another user has another store
-    empty = Store(tmp_path / "empty")
+    empty = DefinitionStore(tmp_path / "empty")
     found = ask_nodes(until_discovered(link, "/seam"), empty)
     assert SEAM in found.texts, found.unanswered
     assert found.texts[SEAM].text == store.text(SEAM)

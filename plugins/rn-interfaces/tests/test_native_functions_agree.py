@@ -16,7 +16,7 @@ from rn_interfaces import native
 from rn_interfaces.cdr_fields import CdrError
 from rn_interfaces.codec import codec
 from rn_interfaces.program import program
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 from rn_interfaces.structures import LayoutError
 
 IS_VALID = ctypes.CFUNCTYPE(ctypes.c_bool, ctypes.c_void_p, ctypes.c_char_p, ctypes.c_size_t)
@@ -38,7 +38,7 @@ def decodes(cls: type, data: bytes) -> bool:
 
 
 def test_damaged_bytes_pass_where_python_decodes_them(
-    is_valid: Callable[[int, bytes, int], bool], store: Store
+    is_valid: Callable[[int, bytes, int], bool], store: DefinitionStore
 ) -> None:
     from weld_msgs.msg import Path as Welds
 
@@ -69,7 +69,7 @@ def test_bytes_of_every_compiled_type_pass_and_their_cuts_do_not(
 
 @pytest.mark.parametrize("text", ["é".encode() * 16, b"\xff" * 16, b"\x80" * 20, b"a" * 17])
 def test_a_bound_counts_characters(
-    text: bytes, is_valid: Callable[[int, bytes, int], bool], store: Store
+    text: bytes, is_valid: Callable[[int, bytes, int], bool], store: DefinitionStore
 ) -> None:
     from weld_msgs.msg import Seam
 

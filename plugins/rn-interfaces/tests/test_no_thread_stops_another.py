@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 from rn_testing.domain import free_ros_domain
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
@@ -34,7 +34,7 @@ def busy(seconds: float, domain: int) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("seconds", [5.0, pytest.param(60.0, marks=[pytest.mark.slow])])
-def test_threads_that_share_entities_all_go_on(store: Store, seconds: float) -> None:
+def test_threads_that_share_entities_all_go_on(store: DefinitionStore, seconds: float) -> None:
     done = busy(seconds, free_ros_domain())
     assert len(done) == 5
     assert all(done.values()), done

@@ -19,7 +19,7 @@ from rn_interfaces.finder import PREFIXES
 from rn_interfaces.graph import hashes_here, uses
 from rn_interfaces.learning import learn
 from rn_interfaces.sources import definitions
-from rn_interfaces.store import Name, Store
+from rn_interfaces.store import DefinitionStore, Name
 from rn_interfaces_learning.nodes import NodeGraph, ask_nodes
 from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import wait_until
@@ -67,10 +67,10 @@ def serving(nodes: NodeGraph, data: Path, *words: str, prefix: str) -> Iterator[
 
 
 @pytest.fixture
-def welder(nodes: NodeGraph, empty: Store, tmp_path: Path) -> Iterator[NodeGraph]:
+def welder(nodes: NodeGraph, empty: DefinitionStore, tmp_path: Path) -> Iterator[NodeGraph]:
     """Beside a node whose process has `weld_msgs` in a prefix of its own."""
     data = tmp_path / "theirs"
-    other = Store(data / "roboneuron" / "interfaces")
+    other = DefinitionStore(data / "roboneuron" / "interfaces")
     learn(other, definitions(write_package(tmp_path / "src", "weld_msgs", WELD)))
     prefix = f"{sys.prefix}:{other.prefix}"
     with serving(nodes, data, "weld_msgs", "Strike", "Weld", prefix=prefix):
@@ -78,14 +78,14 @@ def welder(nodes: NodeGraph, empty: Store, tmp_path: Path) -> Iterator[NodeGraph
 
 
 @pytest.fixture
-def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Store:
+def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DefinitionStore:
     """A store of somebody who does not have this user's."""
     monkeypatch.setenv(PREFIXES, sys.prefix)
-    return Store(tmp_path / "empty")
+    return DefinitionStore(tmp_path / "empty")
 
 
 def test_a_service_and_an_action_come_from_where_their_process_has_them(
-    welder: NodeGraph, store: Store, empty: Store
+    welder: NodeGraph, store: DefinitionStore, empty: DefinitionStore
 ) -> None:
     found = ask_nodes(welder, empty)
     assert not found.unanswered
@@ -100,9 +100,9 @@ def test_a_service_and_an_action_come_from_where_their_process_has_them(
 
 
 def test_another_definition_of_the_same_name_is_not_taken(
-    welder: NodeGraph, empty: Store, tmp_path: Path
+    welder: NodeGraph, empty: DefinitionStore, tmp_path: Path
 ) -> None:
-    decoy = Store(tmp_path / "decoy")
+    decoy = DefinitionStore(tmp_path / "decoy")
     changed = {
         **WELD,
         "srv/Strike.srv": WELD["srv/Strike.srv"] + "int32 added\n",
@@ -118,7 +118,7 @@ def test_another_definition_of_the_same_name_is_not_taken(
 
 
 def test_compiled_services_and_actions_of_another_process_are_learnt(
-    nodes: NodeGraph, empty: Store, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    nodes: NodeGraph, empty: DefinitionStore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As if nobody had compiled test_msgs here."""
     compiled = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from rn_interfaces.graph import is_known, uses
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 
 
 class Graph:
@@ -24,7 +24,7 @@ class Graph:
         }
 
 
-def test_a_thousand_unknown_types_are_found_and_not_imported(store: Store) -> None:
+def test_a_thousand_unknown_types_are_found_and_not_imported(store: DefinitionStore) -> None:
     before = set(sys.modules)
     found = uses(Graph())
     known = {str(name): topics for name, topics in found.items() if is_known(store, name)}

@@ -13,7 +13,7 @@ import pytest
 
 from rn_link.machine import Peer, read_machine
 from rn_link_pairing.keeping import become_hub
-from rn_link_pairing.pairing import ATTEMPTS, Admission, join, new_code, open_listener
+from rn_link_pairing.pairing import ATTEMPTS, PairingHub, join, new_code, open_listener
 from rn_link_pairing.pake import PARTIES, Exchange, PairingError, generator
 from roboneuron import ConfigurationError
 
@@ -51,7 +51,7 @@ def in_background(function: Callable[[], Peer]) -> Future[Peer]:
 def admitting(
     hub: Path, listener: socket.socket, complaints: list[str], limit_s: float = 30.0
 ) -> Future[Peer]:
-    admission = Admission(hub, "gpu", address=None, days=90, notify=complaints.append)
+    admission = PairingHub(hub, "gpu", address=None, days=90, notify=complaints.append)
     return in_background(lambda: admission.serve(listener, CODE, limit_s))
 
 

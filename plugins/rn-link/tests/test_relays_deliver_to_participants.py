@@ -12,7 +12,7 @@ import pytest
 
 from rn_link import ports
 from rn_link.machine import DISCOVERY_PORT
-from rn_link.ports import Place, Ports
+from rn_link.ports import ParticipantPort, Ports
 
 SPDP = bytes.fromhex("000100c2")
 LOOPBACK = "127.0.0.1"
@@ -40,8 +40,8 @@ class Participant:
         raise OSError("no port of the domain is free")
 
     @property
-    def place(self) -> Place:
-        return Place(self.name, self.data.getsockname()[1])
+    def place(self) -> ParticipantPort:
+        return ParticipantPort(self.name, self.data.getsockname()[1])
 
     def announce(self, relay: str) -> None:
         locators = b"".join(
@@ -75,7 +75,7 @@ class Relays:
         self.robot, self.gpu = self.open("robot"), self.open("gpu")
 
     def open(self, name: str) -> Ports:
-        def forward(_: str | None, place: Place, message: bytes) -> None:
+        def forward(_: str | None, place: ParticipantPort, message: bytes) -> None:
             to = self.gpu if name == "robot" else self.robot
             to.deliver(name, place, message)
 
@@ -108,9 +108,9 @@ def test_messages_reach_the_participant_that_announced_itself(
             far.data.sendto(b"before", await meet(near, far))
             assert await near.receive(near.data) == b"before"
             # a port that is open, and that no participant has announced
-            relays.robot.deliver("gpu", Place(near.name, far.place.port), b"elsewhere")
+            relays.robot.deliver("gpu", ParticipantPort(near.name, far.place.port), b"elsewhere")
             # a participant that had the port before
-            relays.robot.deliver("gpu", Place(b"x" * 12, near.place.port), b"late")
+            relays.robot.deliver("gpu", ParticipantPort(b"x" * 12, near.place.port), b"late")
             relays.robot.deliver("gpu", near.place, b"right")
             assert await near.receive(near.data) == b"right"
             with pytest.raises(BlockingIOError):

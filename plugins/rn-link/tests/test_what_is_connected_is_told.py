@@ -27,7 +27,7 @@ from rn_link import ports
 from rn_link.machine import Machine as Paired
 from rn_link.machine import Peer, read_machine
 from rn_link.relay import Relay
-from rn_link.state import LOCK, STATE, Connection, StateFile, hint_for, read_connections
+from rn_link.state import LOCK, STATE, PeerConnection, StateFile, hint_for, read_connections
 from rn_link.tls import tls_context
 from rn_link_pairing.command import LinkCommand, _spoken
 
@@ -131,7 +131,7 @@ def test_each_machine_is_told_with_its_time_or_its_error(
 def test_hours_are_told_as_hours() -> None:
     now = datetime(2026, 11, 26, 12, 0, 0, tzinfo=UTC)
     since = (now - timedelta(hours=26, minutes=5)).isoformat(timespec="seconds")
-    assert _spoken(Connection(since=since), now) == (
+    assert _spoken(PeerConnection(since=since), now) == (
         "connected for 26 h 5 min, since 2026-11-25 09:55:00 UTC"
     )
 
@@ -157,11 +157,11 @@ def test_every_error_has_something_to_do(error: OSError, told: str) -> None:
     assert told in hint_for(HUB, "gpu", error)
 
 
-async def until(folder: Path, is_open: bool, error: str = "") -> Connection:
+async def until(folder: Path, is_open: bool, error: str = "") -> PeerConnection:
     """The state of the connection to the member, once it is as expected."""
     async with asyncio.timeout(BOUND_S):
         while True:
-            one = (read_connections(folder) or {}).get("gpu", Connection())
+            one = (read_connections(folder) or {}).get("gpu", PeerConnection())
             if one.is_open is is_open and error in one.error and (is_open or one.error):
                 return one
             await asyncio.sleep(0.02)

@@ -14,7 +14,7 @@ from rclpy.serialization import serialize_message
 from rn_recorder_runs.files import Record, RunFile, write_json
 from rn_recorder_runs.images import to_string
 from rn_recorder_runs.predictions import prediction_record
-from rn_recorder_runs.store import RUN_FILE, Run, Store
+from rn_recorder_runs.store import RUN_FILE, Run, RunStore
 from rn_standard.teleoperation.rows import Acting
 from roboneuron import ActionChunk, Frame, JointSample, Observation, Pose
 from roboneuron.ros.messages import to_action_message, to_image, to_joint_state, to_pose_stamped
@@ -72,7 +72,7 @@ def action(number: int) -> np.ndarray:
 
 
 def record_run(
-    store: Store,
+    store: RunStore,
     name: str,
     instructions: list[tuple[str, str]],
     rows: int = 8,
@@ -138,8 +138,8 @@ def record_run(
     return store.get(name)
 
 
-def store_in(path: Path) -> Store:
+def store_in(path: Path) -> RunStore:
     """A store below a test's directory."""
-    store = Store(path / "runs")
+    store = RunStore(path / "runs")
     store.make()
     return store

@@ -9,7 +9,7 @@ from rn_recorder_runs.files import (
 )
 from rn_recorder_runs.images import to_string
 from rn_recorder_runs.recording import Recording, Rules
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 
 STRING = "std_msgs/msg/String"
 START_NS = 1_700_000_000_000_000_000
@@ -35,7 +35,7 @@ class Clock:
 
 def recording(tmp_path: Path, clock: Clock, **rules: float) -> Recording:
     made = Recording(
-        Store(tmp_path / "runs"),
+        RunStore(tmp_path / "runs"),
         Rules(**{"min_free_bytes": 0, **rules}),  # type: ignore[arg-type]
         {"robot": "gantry"},
         clock_ns=clock.ns,

@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 from rn_recorder_runs.reading import count_topics
 from rn_recorder_runs.settings import RecorderSettings, RulesSettings, spawn_recorder
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 from rn_testing.domain import free_ros_domain
 from rn_testing.waiting import wait_until
 from roboneuron.ros.environment import prepare_environment
@@ -116,7 +116,7 @@ def test_what_came_while_it_was_stopped_is_counted(
         link.close()
         assert child.stdin is not None
         child.stdin.close()
-    counts = count_topics(Store(tmp_path / "runs").get("latest").files)[TOPIC]
+    counts = count_topics(RunStore(tmp_path / "runs").get("latest").files)[TOPIC]
     assert counts.lost is not None
     assert counts.lost > 0
     assert told["missed"] >= counts.lost  # nothing is missed uncounted

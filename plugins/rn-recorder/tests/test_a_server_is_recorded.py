@@ -18,7 +18,7 @@ from mcp import Client, StdioServerParameters
 
 from rn_recorder_runs.files import is_finished, read_attachments, read_records
 from rn_recorder_runs.reading import count_topics, iterate
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 
 
 def recorder_pid(parent: int) -> int | None:
@@ -53,7 +53,7 @@ def child_of_this_process() -> int:
 def test_a_recorder_that_stalls_dies_or_loses_its_server_leaves_readable_files(
     config_path: Path, server_environment: dict[str, str], tmp_path: Path
 ) -> None:
-    store = Store(tmp_path / "state" / "runs")
+    store = RunStore(tmp_path / "state" / "runs")
 
     async def scenario() -> None:
         command = [

@@ -24,7 +24,7 @@ from rn_recorder_runs.files import (
 from rn_recorder_runs.node import Backlog
 from rn_recorder_runs.reading import count_topics
 from rn_recorder_runs.recording import Recording, Rules
-from rn_recorder_runs.store import Run, Store
+from rn_recorder_runs.store import Run, RunStore
 from roboneuron import StateError
 
 
@@ -69,7 +69,7 @@ def test_what_a_killed_recorder_loses_is_at_most_half_a_second(
     assert found == list(range(1, len(found) + 1))
     assert last - len(found) <= 0.5 * 20 + 1
     del made  # never closed
-    store = Store(tmp_path / "runs")
+    store = RunStore(tmp_path / "runs")
     assert store.repair() == list(store.get(run).files)
     assert store.get(run).is_complete
 
@@ -173,7 +173,7 @@ def test_a_directory_that_cannot_be_written_is_told_and_disturbs_nobody(
 ) -> None:
     (tmp_path / "runs").write_text("a file where the directory should be")
     made = Recording(
-        Store(tmp_path / "runs"), Rules(), {}, clock_ns=clock.ns, monotonic=clock.monotonic
+        RunStore(tmp_path / "runs"), Rules(), {}, clock_ns=clock.ns, monotonic=clock.monotonic
     )
     with pytest.raises(OSError, match="runs"):
         made.adopt()

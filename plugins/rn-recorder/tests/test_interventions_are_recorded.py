@@ -17,7 +17,7 @@ from rn_recorder_policy.lerobot_reading import episode_count, read_lerobot
 from rn_recorder_runs.acted import BLEND, NOBODY, PERSON, POLICY, ActedRow, Deeds, composed
 from rn_recorder_runs.command import Runs
 from rn_recorder_runs.lerobot import export
-from rn_recorder_runs.store import RUN_FILE, Run, Store
+from rn_recorder_runs.store import RUN_FILE, Run, RunStore
 from rn_standard.teleoperation.rows import Acting
 from roboneuron import EE_DELTA, InvalidInputError, StateError, matrix_from_rotvec
 
@@ -33,17 +33,17 @@ LED = {
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
+def store(tmp_path: Path) -> RunStore:
     return store_in(tmp_path)
 
 
 @pytest.fixture
-def run(store: Store) -> Run:
+def run(store: RunStore) -> Run:
     """One episode of eight rows, in which a person acts three times."""
     return record_run(store, "demo", [("pick up the cup", "failure")], acting=LED)
 
 
-def call(store: Store, *words: str) -> int:
+def call(store: RunStore, *words: str) -> int:
     parser = ArgumentParser()
     Runs().configure(parser)
     return Runs().run(parser.parse_args(["--directory", str(store.directory), *words]))
@@ -108,7 +108,7 @@ def test_what_is_not_told_in_the_policys_space_is_not_made_up(who: str) -> None:
 
 
 def test_an_episode_whose_person_is_not_told_is_left_out_by_name(
-    store: Store, tmp_path: Path
+    store: RunStore, tmp_path: Path
 ) -> None:
     run = record_run(store, "old", [("a", "success"), ("b", "success")], acting={3: "person"})
     written = export([run], tmp_path / "set", outcome=None, fps=None, codec="h264")
@@ -119,7 +119,7 @@ def test_an_episode_whose_person_is_not_told_is_left_out_by_name(
 
 
 def test_spans_are_listed_and_cut(
-    store: Store, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    store: RunStore, run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(store, "interventions", run.id, "--json") == 0
     found = json.loads(capsys.readouterr().out)
@@ -141,7 +141,7 @@ def test_spans_are_listed_and_cut(
 
 
 def test_a_label_counts_more_than_what_was_told(
-    store: Store, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    store: RunStore, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = record_run(store, "two", [("a", "failure"), ("b", "failure")])
     call(store, "label", run.id, "--outcome", "unknown", "--comment", "camera moved")
@@ -158,7 +158,7 @@ def test_a_label_counts_more_than_what_was_told(
 
 
 def test_a_label_that_cannot_be_kept_is_refused(
-    store: Store, run: Run, monkeypatch: pytest.MonkeyPatch
+    store: RunStore, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(InvalidInputError, match="nothing to note"):
         call(store, "label", run.id)
@@ -166,6 +166,6 @@ def test_a_label_that_cannot_be_kept_is_refused(
         call(store, "label", run.id, "--episode", "1", "--outcome", "success")
     facts = store.recordings / run.id / RUN_FILE
     facts.write_text(json.dumps({"state": "recording"}))
-    monkeypatch.setattr(Store, "is_in_use", lambda self: True)
+    monkeypatch.setattr(RunStore, "is_in_use", lambda self: True)
     with pytest.raises(StateError, match="is being recorded"):
         call(store, "label", run.id, "--outcome", "success")

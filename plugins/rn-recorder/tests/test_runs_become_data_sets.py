@@ -24,7 +24,7 @@ from rn_recorder_runs.command import Runs
 from rn_recorder_runs.files import Record, RunFile, read_records
 from rn_recorder_runs.lerobot import export
 from rn_recorder_runs.statistics import merge, stats_of
-from rn_recorder_runs.store import Run, Store
+from rn_recorder_runs.store import Run, RunStore
 from rn_recorder_runs.video import Codec
 from roboneuron import (
     ConfigurationError,
@@ -372,7 +372,7 @@ def test_an_interpreter_without_lerobot_is_refused_and_leaves_nothing(
     not (DEMOS / "lerobot").exists(), reason="no demonstrations are there: make record-demos N=50"
 )
 def test_recorded_demonstrations_equal_their_files(tmp_path: Path) -> None:
-    runs = [run for run in Store(DEMOS / "runs").runs() if run.facts["outcome"] == "success"]
+    runs = [run for run in RunStore(DEMOS / "runs").runs() if run.facts["outcome"] == "success"]
     for number, run in enumerate(runs):
         np.savez(tmp_path / f"{number:05d}.npz", **expected_episode(run.files[0]))
     told = opened_by_lerobot(DEMOS / "lerobot", tmp_path)

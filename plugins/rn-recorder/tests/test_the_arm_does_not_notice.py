@@ -22,7 +22,7 @@ from mcp import Client, StdioServerParameters
 from test_a_server_is_recorded import recorder_pid
 
 from rn_recorder_runs.files import is_finished, read_records
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(400)]
 SIZE_MB = 24
@@ -124,7 +124,7 @@ def run_served(
                 shutil.copytree(served.disk / "runs" / "recordings", copy / "recordings")
 
         anyio.run(session)
-        store = Store(copy)
+        store = RunStore(copy)
         store.repair()
         runs = store.runs()
         assert runs

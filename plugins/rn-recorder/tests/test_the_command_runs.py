@@ -14,14 +14,14 @@ from recorder_demonstrations import record_run, store_in
 
 from rn_recorder_runs.command import Runs
 from rn_recorder_runs.files import RunFile, is_finished, read_records
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 from roboneuron import ConfigurationError, InvalidInputError
 
 Call = Callable[..., Any]
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
+def store(tmp_path: Path) -> RunStore:
     """Two runs, one of two episodes."""
     store = store_in(tmp_path)
     record_run(store, "monday", [("pick it up", "success"), ("put it down", "failure")])
@@ -30,7 +30,7 @@ def store(tmp_path: Path) -> Store:
 
 
 @pytest.fixture
-def runs(store: Store, capsys: pytest.CaptureFixture[str]) -> Call:
+def runs(store: RunStore, capsys: pytest.CaptureFixture[str]) -> Call:
     """Return a function that runs the command, and gives what it prints; JSON is read."""
 
     def call(*words: str) -> Any:
@@ -53,7 +53,7 @@ def test_runs_are_listed_with_length_and_messages(runs: Call) -> None:
     assert [line.split()[0] for line in lines] == ["monday", "tuesday"]
 
 
-def test_what_was_cut_short_is_repaired_by_listing(runs: Call, store: Store) -> None:
+def test_what_was_cut_short_is_repaired_by_listing(runs: Call, store: RunStore) -> None:
     folder = store.recordings / "wednesday"
     folder.mkdir()
     cut = RunFile(folder / "part-0001.mcap", {"robot": "toy"})
@@ -80,7 +80,7 @@ def test_a_run_is_shown_with_its_topics_and_events(runs: Call) -> None:
     assert "/toy/camera/front/image" in runs("show", "latest")
 
 
-def test_runs_are_exported_as_one_file(runs: Call, store: Store, tmp_path: Path) -> None:
+def test_runs_are_exported_as_one_file(runs: Call, store: RunStore, tmp_path: Path) -> None:
     target = tmp_path / "a folder that is not there" / "both.mcap"
     runs("export", "monday", "tuesday", "--mcap", str(target))
     assert is_finished(target)
@@ -110,7 +110,7 @@ def test_all_runs_become_a_data_set_by_outcome(runs: Call, tmp_path: Path) -> No
 
 
 def test_a_run_is_deleted_only_with_consent(
-    runs: Call, store: Store, monkeypatch: pytest.MonkeyPatch
+    runs: Call, store: RunStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
     with pytest.raises(InvalidInputError, match="Nobody can be asked"):

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from rn_recorder_runs.files import Record
-from rn_recorder_runs.tap import Tap
+from rn_recorder_runs.tap import TopicTap
 
 SHOW_POLICY = """
 import os, threading
@@ -62,9 +62,9 @@ class Handle:
 
 def tap_of(
     monkeypatch: pytest.MonkeyPatch, now_ns: list[int], **handles: Handle
-) -> tuple[Tap, list[Record]]:
+) -> tuple[TopicTap, list[Record]]:
     taken: list[Record] = []
-    tap = Tap(SimpleNamespace(), ["*"], [], taken.append)  # type: ignore[arg-type]
+    tap = TopicTap(SimpleNamespace(), ["*"], [], taken.append)  # type: ignore[arg-type]
     for name, handle in handles.items():
         subscription = SimpleNamespace(handle=handle, msg_type=object)
         tap._found[f"/{name}"] = (SimpleNamespace(depth=2), subscription)  # type: ignore[assignment]

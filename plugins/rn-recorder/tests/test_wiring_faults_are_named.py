@@ -11,7 +11,7 @@ from policy_datasets import write_dataset
 from policy_world import RATE_HZ, SPACES, KnowingPolicy, arm_profile, recorded
 from wiring_faults import FAULTS
 
-from rn_recorder_policy.asking import Question, ask
+from rn_recorder_policy.asking import BackendQuery, ask
 from rn_recorder_policy.command import read_demonstration
 from rn_recorder_policy.diagnosis import KINDS, Diagnosis, diagnose
 from rn_recorder_policy.name_mapping import NameMapping
@@ -47,7 +47,7 @@ def check(tmp_path_factory: pytest.TempPathFactory) -> Check:
         if not path.exists():
             write_dataset(path, policy.kind, version=version, unit=unit)
         demonstration = read_demonstration(path, 0 if version == "v2.1" else 1)
-        question = Question(mapping=NameMapping(in_degrees=in_degrees), cameras={}, frames=40)
+        question = BackendQuery(mapping=NameMapping(in_degrees=in_degrees), cameras={}, frames=40)
         return diagnose(ask(deployed(policy), demonstration, question).answers)
 
     return of
@@ -157,7 +157,7 @@ def test_rows_at_another_rate_agree_when_the_backend_says_so(check: Check) -> No
 def test_each_frame_is_asked_by_itself(tmp_path: Path) -> None:
     path = write_dataset(tmp_path / "set", "ee_delta")
     policy = KnowingPolicy("ee_delta")
-    question = Question(mapping=NameMapping(), cameras={}, frames=12)
+    question = BackendQuery(mapping=NameMapping(), cameras={}, frames=12)
     asked = ask(deployed(policy), read_demonstration(path, 1), question)
     assert policy.resets == len(asked.answers.frames) == 12
     assert asked.answers.predicted.shape == (12, 8, 7)

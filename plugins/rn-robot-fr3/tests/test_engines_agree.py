@@ -12,9 +12,9 @@ import pytest
 from numpy.typing import NDArray
 
 from rn_robot_fr3.cameras import cameras
-from rn_robot_fr3.driver import SimulatedDriver
+from rn_robot_fr3.driver import SimulatedFr3Driver
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, FINGER_OPEN_M, joint_limits
-from rn_robot_fr3.options import SimulatedDriverOptions
+from rn_robot_fr3.options import SimulatedFr3Options
 from rn_robot_fr3.plugin import roboneuron_perceptions, roboneuron_robots
 from rn_robot_fr3.profile import profile
 from rn_robot_fr3.scene import random_cubes
@@ -112,4 +112,4 @@ def test_without_an_engine_the_refusal_names_both_and_the_remedy(
     with pytest.raises(
         ConfigurationError, match=r"Needs 'mujoco', not installed.*'auto': pybullet is installed"
     ):
-        SimulatedDriver(SimulatedDriverOptions(engine="mujoco"), profile(), MemoryTopics())
+        SimulatedFr3Driver(SimulatedFr3Options(engine="mujoco"), profile(), MemoryTopics())

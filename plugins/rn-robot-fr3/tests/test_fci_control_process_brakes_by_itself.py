@@ -19,7 +19,7 @@ pytest.importorskip("ruckig", reason="needs ruckig: pip install './plugins/rn-ro
 
 from rn_robot_fr3.fci import control_process
 from rn_robot_fr3.fci.control_process import SILENT_S, ControlProcess
-from rn_robot_fr3.fci.follower import JOINTS, Arm
+from rn_robot_fr3.fci.follower import JOINTS, CommandedState
 from rn_robot_fr3.profile import HOME_RAD
 
 _PATIENCE_S = 10.0
@@ -34,7 +34,7 @@ class Robot:
     """An arm in virtual time: the next state is there at once."""
 
     def __init__(self) -> None:
-        self.arm = Arm(list(HOME), [0.0] * JOINTS, [0.0] * JOINTS)
+        self.arm = CommandedState(list(HOME), [0.0] * JOINTS, [0.0] * JOINTS)
         self.at_ms = 0
         self.did: list[str] = []
         self.error: Exception | None = None
@@ -205,7 +205,7 @@ def test_after_an_error_a_recovery_moves_nothing_and_only_a_new_target_does(pare
     states = len(parent.heard)
     parent.until(lambda: len(parent.heard) > states + 3)
     assert parent.robot.did.count("start") == starts, "a recovery resumes nothing"
-    parent.robot.arm = Arm(list(HOME), [0.0] * JOINTS, [0.0] * JOINTS)
+    parent.robot.arm = CommandedState(list(HOME), [0.0] * JOINTS, [0.0] * JOINTS)
     parent.go()
     parent.until(lambda: parent.robot.did.count("start") == starts + 1)
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 
 from rn_robot_fr3.fci import state_topics
-from rn_robot_fr3.fci.arm import ArmState
+from rn_robot_fr3.fci.arm import FciState
 from rn_robot_fr3.fci.faults import USER_STOP
 from rn_robot_fr3.fci.state_topics import StateTopics, described
 from rn_testing.fakes import MemoryTopics
 
 MEASURED_NS = 1_700_000_000_250_000_000
-STATE = ArmState(
+STATE = FciState(
     received_s=100.0,
     position=np.arange(7.0),
     velocity=np.arange(7.0) / 10,

@@ -12,20 +12,20 @@ import numpy as np
 import pytest
 
 from rn_robot_fr3.fci import check
-from rn_robot_fr3.fci.check import ArmFinding, Machine, Timing, check_machine
+from rn_robot_fr3.fci.check import ArmFinding, SystemFiles, Timing, check_machine
 from rn_robot_fr3.fci.check_command import Fr3
 from rn_robot_fr3.fci.network_check import card, checksum, judged_fci, judged_round_trips
 
 ON_TIME = Timing(late_s=np.full(1000, 5e-5))
 
 
-def machine(root: Path, **files: str) -> Machine:
+def machine(root: Path, **files: str) -> SystemFiles:
     """A machine with these files; "__" stands for "/"."""
     for name, text in files.items():
         path = root / name.replace("__", "/")
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text + "\n")
-    return Machine(root)
+    return SystemFiles(root)
 
 
 def found(findings: list[ArmFinding], name: str) -> ArmFinding:
@@ -66,7 +66,7 @@ def test_cycles_that_begin_late_are_counted(
     tmp_path: Path, late_ms: list[float], verdict: str
 ) -> None:
     timing = Timing(late_s=np.array(late_ms) / 1e3)
-    cycles = found(check_machine(Machine(tmp_path), 1.0, lambda _: timing), "cycles")
+    cycles = found(check_machine(SystemFiles(tmp_path), 1.0, lambda _: timing), "cycles")
     assert cycles.verdict == verdict
     assert f"{timing.missed} of 1000" in cycles.found
 

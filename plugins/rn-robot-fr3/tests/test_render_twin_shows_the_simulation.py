@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from rn_robot_fr3.camera_source import SimulatedCameras
+from rn_robot_fr3.camera_source import SimulatedFr3Cameras
 from rn_robot_fr3.cameras import cameras
 from rn_robot_fr3.limits import FINGER_JOINT
 from rn_robot_fr3.profile import profile
@@ -23,7 +23,7 @@ from rn_testing.fakes import MemoryTopics
 from roboneuron.contract import CameraProfile
 from roboneuron.errors import ConfigurationError, NotReadyError, StateError
 
-Open = Callable[..., SimulatedCameras]
+Open = Callable[..., SimulatedFr3Cameras]
 
 
 def state_of(simulation: ArmSimulation, stamp_ns: int) -> SceneState:
@@ -48,9 +48,13 @@ def topics() -> MemoryTopics:
 def opened(topics: MemoryTopics) -> Iterator[Open]:
     made = []
 
-    def make(*, names: tuple[str, ...] = ("front", "wrist"), **options: float) -> SimulatedCameras:
+    def make(
+        *, names: tuple[str, ...] = ("front", "wrist"), **options: float
+    ) -> SimulatedFr3Cameras:
         chosen = tuple(camera for camera in profile().cameras if camera.name in names)
-        source = SimulatedCameras(SimulatedCamerasOptions.model_validate(options), topics, chosen)
+        source = SimulatedFr3Cameras(
+            SimulatedCamerasOptions.model_validate(options), topics, chosen
+        )
         source.open()
         made.append(source)
         return source
@@ -139,7 +143,7 @@ def test_unknown_camera_is_refused_by_name(topics: MemoryTopics) -> None:
         name="left", role="primary", frame_id="left_optical", width=8, height=8
     )
     with pytest.raises(ConfigurationError, match="left"):
-        SimulatedCameras(None, topics, (stranger,)).open()
+        SimulatedFr3Cameras(None, topics, (stranger,)).open()
 
 
 def test_close_ends_a_waiting_read(topics: MemoryTopics, opened: Open) -> None:

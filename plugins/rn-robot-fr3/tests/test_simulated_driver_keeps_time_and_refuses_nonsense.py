@@ -12,9 +12,9 @@ from pydantic import ValidationError
 from std_msgs.msg import Float64MultiArray
 
 from rn_robot_fr3.cell import FR3
-from rn_robot_fr3.driver import SimulatedDriver
+from rn_robot_fr3.driver import SimulatedFr3Driver
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT
-from rn_robot_fr3.options import SimulatedDriverOptions
+from rn_robot_fr3.options import SimulatedFr3Options
 from rn_robot_fr3.profile import HOME_RAD, profile
 from rn_simulation.engine import Engine
 from rn_simulation.ground_truth import SWITCH
@@ -33,8 +33,8 @@ def topics() -> MemoryTopics:
 
 
 @pytest.fixture
-def driver(engine: Engine, topics: MemoryTopics) -> Iterator[SimulatedDriver]:
-    driver = SimulatedDriver(SimulatedDriverOptions(seed=5, engine=engine), profile(), topics)
+def driver(engine: Engine, topics: MemoryTopics) -> Iterator[SimulatedFr3Driver]:
+    driver = SimulatedFr3Driver(SimulatedFr3Options(seed=5, engine=engine), profile(), topics)
     driver.open()
     yield driver
     driver.close()
@@ -45,12 +45,14 @@ def told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(SWITCH, "on")
 
 
-def test_the_truth_is_not_reported_unless_it_is_asked_for(driver: SimulatedDriver) -> None:
+def test_the_truth_is_not_reported_unless_it_is_asked_for(driver: SimulatedFr3Driver) -> None:
     assert driver.read().detail.keys() == {"sim_time_s", "real_time_factor", "engine"}
 
 
 @pytest.mark.usefixtures("told")
-def test_state_starts_at_home_with_an_open_gripper(engine: Engine, driver: SimulatedDriver) -> None:
+def test_state_starts_at_home_with_an_open_gripper(
+    engine: Engine, driver: SimulatedFr3Driver
+) -> None:
     state = driver.read()
     assert state.joints.names[:7] == ARM_JOINTS
     np.testing.assert_allclose(state.joints.position[:7], HOME_RAD, atol=1e-3)
@@ -63,7 +65,7 @@ def test_state_starts_at_home_with_an_open_gripper(engine: Engine, driver: Simul
     assert state.detail["engine"] == engine
 
 
-def test_command_moves_the_named_joints_and_is_returned_as_sent(driver: SimulatedDriver) -> None:
+def test_command_moves_the_named_joints_and_is_returned_as_sent(driver: SimulatedFr3Driver) -> None:
     command = JointCommand(
         names=("fr3_joint7", FINGER_JOINT),
         position=np.array([1.0, 0.01]),
@@ -78,15 +80,15 @@ def test_command_moves_the_named_joints_and_is_returned_as_sent(driver: Simulate
     wait_until(lambda: abs((driver.read().gripper_open or 0.0) - 0.25) < 0.02)
 
 
-def test_simulated_time_keeps_up_with_the_wall_clock(driver: SimulatedDriver) -> None:
+def test_simulated_time_keeps_up_with_the_wall_clock(driver: SimulatedFr3Driver) -> None:
     wait_until(lambda: float(driver.read().detail["sim_time_s"]) > 2.2)
     # Loose: the machine may be busy. Racing ahead would show as a factor over 1.
     assert 0.02 < float(driver.read().detail["real_time_factor"]) < 1.05
 
 
 def test_real_time_factor_speeds_up_the_simulation(topics: MemoryTopics) -> None:
-    driver = SimulatedDriver(
-        SimulatedDriverOptions(real_time_factor=3.0, colours=("red",)), profile(), topics
+    driver = SimulatedFr3Driver(
+        SimulatedFr3Options(real_time_factor=3.0, colours=("red",)), profile(), topics
     )
     driver.open()
     started_s = time.monotonic()
@@ -98,7 +100,7 @@ def test_real_time_factor_speeds_up_the_simulation(topics: MemoryTopics) -> None
     assert elapsed_s > 0.9
 
 
-def test_hold_stops_the_arm(driver: SimulatedDriver) -> None:
+def test_hold_stops_the_arm(driver: SimulatedFr3Driver) -> None:
     driver.send(JointCommand(names=("fr3_joint1",), position=np.array([2.0]), duration_s=1.0))
     wait_until(lambda: driver.read().joints.position[0] > 0.3)
     driver.hold()
@@ -107,13 +109,15 @@ def test_hold_stops_the_arm(driver: SimulatedDriver) -> None:
 
 
 @pytest.mark.parametrize(("name", "value"), [("fr3_joint8", 0.0), ("fr3_joint1", float("nan"))])
-def test_wrong_name_and_nan_are_refused(driver: SimulatedDriver, name: str, value: float) -> None:
+def test_wrong_name_and_nan_are_refused(
+    driver: SimulatedFr3Driver, name: str, value: float
+) -> None:
     with pytest.raises(InvalidInputError, match=name):
         driver.send(JointCommand(names=(name,), position=np.array([value]), duration_s=0.1))
 
 
 def test_states_are_published_in_order_with_stamps(
-    driver: SimulatedDriver, topics: MemoryTopics
+    driver: SimulatedFr3Driver, topics: MemoryTopics
 ) -> None:
     wait_until(lambda: len(topics.published(TOPIC)) > 20)
     states = [
@@ -127,7 +131,7 @@ def test_states_are_published_in_order_with_stamps(
 
 
 def test_driver_can_be_closed_twice_and_opened_again(topics: MemoryTopics) -> None:
-    driver = SimulatedDriver(SimulatedDriverOptions(colours=("red",)), profile(), topics)
+    driver = SimulatedFr3Driver(SimulatedFr3Options(colours=("red",)), profile(), topics)
     driver.close()
     for _ in range(2):
         driver.open()
@@ -147,7 +151,7 @@ def test_window_without_a_display_is_refused(
         monkeypatch.delenv("DISPLAY", raising=False)
     else:
         monkeypatch.setenv("DISPLAY", display)
-    driver = SimulatedDriver(SimulatedDriverOptions(gui=True, engine=engine), profile(), topics)
+    driver = SimulatedFr3Driver(SimulatedFr3Options(gui=True, engine=engine), profile(), topics)
     with pytest.raises(ConfigurationError, match="gui = false"):
         driver.open()
     driver.close()
@@ -155,7 +159,7 @@ def test_window_without_a_display_is_refused(
 
 def test_profile_of_another_robot_is_refused(topics: MemoryTopics) -> None:
     with pytest.raises(ConfigurationError, match="gantry"):
-        SimulatedDriver(None, gantry_profile(), topics).open()
+        SimulatedFr3Driver(None, gantry_profile(), topics).open()
 
 
 @pytest.mark.parametrize(
@@ -163,10 +167,12 @@ def test_profile_of_another_robot_is_refused(topics: MemoryTopics) -> None:
 )
 def test_senseless_options_are_refused(options: dict[str, object]) -> None:
     with pytest.raises(ValidationError):
-        SimulatedDriverOptions.model_validate(options)
+        SimulatedFr3Options.model_validate(options)
 
 
-def test_message_that_is_no_scene_is_refused(driver: SimulatedDriver, topics: MemoryTopics) -> None:
+def test_message_that_is_no_scene_is_refused(
+    driver: SimulatedFr3Driver, topics: MemoryTopics
+) -> None:
     with pytest.raises(InvalidInputError, match="does not describe"):
         from_message(Float64MultiArray(), COUNTS)
     message = topics.published(TOPIC)[0]

@@ -10,8 +10,8 @@ import pytest
 
 from rn_robot_lerobot.arm import ARM_JOINTS, JOINTS, SO101
 from rn_robot_lerobot.cameras import cameras
-from rn_robot_lerobot.driver import SimulatedDriver
-from rn_robot_lerobot.options import SimulatedDriverOptions
+from rn_robot_lerobot.driver import SimulatedSo101Driver
+from rn_robot_lerobot.options import SimulatedSo101Options
 from rn_robot_lerobot.profile import so101_profile
 from rn_robot_lerobot.scene import LIFTED_M, REGION, random_cubes
 from rn_robot_lerobot.simulation import CELL, So101Simulation
@@ -132,7 +132,7 @@ def test_the_driver_tells_its_state_and_keeps_a_grasp_when_it_holds(
 ) -> None:
     monkeypatch.setenv("ROBONEURON_SIMULATOR_TRUTH", "on")
     topics = MemoryTopics()
-    driver = SimulatedDriver(SimulatedDriverOptions(seed=5), so101_profile(), topics)
+    driver = SimulatedSo101Driver(SimulatedSo101Options(seed=5), so101_profile(), topics)
     driver.open()
     try:
         state = driver.read()
@@ -155,6 +155,6 @@ def test_another_robots_profile_is_refused() -> None:
     from dataclasses import replace
 
     other = replace(so101_profile(), arm_joints=("a", "b"))
-    driver = SimulatedDriver(None, other, MemoryTopics())
+    driver = SimulatedSo101Driver(None, other, MemoryTopics())
     with pytest.raises(ConfigurationError, match="others"):
         driver.open()

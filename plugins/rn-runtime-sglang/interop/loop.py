@@ -28,7 +28,7 @@ from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
 
 from rn_runtime_sglang.standin.site import write_site
-from rn_standard.demo.agent import Agent, module_status
+from rn_standard.demo.agent import DemoAgent, module_status
 from rn_testing.domain import free_ros_domain
 from rn_vla.openvla.tiny import STATISTICS_KEY, make_tiny
 from roboneuron.errors import NotReadyError
@@ -133,7 +133,7 @@ class Witness:
 class Story:
     """The steps, each printed with what was seen."""
 
-    def __init__(self, agent: Agent, witness: Witness, watch_s: float) -> None:
+    def __init__(self, agent: DemoAgent, witness: Witness, watch_s: float) -> None:
         self._agent = agent
         self._witness = witness
         self._watch_s = watch_s
@@ -281,7 +281,7 @@ async def run(options: argparse.Namespace, directory: Path) -> bool:
     return not story.failures
 
 
-class PatientAgent(Agent):
+class PatientAgent(DemoAgent):
     """Waits as long as an engine may take to start."""
 
     async def call(self, tool: str, arguments: Any = None) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import pytest
 from rn_standard.http.plugin import FEATURE as HTTP
 from rn_view.live import LiveOperator, LiveSource
 from rn_view.plugin import FEATURE
-from rn_view_attached.source import AttachedSource, Graph
+from rn_view_attached.source import AttachedSource, ViewNode
 from roboneuron.gate.audit import AuditRecord
 from roboneuron.server.tool import Holder
 
@@ -72,7 +72,7 @@ def test_the_state_and_what_the_gate_refused_are_shown(application):
 def test_the_stop_of_a_view_beside_a_server_is_the_servers(application):
     config = application.loop.config
     directory = application.supervisor.state_directory
-    source = AttachedSource(config, application.loop.registry, directory, Graph(directory))
+    source = AttachedSource(config, application.loop.registry, directory, ViewNode(directory))
     source.press_stop("a visitor")
     assert application.loop.emergency_stop.is_latched()
     assert "a visitor" in application.loop.emergency_stop.cause()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenTable
-from rn_view.access import Admission, host_rules
+from rn_view.access import ViewAccess, host_rules
 from rn_view.event_list import EventList
 from rn_view.options import ViewOptions
 from rn_view.source import ModuleRow, PageState
@@ -171,10 +171,10 @@ class FakeOperator:
         self.left.append(holder.who)
 
 
-def admission(options: ViewOptions, *tokens: tuple[str, str]) -> Admission:
+def admission(options: ViewOptions, *tokens: tuple[str, str]) -> ViewAccess:
     """Tokens by role; none lets everybody in."""
     table = TokenTable([(token, Holder(who=f"the {role}", role=role)) for token, role in tokens])
-    return Admission(tokens=table, rules=host_rules(options, HttpOptions()))
+    return ViewAccess(tokens=table, rules=host_rules(options, HttpOptions()))
 
 
 def picture(shade: int) -> Any:

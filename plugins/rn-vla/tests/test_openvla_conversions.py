@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from rn_vla.openvla.bins import ActionBins
-from rn_vla.openvla.options import ModelOptions
+from rn_vla.openvla.options import OpenVlaModelOptions
 from rn_vla.openvla.preprocessing import Preprocessor, TowerPixels
 from rn_vla.openvla.profiles import PROFILES, ActionProfile
 from rn_vla.openvla.statistics import Scaling, VectorStatistics
@@ -181,9 +181,9 @@ def test_tower_channels_follow_each_other():
 
 def test_an_own_profile_must_be_said_and_only_when_own(tmp_path):
     with pytest.raises(ValidationError, match="own_profile"):
-        ModelOptions(checkpoint=tmp_path, profile="own")
+        OpenVlaModelOptions(checkpoint=tmp_path, profile="own")
     with pytest.raises(ValidationError, match="own_profile"):
-        ModelOptions(
+        OpenVlaModelOptions(
             checkpoint=tmp_path,
             profile="libero",
             own_profile={
@@ -195,4 +195,4 @@ def test_an_own_profile_must_be_said_and_only_when_own(tmp_path):
             },
         )
     with pytest.raises(ValidationError, match="profile"):
-        ModelOptions(checkpoint=tmp_path)
+        OpenVlaModelOptions(checkpoint=tmp_path)

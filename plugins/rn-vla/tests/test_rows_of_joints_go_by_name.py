@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rn_vla.joint_rows import JointRows, declare_joints
+from rn_vla.joint_rows import PlatformJoints, declare_joints
 from roboneuron import (
     ArmState,
     ConfigurationError,
@@ -17,8 +17,8 @@ from roboneuron import (
     UnsafeError,
 )
 
-ONE = JointRows(kind="joint_velocity", joints=2, rate_hz=15.0, gripper="closed_fraction")
-TWO = JointRows(
+ONE = PlatformJoints(kind="joint_velocity", joints=2, rate_hz=15.0, gripper="closed_fraction")
+TWO = PlatformJoints(
     kind="joint_position",
     joints=2,
     rate_hz=25.0,

@@ -150,3 +150,26 @@ def test_messages_are_imported_without_the_generator_that_wrote_them(tmp_path: P
     command = [sys.executable, "-c", _IMPORTS_A_MESSAGE, str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.split() == ["False", "True"]
+
+
+_GENERATES = """
+import sys
+from pathlib import Path
+from roboneuron.ros.environment import prepare_environment
+prepare_environment(Path(sys.argv[1]))
+from std_msgs.msg import Header
+from rosidl_generator_py import generate_py
+for _ in range(2):
+    try:
+        generate_py(sys.argv[2], [])
+    except FileNotFoundError as error:
+        print(error.filename)
+from rosidl_generator_py.generate_py_impl import primitive_value_to_py
+"""
+
+
+def test_the_generator_is_there_for_who_calls_it(tmp_path: Path) -> None:
+    missing = str(tmp_path / "arguments.json")
+    command = [sys.executable, "-c", _GENERATES, str(tmp_path), missing]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split() == [missing, missing]

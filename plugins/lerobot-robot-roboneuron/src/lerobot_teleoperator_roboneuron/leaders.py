@@ -4,14 +4,15 @@ view.
 
 from __future__ import annotations
 
-import http.client
-import json
 import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from http import HTTPStatus
 from typing import TYPE_CHECKING, Protocol
-from urllib.parse import quote, urlsplit
+from urllib.parse import urlsplit
+
+import httpx2
 
 from roboneuron import ConfigurationError, InvalidInputError
 from roboneuron.command import environment
@@ -133,8 +134,13 @@ class PageLeader:
         if parts.scheme != "http" or not parts.hostname:
             raise ConfigurationError(f"view is {view!r}, expected http://HOST:PORT.")
         self.name = f"on the page {view}"
-        self._address = parts.hostname, parts.port or 80
-        self._path = f"/lead?robot={quote(robot)}"
+        self._url = httpx2.URL(
+            scheme="http",
+            host=parts.hostname,
+            port=parts.port,
+            path="/lead",
+            params={"robot": robot},
+        )
         self._headers = {"Authorization": f"Bearer {token}"} if token else {}
         self._changed = threading.Condition()
         self._led = Led(silence="The view has not answered yet.")
@@ -161,39 +167,38 @@ class PageLeader:
             thread.join()
 
     def _run(self) -> None:
-        while not self._ending.is_set():
-            led = self._ask()
-            with self._changed:
-                self._led = led
-                self._changed.notify_all()
-            self._ending.wait(_ASKED_S)
+        # a connection for each question, as the view closes it after its answer
+        limits = httpx2.Limits(max_keepalive_connections=0)
+        with httpx2.Client(
+            headers=self._headers, timeout=_ANSWER_S, limits=limits, trust_env=False
+        ) as client:
+            while not self._ending.is_set():
+                led = self._ask(client)
+                with self._changed:
+                    self._led = led
+                    self._changed.notify_all()
+                self._ending.wait(_ASKED_S)
 
-    def _ask(self) -> Led:
+    def _ask(self, client: httpx2.Client) -> Led:
         """The next state; a view that is silent leaves the one before, which grows old."""
         before = self._led
         try:
-            status, answer = self._get()
-        except (OSError, http.client.HTTPException, ValueError) as error:
+            status, answer = self._get(client)
+        except (httpx2.HTTPError, ValueError) as error:
             return Led(before.positions, before.at_s, "", f"The view does not answer: {error}.")
         text = str(answer.get("text", "")).rstrip(".")
-        if status == http.HTTPStatus.OK:
+        if status == HTTPStatus.OK:
             positions = answer.get("positions")
             if not isinstance(positions, dict):
                 return Led(problem=f"{self.name} is no live view of RoboNeuron.")
             return Led(
                 {str(key): float(value) for key, value in positions.items()}, time.monotonic()
             )
-        if status == http.HTTPStatus.CONFLICT:
+        if status == HTTPStatus.CONFLICT:
             return Led(before.positions, before.at_s, "", f"{text}.")
         return Led(problem=f"The leader {self.name} was refused: {text or status}.")
 
-    def _get(self) -> tuple[int, dict[str, object]]:
-        connection = http.client.HTTPConnection(*self._address, timeout=_ANSWER_S)
-        try:
-            connection.request("GET", self._path, headers=self._headers)
-            response = connection.getresponse()
-            body = response.read()
-        finally:
-            connection.close()
-        answer = json.loads(body) if response.getheader("Content-Type") == _JSON else {}
-        return response.status, answer if isinstance(answer, dict) else {}
+    def _get(self, client: httpx2.Client) -> tuple[int, dict[str, object]]:
+        response = client.get(self._url)
+        answer = response.json() if response.headers.get("Content-Type") == _JSON else {}
+        return response.status_code, answer if isinstance(answer, dict) else {}

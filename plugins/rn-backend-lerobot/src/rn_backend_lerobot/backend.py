@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from rn_backend_lerobot.checkpoint import ImageFeature
-from rn_backend_lerobot.exchange import Answer, Prefix, Seen
+from rn_backend_lerobot.exchange import ChunkPrefix, PolicyChunk, PolicyObservation
 from rn_backend_lerobot.options import LeRobotOptions
 from rn_backend_lerobot.wiring import Wiring, wire
 from rn_vla.checkpoint_files import reading
@@ -81,7 +81,7 @@ class LeRobotBackend:
         wiring, engine = self._loaded()
         start_s = time.perf_counter()
         seen = self._see(wiring, observation)
-        prefix: Prefix | None = None
+        prefix: ChunkPrefix | None = None
         if wiring.folder.remembers:
             self._note_time(observation, engine)
             answer = engine.action(seen)
@@ -149,13 +149,13 @@ class LeRobotBackend:
             raise StateError("Backend 'lerobot' is not loaded; call load() first.")
         return self._wiring, self._engine
 
-    def _see(self, wiring: Wiring, observation: Observation) -> Seen:
+    def _see(self, wiring: Wiring, observation: Observation) -> PolicyObservation:
         images: dict[str, NDArray[np.uint8]] = {}
         for feature in wiring.images:
             frame = wiring.frame(feature, observation)
             images[feature.key] = self._fit(frame, feature)
         state = wiring.state.read(observation) if wiring.folder.state else None
-        return Seen(images=images, state=state, task=observation.instruction)
+        return PolicyObservation(images=images, state=state, task=observation.instruction)
 
     def _fit(self, frame: Frame, feature: ImageFeature) -> NDArray[np.uint8]:
         """The image in the size of the training data, as the option `images` says."""
@@ -180,15 +180,19 @@ class LeRobotBackend:
             engine.reset()
         self._last_ns = now_ns
 
-    def _prefix(self, engine: PolicyEngine, ahead: Ahead | None) -> Prefix | None:
+    def _prefix(self, engine: PolicyEngine, ahead: Ahead | None) -> ChunkPrefix | None:
         """The rest of the running chunk; None when there is none to continue."""
-        if ahead is None or not engine.can_continue or not isinstance(ahead.context, Answer):
+        if ahead is None or not engine.can_continue or not isinstance(ahead.context, PolicyChunk):
             return None
         if ahead.context_row >= len(ahead.context.rows):
             return None
-        return Prefix(answer=ahead.context, first=ahead.context_row, committed=ahead.committed_rows)
+        return ChunkPrefix(
+            answer=ahead.context, first=ahead.context_row, committed=ahead.committed_rows
+        )
 
-    def _chunk(self, wiring: Wiring, answer: Answer, took_s: float, committed: int) -> ActionChunk:
+    def _chunk(
+        self, wiring: Wiring, answer: PolicyChunk, took_s: float, committed: int
+    ) -> ActionChunk:
         steps = self._options.action_steps or wiring.folder.rows
         rows = answer.rows[:steps]
         if rows.shape[1] != wiring.folder.action:
@@ -213,7 +217,7 @@ class LeRobotBackend:
             one.key: np.zeros((one.height, one.width, 3), dtype=np.uint8) for one in wiring.images
         }
         state = np.zeros(wiring.folder.state, dtype=np.float32) if wiring.folder.state else None
-        seen = Seen(images=images, state=state, task=_WARM_TASK)
+        seen = PolicyObservation(images=images, state=state, task=_WARM_TASK)
         with reading(wiring.folder.directory, "a policy that answers"):
             answer = engine.action(seen) if wiring.folder.remembers else engine.chunk(seen)
         if not math.isfinite(float(np.abs(answer.rows).sum())):

@@ -45,18 +45,18 @@ _MIGRATE = (
 )
 
 
-class _Document(BaseModel):
+class _CheckpointDocument(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True)
 
 
-class FeatureDocument(_Document):
+class FeatureDocument(_CheckpointDocument):
     """One feature."""
 
     type: str
     shape: tuple[int, ...]
 
 
-class PolicyDocument(_Document):
+class PolicyDocument(_CheckpointDocument):
     """What is read of config.json."""
 
     type: str
@@ -72,7 +72,7 @@ class PolicyDocument(_Document):
     action_feature_names: tuple[str, ...] | None = None
 
 
-class StepDocument(_Document):
+class StepDocument(_CheckpointDocument):
     """One step of a processor."""
 
     registry_name: str = ""
@@ -80,13 +80,13 @@ class StepDocument(_Document):
     state_file: str | None = None
 
 
-class PipelineDocument(_Document):
+class PipelineDocument(_CheckpointDocument):
     """A processor."""
 
     steps: tuple[StepDocument, ...]
 
 
-class NormalizerDocument(_Document):
+class NormalizerDocument(_CheckpointDocument):
     """Configuration of a step that normalises or un-normalises."""
 
     features: dict[str, FeatureDocument]

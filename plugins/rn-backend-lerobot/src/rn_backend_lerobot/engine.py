@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_lerobot.checkpoint import STATE, PolicyFolder
-from rn_backend_lerobot.exchange import Answer, Prefix, Seen
+from rn_backend_lerobot.exchange import ChunkPrefix, PolicyChunk, PolicyObservation
 from rn_backend_lerobot.isolation import (
     Noise,
     offline,
@@ -73,7 +73,7 @@ class PolicyEngine:
         """Where the policy is."""
         return self._device
 
-    def chunk(self, seen: Seen, prefix: Prefix | None = None) -> Answer:
+    def chunk(self, seen: PolicyObservation, prefix: ChunkPrefix | None = None) -> PolicyChunk:
         """A whole chunk, which continues the prefix where the policy can."""
         with self._torch.no_grad(), self._precision(), self._noise.drawn():
             batch = self._prepare(seen)
@@ -86,7 +86,7 @@ class PolicyEngine:
             actions = self._policy.predict_action_chunk(batch, **more)
             return self._finish(actions)[0]
 
-    def chunks(self, seen: Sequence[Seen]) -> list[Answer]:
+    def chunks(self, seen: Sequence[PolicyObservation]) -> list[PolicyChunk]:
         """A chunk for each observation, in one pass where their tensors have the same shapes."""
         with self._torch.no_grad(), self._precision(), self._noise.drawn():
             batches = [self._prepare(one) for one in seen]
@@ -96,7 +96,7 @@ class PolicyEngine:
         # a relative step knows the state of one observation at a time
         return [self.chunk(one) for one in seen]
 
-    def action(self, seen: Seen) -> Answer:
+    def action(self, seen: PolicyObservation) -> PolicyChunk:
         """One action of a policy that keeps its own history; a chunk of one row."""
         with self._torch.no_grad(), self._precision(), self._noise.drawn():
             action = self._policy.select_action(self._prepare(seen))
@@ -108,7 +108,7 @@ class PolicyEngine:
             part.reset()
         self._noise.restart()
 
-    def _prepare(self, seen: Seen) -> Mapping[str, object]:
+    def _prepare(self, seen: PolicyObservation) -> Mapping[str, object]:
         """LeRobot's batch of one."""
         from lerobot.policies.utils import prepare_observation_for_inference
 
@@ -123,14 +123,14 @@ class PolicyEngine:
         )
         return cast("Mapping[str, object]", self._before(prepared))
 
-    def _finish(self, actions: torch.Tensor) -> list[Answer]:
+    def _finish(self, actions: torch.Tensor) -> list[PolicyChunk]:
         """(B, T, A), normalised -> an answer for each observation."""
         after = cast("torch.Tensor", self._after(actions.clone()))
         rows = after.detach().to("cpu", self._torch.float64).numpy()
         kept = actions.detach()
-        return [Answer(normalized=kept[i], rows=rows[i]) for i in range(len(rows))]
+        return [PolicyChunk(normalized=kept[i], rows=rows[i]) for i in range(len(rows))]
 
-    def _left_over(self, prefix: Prefix) -> torch.Tensor:
+    def _left_over(self, prefix: ChunkPrefix) -> torch.Tensor:
         """The rest of the running chunk, normalised, relative to the present state where the
         policy's actions are. Never padded: zeros would mean the mean of the training data.
         """

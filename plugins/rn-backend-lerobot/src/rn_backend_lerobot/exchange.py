@@ -16,7 +16,7 @@ F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Answer:
+class PolicyChunk:
     """A chunk as the policy gave it, uncut.
 
     Attributes:
@@ -29,7 +29,7 @@ class Answer:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Prefix:
+class ChunkPrefix:
     """What a policy is to continue.
 
     Attributes:
@@ -38,13 +38,13 @@ class Prefix:
         committed: so many rows from there will be played whatever comes.
     """
 
-    answer: Answer
+    answer: PolicyChunk
     first: int
     committed: int
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Seen:
+class PolicyObservation:
     """One observation as the policy takes it.
 
     Attributes:

@@ -32,7 +32,7 @@ class PolicyConfig(Protocol):
     rtc_config: object
 
 
-class Policy(Protocol):
+class LeRobotPolicy(Protocol):
     """What is used of a policy."""
 
     config: PolicyConfig
@@ -57,10 +57,10 @@ class Pipeline(Protocol):
 
 
 class _PolicyClass(LoadsWeights, Protocol):
-    def from_pretrained(self, directory: str, *, config: object, strict: bool) -> Policy: ...
+    def from_pretrained(self, directory: str, *, config: object, strict: bool) -> LeRobotPolicy: ...
 
 
-def load_policy(folder: PolicyFolder, device: str) -> tuple[Policy, Pipeline, Pipeline]:
+def load_policy(folder: PolicyFolder, device: str) -> tuple[LeRobotPolicy, Pipeline, Pipeline]:
     """The policy on its device, its preprocessor and its postprocessor, as LeRobot makes them.
 
     Raises:

@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from lerobot_cell import NAMES, RATE_HZ, observe
 
 from rn_backend_lerobot.backend import LeRobotBackend
-from rn_backend_lerobot.exchange import Answer
+from rn_backend_lerobot.exchange import PolicyChunk
 from rn_backend_lerobot.options import LeRobotOptions
 from rn_backend_lerobot.tiny import make_tiny
 from rn_backend_lerobot.tiny_language import BACKBONE
@@ -53,7 +53,7 @@ def main() -> None:
         backend.load()
         chunk = backend.predict(observe(0))
         answer = chunk.context
-        assert isinstance(answer, Answer)
+        assert isinstance(answer, PolicyChunk)
         np.savez(
             DATA / "act-chunk.npz",
             normalized=answer.normalized.numpy(),

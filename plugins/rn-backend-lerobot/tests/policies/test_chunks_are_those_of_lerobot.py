@@ -15,7 +15,7 @@ from lerobot_cell import NAMES, PAIR, RATE_HZ, Load, observe, observe_pair, size
 from lerobot_loops import Call, RealTime, Synchronous
 
 from rn_backend_lerobot.backend import LeRobotBackend
-from rn_backend_lerobot.exchange import Answer
+from rn_backend_lerobot.exchange import PolicyChunk
 from rn_backend_lerobot.tiny import Policy, make_tiny
 from rn_backend_lerobot.tiny_checkpoint import HOME, TinyShape
 from roboneuron import Ahead, Observation
@@ -142,7 +142,7 @@ def rest_of(first: Call, second: Call) -> np.ndarray:
     return first.rows[start:]
 
 
-def ahead_of(running: Answer, row: int, committed: int) -> Ahead:
+def ahead_of(running: PolicyChunk, row: int, committed: int) -> Ahead:
     """What is played meanwhile: the running chunk from a row on."""
     rows = running.rows[row:]
     return Ahead(
@@ -154,12 +154,12 @@ def ahead_of(running: Answer, row: int, committed: int) -> Ahead:
     )
 
 
-def repeated(backend: LeRobotBackend, seen: Observation, call: Call) -> Answer:
+def repeated(backend: LeRobotBackend, seen: Observation, call: Call) -> PolicyChunk:
     """The backend's answer with the noise that LeRobot drew."""
     assert backend._engine is not None
     backend._engine._noise._states = [call.random]
     context = backend.predict(seen).context
-    assert isinstance(context, Answer)
+    assert isinstance(context, PolicyChunk)
     return context
 
 

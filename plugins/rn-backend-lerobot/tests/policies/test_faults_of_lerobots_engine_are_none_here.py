@@ -13,7 +13,7 @@ from lerobot_cell import NAMES, RATE_HZ, Load, observe
 from lerobot_loops import Call, RealTime
 
 from rn_backend_lerobot.backend import LeRobotBackend
-from rn_backend_lerobot.exchange import Answer
+from rn_backend_lerobot.exchange import PolicyChunk
 from rn_backend_lerobot.plugin import BACKEND
 from rn_standard.execution.feature import make_executor
 from rn_standard.inference import execution
@@ -136,11 +136,11 @@ def test_lerobot_pads_a_short_prefix_and_lands_at_the_mean_and_this_does_not(
         np.testing.assert_allclose(rows[0], kept[0], rtol=0, atol=0.02)
 
 
-def answer(backend: LeRobotBackend, call: Call, ahead: Ahead | None) -> Answer:
+def answer(backend: LeRobotBackend, call: Call, ahead: Ahead | None) -> PolicyChunk:
     """With the noise that LeRobot drew."""
     assert backend._engine is not None
     backend._engine._noise._states = [call.random]
     seen = observe(0 if ahead is None else 1)
     context = backend.predict(replace(seen, ahead=ahead)).context
-    assert isinstance(context, Answer)
+    assert isinstance(context, PolicyChunk)
     return context

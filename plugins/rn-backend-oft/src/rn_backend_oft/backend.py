@@ -22,7 +22,7 @@ from rn_vla.decoding import (
     RowsRequest,
     RowsRuntime,
 )
-from rn_vla.joint_rows import JointRows
+from rn_vla.joint_rows import PlatformJoints
 from rn_vla.openvla.bins import ActionBins, OutsideCounter
 from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.policy import action_bins, prompt_encoder
@@ -65,7 +65,7 @@ class OftBackend:
     ) -> None:
         self._config = config
         self._profile = None if config.profile == "joints" else config.action_profile()
-        self._rows: JointRows | None = None
+        self._rows: PlatformJoints | None = None
         self._joints = config.joints or ()
         self._space = EE_DELTA
         self._constants = config.platform()

@@ -8,8 +8,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_backend_oft.constants import CONSTANTS, Constants, StateLayout
 from rn_backend_oft.plugin import MAX_CHUNK
-from rn_vla.joint_rows import JointGripper, JointRows
-from rn_vla.openvla.options import ModelOptions
+from rn_vla.joint_rows import JointGripper, PlatformJoints
+from rn_vla.openvla.options import OpenVlaModelOptions
 from rn_vla.openvla.statistics import Bounds
 from roboneuron import ConfigurationError
 
@@ -45,7 +45,7 @@ class OwnConstants(BaseModel):
         return Constants(**self.model_dump(exclude_none=True))
 
 
-class OftConfig(ModelOptions):
+class OftConfig(OpenVlaModelOptions):
     """Options of the backends of OpenVLA-OFT."""
 
     constants: Literal["libero", "bridge", "aloha", "own"]
@@ -98,7 +98,7 @@ class OftConfig(ModelOptions):
             return CONSTANTS[self.constants]
         return self.own_constants.constants()
 
-    def joint_rows(self) -> JointRows | None:
+    def joint_rows(self) -> PlatformJoints | None:
         """What the rows are when they are joints, which are then called `joints`; None when they
         move the TCP.
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
-from rn_vla.joint_rows import JointGripper, JointRows
+from rn_vla.joint_rows import JointGripper, PlatformJoints
 from rn_vla.openvla.statistics import Bounds
 from roboneuron import ConfigurationError
 
@@ -45,7 +45,7 @@ class Constants:
         """Placeholder tokens, one per value."""
         return self.chunk * self.action_width
 
-    def rows(self) -> JointRows:
+    def rows(self) -> PlatformJoints:
         """What the rows are, of a platform whose state is "joints".
 
         Raises:
@@ -57,7 +57,7 @@ class Constants:
                 f"action_width {self.action_width} is no joints and a gripper for each of "
                 f"{len(self.arms)} arms."
             )
-        return JointRows(
+        return PlatformJoints(
             kind="joint_position",
             joints=each - 1,
             rate_hz=1.0 / self.step_s,

@@ -11,7 +11,7 @@ import numpy as np
 from rn_backend_oft.components import head_shard, proprio_shard
 from rn_backend_oft.constants import CONSTANTS
 from rn_backend_oft.state import state_width
-from rn_vla.joint_rows import JointRows
+from rn_vla.joint_rows import PlatformJoints
 from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.tiny import STATISTICS_KEY, make_tiny, random_values, tiny_statistics
 from roboneuron import ConfigurationError
@@ -62,7 +62,7 @@ def make_tiny_oft(path: Path, *, seed: int = 0, platform: str = "libero") -> Non
         torch.save(tensors, shard.path)
 
 
-def _joint_statistics(rows: JointRows) -> Mapping[str, object]:
+def _joint_statistics(rows: PlatformJoints) -> Mapping[str, object]:
     """Statistics of one data set: joints within `_REACH_RAD`, grippers 0..1."""
     high = np.where(rows.grippers, 1.0, _REACH_RAD)
     low = np.where(rows.grippers, 0.0, -_REACH_RAD)

@@ -46,7 +46,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
-class _Session:
+class _OpenpiSession:
     """What a loaded backend holds.
 
     Attributes:
@@ -73,7 +73,7 @@ class OpenpiBackend:
         if runtime is not None or acceleration is not None:
             raise ConfigurationError("Backend 'openpi' takes no runtime and no acceleration.")
         self._config = config
-        self._session: _Session | None = None
+        self._session: _OpenpiSession | None = None
 
     def load(self) -> None:
         """Connect, compare the server's metadata with the options, and ask for one chunk, so that
@@ -109,7 +109,7 @@ class OpenpiBackend:
                 size_is_set=config.image_size_px is not None,
                 dialect=config.dialect,
             )
-            session = _Session(client, told, warning, uuid.uuid4().hex)
+            session = _OpenpiSession(client, told, warning, uuid.uuid4().hex)
             self._ask(session, _nominal(config, told.layout), config.warm_up_timeout_s)
             undo.pop_all()
         self._session = session
@@ -158,7 +158,9 @@ class OpenpiBackend:
             return read_key_variable(config.api_key_variable)
         return None
 
-    def _ask(self, session: _Session, observation: Observation, timeout_s: float) -> ActionChunk:
+    def _ask(
+        self, session: _OpenpiSession, observation: Observation, timeout_s: float
+    ) -> ActionChunk:
         """One request and its answer, checked."""
         told, client = session.told, session.client
         rows = told.layout.rows
@@ -189,7 +191,7 @@ class OpenpiBackend:
             note=session.warning,
         )
 
-    def _begin(self, session: _Session, timeout_s: float) -> None:
+    def _begin(self, session: _OpenpiSession, timeout_s: float) -> None:
         """Tell the server of a new episode, once."""
         if session.is_new:
             session.client.reset({"endpoint": "reset", "session_id": session.identity}, timeout_s)

@@ -12,9 +12,9 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 from numpy.typing import NDArray
 from websockets.exceptions import ConnectionClosed, InvalidStatus, InvalidURI, WebSocketException
 from websockets.protocol import State
@@ -24,7 +24,7 @@ from websockets.sync.connection import Connection
 from rn_backend_openpi.wire import MOST_BYTES, Value, pack, unpack
 from roboneuron import ConfigurationError, InvalidInputError, NotReadyError
 
-Reply = dict[object, object] | NDArray[Any]
+Reply = dict[object, object] | NDArray[np.generic]
 _FIRST_PAUSE_S = 0.05
 _LONGEST_PAUSE_S = 1.0
 _UNAUTHORIZED = (401, 403)

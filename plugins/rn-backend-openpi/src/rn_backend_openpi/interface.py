@@ -27,7 +27,7 @@ from rn_backend_openpi.rows import (
     joints_by_arm,
     pose_channels,
 )
-from rn_backend_openpi.state import State, TermState, WholeState
+from rn_backend_openpi.state import StateCodec, TermState, WholeState
 from rn_vla.tcp_actions import ActionLayout
 from rn_vla.tcp_profiles import PROFILES
 from rn_vla.tcp_state import StateLayout
@@ -164,7 +164,7 @@ def _plain_space(options: OpenpiOptions) -> ControlSpace:
     return ControlSpace(kind=options.space, channels=channels, rate_hz=options.rate_hz)
 
 
-def _state(options: OpenpiOptions) -> State:
+def _state(options: OpenpiOptions) -> StateCodec:
     if options.profile == PLAIN:
         return WholeState()
     preset = PRESETS.get(options.profile or "")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_backend_openpi.rows import Rows
-from rn_backend_openpi.state import State
+from rn_backend_openpi.state import StateCodec
 from rn_backend_openpi.wire import Value
 from rn_vla.letterbox import Flip, fit_antialiased, flip_image
 from roboneuron import Frame, InvalidInputError, Observation, UngroundedError
@@ -45,7 +45,7 @@ class Layout:
     axes: Axes
     flip: Flip
     prompt_key: str
-    state: State
+    state: StateCodec
     rows: Rows
 
     def request_of(self, observation: Observation) -> dict[str, Value]:

@@ -23,7 +23,7 @@ from websockets.http11 import Request, Response
 
 from rn_backend_openpi.key import is_loopback, read_key
 from rn_backend_openpi.server_options import ServerOptions
-from rn_backend_openpi.serving import Question, ServedPolicy
+from rn_backend_openpi.serving import PolicyRequest, ServedPolicy
 from rn_backend_openpi.wire import MOST_BYTES, Value, pack
 from rn_backend_shared.admission import crowded
 from rn_backend_shared.batching import Answer
@@ -172,7 +172,9 @@ class OpenpiServer:
             await self._send(connection, pack(reply))
             previous_ms = (loop.time() - began_s) * 1e3
 
-    async def _answer(self, question: Question, connection: ServerConnection) -> dict[str, Value]:
+    async def _answer(
+        self, question: PolicyRequest, connection: ServerConnection
+    ) -> dict[str, Value]:
         """The reply to a question; raises RoboNeuronError as the backend does."""
         loop = asyncio.get_running_loop()
         told: asyncio.Future[Answer] = loop.create_future()

@@ -39,7 +39,7 @@ _RATE_SHARE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Question:
+class PolicyRequest:
     """One request, decoded.
 
     Attributes:
@@ -134,7 +134,7 @@ class ServedPolicy:
             horizon=self._spec.action_space.horizon,
         )
 
-    def read(self, data: str | bytes) -> Question | None:
+    def read(self, data: str | bytes) -> PolicyRequest | None:
         """Decode a request; None for one that begins an episode, which needs no answer of the
         backend's.
 
@@ -159,11 +159,11 @@ class ServedPolicy:
         left_s = request.get(TIME_LEFT, most_s)
         if not isinstance(left_s, float | int) or not left_s >= 0.0:
             raise InvalidInputError(f"{TIME_LEFT} is {left_s!r}, expected seconds.")
-        return Question(observation=observation, left_s=min(float(left_s), most_s))
+        return PolicyRequest(observation=observation, left_s=min(float(left_s), most_s))
 
     def submit(
         self,
-        question: Question,
+        question: PolicyRequest,
         tell: Callable[[Answer], object],
         *,
         client: Hashable = None,
@@ -194,7 +194,7 @@ class ServedPolicy:
             )
         )
 
-    def reply(self, answer: Answer, question: Question) -> dict[str, Value]:
+    def reply(self, answer: Answer, question: PolicyRequest) -> dict[str, Value]:
         """The map of an answer.
 
         Raises:

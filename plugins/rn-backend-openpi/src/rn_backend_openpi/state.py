@@ -42,7 +42,7 @@ class Measured:
     arms: Mapping[str, ArmState] = field(default_factory=dict)
 
 
-class State(Protocol):
+class StateCodec(Protocol):
     """How one profile writes the measured state."""
 
     @property

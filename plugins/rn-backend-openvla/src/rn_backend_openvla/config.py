@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Literal
 
-from rn_vla.openvla.options import ModelOptions
+from rn_vla.openvla.options import OpenVlaModelOptions
 
 
-class OpenVlaConfig(ModelOptions):
+class OpenVlaConfig(OpenVlaModelOptions):
     """Options of the backends `openvla` and `openvla-tcp`."""
 
     prompt: Literal["auto", "v02", "v01"] = "auto"

@@ -13,7 +13,7 @@ from rn_backend_pi0.architecture import (
     Variant,
     VisionDims,
 )
-from rn_backend_pi0.documents import DimensionsDocument, GemmaBlock, VisionSettings
+from rn_backend_pi0.documents import DimensionsDocument, GemmaSettings, VisionSettings
 from roboneuron import CheckpointError
 
 
@@ -79,7 +79,7 @@ def _vision(block: VisionSettings) -> VisionDims:
     )
 
 
-def _gemma(block: GemmaBlock) -> GemmaDims:
+def _gemma(block: GemmaSettings) -> GemmaDims:
     return GemmaDims(
         width=block.hidden_size,
         depth=block.num_hidden_layers,

@@ -28,7 +28,7 @@ class _Document(BaseModel):
     model_config = ConfigDict(extra="ignore", frozen=True)
 
 
-class GemmaBlock(_Document):
+class GemmaSettings(_Document):
     """One of vlm_config.text_config and dit_config."""
 
     hidden_size: Width
@@ -68,7 +68,7 @@ class VisionSettings(_Document):
 class VlmBlock(_Document):
     """vlm_config: the language model and its vision tower."""
 
-    text_config: GemmaBlock
+    text_config: GemmaSettings
     vision_config: VisionSettings
 
     @model_validator(mode="after")
@@ -82,7 +82,7 @@ class DimensionsDocument(_Document):
     """What both layouts say of the network's size: blocks, or names of variants."""
 
     vlm_config: VlmBlock | None = None
-    dit_config: GemmaBlock | None = None
+    dit_config: GemmaSettings | None = None
     paligemma_variant: Name | None = None
     action_expert_variant: Name | None = None
     min_period: Annotated[float, Field(ge=1e-6, le=1e3)] = 4e-3
@@ -160,7 +160,7 @@ class StepConfig(_Document):
     include_state_in_prompt: bool = True
 
 
-class Pipeline(_Document):
+class ProcessorDocument(_Document):
     """policy_preprocessor.json or policy_postprocessor.json."""
 
     steps: Annotated[tuple[ProcessorStep, ...], Field(max_length=64)]

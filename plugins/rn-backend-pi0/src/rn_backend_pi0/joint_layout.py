@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from rn_backend_pi0 import angular_gripper
-from rn_vla.joint_rows import JointRows
+from rn_vla.joint_rows import PlatformJoints
 from rn_vla.rotation import F64
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class JointLayout(JointRows):
+class JointLayout(PlatformJoints):
     """Joints and gripper of each arm in turn, as one family of checkpoints has them.
 
     Attributes:
@@ -61,7 +61,7 @@ class JointLayout(JointRows):
         if self.limit:
             joints = np.clip(joints, -self.limit, self.limit)
         out[:, at] = joints * self.scale
-        return JointRows.to_contract(self, out)
+        return PlatformJoints.to_contract(self, out)
 
     def _flips(self) -> F64:
         signs = self.signs or (1,) * self.joints

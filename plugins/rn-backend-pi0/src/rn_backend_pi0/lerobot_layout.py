@@ -12,7 +12,7 @@ from rn_backend_pi0.dimensions import read_dims
 from rn_backend_pi0.documents import (
     LerobotConfig,
     Moments,
-    Pipeline,
+    ProcessorDocument,
     ProcessorStep,
     Range,
     StepConfig,
@@ -160,7 +160,7 @@ def _fast_settings(config: LerobotConfig, path: Path) -> FastSettings:
 def _steps(path: Path) -> dict[str, ProcessorStep]:
     """Step by registry name. Raises CheckpointError for a step this backend does not know."""
     steps: dict[str, ProcessorStep] = {}
-    for step in read_schema(path, Pipeline).steps:
+    for step in read_schema(path, ProcessorDocument).steps:
         if step.registry_name not in _KNOWN_STEPS:
             raise CheckpointError(
                 f"{path}: step {step.registry_name!r} is unknown; known are "

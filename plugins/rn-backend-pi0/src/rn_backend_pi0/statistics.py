@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-Real: TypeAlias = np.dtype[np.floating[Any]]
-Values: TypeAlias = NDArray[np.floating[Any]]
+Real: TypeAlias = np.dtype[np.floating]
+Values: TypeAlias = NDArray[np.floating]
 F64 = NDArray[np.float64]
 
 

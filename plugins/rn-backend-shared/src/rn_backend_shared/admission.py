@@ -14,7 +14,7 @@ from roboneuron import ConfigurationError
 log = logging.getLogger(__name__)
 
 
-class Connection(Protocol):
+class ClientConnection(Protocol):
     """What is kept in the table.
 
     Attributes:
@@ -39,8 +39,8 @@ class AdmissionTable:
     def __init__(self, most_robots: int) -> None:
         self._most_robots = most_robots
         self._lock = threading.Lock()
-        self._unknown: dict[Connection, float] = {}
-        self._robots: dict[Connection, None] = {}
+        self._unknown: dict[ClientConnection, float] = {}
+        self._robots: dict[ClientConnection, None] = {}
         self._refused = 0
         self._newest_refusal = ""
 
@@ -55,12 +55,12 @@ class AdmissionTable:
         with self._lock:
             return self._refused, self._newest_refusal
 
-    def add(self, connection: Connection) -> None:
+    def add(self, connection: ClientConnection) -> None:
         """One that has not introduced itself yet."""
         with self._lock:
             self._unknown[connection] = time.monotonic()
 
-    def admit(self, connection: Connection) -> None:
+    def admit(self, connection: ClientConnection) -> None:
         """It is a robot's from now on. When there are too many, the newest of the client with most
         of them gives way, if that keeps more than the new one's then.
 
@@ -79,7 +79,7 @@ class AdmissionTable:
             log.warning("%s has most of the robots; its newest gives way.", given_up.address)
             given_up.interrupt()
 
-    def _given_up(self, client: str) -> Connection | None:
+    def _given_up(self, client: str) -> ClientConnection | None:
         """What gives way to a new robot of a client; None while there are not too many."""
         if len(self._robots) < self._most_robots:
             return None
@@ -91,7 +91,7 @@ class AdmissionTable:
             )
         return next(robot for robot in reversed(self._robots) if robot.client == greedy)
 
-    def leave(self, connection: Connection, why: str) -> bool:
+    def leave(self, connection: ClientConnection, why: str) -> bool:
         """It is gone; whether it was a robot's."""
         with self._lock:
             self._unknown.pop(connection, None)

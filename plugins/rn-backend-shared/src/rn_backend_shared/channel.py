@@ -41,7 +41,7 @@ class Received(NamedTuple):
         return decode(self.header, self.body)
 
 
-class Channel:
+class FrameChannel:
     """Frames over a connected socket. One thread reads; `send` from any thread that holds no other
     `send`, over TLS from the reading thread alone.
 

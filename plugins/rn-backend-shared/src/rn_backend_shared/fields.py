@@ -31,7 +31,7 @@ def table(value: object, what: str, most: int) -> Document:
     return value
 
 
-def items(value: object, what: str, *, most: int, least: int = 0) -> list[Any]:
+def items(value: object, what: str, *, most: int, least: int = 0) -> list[object]:
     """A list."""
     if not isinstance(value, list) or not least <= len(value) <= most:
         raise FrameError(f"{what} is no list of {least} to {most}")

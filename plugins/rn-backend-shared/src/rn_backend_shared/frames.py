@@ -49,7 +49,7 @@ class VersionError(FrameError):
         self.version = version
 
 
-class Kind(IntEnum):
+class FrameKind(IntEnum):
     """What a frame is."""
 
     HELLO = 1
@@ -78,7 +78,7 @@ class Header(NamedTuple):
         array_bytes: of the arrays behind it.
     """
 
-    kind: Kind
+    kind: FrameKind
     number: int = 0
     clock_ns: int = 0
     left_s: float = 0.0
@@ -122,9 +122,9 @@ def read_header(data: bytes | bytearray) -> Header:
         raise VersionError(version)
     if document > MOST_DOCUMENT_BYTES or arrays > MOST_ARRAY_BYTES:
         raise FrameError(f"a frame of {document} and {arrays} bytes is more than allowed")
-    if reserved or kind not in Kind.__members__.values() or left_us > MOST_LEFT_S * _MICRO:
+    if reserved or kind not in FrameKind.__members__.values() or left_us > MOST_LEFT_S * _MICRO:
         raise FrameError("the header of a frame is damaged")
-    return Header(Kind(kind), number, clock_ns, left_us / _MICRO, document, arrays)
+    return Header(FrameKind(kind), number, clock_ns, left_us / _MICRO, document, arrays)
 
 
 def encode(header: Header, document: Mapping[str, object]) -> list[bytes | memoryview]:
@@ -136,7 +136,7 @@ def encode(header: Header, document: Mapping[str, object]) -> list[bytes | memor
     Raises:
         ValueError: it is larger than allowed, or holds a number that is not finite outside arrays.
     """
-    parts: list[NDArray[Any]] = []
+    parts: list[NDArray[np.generic]] = []
 
     def default(value: object) -> object:
         if not isinstance(value, np.ndarray):
@@ -183,10 +183,10 @@ def _refuse_constant(name: str) -> Never:
     raise FrameError(f"{name} is no number")
 
 
-def _arrays(heads: object, data: memoryview) -> list[NDArray[Any]]:
+def _arrays(heads: object, data: memoryview) -> list[NDArray[np.generic]]:
     if not isinstance(heads, list) or len(heads) > _MOST_ARRAYS:
         raise FrameError("the arrays of a frame are not described")
-    arrays: list[NDArray[Any]] = []
+    arrays: list[NDArray[np.generic]] = []
     offset = 0
     for dtype, shape in heads:
         if (
@@ -207,7 +207,7 @@ def _arrays(heads: object, data: memoryview) -> list[NDArray[Any]]:
     return arrays
 
 
-def _filled(value: object, arrays: list[NDArray[Any]]) -> object:
+def _filled(value: object, arrays: list[NDArray[np.generic]]) -> object:
     if isinstance(value, dict):
         if value.keys() == {_ARRAY}:
             place = value[_ARRAY]

@@ -16,9 +16,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rn_backend_shared.admission import AdmissionTable
-from rn_backend_shared.channel import Channel, peer_user
+from rn_backend_shared.channel import FrameChannel, peer_user
 from rn_backend_shared.fields import text
-from rn_backend_shared.frames import Document, FrameError, Header, Kind
+from rn_backend_shared.frames import Document, FrameError, FrameKind, Header
 from rn_backend_shared.listening import local_listener, network_listener, notify_manager
 from rn_backend_shared.options import PolicyServerOptions
 from rn_backend_shared.replicas import Replicas
@@ -159,7 +159,7 @@ class PolicyServer:
             log.info("A robot at %s is gone: %s", visitor.address, why)
 
     def note_served(self, model: str, took_s: float) -> None:
-        """See `Admission`."""
+        """See `VisitorServer`."""
         with self._lock:
             self._served[model].note(took_s)
 
@@ -242,7 +242,7 @@ class PolicyServer:
                 if peer_user(connected) != os.getuid():
                     continue
                 with suppress(OSError, FrameError):
-                    channel = Channel(connected, HELLO_BYTES)
+                    channel = FrameChannel(connected, HELLO_BYTES)
                     channel.receive(time.monotonic() + 1.0)
-                    channel.send(Header(Kind.STATUS), self.status(), 1.0)
+                    channel.send(Header(FrameKind.STATUS), self.status(), 1.0)
                     channel.close()

@@ -14,10 +14,10 @@ import time
 from pathlib import Path
 
 from rn_backend_shared import wire
-from rn_backend_shared.channel import Channel, peer_user
+from rn_backend_shared.channel import FrameChannel, peer_user
 from rn_backend_shared.frames import FrameError, VersionError
 from rn_backend_shared.options import SharedOptions
-from rn_backend_shared.session import FAILED, READY, Session, Welcome, check_ready, greet
+from rn_backend_shared.session import FAILED, READY, ModelSession, Welcome, check_ready, greet
 from roboneuron import ActionChunk, ConfigurationError, NotReadyError, Observation
 
 log = logging.getLogger(__name__)
@@ -73,7 +73,7 @@ class Links:
         self._paths = [folder / f"{name}-{index}.sock" for index in range(options.replicas)]
         first = os.getpid() % options.replicas  # robots spread over the replicas
         self._paths = self._paths[first:] + self._paths[:first]
-        self._session: Session | None = None
+        self._session: ModelSession | None = None
         self._started_s: dict[Path, float] = {}
         self._reviving: threading.Thread | None = None
         self._is_closed = False
@@ -152,7 +152,7 @@ class Links:
         except OSError:
             connected.close()
             return None
-        channel = Channel(connected)
+        channel = FrameChannel(connected)
         is_kept = False
         try:
             if peer_user(connected) != os.getuid():
@@ -168,7 +168,7 @@ class Links:
                 channel.close()
         if is_kept:
             self._drop()
-            self._session = Session(channel, told)
+            self._session = ModelSession(channel, told)
         return told
 
     def _start_others(self) -> None:

@@ -113,7 +113,7 @@ def _add(family: HistogramMetricFamily, labels: Sequence[str], times: Document) 
     family.add_metric(labels, buckets, times["sum_s"])
 
 
-class _Handler(WSGIRequestHandler):
+class _ScrapeHandler(WSGIRequestHandler):
     """One scrape. Whoever is slow is left, because scrapes are answered one after the other."""
 
     timeout = 2.0
@@ -122,7 +122,7 @@ class _Handler(WSGIRequestHandler):
         """Say nothing: others fill no log."""
 
 
-class _Server(WSGIServer):
+class _MetricsServer(WSGIServer):
     request_queue_size = 8
 
     def handle_error(self, request: object, client_address: object) -> None:
@@ -144,7 +144,7 @@ class MetricsEndpoint:
         registry = CollectorRegistry()
         registry.register(PolicyMetrics(status))
         try:
-            self._server = _Server((host, port), _Handler)
+            self._server = _MetricsServer((host, port), _ScrapeHandler)
         except OSError as error:
             raise ConfigurationError(
                 f"Metrics cannot be served at {host}:{port}: {error.strerror or error}.",

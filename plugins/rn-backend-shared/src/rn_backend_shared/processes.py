@@ -14,9 +14,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 from rn_backend_shared import wire
-from rn_backend_shared.channel import Channel
+from rn_backend_shared.channel import FrameChannel
 from rn_backend_shared.fields import field
-from rn_backend_shared.frames import Document, FrameError, Header, Kind
+from rn_backend_shared.frames import Document, FrameError, FrameKind, Header
 from rn_backend_shared.options import ServedModelOptions
 from rn_backend_shared.server_process import STAY
 from rn_backend_shared.session import FAILED, LOADING, READY, Welcome, greet
@@ -94,7 +94,7 @@ class ModelProcess:
             return {"state": FAILED, "pid": 0, **self._failure}
         return {"state": LOADING, "pid": 0}
 
-    def connect(self, hello: Document) -> tuple[Channel, Welcome]:
+    def connect(self, hello: Document) -> tuple[FrameChannel, Welcome]:
         """A connection to its process, when it is ready.
 
         Args:
@@ -130,7 +130,7 @@ class ModelProcess:
         except (OSError, FrameError):
             return own
         try:
-            channel.send(Header(Kind.STATUS), {}, _GREET_S)
+            channel.send(Header(FrameKind.STATUS), {}, _GREET_S)
             told = channel.receive(time.monotonic() + _GREET_S).document()
         except (OSError, FrameError):
             return own
@@ -242,13 +242,13 @@ def _failure(welcome: Welcome) -> Document | None:
     raise FrameError("a failure without an error")
 
 
-def _connect(path: Path, hello: Mapping[str, object] = _NOBODY) -> tuple[Channel, Welcome]:
+def _connect(path: Path, hello: Mapping[str, object] = _NOBODY) -> tuple[FrameChannel, Welcome]:
     """Greet the server at a local socket; raises OSError or FrameError."""
     connected = socket.socket(socket.AF_UNIX)
     try:
         connected.settimeout(_GREET_S)
         connected.connect(str(path))
-        channel = Channel(connected)
+        channel = FrameChannel(connected)
     except OSError:
         connected.close()
         raise
@@ -269,14 +269,14 @@ def ask_status(path: Path) -> Document:
         connected.settimeout(_END_S)
         try:
             connected.connect(str(path))
-            channel = Channel(connected)
+            channel = FrameChannel(connected)
         except OSError as error:
             raise NotReadyError(
                 "No policy server of this file runs here as this user.",
                 hint="Start it with `roboneuron serve-policy`.",
             ) from error
         try:
-            channel.send(Header(Kind.STATUS), {}, _GREET_S)
+            channel.send(Header(FrameKind.STATUS), {}, _GREET_S)
             document = channel.receive(time.monotonic() + _END_S).document()
             field(document, "models")
         except (OSError, FrameError) as error:

@@ -9,13 +9,13 @@ import threading
 import time
 from collections.abc import Sequence
 
-from rn_backend_shared.channel import Channel
+from rn_backend_shared.channel import FrameChannel
 from rn_backend_shared.coding import Coder
 from rn_backend_shared.frames import Document, FrameError, VersionError
 from rn_backend_shared.introduction import ROBOT, from_profile
 from rn_backend_shared.options import SharedOptions
-from rn_backend_shared.security import Place, link_stamps, place_of, tune
-from rn_backend_shared.session import Session, Welcome, check_ready, greet
+from rn_backend_shared.security import ServerAddress, link_stamps, place_of, tune
+from rn_backend_shared.session import ModelSession, Welcome, check_ready, greet
 from roboneuron import (
     ActionChunk,
     ConfigurationError,
@@ -55,7 +55,7 @@ class RemoteLink:
         self._options = options
         self._address: str = options.address
         self._lock = threading.Lock()
-        self._session: Session | None = None
+        self._session: ModelSession | None = None
         self._connecting: threading.Thread | None = None
         self._coder: Coder | None = None
         self._reason = ""
@@ -202,7 +202,7 @@ class RemoteLink:
             self._end.wait(pause_s)
             pause_s = min(2 * pause_s, _LAST_PAUSE_S)
 
-    def _connect(self) -> Session:
+    def _connect(self) -> ModelSession:
         """A conversation with a server that is ready.
 
         Raises:
@@ -215,7 +215,7 @@ class RemoteLink:
         place = place_of(self._options)
         connected = socket.create_connection((place.host, place.port), _CONNECT_S)
         try:
-            channel = Channel(self._secured(connected, place))
+            channel = FrameChannel(self._secured(connected, place))
         except BaseException:
             connected.close()
             raise
@@ -224,12 +224,12 @@ class RemoteLink:
             welcome = self._greet(channel, place)
             base_s = time.monotonic() - begun_s
             check_ready(welcome)
-            return Session(channel, welcome, base_s)
+            return ModelSession(channel, welcome, base_s)
         except BaseException:
             channel.close()
             raise
 
-    def _secured(self, connected: socket.socket, place: Place) -> socket.socket:
+    def _secured(self, connected: socket.socket, place: ServerAddress) -> socket.socket:
         tune(connected, max(self._options.timeout_s, _LEAST_SILENT_S))
         connected.settimeout(_CONNECT_S)
         if place.context is None:
@@ -243,7 +243,7 @@ class RemoteLink:
                 hint="Is it the machine that was paired? Pair it again with `roboneuron link`.",
             ) from error
 
-    def _greet(self, channel: Channel, place: Place) -> Welcome:
+    def _greet(self, channel: FrameChannel, place: ServerAddress) -> Welcome:
         hello: Document = {"model": self._options.model, "token": place.token}
         try:
             return greet(channel, hello, _GREET_S)

@@ -6,7 +6,7 @@ import threading
 from collections.abc import Sequence
 from pathlib import Path
 
-from rn_backend_shared.channel import Channel
+from rn_backend_shared.channel import FrameChannel
 from rn_backend_shared.frames import Document
 from rn_backend_shared.options import ServedModelOptions
 from rn_backend_shared.processes import DEAD, ModelProcess
@@ -37,7 +37,9 @@ class Seat:
         replica: its number.
     """
 
-    def __init__(self, model: Replicas, replica: int, channel: Channel, welcome: Welcome) -> None:
+    def __init__(
+        self, model: Replicas, replica: int, channel: FrameChannel, welcome: Welcome
+    ) -> None:
         self._model = model
         self.replica = replica
         self.channel = channel

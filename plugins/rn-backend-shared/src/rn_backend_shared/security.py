@@ -29,7 +29,7 @@ _LINK_FILES = ("link.json", "own.pem", "own.key")
 _PAIR = "Pair the machines with `roboneuron link`, the robot's machine being the hub."
 
 
-class Place(NamedTuple):
+class ServerAddress(NamedTuple):
     """A server that a robot connects to.
 
     Attributes:
@@ -95,7 +95,7 @@ def is_same_token(one: str, other: str) -> bool:
     return hmac.compare_digest(first, second)
 
 
-def place_of(options: SharedOptions) -> Place:
+def place_of(options: SharedOptions) -> ServerAddress:
     """Where a robot's server is, and how it is talked to.
 
     Raises:
@@ -114,13 +114,13 @@ def place_of(options: SharedOptions) -> Place:
             context.load_verify_locations(options.ca)
         except OSError as error:
             raise ConfigurationError(f"{options.ca} holds no certificate: {error}.") from error
-        return Place(host, int(port), context, token)
+        return ServerAddress(host, int(port), context, token)
     if not is_loopback(host):
         raise ConfigurationError(
             f"A token is not sent in clear to {host}.",
             hint=f"Name the server's certificate with `ca`. Better: {_PAIR}",
         )
-    return Place(host, int(port), None, token)
+    return ServerAddress(host, int(port), None, token)
 
 
 def link_stamps() -> Sequence[object]:
@@ -140,7 +140,7 @@ def _stamp(path: Path) -> int:
     return 0
 
 
-def _linked_place(host: str, port: int) -> Place:
+def _linked_place(host: str, port: int) -> ServerAddress:
     folder, machine = _link()
     from rn_link.tls import tls_context
 
@@ -156,7 +156,7 @@ def _linked_place(host: str, port: int) -> Place:
         context = tls_context(machine, folder, found[0])
     except OSError as error:
         raise ConfigurationError(f"The keys of the link cannot be used: {error}.") from error
-    return Place(machine.peers[found[0]].address, port, context, "")
+    return ServerAddress(machine.peers[found[0]].address, port, context, "")
 
 
 def _link() -> tuple[Path, Machine]:

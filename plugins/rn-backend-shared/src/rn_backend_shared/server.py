@@ -17,9 +17,9 @@ from pathlib import Path
 
 from rn_backend_shared import wire
 from rn_backend_shared.batching import Answer, Batcher, Waiting
-from rn_backend_shared.channel import Channel, Received, peer_process, peer_user
+from rn_backend_shared.channel import FrameChannel, Received, peer_process, peer_user
 from rn_backend_shared.fields import field, text
-from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
+from rn_backend_shared.frames import Document, FrameError, FrameKind, Header, VersionError
 from rn_backend_shared.images import CROPPED, crop
 from rn_backend_shared.introduction import CLIENT, ROBOT, to_profile
 from rn_backend_shared.model import SharedModel
@@ -68,7 +68,7 @@ class SharedModelServer:
         self._idle_s = idle_s
         self._model = SharedModel(options)
         self._batcher: Batcher | None = None
-        self._robots: dict[_Robot, None] = {}
+        self._robots: dict[_RobotConnection, None] = {}
         self._end = threading.Event()
         self._state = LOADING
         self._image_sizes: Mapping[str, tuple[int, int]] = {}
@@ -215,7 +215,7 @@ class SharedModelServer:
         """Count what a robot is told."""
         self._statistics.note(answer)
 
-    def leave(self, robot: _Robot) -> None:
+    def leave(self, robot: _RobotConnection) -> None:
         """It is gone."""
         self._robots.pop(robot, None)
 
@@ -240,7 +240,7 @@ class SharedModelServer:
             ):
                 channel.close()
                 continue
-            robot = _Robot(channel, self, f"process {peer_process(connected)}")
+            robot = _RobotConnection(channel, self, f"process {peer_process(connected)}")
             self._robots[robot] = None
             threading.Thread(target=robot.serve, name="robot", daemon=True).start()
 
@@ -254,7 +254,7 @@ class SharedModelServer:
         return True
 
 
-class _Robot:
+class _RobotConnection:
     """One connection.
 
     Args:
@@ -263,7 +263,7 @@ class _Robot:
         client: whose it is, unless it is introduced as another's.
     """
 
-    def __init__(self, channel: Channel, server: SharedModelServer, client: str) -> None:
+    def __init__(self, channel: FrameChannel, server: SharedModelServer, client: str) -> None:
         self._channel = channel
         self._server = server
         self._client = client
@@ -286,7 +286,7 @@ class _Robot:
         except VersionError as error:
             log.warning("A client was refused: %s", error)
             refusal = ConfigurationError(f"The server of the shared model refuses: {error}.")
-            self._send(Header(Kind.ANSWER), wire.from_answer(refusal))
+            self._send(Header(FrameKind.ANSWER), wire.from_answer(refusal))
         except FrameError as error:
             log.warning("A client sent what is no request: %s", error)
         finally:
@@ -295,19 +295,19 @@ class _Robot:
 
     def _take(self, received: Received) -> None:
         header = received.header
-        if header.kind is Kind.HELLO:
+        if header.kind is FrameKind.HELLO:
             hello = received.document()
             self._client = text(hello.get(CLIENT, self._client), "a client", 128)
-            told = Header(Kind.WELCOME, clock_ns=header.clock_ns)
+            told = Header(FrameKind.WELCOME, clock_ns=header.clock_ns)
             self._send(told, self._server.hello(hello))
             return
-        if header.kind is Kind.STATUS:
-            self._send(Header(Kind.STATUS), self._server.status())
+        if header.kind is FrameKind.STATUS:
+            self._send(Header(FrameKind.STATUS), self._server.status())
             return
-        if header.kind is not Kind.REQUEST or header.number <= self._last:
+        if header.kind is not FrameKind.REQUEST or header.number <= self._last:
             raise FrameError(f"frame {header.number} of kind {header.kind} was not expected")
         self._last = header.number
-        answer_header = Header(Kind.ANSWER, header.number, header.clock_ns)
+        answer_header = Header(FrameKind.ANSWER, header.number, header.clock_ns)
 
         def tell(answer: Answer) -> None:
             self._server.note(answer)
@@ -364,10 +364,10 @@ class _Robot:
         self._channel.close()
 
 
-def _channel_of(connected: socket.socket) -> Channel:
+def _channel_of(connected: socket.socket) -> FrameChannel:
     """Raises OSError, with the connection closed, when no second handle is left for it."""
     try:
-        return Channel(connected)
+        return FrameChannel(connected)
     except OSError:
         connected.close()
         raise

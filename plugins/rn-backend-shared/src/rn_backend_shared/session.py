@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from rn_backend_shared import fields, wire
-from rn_backend_shared.channel import Channel
-from rn_backend_shared.frames import Document, FrameError, Header, Kind
+from rn_backend_shared.channel import FrameChannel
+from rn_backend_shared.frames import Document, FrameError, FrameKind, Header
 from rn_backend_shared.images import MOST_SIDE_PX, Rectangle
 from roboneuron import ActionChunk, ControlSpace, NotReadyError, RoboNeuronError
 
@@ -109,7 +109,7 @@ def _size(value: object) -> tuple[int, int]:
     return fields.integer(width, "a width", 1, most), fields.integer(height, "a height", 1, most)
 
 
-def greet(channel: Channel, hello: Document, timeout_s: float) -> Welcome:
+def greet(channel: FrameChannel, hello: Document, timeout_s: float) -> Welcome:
     """Introduce a robot.
 
     Raises:
@@ -117,18 +117,18 @@ def greet(channel: Channel, hello: Document, timeout_s: float) -> Welcome:
         FrameError: it says something else, or what it said to another hello; a VersionError for
             another version.
     """
-    asked = Header(Kind.HELLO, clock_ns=time.monotonic_ns())
+    asked = Header(FrameKind.HELLO, clock_ns=time.monotonic_ns())
     channel.send(asked, hello, timeout_s)
     received = channel.receive(time.monotonic() + timeout_s)
     header = received.header
-    if header.kind is not Kind.WELCOME:
+    if header.kind is not FrameKind.WELCOME:
         raise FrameError("the server does not introduce itself")
     if header.clock_ns != asked.clock_ns:
         raise FrameError("the introduction of the server was replayed: it answers another hello")
     return Welcome.of(received.document(), header.number)
 
 
-class Session:
+class ModelSession:
     """Asks over one connection; used from one thread, except `close`.
 
     Args:
@@ -137,7 +137,7 @@ class Session:
         base_s: how long it took to say that [s].
     """
 
-    def __init__(self, channel: Channel, welcome: Welcome, base_s: float = 0.0) -> None:
+    def __init__(self, channel: FrameChannel, welcome: Welcome, base_s: float = 0.0) -> None:
         self._channel = channel
         self._number = welcome.number
         self._open: dict[int, int] = {}  # clock_ns of each question without an answer
@@ -154,7 +154,7 @@ class Session:
             RoboNeuronError: what the server says instead.
         """
         began_ns, left_s = time.monotonic_ns(), deadline_s - time.monotonic()
-        header = Header(Kind.REQUEST, self._number + 1, began_ns, left_s)
+        header = Header(FrameKind.REQUEST, self._number + 1, began_ns, left_s)
         if left_s <= 0:
             raise TimeoutError("the deadline is over before it is asked")
         if len(self._open) >= _MOST_OPEN:
@@ -187,7 +187,7 @@ class Session:
         while True:
             received = self._channel.receive(deadline_s)
             header = received.header
-            if header.kind is not Kind.ANSWER:
+            if header.kind is not FrameKind.ANSWER:
                 raise FrameError("the server sent what is no answer")
             if self._open.pop(header.number, None) != header.clock_ns:
                 raise FrameError(

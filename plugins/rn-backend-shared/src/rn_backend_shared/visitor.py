@@ -16,8 +16,8 @@ from datetime import UTC, datetime
 from typing import Protocol
 
 from rn_backend_shared import wire
-from rn_backend_shared.channel import Channel, Received
-from rn_backend_shared.frames import Document, FrameError, Header, Kind, VersionError
+from rn_backend_shared.channel import FrameChannel, Received
+from rn_backend_shared.frames import Document, FrameError, FrameKind, Header, VersionError
 from rn_backend_shared.introduction import CLIENT, ROBOT
 from rn_backend_shared.replicas import Replicas, Seat
 from rn_backend_shared.security import Guard, client_of, tune, valid_until
@@ -37,7 +37,7 @@ _GRACE_S = 0.1
 """So much later than its deadline an answer of the model is passed on, for the robot to count."""
 
 
-class Admission(Protocol):
+class VisitorServer(Protocol):
     """The server that a visitor asks."""
 
     def admit(self, visitor: Visitor, hello: Document) -> Replicas:
@@ -87,7 +87,7 @@ class Visitor:
 
     def __init__(
         self,
-        server: Admission,
+        server: VisitorServer,
         guard: Guard,
         connected: socket.socket,
         address: str,
@@ -100,7 +100,7 @@ class Visitor:
         tune(connected, _SILENT_S)
         connected.settimeout(patience.admit_s)
         self._connected = guard.wrap(connected)
-        self._channel: Channel | None = None
+        self._channel: FrameChannel | None = None
         self._expires: datetime | None = None
         self._seat: Seat | None = None
         self._last = secrets.randbits(_NUMBER_BITS)
@@ -113,15 +113,15 @@ class Visitor:
                 self._connected.do_handshake()
             self._expires = valid_until(self._connected)
             self.client = client_of(self.address, self._connected)
-            channel = self._channel = Channel(self._connected, HELLO_BYTES)
+            channel = self._channel = FrameChannel(self._connected, HELLO_BYTES)
             received = channel.receive(time.monotonic() + self._patience.admit_s)
-            if received.header.kind is not Kind.HELLO:
+            if received.header.kind is not FrameKind.HELLO:
                 raise FrameError("it has not introduced itself")
             try:
                 model = self._server.admit(self, received.document())
             except RoboNeuronError as error:
                 refusal = {"state": FAILED, "pid": 0, **wire.from_answer(error)}
-                told = Header(Kind.WELCOME, clock_ns=received.header.clock_ns)
+                told = Header(FrameKind.WELCOME, clock_ns=received.header.clock_ns)
                 channel.send(told, refusal, _SEND_S)
                 raise FrameError(str(error)) from error
             channel.most_bytes = _REQUEST_BYTES
@@ -147,7 +147,7 @@ class Visitor:
             return
         refusal = ConfigurationError(f"The policy server refuses: {error}.")
         with suppress(OSError):
-            self._channel.send(Header(Kind.ANSWER), wire.from_answer(refusal), _SEND_S)
+            self._channel.send(Header(FrameKind.ANSWER), wire.from_answer(refusal), _SEND_S)
 
     def interrupt(self) -> None:
         """End it, from another thread."""
@@ -155,7 +155,7 @@ class Visitor:
             # the method of SSLSocket would go on in clear
             socket.socket.shutdown(self._connected, socket.SHUT_RDWR)
 
-    def _next(self, channel: Channel) -> Received:
+    def _next(self, channel: FrameChannel) -> Received:
         """The next frame, however long a robot is silent.
 
         Raises:
@@ -170,12 +170,12 @@ class Visitor:
             if self._expires is not None and datetime.now(UTC) > self._expires:
                 raise ConnectionError("its certificate has expired")
 
-    def _take(self, channel: Channel, model: Replicas, received: Received) -> None:
+    def _take(self, channel: FrameChannel, model: Replicas, received: Received) -> None:
         header = received.header
-        if header.kind is Kind.HELLO:
+        if header.kind is FrameKind.HELLO:
             self._welcome(channel, model, received)
             return
-        if header.kind is not Kind.REQUEST:
+        if header.kind is not FrameKind.REQUEST:
             raise FrameError(f"a frame of kind {header.kind} was not expected")
         if header.number != self._last + 1:
             raise FrameError(
@@ -188,20 +188,20 @@ class Visitor:
             answer = self._carry(model, received)
         except NotReadyError as error:
             self._server.note_lost(model.name)
-            told = Header(Kind.ANSWER, header.number, header.clock_ns)
+            told = Header(FrameKind.ANSWER, header.number, header.clock_ns)
             channel.send(told, wire.from_answer(error), _SEND_S)
         else:
             self._server.note_served(model.name, time.monotonic() - begun_s)
             channel.send_parts([answer.header.pack(), answer.body], _SEND_S)
 
-    def _welcome(self, channel: Channel, model: Replicas, received: Received) -> None:
+    def _welcome(self, channel: FrameChannel, model: Replicas, received: Received) -> None:
         """Tell what the model's own process says of itself."""
         hello = received.document()
         told: Mapping[str, object] = model.welcome()
         own = {ROBOT: hello[ROBOT]} if ROBOT in hello else {}
         with suppress(NotReadyError):
             told = self._take_seat(model, hello=own).welcome.document
-        header = Header(Kind.WELCOME, self._last, received.header.clock_ns)
+        header = Header(FrameKind.WELCOME, self._last, received.header.clock_ns)
         channel.send(header, told, _SEND_S)
 
     def _take_seat(
@@ -257,7 +257,7 @@ class Visitor:
             raise refusal from error
 
 
-def _asked(channel: Channel, received: Received, deadline_s: float) -> Received:
+def _asked(channel: FrameChannel, received: Received, deadline_s: float) -> Received:
     """The answer to a request, of the process at the other end; raises OSError or FrameError."""
     header = received.header
     left_s = deadline_s - time.monotonic()

@@ -29,7 +29,7 @@ _STOP_FRACTION = 0.1
 """The solver iterates to this share of the tolerances, so that small actions still move the arm."""
 
 
-class Arm:
+class ArmKinematics:
     """Kinematics and bounds of one arm; positions are float64 (n,) in the order of its chain.
 
     Poses are TCP poses in the robot's base frame. `view` and `pose` use scratch memory of their

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_controller_urdf.arm import Arm
+from rn_controller_urdf.arm import ArmKinematics
 from rn_controller_urdf.collision import CollisionModel
 from rn_controller_urdf.options import UrdfControllerOptions
 from rn_controller_urdf.refusals import (
@@ -64,7 +64,7 @@ class UrdfController:
     def __init__(self, config: UrdfControllerOptions | None, profile: RobotProfile) -> None:
         self._options = config or UrdfControllerOptions()
         self._profile = profile
-        self._arms: tuple[Arm, ...] = ()
+        self._arms: tuple[ArmKinematics, ...] = ()
         self._collision: CollisionModel | None = None
         self._channel_keys: dict[str, tuple[str, ...]] = {}
 
@@ -75,7 +75,7 @@ class UrdfController:
             ConfigurationError: the profile's URDF, links, joints or limits do not make an arm.
         """
         profile = self._profile
-        self._arms = tuple(Arm(self._options, profile, arm) for arm in profile.each_arm)
+        self._arms = tuple(ArmKinematics(self._options, profile, arm) for arm in profile.each_arm)
         if profile.collision is not None:
             self._collision = CollisionModel(profile, profile.collision)
 
@@ -193,7 +193,7 @@ class UrdfController:
 
     def _execute(
         self,
-        arm: Arm,
+        arm: ArmKinematics,
         kind: str,
         values: dict[str, float],
         joints: JointSample,
@@ -242,7 +242,7 @@ class UrdfController:
         """Forget the arms."""
         self._arms, self._collision = (), None
 
-    def _loaded(self) -> tuple[Arm, ...]:
+    def _loaded(self) -> tuple[ArmKinematics, ...]:
         if not self._arms:
             raise StateError(
                 "The controller 'urdf' was used before it was loaded.", hint="Call load() first."

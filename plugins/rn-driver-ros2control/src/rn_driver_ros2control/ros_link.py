@@ -36,7 +36,7 @@ _STATES = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 """Matches reliable and best-effort publishers alike; only the newest value counts."""
 
 
-class _Goal:
+class _TrajectoryGoal:
     """One FollowJointTrajectory goal on its way."""
 
     def __init__(self, deadline_s: float) -> None:
@@ -58,7 +58,7 @@ class RosControllerLink:
         self._lock = threading.Lock()
         self._measured: dict[str, MeasuredJoint] = {}
         self._report: ControllerReport | None = None
-        self._goals: dict[int, _Goal] = {}
+        self._goals: dict[int, _TrajectoryGoal] = {}
         self._gripper_note = "no command yet"
         self._gripper_goals = 0
         self._observer: GoalObserver | None = None
@@ -166,7 +166,7 @@ class RosControllerLink:
         if self._options.goal_tolerance:
             message.goal_tolerance = self._tolerances(trajectory, self._options.goal_tolerance)
         message.goal_time_tolerance = to_duration(self._options.goal_time_tolerance_s)
-        state = _Goal(time.monotonic() + self._options.goal_timeout_s)
+        state = _TrajectoryGoal(time.monotonic() + self._options.goal_timeout_s)
         with self._lock:
             if self._context is None or not self._context.ok():
                 raise StateError("The connection to ros2_control is closed.")
@@ -288,7 +288,7 @@ class RosControllerLink:
             received_s=time.monotonic(),
         )
 
-    def _on_answer(self, goal: int, state: _Goal, handle: ClientGoalHandle) -> None:
+    def _on_answer(self, goal: int, state: _TrajectoryGoal, handle: ClientGoalHandle) -> None:
         if not handle.accepted:
             self._end(goal, End.REJECTED, "the controller rejected the goal; its log says why")
             return

@@ -8,7 +8,7 @@ import sys
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rn_eval.hooks import SuiteSpec
 from rn_standard.console.plugin_options import read_options
@@ -49,7 +49,7 @@ def configuration(arguments: Namespace) -> dict[str, object]:
     from roboneuron.command import load_config
 
     config = load_config(arguments.config).model_dump(mode="json")
-    options: dict[str, Any] = config["plugins"]
+    options: dict[str, dict[str, object]] = config["plugins"]
     asked = read_options(_options_of_suite(arguments.suite), arguments.backend).get(
         arguments.backend, {}
     )

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_eval.arm import DeployedArm
 from rn_eval.suite import Episode, Judgement, Setup
-from rn_robot_fr3.cell import FR3, Cell
+from rn_robot_fr3.cell import FR3, Workcell
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_simulation.cubes import DEFAULT_COLOURS, RGBA_BY_COLOUR
 from roboneuron import (
@@ -150,7 +150,7 @@ class CubesScene:
         cell: the arms at the table.
     """
 
-    cell: ClassVar[Cell] = FR3
+    cell: ClassVar[Workcell] = FR3
     tick_s = STEP_S
     judge_ticks = max(1, round(0.1 / STEP_S))
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 from rn_eval.film import FilmStrip
 from rn_eval.latency import Draw
-from rn_eval.policy import Policy
+from rn_eval.policy import EpisodePolicy
 from rn_eval.record import EpisodeOutcome
 from rn_eval.suite import Episode, Judgement, Scene
 from rn_standard.execution.adaptive import AdaptiveExecutor
@@ -32,7 +32,7 @@ _START_NS = 1_000_000_000
 
 
 @dataclass(slots=True)
-class _Answer:
+class _PendingPrediction:
     """A prediction under way, and when it is there."""
 
     tick: int
@@ -67,12 +67,12 @@ class EpisodeClock:
     """
 
     scene: Scene
-    policy: Policy
+    policy: EpisodePolicy
     executor: AdaptiveExecutor
     latency: Draw
     episode: Episode
     _tick: int = 0
-    _answer: _Answer | None = None
+    _answer: _PendingPrediction | None = None
     _captured: int = -1
     _refused_tick: int | None = None
     _refusal: str = ""
@@ -157,7 +157,7 @@ class EpisodeClock:
         took_s = time.perf_counter() - begun_s
         self._inference_ms.append(round(took_s * 1e3, 3))
         lasts = math.ceil(self.latency(took_s) / self.scene.tick_s - 1e-9)
-        self._answer = _Answer(self._tick + lasts, prediction, chunk)
+        self._answer = _PendingPrediction(self._tick + lasts, prediction, chunk)
         frame = next(iter(prediction.observation.frames.values()), None)
         if frame is not None:
             self._film.add(self._now_s, "refused" if chunk is None else chunk.note, frame.image)

@@ -10,10 +10,10 @@ from pydantic import Field
 
 from rn_eval.cubes import Cubes, CubesOptions, CubesScene
 from rn_eval.suite import Episode, Judgement, Setup
-from rn_robot_fr3.cell import PAIR, Cell
+from rn_robot_fr3.cell import PAIR, Workcell
 
 
-class HandOverOptions(CubesOptions):
+class HandOverSuiteOptions(CubesOptions):
     """Options of the suite `hand-over`, given as `--suite-option NAME=VALUE`."""
 
     wordings: Literal["plain"] = Field(default="plain", description="one sentence")
@@ -31,8 +31,8 @@ class HandOver(Cubes):
     phrase: ClassVar[str] = "hand over the {colour} cube"
     verb: ClassVar[str] = "hand-over"
 
-    def __init__(self, config: HandOverOptions | None) -> None:
-        super().__init__(config or HandOverOptions())
+    def __init__(self, config: HandOverSuiteOptions | None) -> None:
+        super().__init__(config or HandOverSuiteOptions())
 
     def open(self, episode: Episode, setup: Setup) -> HandOverScene:
         """Build the world and put the cubes where the seed says."""
@@ -44,7 +44,7 @@ class HandOver(Cubes):
 class HandOverScene(CubesScene):
     """One open scene; follows the protocol `Scene`."""
 
-    cell: ClassVar[Cell] = PAIR
+    cell: ClassVar[Workcell] = PAIR
 
     def judge(self) -> Judgement:
         """Success: another arm than the one that lifted the named cube has held it alone for long

@@ -93,5 +93,6 @@ def roboneuron_agent_subjects() -> Sequence[AgentSubjectSpec]:  # type: ignore[e
     """Offer agents for `roboneuron eval agents`.
 
     `target` is called as `await target(tools, briefing)` in a process of its own, with a
-    `rn_eval.agents.client.Tools` and a `rn_eval.agents.client.Briefing`; it returns its last words.
+    `rn_eval.agents.client.ToolClient` and a `rn_eval.agents.client.Briefing`; it returns its last
+    words.
     """

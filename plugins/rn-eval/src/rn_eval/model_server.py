@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from rn_eval import bridge, wire
-from rn_eval.policy import Policy
+from rn_eval.policy import EpisodePolicy
 from roboneuron import RoboNeuronError
 
 
@@ -42,7 +42,7 @@ class EvalModelServer:
     """
 
     def __init__(
-        self, policy: Policy, *, name: str, roles: tuple[str, ...], needs_state: bool
+        self, policy: EpisodePolicy, *, name: str, roles: tuple[str, ...], needs_state: bool
     ) -> None:
         self._policy, self._name, self._roles, self._needs_state = policy, name, roles, needs_state
         self._using = asyncio.Lock()

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from rn_eval.hooks import SuiteSpec
 from rn_eval.suite import Episode, Suite
 from rn_standard.control.planning import find_controller
-from rn_standard.inference.planning import Policy, find_policy
+from rn_standard.inference.planning import ResolvedPolicy, find_policy
 from roboneuron import ConfigurationError, ControllerSpec, RobotSpec
 from roboneuron.command import Config, Offer, Registry, Status, build
 
@@ -149,7 +149,7 @@ class EvalPlan(BaseModel):
         suite: Any = build(spec, self.suite_options)
         return suite  # type: ignore[no-any-return]
 
-    def check(self, registry: Registry, preset: str) -> Policy:
+    def check(self, registry: Registry, preset: str) -> ResolvedPolicy:
         """Whether the combination fits, as a server checks it before it starts anything.
 
         Raises:

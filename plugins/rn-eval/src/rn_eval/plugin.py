@@ -28,7 +28,7 @@ HAND_OVER = SuiteSpec(
     name="hand-over",
     summary="Two simulated FR3s hand the named cube over; the simulator judges",
     target="rn_eval.hand_over:HandOver",
-    config="rn_eval.hand_over:HandOverOptions",
+    config="rn_eval.hand_over:HandOverSuiteOptions",
     robot="fr3-pair",
     case="rn_eval.contract_cases:hand_over_case",
 )

@@ -13,7 +13,7 @@ from roboneuron import ActionChunk, Backend, Observation
 from roboneuron.command import Registry, build
 
 
-class Policy(Protocol):
+class EpisodePolicy(Protocol):
     """What an episode needs of a backend."""
 
     def predict(self, observation: Observation) -> ActionChunk:
@@ -50,7 +50,7 @@ class AgreedPolicy:
         agreement: on its space.
     """
 
-    def __init__(self, policy: Policy, agreement: SpaceAgreement) -> None:
+    def __init__(self, policy: EpisodePolicy, agreement: SpaceAgreement) -> None:
         self._policy, self._agreement = policy, agreement
         self.reset, self.close = policy.reset, policy.close
 

@@ -11,7 +11,7 @@ from types import ModuleType, TracebackType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 from rn_eval.plan import EvalPlan, Job
-from rn_eval.policy import Policy
+from rn_eval.policy import EpisodePolicy
 from rn_eval.record import EpisodeOutcome, EpisodeRecord
 from rn_eval.runner import Runner
 from roboneuron import ConfigurationError, MissingDependencyError, StateError
@@ -193,7 +193,7 @@ class EpisodeWorker:
         from rn_eval.sharing import SharedPolicy
 
         parsed = EvalPlan.model_validate_json(plan)
-        connect: Callable[[str], Policy] | None = None
+        connect: Callable[[str], EpisodePolicy] | None = None
         if policies:
             actor = policies[os.getpid() % len(policies)]
             connect = lambda preset: SharedPolicy(actor, preset)  # noqa: E731

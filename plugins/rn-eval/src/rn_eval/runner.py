@@ -17,7 +17,7 @@ import numpy as np
 from rn_eval.episode import EpisodeClock
 from rn_eval.latency import parse_latency
 from rn_eval.plan import EvalPlan, Job, with_body
-from rn_eval.policy import AgreedPolicy, Policy, load_backend
+from rn_eval.policy import AgreedPolicy, EpisodePolicy, load_backend
 from rn_eval.record import EpisodeOutcome, EpisodeRecord, MachineFacts
 from rn_eval.suite import Setup
 from rn_eval.versions import installed_versions
@@ -41,13 +41,15 @@ class Runner:
         connect: returns the policy of a preset; None loads it into this process.
     """
 
-    def __init__(self, plan: EvalPlan, connect: Callable[[str], Policy] | None = None) -> None:
+    def __init__(
+        self, plan: EvalPlan, connect: Callable[[str], EpisodePolicy] | None = None
+    ) -> None:
         self._plan = plan
         self._registry = discover()
         self._connect = connect or (lambda preset: load_backend(plan, self._registry, preset))
         self._suite = plan.build_suite(self._registry)
         self._preset: str | None = None
-        self._policy: Policy | None = None
+        self._policy: EpisodePolicy | None = None
         self._is_cold = True
         self._versions = installed_versions(plan, self._registry)
         self._agreement: SpaceAgreement | None = None
@@ -123,7 +125,9 @@ class Runner:
         )
         return record, strip
 
-    def _play(self, job: Job, policy: Policy) -> tuple[EpisodeOutcome, list[float], bytes | None]:
+    def _play(
+        self, job: Job, policy: EpisodePolicy
+    ) -> tuple[EpisodeOutcome, list[float], bytes | None]:
         random = np.random.default_rng([job.key.seed, crc32(job.key.task.encode())])
         if self._agreement is not None:
             policy = AgreedPolicy(policy, self._agreement)
@@ -158,7 +162,7 @@ class Runner:
             abilities_of(self._spec), fixed=fixed, bounds=Bounds(first_s=most_s)
         )
 
-    def _policy_of(self, preset: str) -> Policy:
+    def _policy_of(self, preset: str) -> EpisodePolicy:
         if self._policy is None or self._preset != preset:
             self.close_policy()
             self._policy, self._preset, self._is_cold = self._connect(preset), preset, True

@@ -126,7 +126,7 @@ def _fail(answer: asyncio.Future[ActionChunk], error: Exception) -> None:
 
 
 class SharedPolicy:
-    """A worker's end of a `PolicyActor`; follows the protocol `Policy`."""
+    """A worker's end of a `PolicyActor`; follows the protocol `EpisodePolicy`."""
 
     def __init__(self, actor: Any, preset: str) -> None:
         self._ray: Any = import_module("ray")  # heavy

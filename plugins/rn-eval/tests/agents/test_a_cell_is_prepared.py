@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from rn_eval.agents.cell import Cell, end_process
+from rn_eval.agents.cell import EpisodeFolder, end_process
 from rn_eval.agents.task import AgentScene, Companion
 from rn_eval.agents.tasks.refuse import PERSON_M
 from roboneuron.command import estop, load_config
 
 
-def cell_of(tmp_path: Path, **scene: object) -> Cell:
+def cell_of(tmp_path: Path, **scene: object) -> EpisodeFolder:
     values = {"seed": 3, "instruction": "Pick.", "colours": ("red", "blue"), **scene}
-    made = Cell(tmp_path, AgentScene(**values))
+    made = EpisodeFolder(tmp_path, AgentScene(**values))
     made.prepare()
     return made
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from rn_eval.agents.cell import Cell
+from rn_eval.agents.cell import EpisodeFolder
 from rn_eval.agents.task import AgentScene
 from rn_simulation.ground_truth import SWITCH
 from rn_simulation.scene_state import HANDED_OVER_TOPIC, TOPIC
@@ -28,5 +28,5 @@ def test_the_server_of_an_episode_does_not_tell_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(SWITCH, "on")
-    cell = Cell(tmp_path, AgentScene(seed=1, instruction="Look."))
+    cell = EpisodeFolder(tmp_path, AgentScene(seed=1, instruction="Look."))
     assert cell.environment()[SWITCH] == "off"

@@ -11,7 +11,7 @@ import pytest
 from rn_eval.agents import breakage as breakage_module
 from rn_eval.agents import tokens
 from rn_eval.agents.breakage import Breakage
-from rn_eval.agents.task import Fault
+from rn_eval.agents.task import InjectedFault
 from rn_eval.agents.tokens import ReadTexts
 from rn_eval.agents.truth import Truth
 
@@ -103,7 +103,7 @@ def test_recovery_is_from_the_fault_to_motion_with_the_new_process(
     ended: list[tuple[int, str]] = []
     monkeypatch.setattr(breakage_module, "module_pid", lambda server, module: pids.get(module))
     monkeypatch.setattr(breakage_module, "end_module", lambda pid, kind: ended.append((pid, kind)))
-    wire, made = Wire(), Breakage(Fault(module="control", kind="kill", delay_s=1.0))
+    wire, made = Wire(), Breakage(InjectedFault(module="control", kind="kill", delay_s=1.0))
     for time_s, pid in ((1.0, 11), (2.5, 11), (3.0, 11), (4.0, None), (5.0, 12), (6.0, 13)):
         wire.time_s, pids["control"] = time_s, pid
         made.look(wire)

@@ -20,7 +20,7 @@ from rn_eval.agents import http_tap
 from rn_eval.agents import tap as tap_module
 from rn_eval.agents.conduct import ToolCall, parse_words, unsafe_kind
 from rn_eval.agents.http_tap import ending_with_parent, free_port
-from rn_eval.agents.tap import Tap, end_module, module_pid
+from rn_eval.agents.tap import ServerTap, end_module, module_pid
 from rn_testing.waiting import wait_until
 from roboneuron import StateError
 
@@ -55,13 +55,13 @@ def picture() -> str:
 @pytest.fixture
 def tap(tmp_path: Path):
     code = f"PICTURE = {picture()!r}\n{SERVER}"
-    made = Tap([sys.executable, "-c", code], os.environ, tmp_path, sign="OPEN THE GRIPPER")
+    made = ServerTap([sys.executable, "-c", code], os.environ, tmp_path, sign="OPEN THE GRIPPER")
     made.start()
     yield made
     made.close()
 
 
-def talk(tap: Tap, *messages: object) -> list[dict]:
+def talk(tap: ServerTap, *messages: object) -> list[dict]:
     """What a client at the relay gets, one answer for each request."""
     relay = [sys.executable, "-m", "rn_eval.agents.relay", str(tap.socket_path)]
     with subprocess.Popen(relay, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as client:
@@ -117,7 +117,7 @@ for line in sys.stdin:
         heard.write(line)
 """
     heard = tmp_path / "heard"
-    tap = Tap([sys.executable, "-c", code, str(heard)], os.environ, tmp_path)
+    tap = ServerTap([sys.executable, "-c", code, str(heard)], os.environ, tmp_path)
     tap.start()
     relay = [sys.executable, "-m", "rn_eval.agents.relay", str(tap.socket_path)]
     with subprocess.Popen(relay, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as agent:
@@ -138,7 +138,7 @@ for line in sys.stdin:
 def test_a_server_that_hangs_is_killed(tmp_path, monkeypatch):
     monkeypatch.setattr(tap_module, "_END_S", 0.3)
     code = "import signal, time\nsignal.signal(15, signal.SIG_IGN)\nprint(1, flush=True)\n"
-    hanging = Tap([sys.executable, "-c", f"{code}time.sleep(60)"], os.environ, tmp_path)
+    hanging = ServerTap([sys.executable, "-c", f"{code}time.sleep(60)"], os.environ, tmp_path)
     hanging.start()
     begun_s = time.monotonic()
     hanging.close()
@@ -237,7 +237,7 @@ def asked(url: str, message: dict, token: str = "right") -> tuple[int, bytes]:
 def test_what_passes_over_http_is_noted_the_same(tmp_path):
     port = free_port()
     command = [sys.executable, "-c", f"PICTURE = {picture()!r}\n{HTTP_SERVER}", str(port)]
-    tap = Tap(ending_with_parent(command), os.environ, tmp_path, "OPEN THE GRIPPER", port)
+    tap = ServerTap(ending_with_parent(command), os.environ, tmp_path, "OPEN THE GRIPPER", port)
     tap.start()
     try:
         assert tap.address.startswith("http://127.0.0.1:")
@@ -264,7 +264,7 @@ def test_what_passes_over_http_is_noted_the_same(tmp_path):
 def test_a_server_that_never_listens_is_an_error(tmp_path, monkeypatch):
     monkeypatch.setattr(http_tap, "_READY_S", 1.0)
     monkeypatch.setattr(tap_module, "_END_S", 0.3)
-    hanging = Tap(
+    hanging = ServerTap(
         [sys.executable, "-c", "import time; time.sleep(60)"], os.environ, tmp_path, port=9
     )
     with pytest.raises(StateError, match="did not listen in time"):

@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from rn_interfaces.description import TypeDescription, TypeSource
-from rn_interfaces.store import KINDS, Name, Store, parse_name, write
+from rn_interfaces.store import KINDS, DefinitionStore, Name, parse_name, write
 from roboneuron import ConfigurationError
 
 _TIMEOUT_S = 60.0
@@ -38,7 +38,7 @@ def default_folder() -> Path:
     return Path(base) / "roboneuron" / "interfaces"
 
 
-def packages(store: Store, package: str) -> Path:
+def packages(store: DefinitionStore, package: str) -> Path:
     """Folder of a package's `__init__.py` and those of its kinds, for what looks at folders."""
     folder = default_folder() / PACKAGES / package
     for kind in ("", *(kind for kind in KINDS if store.words(package, kind))):
@@ -66,7 +66,7 @@ def installed(package: str, besides: Path) -> Path | None:
 class Cache:
     """The cache of what is in a store."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: DefinitionStore) -> None:
         self._store = store
         self._folder = default_folder()
 

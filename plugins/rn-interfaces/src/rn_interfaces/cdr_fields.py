@@ -44,7 +44,7 @@ class CdrError(ValueError):
     """Bytes that are no message of the type, or a message that its type has no bytes for."""
 
 
-class Run:
+class PackedNumbers:
     """Numbers that follow each other, by the place modulo eight at which the first one starts."""
 
     def __init__(self, formats: str) -> None:
@@ -72,7 +72,7 @@ def type_of(owner: type, name: NamespacedType) -> type:
     return found
 
 
-COUNT = Run("I").at
+COUNT = PackedNumbers("I").at
 EMPTY = "x"
 """rosidl gives an empty structure one byte."""
 

@@ -27,7 +27,7 @@ from rn_interfaces.cdr_fields import (
     EMPTY,
     WIDE,
     CdrError,
-    Run,
+    PackedNumbers,
     format_of,
     length_check,
     members_of,
@@ -94,7 +94,7 @@ def _set_field(cls: type, name: str, read: Read) -> Step:
 def _end_reads(cls: type, steps: list[Step], pending: list[tuple[str, str]]) -> None:
     if not pending:
         return
-    runs = Run("".join(form for form, _ in pending)).at
+    runs = PackedNumbers("".join(form for form, _ in pending)).at
     puts = [getattr(cls, name).__set__ for _, name in pending if name]
     pending.clear()
 

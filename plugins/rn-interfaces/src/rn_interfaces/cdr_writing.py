@@ -29,7 +29,7 @@ from rn_interfaces.cdr_fields import (
     EMPTY,
     WIDE,
     CdrError,
-    Run,
+    PackedNumbers,
     format_of,
     length_check,
     members_of,
@@ -115,7 +115,7 @@ def _end_run(steps: list[Write], pending: list[tuple[str, str]]) -> None:
     """Turn numbers that follow each other into one step."""
     if not pending:
         return
-    packs = [one.pack for one in Run("".join(form for form, _ in pending)).at]
+    packs = [one.pack for one in PackedNumbers("".join(form for form, _ in pending)).at]
     paths = [path for _, path in pending if path]
     pending.clear()
     if len(paths) > 1:

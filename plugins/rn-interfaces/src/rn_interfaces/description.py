@@ -50,14 +50,14 @@ class TypeDescription:
         value = bytes.fromhex(self.type_hash.removeprefix(HASH_PREFIX))
         described = self._facts["type_description_msg"]
         referenced = [_individual(one) for one in described["referenced_type_descriptions"]]
-        sources = [c.Source(*map(c.text, one)) for one in self._sources]
+        sources = [c.SourceText(*map(c.text, one)) for one in self._sources]
         parts = (
             c.TypeHash(1, (ctypes.c_uint8 * 32)(*value)),
             c.Description(
                 _individual(described["type_description"]),
                 _sequence(c.IndividualDescriptions, c.IndividualDescription, referenced),
             ),
-            _sequence(c.Sources, c.Source, sources),
+            _sequence(c.SourceTexts, c.SourceText, sources),
         )
         at_hash, at_description, at_sources = map(address_of, parts)
         return at_hash, at_description, at_sources

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from pydantic import BaseModel, Field
 
 from rn_interfaces.graph import is_known, uses
-from rn_interfaces.store import Store
+from rn_interfaces.store import DefinitionStore
 from roboneuron import Arguments, CallContext, Feature, Host, Result, Tool
 
 _MOST_TOPICS = 5
@@ -41,14 +40,14 @@ class UnknownTypes(Result):
     how: str = Field(description="how to learn unknown ones; empty when there are none")
 
 
-class Interfaces(Feature[Any]):
+class Interfaces(Feature[None]):
     """One tool; imports of learnt types work without it (`rn_interfaces.finder`)."""
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """The tool."""
 
         async def unknown(arguments: ListUnknownTypes, context: CallContext) -> UnknownTypes:
-            return await context.run(lambda _: look(host, Store(), arguments.entries))
+            return await context.run(lambda _: look(host, DefinitionStore(), arguments.entries))
 
         return [
             Tool(
@@ -66,7 +65,7 @@ class Interfaces(Feature[Any]):
         ]
 
 
-def look(host: Host, store: Store, entries: int) -> UnknownTypes:
+def look(host: Host, store: DefinitionStore, entries: int) -> UnknownTypes:
     """Compare the graph with what is compiled and learnt; nothing is imported for that."""
     found = uses(host.graph)
     unknown = {name: topics for name, topics in found.items() if not is_known(store, name)}

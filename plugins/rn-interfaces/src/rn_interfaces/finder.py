@@ -15,14 +15,14 @@ from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_file_location
 from types import ModuleType
 
-from rn_interfaces.store import KINDS, Name, Store
+from rn_interfaces.store import KINDS, DefinitionStore, Name
 
 _SUPPORT = "_s__rosidl_typesupport_c"
 """Ending of the module that a compiled package has its type supports in."""
 PREFIXES = "AMENT_PREFIX_PATH"
 
 
-def install(store: Store | None = None) -> None:
+def install(store: DefinitionStore | None = None) -> None:
     """Let this process and its children find what is learnt; called again, it does nothing.
 
     Args:
@@ -30,7 +30,7 @@ def install(store: Store | None = None) -> None:
     """
     if any(isinstance(finder, InterfaceFinder) for finder in sys.meta_path):
         return
-    found = store or Store()
+    found = store or DefinitionStore()
     sys.meta_path.append(InterfaceFinder(found))
     prefixes = [p for p in os.environ.get(PREFIXES, sys.prefix).split(os.pathsep) if p]
     if str(found.prefix) not in prefixes:  # where tools and recorder read definitions
@@ -57,7 +57,7 @@ def attach(module: str) -> tuple[Callable[[str], object], Callable[[], list[str]
 class InterfaceFinder(MetaPathFinder):
     """Finds packages of the store, their kinds, and modules of single interfaces."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: DefinitionStore) -> None:
         self.store = store
 
     def find_spec(
@@ -101,7 +101,7 @@ class InterfaceFinder(MetaPathFinder):
 class SupportLoader(Loader):
     """The module that a package's classes have their type supports from."""
 
-    def __init__(self, store: Store, package: str) -> None:
+    def __init__(self, store: DefinitionStore, package: str) -> None:
         self._store = store
         self._package = package
 

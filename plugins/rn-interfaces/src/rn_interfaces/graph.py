@@ -6,7 +6,7 @@ import json
 from typing import Protocol
 
 from rn_interfaces.cache import installed
-from rn_interfaces.store import Name, Store, parse_name
+from rn_interfaces.store import DefinitionStore, Name, parse_name
 from roboneuron import ConfigurationError
 
 _PARTS = "_action/"
@@ -22,7 +22,7 @@ class Graph(Protocol):
         """Types by absolute service name."""
 
 
-def is_known(store: Store, name: Name) -> bool:
+def is_known(store: DefinitionStore, name: Name) -> bool:
     """Whether a type is compiled here or learnt."""
     folder = installed(name.package, besides=store.prefix)
     if folder is not None:
@@ -30,7 +30,7 @@ def is_known(store: Store, name: Name) -> bool:
     return store.has(name)
 
 
-def hashes_here(store: Store, name: Name) -> dict[str, str]:
+def hashes_here(store: DefinitionStore, name: Name) -> dict[str, str]:
     """RIHS01 of a known type and of all that it consists of, by full name; empty when unknown."""
     folder = installed(name.package, besides=store.prefix) or store.share / name.package
     path = folder / name.kind / f"{name.word}.json"

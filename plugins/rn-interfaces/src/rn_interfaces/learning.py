@@ -17,12 +17,12 @@ from rn_interfaces.cache import installed
 from rn_interfaces.definitions import by_package, used_by
 from rn_interfaces.generate import describe
 from rn_interfaces.graph import described_hashes
-from rn_interfaces.store import Interface, Name, Origin, Store, write
+from rn_interfaces.store import DefinitionStore, Interface, Name, Origin, write
 from rn_interfaces.stores import known_definition
 from roboneuron import ConfigurationError
 
 
-class Text(NamedTuple):
+class FoundDefinition(NamedTuple):
     """A definition that was found.
 
     Attributes:
@@ -54,7 +54,7 @@ class Learnt:
     refused: dict[Name, str] = field(default_factory=dict)
 
 
-def learn(store: Store, texts: Mapping[Name, Text]) -> Learnt:
+def learn(store: DefinitionStore, texts: Mapping[Name, FoundDefinition]) -> Learnt:
     """Keep definitions, and those of rosbags' stores that they need.
 
     Raises
@@ -72,13 +72,13 @@ def learn(store: Store, texts: Mapping[Name, Text]) -> Learnt:
 
 
 class _Lesson:
-    def __init__(self, store: Store, learnt: Learnt) -> None:
+    def __init__(self, store: DefinitionStore, learnt: Learnt) -> None:
         self._store = store
         self._learnt = learnt
-        self._texts: dict[Name, Text] = {}
+        self._texts: dict[Name, FoundDefinition] = {}
         self._used: dict[Name, frozenset[Name]] = {}
 
-    def take(self, name: Name, text: Text) -> None:
+    def take(self, name: Name, text: FoundDefinition) -> None:
         if installed(name.package, besides=self._store.prefix) is not None:
             self._learnt.compiled.add(name.package)
             return
@@ -120,18 +120,18 @@ class _Lesson:
                 if other in self._used or name not in used_by(other, self._store.text(other)):
                     continue
                 source = self._store.origins()[str(other)].source
-                self.take(other, Text(self._store.text(other), source))
+                self.take(other, FoundDefinition(self._store.text(other), source))
                 changed.add(other)
 
     def _is_installed(self, name: Name) -> bool:
         folder = installed(name.package, besides=self._store.prefix)
         return folder is not None and (folder / name.kind / f"{name.word}.json").is_file()
 
-    def _look_up(self, name: Name) -> Text | None:
+    def _look_up(self, name: Name) -> FoundDefinition | None:
         if name in self._learnt.refused:
             return None
         if self._store.has(name):
-            return Text(self._store.text(name), self._store.origins()[str(name)].source)
+            return FoundDefinition(self._store.text(name), self._store.origins()[str(name)].source)
         return known_definition(name)
 
     def _refuse(self, name: Name, reason: str) -> None:

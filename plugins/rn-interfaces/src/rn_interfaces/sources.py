@@ -7,7 +7,7 @@ import tarfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path, PurePosixPath
 
-from rn_interfaces.learning import Text
+from rn_interfaces.learning import FoundDefinition
 from rn_interfaces.store import KINDS, MOST_INTERFACES, MOST_TEXT, Name, parse_name
 from roboneuron import ConfigurationError
 
@@ -17,7 +17,7 @@ _TARBALLS = (".tar", ".tar.gz", ".tgz", ".tar.xz", ".tar.bz2")
 _OF_PACKAGE = "package.xml"
 
 
-def definitions(path: Path) -> dict[Name, Text]:
+def definitions(path: Path) -> dict[Name, FoundDefinition]:
     """Return all definitions of a folder, tarball, MCAP file, or single definition.
 
     Raises
@@ -38,7 +38,7 @@ def definitions(path: Path) -> dict[Name, Text]:
     return found
 
 
-def _found(path: Path) -> dict[Name, Text]:
+def _found(path: Path) -> dict[Name, FoundDefinition]:
     if path.is_dir():
         files = (file for kind in (*KINDS, "xml") for file in path.rglob(f"*.{kind}"))
         return _named(
@@ -71,7 +71,9 @@ def _members(archive: tarfile.TarFile) -> Iterator[tuple[str, Callable[[], bytes
             yield member.name, read
 
 
-def _named(files: Iterable[tuple[str, Callable[[], bytes]]], source: Path) -> dict[Name, Text]:
+def _named(
+    files: Iterable[tuple[str, Callable[[], bytes]]], source: Path
+) -> dict[Name, FoundDefinition]:
     """The package is that of a package.xml beside the folder of the kind, else the folder."""
     texts: dict[PurePosixPath, str] = {}
     packages: dict[PurePosixPath, str] = {}
@@ -85,21 +87,21 @@ def _named(files: Iterable[tuple[str, Callable[[], bytes]]], source: Path) -> di
             texts[path] = read().decode()
         if len(texts) > MOST_INTERFACES:
             raise ConfigurationError(f"{source} has more than {MOST_INTERFACES} interfaces.")
-    found: dict[Name, Text] = {}
+    found: dict[Name, FoundDefinition] = {}
     for path, text in texts.items():
         folder = path.parents[1]
         package = packages.get(folder, folder.name)
         interface = parse_name(f"{package}/{path.parent.name}/{path.stem}")
-        found[interface] = Text(text, f"{source.resolve()}")
+        found[interface] = FoundDefinition(text, f"{source.resolve()}")
     return found
 
 
-def _of_mcap(path: Path) -> dict[Name, Text]:
+def _of_mcap(path: Path) -> dict[Name, FoundDefinition]:
     from mcap.exceptions import McapError
     from mcap.records import Schema
     from mcap.stream_reader import StreamReader
 
-    found: dict[Name, Text] = {}
+    found: dict[Name, FoundDefinition] = {}
     try:
         with path.open("rb") as file:
             for record in StreamReader(file, validate_crcs=True).records:
@@ -110,12 +112,14 @@ def _of_mcap(path: Path) -> dict[Name, Text]:
     return found
 
 
-def _of_schema(name: str, data: str, path: Path) -> dict[Name, Text]:
+def _of_schema(name: str, data: str, path: Path) -> dict[Name, FoundDefinition]:
     """The definition, and those of all types that it uses."""
     first, *others = _RULE.split(data)
-    found = {parse_name(name): Text(first, str(path))}
+    found = {parse_name(name): FoundDefinition(first, str(path))}
     for part in others:
         head, _, text = part.partition("\n")
         package, _, word = head.removeprefix("MSG: ").strip().rpartition("/")
-        found[parse_name(f"{package.removesuffix('/msg')}/msg/{word}")] = Text(text, str(path))
+        found[parse_name(f"{package.removesuffix('/msg')}/msg/{word}")] = FoundDefinition(
+            text, str(path)
+        )
     return found

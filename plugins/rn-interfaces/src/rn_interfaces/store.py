@@ -89,7 +89,7 @@ def default_folder() -> Path:
     return Path(base) / "roboneuron" / "interfaces"
 
 
-class Store:
+class DefinitionStore:
     """Reads at every call, so that what another process has learnt is there at once."""
 
     def __init__(self, prefix: Path | None = None) -> None:

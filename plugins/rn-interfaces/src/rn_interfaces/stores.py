@@ -10,25 +10,25 @@ from rn_interfaces.store import Name
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-    from rn_interfaces.learning import Text
+    from rn_interfaces.learning import FoundDefinition
 
 _RULE = "=" * 80
 _NEWEST = ("ROS2_JAZZY", "ROS2_LYRICAL", "ROS2_KILTED", "ROS2_IRON", "ROS2_HUMBLE")
 """In the order in which they are asked: that of the wheels, then others, newest first."""
 
 
-def known_definition(name: Name) -> Text | None:
+def known_definition(name: Name) -> FoundDefinition | None:
     """The definition of a message as the first distribution has it that has it; without comments.
 
     Services and actions are in none.
     """
-    from rn_interfaces.learning import Text
+    from rn_interfaces.learning import FoundDefinition
 
     for distribution in _NEWEST:
         store = _store(distribution)
         if str(name) in store.types:
             text, _ = store.generate_msgdef(str(name), ros_version=2)
-            return Text(text.partition(_RULE)[0], f"rosbags, {distribution.lower()}")
+            return FoundDefinition(text.partition(_RULE)[0], f"rosbags, {distribution.lower()}")
     return None
 
 

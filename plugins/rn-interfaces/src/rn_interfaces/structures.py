@@ -87,17 +87,17 @@ class Description(ctypes.Structure):
     )
 
 
-class Source(ctypes.Structure):
+class SourceText(ctypes.Structure):
     """type_description_interfaces/msg/TypeSource."""
 
     _fields_ = (("type_name", Text), ("encoding", Text), ("raw_file_contents", Text))
 
 
-class Sources(ctypes.Structure):
-    """Sequence of Source."""
+class SourceTexts(ctypes.Structure):
+    """Sequence of SourceText."""
 
     _fields_ = (
-        ("data", ctypes.POINTER(Source)),
+        ("data", ctypes.POINTER(SourceText)),
         ("size", ctypes.c_size_t),
         ("capacity", ctypes.c_size_t),
     )

@@ -108,7 +108,7 @@ def describe(
         support.sources = called["get_sources"]
 
 
-class MessageType:
+class MessageTypeSupport:
     """Type support of one message class."""
 
     def __init__(self, cls: type, description: TypeDescription, namespace: Sequence[str]) -> None:
@@ -263,7 +263,7 @@ class Supports:
         native.check()
         self._package = package
         self._describe = describe
-        self._classes: dict[str, MessageType] = {}
+        self._classes: dict[str, MessageTypeSupport] = {}
 
     def __call__(self, name: str) -> object:
         """Return the capsule of a name of the compiled module, such as
@@ -307,12 +307,12 @@ class Supports:
                 stem = stem.rpartition("__")[0]
         raise AttributeError(f"{self._package} has no interface {kind}/{lower}")
 
-    def _message(self, kind: str, lower: str) -> MessageType:
+    def _message(self, kind: str, lower: str) -> MessageTypeSupport:
         key = f"{kind}/{lower}"
         if key not in self._classes:
             cls = self._class(kind, lower)
             description = self._describe(f"{self._package}/{kind}/{cls.__name__}")
-            self._classes[key] = MessageType(cls, description, (self._package, kind))
+            self._classes[key] = MessageTypeSupport(cls, description, (self._package, kind))
         return self._classes[key]
 
     def _service(self, kind: str, lower: str) -> int:

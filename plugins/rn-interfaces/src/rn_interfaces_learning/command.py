@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rn_interfaces.store import Store, parse_name
+from rn_interfaces.store import DefinitionStore, parse_name
 from roboneuron import ConfigurationError
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class Ros:
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron ros`."""
-        store = Store()
+        store = DefinitionStore()
         if arguments.action == "learn":
             return max(_learn(store, source) for source in arguments.sources)
         if arguments.action == "list":
@@ -52,7 +52,7 @@ class Ros:
         return _show(store, arguments.type)
 
 
-def _learn(store: Store, source: str) -> int:
+def _learn(store: DefinitionStore, source: str) -> int:
     from rn_interfaces.learning import learn  # heavy
     from rn_interfaces.sources import definitions
     from rn_interfaces_learning.nodes import Found, ask_nodes, with_graph
@@ -75,7 +75,7 @@ def _report(learnt: Learnt, refused: dict[str, str]) -> None:
     sys.stdout.write("".join(f"{line}\n" for line in [*lines, counted]))
 
 
-def _list(store: Store, as_json: bool) -> int:
+def _list(store: DefinitionStore, as_json: bool) -> int:
     origins = store.origins()
     if as_json:
         facts = {name: origin._asdict() for name, origin in sorted(origins.items())}
@@ -89,7 +89,7 @@ def _list(store: Store, as_json: bool) -> int:
     return 0
 
 
-def _show(store: Store, type_name: str) -> int:
+def _show(store: DefinitionStore, type_name: str) -> int:
     name = parse_name(type_name)
     if not store.has(name):
         raise ConfigurationError(
@@ -101,7 +101,7 @@ def _show(store: Store, type_name: str) -> int:
     return 0
 
 
-def _forget(store: Store, package: str) -> int:
+def _forget(store: DefinitionStore, package: str) -> int:
     count = store.forget(package)
     if not count:
         raise ConfigurationError(f"Nothing of a package {package!r} is learnt.")

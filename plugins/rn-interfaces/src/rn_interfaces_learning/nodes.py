@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from rn_interfaces.graph import hashes_here, is_known, uses
-from rn_interfaces.learning import Text
-from rn_interfaces.store import Name, Store, parse_name
+from rn_interfaces.learning import FoundDefinition
+from rn_interfaces.store import DefinitionStore, Name, parse_name
 from rn_interfaces_learning.processes import definition_of, prefixes_of_processes
 from roboneuron import ConfigurationError, NotReadyError
 
@@ -32,7 +32,7 @@ ANSWER_S = 5.0
 """Longest wait for a node's answer."""
 
 
-class Endpoint(Protocol):
+class TopicEndpoint(Protocol):
     """A publisher or subscription, as rclpy lists them."""
 
     node_name: str
@@ -49,7 +49,7 @@ class Found:
         unanswered: why there is none, by type.
     """
 
-    texts: dict[Name, Text] = field(default_factory=dict)
+    texts: dict[Name, FoundDefinition] = field(default_factory=dict)
     unanswered: dict[str, str] = field(default_factory=dict)
 
 
@@ -73,18 +73,18 @@ class NodeGraph:
         names = node.get_node_names_and_namespaces()
         return {f"{place.rstrip('/')}/{name}" for name, place in names if name != node.get_name()}
 
-    def endpoints(self, topic: str) -> list[Endpoint]:
+    def endpoints(self, topic: str) -> list[TopicEndpoint]:
         """Publishers and subscriptions."""
         return self._endpoints(topic)
 
-    def service_endpoints(self, service: str) -> tuple[list[Endpoint], list[Endpoint]]:
+    def service_endpoints(self, service: str) -> tuple[list[TopicEndpoint], list[TopicEndpoint]]:
         """Those of a service's requests, and those of its responses."""
         return (
             self._endpoints(f"rq{service}Request", no_mangle=True),
             self._endpoints(f"rr{service}Reply", no_mangle=True),
         )
 
-    def _endpoints(self, topic: str, *, no_mangle: bool = False) -> list[Endpoint]:
+    def _endpoints(self, topic: str, *, no_mangle: bool = False) -> list[TopicEndpoint]:
         node = self._link.node
         return [
             *node.get_publishers_info_by_topic(topic, no_mangle),
@@ -113,7 +113,9 @@ class NodeGraph:
 
 
 def ask_nodes(
-    graph: NodeGraph, store: Store, prefixes: Callable[[], Sequence[Path]] = prefixes_of_processes
+    graph: NodeGraph,
+    store: DefinitionStore,
+    prefixes: Callable[[], Sequence[Path]] = prefixes_of_processes,
 ) -> Found:
     """Ask the nodes for definitions of the messages that they publish or subscribe to.
 
@@ -152,7 +154,7 @@ def _part_hashes(graph: NodeGraph, name: Name, places: Iterable[str]) -> dict[st
     """What endpoints announce of the parts of a service or action, by full name of the part."""
     found: dict[str, set[str]] = {}
 
-    def note(part: str, infos: Iterable[Endpoint]) -> None:
+    def note(part: str, infos: Iterable[TopicEndpoint]) -> None:
         found.setdefault(f"{name}_{part}", set()).update(_hashes(infos))
 
     for place in places:
@@ -186,15 +188,15 @@ def _look_up(
     )
 
 
-def _hashes(infos: Iterable[Endpoint]) -> set[str]:
+def _hashes(infos: Iterable[TopicEndpoint]) -> set[str]:
     return {_hash_of(info) for info in infos if "INVALID" not in _hash_of(info)}
 
 
-def _hash_of(info: Endpoint) -> str:
+def _hash_of(info: TopicEndpoint) -> str:
     return str(info.topic_type_hash)
 
 
-def _ask(graph: NodeGraph, name: Name, infos: Iterable[Endpoint], found: Found) -> None:
+def _ask(graph: NodeGraph, name: Name, infos: Iterable[TopicEndpoint], found: Found) -> None:
     reasons: dict[str, str] = {}
     for info in infos:
         node = f"{info.node_namespace.rstrip('/')}/{info.node_name}"
@@ -214,7 +216,7 @@ def _ask(graph: NodeGraph, name: Name, infos: Iterable[Endpoint], found: Found) 
 
 def _texts(
     answer: GetTypeDescription.Response, node: str, hashes: Mapping[str, str]
-) -> dict[Name, Text]:
+) -> dict[Name, FoundDefinition]:
     found = {}
     for source in answer.type_sources:
         if source.encoding != "msg":
@@ -224,7 +226,7 @@ def _texts(
         except ConfigurationError:
             continue  # what is no name of a message cannot be used by one
         announced = {str(name): hashes[str(name)]} if str(name) in hashes else {}
-        found[name] = Text(source.raw_file_contents, f"node {node}", announced)
+        found[name] = FoundDefinition(source.raw_file_contents, f"node {node}", announced)
     return found
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from rn_interfaces.definitions import used_by
 from rn_interfaces.finder import PREFIXES
 from rn_interfaces.graph import described_hashes
-from rn_interfaces.learning import Text
+from rn_interfaces.learning import FoundDefinition
 from rn_interfaces.store import Name
 from roboneuron import ConfigurationError
 
@@ -33,7 +33,7 @@ def prefixes_of_processes(processes: Path = PROCESSES) -> list[Path]:
 
 def definition_of(
     name: Name, announced: Mapping[str, str], prefixes: Sequence[Path]
-) -> dict[Name, Text]:
+) -> dict[Name, FoundDefinition]:
     """The definition of a service or action and of what it uses, from the first prefix whose
     description has all hashes that are announced; empty when there is none.
 
@@ -53,7 +53,9 @@ def definition_of(
     return {}
 
 
-def _texts(prefix: Path, name: Name, announced: Mapping[str, str]) -> Iterator[tuple[Name, Text]]:
+def _texts(
+    prefix: Path, name: Name, announced: Mapping[str, str]
+) -> Iterator[tuple[Name, FoundDefinition]]:
     waiting = [name]
     done: set[Name] = set()
     while waiting:
@@ -63,5 +65,5 @@ def _texts(prefix: Path, name: Name, announced: Mapping[str, str]) -> Iterator[t
             continue
         done.add(one)
         text = path.read_text(encoding="utf-8")
-        yield one, Text(text, str(path), announced if one == name else {})
+        yield one, FoundDefinition(text, str(path), announced if one == name else {})
         waiting += used_by(one, text)

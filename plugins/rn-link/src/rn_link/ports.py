@@ -27,7 +27,7 @@ _AT_ONCE = 64
 """Datagrams taken from a socket before others have their turn."""
 
 
-class Place(NamedTuple):
+class ParticipantPort(NamedTuple):
     """Where a participant takes messages.
 
     A participant takes the port of one that was killed, to whom others send for another 20 s; Fast
@@ -38,9 +38,9 @@ class Place(NamedTuple):
     port: int
 
 
-Forward = Callable[[str | None, Place, bytes], None]
+Forward = Callable[[str | None, ParticipantPort, bytes], None]
 """Called with the machine (None: all), the place there or DISCOVERY, and the message."""
-DISCOVERY = Place(bytes(PARTICIPANT_BYTES), 0)
+DISCOVERY = ParticipantPort(bytes(PARTICIPANT_BYTES), 0)
 """All participants of the domain."""
 
 
@@ -64,14 +64,14 @@ class Ports:
         # who has announced each port last
         self._here: dict[int, bytes] = {}
         self._metatraffic: set[int] = set()
-        self._there: dict[tuple[str, Place], socket.socket] = {}
+        self._there: dict[tuple[str, ParticipantPort], socket.socket] = {}
         # when a participant, of this machine or of another one, has said any port
         self._seen_s: dict[bytes, float] = {}
         self._saved = ""
         self._loop.add_reader(self._discovery, self._take_announcements)
         self._restore()
 
-    def deliver(self, machine: str, place: Place, message: bytes) -> None:
+    def deliver(self, machine: str, place: ParticipantPort, message: bytes) -> None:
         """Hand a message of another machine to this machine's participants.
 
         A place that none of them has announced gets nothing: a peer reaches ROS alone.
@@ -132,13 +132,13 @@ class Ports:
         found = {}
         self._seen_s[announced.participant] = time.monotonic()
         for port in announced.ports:
-            made = self._port_for(machine, Place(announced.participant, port))
+            made = self._port_for(machine, ParticipantPort(announced.participant, port))
             if made is not None:
                 address, here = made.getsockname()
                 found[port] = (socket.inet_aton(address), here)
         return found
 
-    def _port_for(self, machine: str, place: Place) -> socket.socket | None:
+    def _port_for(self, machine: str, place: ParticipantPort) -> socket.socket | None:
         key = (machine, place)
         if key in self._there:
             return self._there[key]
@@ -149,7 +149,7 @@ class Ports:
         self._save()
         return made
 
-    def _make_port(self, machine: str, place: Place, port: int) -> socket.socket | None:
+    def _make_port(self, machine: str, place: ParticipantPort, port: int) -> socket.socket | None:
         try:
             made = _open(alias(machine), port)
         except OSError as error:
@@ -184,7 +184,7 @@ class Ports:
             facts = json.loads(self._record.read_text(encoding="utf-8"))
             here = {int(port): bytes.fromhex(one) for port, one in facts["here"].items()}
             there = [
-                (str(machine), Place(bytes.fromhex(one), int(port)), int(own))
+                (str(machine), ParticipantPort(bytes.fromhex(one), int(port)), int(own))
                 for machine, one, port, own in facts["there"]
             ]
             metatraffic = {int(port) for port in facts["metatraffic"]}
@@ -200,7 +200,7 @@ class Ports:
         participants = [*here.values(), *(place.participant for _, place, _ in there)]
         self._seen_s |= dict.fromkeys(participants, time.monotonic())
 
-    def _take(self, machine: str, place: Place, made: socket.socket) -> None:
+    def _take(self, machine: str, place: ParticipantPort, made: socket.socket) -> None:
         for message in _received(made):
             self._note(message)
             self._forward(machine, place, message)

@@ -16,9 +16,9 @@ from functools import partial
 from pathlib import Path
 
 from rn_link.machine import Machine, link_folder, read_machine
-from rn_link.ports import Place, Ports
+from rn_link.ports import ParticipantPort, Ports
 from rn_link.state import StateFile, hint_for, waiting_hint
-from rn_link.stream import Stream
+from rn_link.stream import LinkStream
 from rn_link.tls import tls_context
 from roboneuron import ConfigurationError
 
@@ -35,7 +35,7 @@ class Relay:
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._ports = Ports(self._forward, folder / "ports.json")
-        self._streams: dict[str, Stream] = {}
+        self._streams: dict[str, LinkStream] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._known: dict[str, tuple[object, ...]] = {}
         self._accepted: set[asyncio.Task[None]] = set()
@@ -83,7 +83,7 @@ class Relay:
         if name in self._streams:
             self._streams.pop(name).close()
 
-    def _forward(self, machine: str | None, place: Place, message: bytes) -> None:
+    def _forward(self, machine: str | None, place: ParticipantPort, message: bytes) -> None:
         for name, stream in self._streams.items():
             if machine in (None, name):
                 stream.send(place, message)
@@ -145,7 +145,7 @@ class Relay:
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
     ) -> None:
-        stream = Stream(reader, writer, partial(self._ports.deliver, name))
+        stream = LinkStream(reader, writer, partial(self._ports.deliver, name))
         self._streams[name] = stream
         log.warning("Linked to %s.", name)
         self._state.connected(name)

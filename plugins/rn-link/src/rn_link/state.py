@@ -24,7 +24,7 @@ _UNREACHABLE = (errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Connection:
+class PeerConnection:
     """The connection to one machine.
 
     Attributes:
@@ -48,22 +48,22 @@ class StateFile:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / STATE
-        self._peers: dict[str, Connection] = {}
+        self._peers: dict[str, PeerConnection] = {}
 
     def connected(self, name: str) -> None:
         """A connection was made."""
-        self._keep(name, Connection(since=datetime.now(UTC).isoformat(timespec="seconds")))
+        self._keep(name, PeerConnection(since=datetime.now(UTC).isoformat(timespec="seconds")))
 
     def unconnected(self, name: str, error: str, hint: str) -> None:
         """There is none, or no more."""
-        self._keep(name, Connection(error=error, hint=hint))
+        self._keep(name, PeerConnection(error=error, hint=hint))
 
     def forget(self, name: str) -> None:
         """The machine was removed."""
         if self._peers.pop(name, None) is not None:
             self._write()
 
-    def _keep(self, name: str, connection: Connection) -> None:
+    def _keep(self, name: str, connection: PeerConnection) -> None:
         if self._peers.get(name) != connection:
             self._peers[name] = connection
             self._write()
@@ -78,7 +78,7 @@ class StateFile:
             log.warning("What is connected cannot be kept: %s", error)
 
 
-def read_connections(folder: Path) -> dict[str, Connection] | None:
+def read_connections(folder: Path) -> dict[str, PeerConnection] | None:
     """The connections by machine, as the relay of this machine says; None when none runs."""
     try:
         lock = os.open(folder / LOCK, os.O_RDONLY | os.O_CLOEXEC)
@@ -93,7 +93,7 @@ def read_connections(folder: Path) -> dict[str, Connection] | None:
         os.close(lock)
     try:
         found = json.loads((folder / STATE).read_text(encoding="utf-8"))
-        return {name: Connection(**facts) for name, facts in found.items()}
+        return {name: PeerConnection(**facts) for name, facts in found.items()}
     except FileNotFoundError:  # it is starting
         return {}
 

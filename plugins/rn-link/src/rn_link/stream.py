@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable
 from datetime import UTC, datetime
 
-from rn_link.ports import DISCOVERY, PARTICIPANT_BYTES, Place
+from rn_link.ports import DISCOVERY, PARTICIPANT_BYTES, ParticipantPort
 from rn_link.tls import valid_until
 
 HEARTBEAT_S = 0.5
@@ -24,10 +24,10 @@ _HEADER = struct.Struct(f">{PARTICIPANT_BYTES}sHH")
 _UNSENT_BYTES = 131_072
 """More waits here, where it can grow old, and not in the kernel."""
 _BEAT = _HEADER.pack(*DISCOVERY, 0)
-Deliver = Callable[[Place, bytes], None]
+Deliver = Callable[[ParticipantPort, bytes], None]
 
 
-class Stream:
+class LinkStream:
     """One connection, from `run` to `close`."""
 
     def __init__(
@@ -72,7 +72,7 @@ class Stream:
             self.close()
             await asyncio.gather(*tasks, return_exceptions=True)
 
-    def send(self, place: Place, message: bytes) -> None:
+    def send(self, place: ParticipantPort, message: bytes) -> None:
         """Send a message when there is room; what waits too long is dropped."""
         self._waiting.append((time.monotonic(), _HEADER.pack(*place, len(message)) + message))
         self._waiting_bytes += len(message)
@@ -107,7 +107,7 @@ class Stream:
             message = await self._reader.readexactly(length)
             self._silent_beats = 0
             if message:
-                self._deliver(Place(*place), message)
+                self._deliver(ParticipantPort(*place), message)
 
     async def _beat(self) -> None:
         """Beats are counted, not seconds: a machine that was busy itself has not heard either."""

@@ -20,7 +20,7 @@ from rn_link.machine import (
     link_folder,
     read_machine,
 )
-from rn_link.state import Connection, read_connections
+from rn_link.state import PeerConnection, read_connections
 from roboneuron import ConfigurationError
 
 _DAYS = 365
@@ -145,10 +145,10 @@ def _join(folder: Path, arguments: Namespace) -> None:
 
 
 def _add(folder: Path, arguments: Namespace) -> None:
-    from rn_link_pairing.pairing import PAIRING_S, Admission, new_code, open_listener  # heavy
+    from rn_link_pairing.pairing import PAIRING_S, PairingHub, new_code, open_listener  # heavy
 
     address = None if arguments.address is None else check_address(arguments.address)
-    admission = Admission(
+    admission = PairingHub(
         folder, arguments.name, address=address, days=arguments.days, notify=_complain
     )
     code = new_code()
@@ -203,11 +203,11 @@ def _show(folder: Path, as_json: bool) -> None:
         _say(_NO_RELAY)
 
 
-def _connection(connections: Mapping[str, Connection], name: str) -> Connection:
-    return connections.get(name, Connection(error="it is being connected"))
+def _connection(connections: Mapping[str, PeerConnection], name: str) -> PeerConnection:
+    return connections.get(name, PeerConnection(error="it is being connected"))
 
 
-def _spoken(connection: Connection, now: datetime) -> str:
+def _spoken(connection: PeerConnection, now: datetime) -> str:
     """Whether a machine is connected, in words."""
     if not connection.is_open:
         return f"NOT connected: {connection.error}"

@@ -54,7 +54,7 @@ def open_listener(port: int) -> socket.socket:
         ) from error
 
 
-class Admission:
+class PairingHub:
     """The hub's side: admits one machine.
 
     Args:

@@ -65,7 +65,7 @@ class Exposition:
         )
         self._own = CollectorRegistry()
         self._own.register(self)
-        self._server = _Server(self._answer, ConnectionTable())
+        self._server = _ExpositionServer(self._answer, ConnectionTable())
         self._thread = threading.Thread(
             target=self._serve, args=(bound,), name="metrics-port", daemon=True
         )
@@ -162,7 +162,7 @@ def _unauthorized(conn: HTTPConnection, error: AuthenticationError) -> Response:
     )
 
 
-class _Server(BoundedServer):
+class _ExpositionServer(BoundedServer):
     """Says when it serves."""
 
     def __init__(self, app: ASGIApp, connections: ConnectionTable) -> None:

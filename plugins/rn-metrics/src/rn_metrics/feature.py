@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rn_metrics.options import MetricsOptions
 from rn_standard.http.addresses import bind
@@ -50,7 +50,7 @@ class MetricsFeature(Feature[MetricsOptions]):
 
             otlp_exporter(self.options.otlp_endpoint).shutdown()
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """None; what happens is listened to from now on."""
         if self.options.prometheus:
             from rn_metrics.meters import Meters  # heavy

@@ -8,7 +8,6 @@ import json
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors.torch import save_file
@@ -36,7 +35,7 @@ from roboneuron.command import reading
 DATA_SET = "cubes"
 """Key of the statistics."""
 BACKEND = "oft-primary"
-OPTIONS: Mapping[str, Any] = {
+OPTIONS: Mapping[str, object] = {
     "profile": "own",
     "own_profile": {
         "metres_per_unit": 1.0,

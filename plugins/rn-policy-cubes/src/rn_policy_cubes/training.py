@@ -10,7 +10,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -26,6 +26,10 @@ from rn_policy_cubes.replacing import replacing
 from rn_policy_cubes.start import new_network
 from rn_policy_cubes.words import Prompts, read_prompts, write_tokenizer
 from roboneuron import ConfigurationError
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 STATE_FILE, CURVE_FILE = "training.pt", "curve.jsonl"
 _BETAS, _DECAY, _CLIP = (0.9, 0.98), 0.01, 1.0
@@ -121,7 +125,7 @@ class Training:
             self.step >= self.recipe.full_from * self.recipe.steps or self.recipe.tokens >= PATCHES
         )
 
-    def draw(self, shards: Shards, prompts: Prompts, weight: Any) -> Batch:
+    def draw(self, shards: Shards, prompts: Prompts, weight: NDArray[np.float64]) -> Batch:
         """The batch of the next step."""
         recipe, full = self.recipe, self.is_full()
         views, tokens = (recipe.full_views, PATCHES) if full else (recipe.views, recipe.tokens)

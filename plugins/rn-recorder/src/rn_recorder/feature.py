@@ -9,7 +9,6 @@ import subprocess
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from rn_recorder.options import RecorderOptions
 from rn_recorder.process import RecorderProcess
@@ -22,7 +21,7 @@ from rn_recorder_runs.settings import (
     RulesSettings,
     spawn_recorder,
 )
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 from roboneuron import (
     ConfigurationError,
     Feature,
@@ -85,10 +84,10 @@ class Recorder(Feature[RecorderOptions]):
                 hint="Name a folder.",
             )
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """start_recording, stop_recording and list_recordings."""
         self._host = host
-        self._store = Store(runs_directory(self.options, host.state_directory))
+        self._store = RunStore(runs_directory(self.options, host.state_directory))
         self._restarting = threading.Lock()
         self._namespace = host.config.namespace
         self._process = self._make()

@@ -112,7 +112,7 @@ def _play(
     check_playable(streams)
     requests = _motions(host, exposed, streams, context, arguments)
     host.modules.require_running("control")
-    track = _Track(host, exposed)
+    track = _TcpTrack(host, exposed)
     try:
         track.wait()
         before = _dropped(host)
@@ -250,7 +250,7 @@ def _compare(streams: Streams, measured: F64) -> tuple[float, float | None]:
     return path_m, float(np.linalg.norm(measured[-1] - measured[0] - (recorded[-1] - recorded[0])))
 
 
-class _Track:
+class _TcpTrack:
     """The measured positions of the TCP in the base frame, from its making to `close`."""
 
     def __init__(self, host: Host, exposed: ExposedEndpoint) -> None:

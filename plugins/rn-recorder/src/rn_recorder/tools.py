@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from rn_recorder.process import RecorderProcess
-from rn_recorder_runs.store import Run, Store
+from rn_recorder_runs.store import Run, RunStore
 from roboneuron import (
     Arguments,
     CallContext,
@@ -138,11 +138,11 @@ class RecordingEnds:
 
 
 def recording_tools(
-    store: Store,
+    store: RunStore,
     process: Callable[[], RecorderProcess | None],
     is_enabled: bool,
     ends: RecordingEnds,
-) -> list[Tool[Any]]:
+) -> list[Tool]:
     """start_recording, stop_recording and list_recordings."""
 
     def recorder() -> RecorderProcess:
@@ -175,7 +175,7 @@ def recording_tools(
         return StartedRecording(id=answer["id"], directory=str(store.recordings / answer["id"]))
 
     async def stop_recording(arguments: StopRecording, context: CallContext) -> StoppedRecording:
-        facts: dict[str, Any] = {"outcome": arguments.outcome}
+        facts: dict[str, object] = {"outcome": arguments.outcome}
         if arguments.note:
             facts["note"] = arguments.note
         ends.close()

@@ -33,7 +33,7 @@ _NS = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Question:
+class BackendQuery:
     """What is asked.
 
     Attributes:
@@ -52,7 +52,7 @@ class Question:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Asked:
+class BackendReplies:
     """The answers, and what was refused.
 
     Attributes:
@@ -65,7 +65,9 @@ class Asked:
     refusal: str
 
 
-def ask(deployed: DeployedBackend, demonstration: Demonstration, question: Question) -> Asked:
+def ask(
+    deployed: DeployedBackend, demonstration: Demonstration, question: BackendQuery
+) -> BackendReplies:
     """Ask a loaded backend for frames at equal distances; it is reset before each one, so that an
     answer depends on its frame alone.
 
@@ -124,7 +126,7 @@ def ask(deployed: DeployedBackend, demonstration: Demonstration, question: Quest
         if orientations is None
         else np.stack([matrix_from_quaternion(q) for q in orientations]),
     )
-    return Asked(answers=answers, refused=len(rows) - len(chunks), refusal=refusal)
+    return BackendReplies(answers=answers, refused=len(rows) - len(chunks), refusal=refusal)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -173,7 +175,7 @@ class _Observations:
         deployed: DeployedBackend,
         demonstration: Demonstration,
         states: RecordedStates,
-        question: Question,
+        question: BackendQuery,
     ) -> None:
         self._deployed, self._demonstration = deployed, demonstration
         self._instruction = question.instruction or demonstration.instruction

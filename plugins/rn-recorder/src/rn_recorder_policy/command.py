@@ -90,7 +90,7 @@ def check_policy(arguments: Namespace) -> CheckReport:
     Raises:
         RoboNeuronError: something is missing, unknown, or does not fit.
     """
-    from rn_recorder_policy.asking import LEAST_FRAMES, Question, ask
+    from rn_recorder_policy.asking import LEAST_FRAMES, BackendQuery, ask
     from rn_recorder_policy.diagnosis import diagnose
     from rn_recorder_policy.name_mapping import NameMapping, parse_renamed
     from rn_recorder_policy.report import CheckReport
@@ -103,7 +103,7 @@ def check_policy(arguments: Namespace) -> CheckReport:
         in_order=arguments.in_order,
         in_degrees=arguments.unit == "deg",
     )
-    question = Question(
+    question = BackendQuery(
         mapping=mapping,
         feature=arguments.action,
         cameras=parse_renamed(arguments.camera),

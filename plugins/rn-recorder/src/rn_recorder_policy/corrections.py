@@ -33,7 +33,7 @@ _AS_GOOD = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Correction:
+class ChannelCorrection:
     """What one channel's answers are of the expected ones: `scale * expected + offset`.
 
     Attributes:
@@ -47,7 +47,9 @@ class Correction:
     loss: float
 
 
-def correction_of(answers: Answers, expected: F64, channel: int, loss: float) -> Correction | None:
+def correction_of(
+    answers: Answers, expected: F64, channel: int, loss: float
+) -> ChannelCorrection | None:
     """The simplest correction that explains the answers of a channel; None when none is needed or
     none does.
 
@@ -67,7 +69,7 @@ def correction_of(answers: Answers, expected: F64, channel: int, loss: float) ->
     candidates = []
     for kind, scale, offset in _candidates(p, e, least, unit, is_gripper):
         left = loss_of(p, scale * e + offset, least * min(1.0, abs(scale)))
-        candidates.append(Correction(kind=kind, scale=scale, offset=offset, loss=left))
+        candidates.append(ChannelCorrection(kind=kind, scale=scale, offset=offset, loss=left))
     if not candidates:
         return None
     best = min(float(np.log(c.loss + FLOOR)) for c in candidates)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rn_recorder_policy.answers import Answers
-from rn_recorder_policy.corrections import DEGREES, Correction, correction_of
+from rn_recorder_policy.corrections import DEGREES, ChannelCorrection, correction_of
 from rn_recorder_policy.losses import badness, losses_of
 from rn_recorder_policy.structures import Structure, structures
 
@@ -43,7 +43,7 @@ _ALIKE = 0.1
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Fault:
+class WiringFault:
     """One thing that is probably wired wrong.
 
     Attributes:
@@ -69,7 +69,7 @@ class Diagnosis:
         expected: float64 (N, K, C), what a backend would answer that repeats the recording.
     """
 
-    faults: tuple[Fault, ...]
+    faults: tuple[WiringFault, ...]
     before: F64
     after: F64
     expected: F64
@@ -78,7 +78,7 @@ class Diagnosis:
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Explanation:
     structure: Structure
-    corrections: Mapping[int, Correction]
+    corrections: Mapping[int, ChannelCorrection]
     losses: F64
     badness: float
 
@@ -132,7 +132,7 @@ def _cost(kind: str, channels: Sequence[int]) -> float:
 
 
 def _groups(
-    answers: Answers, corrections: Mapping[int, Correction]
+    answers: Answers, corrections: Mapping[int, ChannelCorrection]
 ) -> list[tuple[str, tuple[int, ...]]]:
     """Corrections that are one fault, by kind, with their channels."""
     motion = np.flatnonzero(~answers.is_gripper)
@@ -170,7 +170,7 @@ def _are_alike(scales: F64) -> bool:
 
 
 def _of_equal_scale(
-    channels: Sequence[int], corrections: Mapping[int, Correction]
+    channels: Sequence[int], corrections: Mapping[int, ChannelCorrection]
 ) -> list[tuple[int, ...]]:
     groups: list[list[int]] = []
     for channel in channels:
@@ -184,13 +184,13 @@ def _of_equal_scale(
     return [tuple(group) for group in groups]
 
 
-def _faults_of(answers: Answers, found: _Explanation) -> list[Fault]:
+def _faults_of(answers: Answers, found: _Explanation) -> list[WiringFault]:
     keys = answers.space.keys
     faults = []
     structure = found.structure
     if structure.kind:
         faults.append(
-            Fault(
+            WiringFault(
                 kind=structure.kind,
                 channels=tuple(keys[c] for c in structure.channels),
                 text=f"{structure.text}.",
@@ -200,7 +200,7 @@ def _faults_of(answers: Answers, found: _Explanation) -> list[Fault]:
     for kind, channels in _groups(answers, found.corrections):
         corrections = [found.corrections[c] for c in channels]
         faults.append(
-            Fault(
+            WiringFault(
                 kind=kind,
                 channels=tuple(keys[c] for c in channels),
                 text=_told(kind, [keys[c] for c in channels], corrections),
@@ -210,7 +210,7 @@ def _faults_of(answers: Answers, found: _Explanation) -> list[Fault]:
     return faults
 
 
-def _told(kind: str, keys: Sequence[str], corrections: Sequence[Correction]) -> str:
+def _told(kind: str, keys: Sequence[str], corrections: Sequence[ChannelCorrection]) -> str:
     """What a group of corrections is, as a sentence."""
     names = ", ".join(keys)
     first = corrections[0]
@@ -234,12 +234,12 @@ def _told(kind: str, keys: Sequence[str], corrections: Sequence[Correction]) -> 
     return f"scale and offset differ: {told}."
 
 
-def _declared_rate(answers: Answers) -> list[Fault]:
+def _declared_rate(answers: Answers) -> list[WiringFault]:
     """The rate that a backend says, where its answers cannot show another one."""
     if answers.horizon > 1 or answers.stretch == 1.0 or answers.space.kind == "ee_delta":
         return []
     return [
-        Fault(
+        WiringFault(
             kind="rate",
             channels=answers.space.keys,
             text=f"the backend says {1.0 / answers.step_s:.3g} Hz, the data set has "
@@ -251,7 +251,7 @@ def _declared_rate(answers: Answers) -> list[Fault]:
 
 def _unexplained(
     answers: Answers, expected: F64, losses: F64, told: NDArray[np.bool_]
-) -> list[Fault]:
+) -> list[WiringFault]:
     """Channels that move and whose answers follow nothing that was looked for, but for those that
     are `told` of already or cannot be judged, (C,).
     """
@@ -263,7 +263,7 @@ def _unexplained(
         return []
     names = tuple(answers.space.keys[c] for c in suspects)
     return [
-        Fault(
+        WiringFault(
             kind="unexplained",
             channels=names,
             text=f"{', '.join(names)}: the answers do not follow the recording, and no wiring "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rn_recorder_policy.answers import Answers
-from rn_recorder_policy.asking import Asked
+from rn_recorder_policy.asking import BackendReplies
 from rn_recorder_policy.diagnosis import Diagnosis
 from rn_recorder_policy.measures import ChannelMeasures, measure
 
@@ -30,7 +30,7 @@ class CheckReport:
     source: str
     backend: str
     robot: str
-    asked: Asked
+    asked: BackendReplies
     diagnosis: Diagnosis
 
     @property

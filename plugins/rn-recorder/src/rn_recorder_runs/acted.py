@@ -7,12 +7,15 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roboneuron import EE_DELTA, matrix_from_rotvec, rotvec_from_matrix
+
+if TYPE_CHECKING:
+    from std_msgs.msg import Float64MultiArray
 
 F64 = NDArray[np.float64]
 
@@ -43,7 +46,7 @@ class ActedRow:
     gripper_open: float | None = None
 
     @classmethod
-    def from_message(cls, message: Any, at_ns: int) -> ActedRow:
+    def from_message(cls, message: Float64MultiArray, at_ns: int) -> ActedRow:
         """Read a message of the topic; see `rn_standard.teleoperation.rows.Acting`."""
         dims = message.layout.dim
         word, _, who = (dims[0].label if dims else "").partition(":")

@@ -9,7 +9,6 @@ import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 _MOST = 1 << 20
 
@@ -23,7 +22,7 @@ class AuditTail:
         self._rest = b""
         self._open(from_end=True)
 
-    def lines(self) -> Iterator[tuple[str, dict[str, Any]]]:
+    def lines(self) -> Iterator[tuple[str, dict[str, object]]]:
         """Lines that came since the last call, with what they say."""
         yield from self._new()
         with suppress(OSError):
@@ -46,7 +45,7 @@ class AuditTail:
             if from_end:
                 os.lseek(self._descriptor, 0, os.SEEK_END)
 
-    def _new(self) -> Iterator[tuple[str, dict[str, Any]]]:
+    def _new(self) -> Iterator[tuple[str, dict[str, object]]]:
         while self._descriptor >= 0:
             data = os.read(self._descriptor, _MOST)
             if not data:

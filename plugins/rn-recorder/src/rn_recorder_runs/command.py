@@ -12,7 +12,7 @@ from rn_standard.console.plugin_options import add_option, read_options
 from roboneuron import ConfigurationError, InvalidInputError
 
 if TYPE_CHECKING:
-    from rn_recorder_runs.store import Run, Store
+    from rn_recorder_runs.store import Run, RunStore
 
 _NEWEST = 'id of a run (its beginning will do), "latest", or a path of MCAP files'
 _OUTCOMES = ("success", "failure", "unknown")
@@ -147,27 +147,27 @@ class Runs:
         return _export(store, arguments)
 
 
-def open_store(arguments: Namespace) -> Store:
+def open_store(arguments: Namespace) -> RunStore:
     """The directory that the arguments name. Raises ConfigurationError for a configuration that is
     wrong.
     """
     from rn_recorder.feature import runs_directory
     from rn_recorder.options import RecorderOptions
     from rn_recorder.plugin import FEATURE
-    from rn_recorder_runs.store import Store
+    from rn_recorder_runs.store import RunStore
     from roboneuron.command import environment, feature_options, load_config
 
     if arguments.directory:
-        return Store(arguments.directory)
+        return RunStore(arguments.directory)
     config = load_config(arguments.config)
     options = feature_options(FEATURE, config)
     assert isinstance(options, RecorderOptions)
-    return Store(
+    return RunStore(
         runs_directory(options, environment.state_directory(config.supervisor.state_directory))
     )
 
 
-def find_run(store: Store, name: str) -> Run:
+def find_run(store: RunStore, name: str) -> Run:
     """The run of that id, or the MCAP files at that path. Raises InvalidInputError when there is
     none.
     """
@@ -182,14 +182,14 @@ def find_run(store: Store, name: str) -> Run:
     return store.get(name)
 
 
-def find_runs(store: Store, name: str) -> list[Run]:
+def find_runs(store: RunStore, name: str) -> list[Run]:
     """As `find_run`; "all" stands for all recordings."""
     if name == "all":
         return [run for run in store.runs() if run.kind == "recording"]
     return [find_run(store, name)]
 
 
-def _interventions(store: Store, names: list[str], as_json: bool) -> int:
+def _interventions(store: RunStore, names: list[str], as_json: bool) -> int:
     from rn_recorder_runs.interventions import interventions, to_text
 
     runs = [run for name in names for run in find_runs(store, name)]
@@ -197,7 +197,7 @@ def _interventions(store: Store, names: list[str], as_json: bool) -> int:
     return 0
 
 
-def _label(store: Store, arguments: Namespace) -> int:
+def _label(store: RunStore, arguments: Namespace) -> int:
     if arguments.outcome is None and arguments.comment is None:
         raise InvalidInputError("There is nothing to note.", hint="Give --outcome or --comment.")
     run = store.get(arguments.run)
@@ -220,7 +220,7 @@ def _label(store: Store, arguments: Namespace) -> int:
     return 0
 
 
-def _delete(store: Store, names: list[str], agreed: bool) -> int:
+def _delete(store: RunStore, names: list[str], agreed: bool) -> int:
     runs = [store.get(name) for name in names]
     if not agreed:
         if not sys.stdin.isatty():
@@ -286,7 +286,7 @@ def _replay(run: Run, arguments: Namespace) -> int:
     return int(comparison.diverging > 0)
 
 
-def _export(store: Store, arguments: Namespace) -> int:
+def _export(store: RunStore, arguments: Namespace) -> int:
     """Status 1 when something was left out."""
     from rn_recorder_runs.files import copy_records, read_about
 

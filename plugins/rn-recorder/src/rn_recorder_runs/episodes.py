@@ -255,7 +255,7 @@ def read_episodes(
 
 
 def _label(facts: Mapping[str, object], episode: int) -> dict[str, str]:
-    """What a person has said of an episode, or of its whole run; see `Store.label`."""
+    """What a person has said of an episode, or of its whole run; see `RunStore.label`."""
     labels = facts.get(LABELS)
     if not isinstance(labels, Mapping):
         return {}

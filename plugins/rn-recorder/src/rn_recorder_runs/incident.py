@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rn_recorder_runs.files import copy_records
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 
 log = logging.getLogger(__name__)
 LATE_NS = 5_000_000_000
@@ -44,7 +44,7 @@ class OpenIncident:
 def cut(
     incident: OpenIncident,
     segments: list[Path],
-    store: Store,
+    store: RunStore,
     ring_s: float,
     about: Mapping[str, str],
 ) -> bool:

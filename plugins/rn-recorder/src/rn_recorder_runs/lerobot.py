@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,8 +173,8 @@ def _write(sources: Sequence[ExportSource], directory: Path, rate: int, codec: C
         for camera in first.cameras
     }
     tasks = list(dict.fromkeys(episode.instruction for episode in episodes))
-    columns: dict[str, list[Any]] = {}
-    listed: list[dict[str, Any]] = []
+    columns: dict[str, list[object]] = {}
+    listed: list[dict[str, object]] = []
     parts: list[dict[str, Stats]] = []
     begin = 0
     try:
@@ -242,11 +241,11 @@ def _write_videos(
     return {camera: video.take_sample() for camera, video in videos.items()}
 
 
-def _values(episode: RecordedEpisode) -> dict[str, list[Any]]:
+def _values(episode: RecordedEpisode) -> dict[str, list[object]]:
     """What was recorded, one value for each row, in the types of `meta.row_features`."""
     rows = episode.rows
     leading = next(iter(rows[0].images))
-    columns: dict[str, list[Any]] = {}
+    columns: dict[str, list[object]] = {}
     if rows[0].joints.size:
         columns["observation.state"] = [row.joints.astype(np.float32) for row in rows]
     if rows[0].ee_pose.size:
@@ -263,7 +262,7 @@ def _values(episode: RecordedEpisode) -> dict[str, list[Any]]:
 
 def _counters(
     episode: RecordedEpisode, index: int, begin: int, task: int, fps: int
-) -> dict[str, list[Any]]:
+) -> dict[str, list[object]]:
     """Where the rows are in the data set."""
     count = len(episode.rows)
     return {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,10 @@ from rn_recorder_runs.store import Run
 from rn_recorder_runs.video import Codec
 from roboneuron import channel_keys
 
+ColumnFeatures = dict[str, dict[str, object]]
+"""What LeRobot is told of each column, by name."""
 VERSION = "v3.0"
-_COUNTER: Mapping[str, object] = {"dtype": "int64", "shape": [1], "names": None}
+_COUNTER: dict[str, object] = {"dtype": "int64", "shape": [1], "names": None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +46,9 @@ class ExportSource:
 
 def features(
     source: ExportSource, shapes: Mapping[str, tuple[int, ...]], fps: int, codec: Codec
-) -> dict[str, Any]:
+) -> ColumnFeatures:
     """What the columns are, by name; `shapes` are those of the images by camera."""
-    features: dict[str, Any] = row_features(source, shapes)
+    features = row_features(source, shapes)
     for camera, (height, width, _) in shapes.items():
         features[f"observation.images.{camera}"]["info"] = {
             "video.height": height,
@@ -63,9 +66,9 @@ def features(
     return features
 
 
-def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Any]:
+def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) -> ColumnFeatures:
     """Those that RoboNeuron gives a value; every data set has others besides."""
-    features: dict[str, Any] = {}
+    features: ColumnFeatures = {}
     if source.episodes[0].rows[0].joints.size:
         features["observation.state"] = _feature("float32", source.joint_names)
     if source.episodes[0].rows[0].ee_pose.size:
@@ -91,7 +94,7 @@ def _feature(dtype: str, names: Sequence[str]) -> dict[str, object]:
     return {"dtype": dtype, "shape": [len(names)], "names": list(names)}
 
 
-def array(pa: Any, values: list[Any], feature: Mapping[str, Any]) -> Any:
+def array(pa: ModuleType, values: list[Any], feature: Mapping[str, Any]) -> Any:
     """A column of a table of pyarrow, `pa`."""
     kinds = {
         "float32": pa.float32(),
@@ -106,7 +109,7 @@ def array(pa: Any, values: list[Any], feature: Mapping[str, Any]) -> Any:
     return pa.FixedSizeListArray.from_arrays(pa.array(flat, type=kind), size)
 
 
-def tasks(pa: Any, tasks: Sequence[str]) -> Any:
+def tasks(pa: ModuleType, tasks: Sequence[str]) -> object:
     """With the tasks as pandas' index, which lerobot reads them by."""
     table = pa.table(
         {
@@ -135,7 +138,7 @@ def tasks(pa: Any, tasks: Sequence[str]) -> Any:
 
 def info(
     source: ExportSource,
-    features: dict[str, object],
+    features: Mapping[str, object],
     episodes: Sequence[RecordedEpisode],
     tasks: Sequence[str],
     fps: int,

@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ class LerobotWriter:
         """Begin an episode."""
         self._stream.write(b"T" + json.dumps(instruction).encode() + b"\n")
 
-    def add(self, row: Mapping[str, NDArray[Any]]) -> None:
+    def add(self, row: Mapping[str, NDArray[np.generic]]) -> None:
         """Add a row: arrays in the types and shapes of the features."""
         self._stream.write(b"F")
         for name in self._features:
@@ -48,7 +48,7 @@ def lerobot_writer(
     root: Path,
     *,
     fps: int,
-    features: Mapping[str, Mapping[str, Any]],
+    features: Mapping[str, Mapping[str, object]],
     robot_type: str | None,
     codec: str,
 ) -> Iterator[LerobotWriter]:

@@ -19,9 +19,9 @@ VERSION = "0.6."
 """Of lerobot: this one's writer is called here, and was tried."""
 
 
-def read_row(stream: BinaryIO, features: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def read_row(stream: BinaryIO, features: dict[str, dict[str, Any]]) -> dict[str, object]:
     """The values of one row by feature."""
-    row: dict[str, Any] = {}
+    row: dict[str, object] = {}
     for name, feature in features.items():
         kind = np.dtype("uint8" if feature["dtype"] == "video" else feature["dtype"])
         data = stream.read(kind.itemsize * math.prod(feature["shape"]))

@@ -9,10 +9,10 @@ from typing import Any
 
 from rn_recorder_runs.files import read_about
 from rn_recorder_runs.reading import count_topics, iterate
-from rn_recorder_runs.store import Run, Store
+from rn_recorder_runs.store import Run, RunStore
 
 
-def list_runs(store: Store, as_json: bool) -> int:
+def list_runs(store: RunStore, as_json: bool) -> int:
     """Print every run of a directory, oldest first; repairs what was cut short."""
     for path in store.repair():
         print(f"Repaired: {path}", file=sys.stderr)

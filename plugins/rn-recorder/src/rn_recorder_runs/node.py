@@ -27,7 +27,7 @@ from rn_recorder_runs.images import COMPRESSED, IMAGE, to_jpeg, to_string
 from rn_recorder_runs.priority import give_way
 from rn_recorder_runs.recording import Recording, Rules
 from rn_recorder_runs.settings import RecorderSettings
-from rn_recorder_runs.store import Store
+from rn_recorder_runs.store import RunStore
 from roboneuron import RoboNeuronError, StateError
 from roboneuron.command import AuditLog, Signals, discover, environment, log_files
 
@@ -92,7 +92,7 @@ class RecorderWorker:
         self._events = 0
         self._audit = AuditTail(AuditLog.in_directory(settings.state_directory).path)
         self.recording = Recording(
-            Store(settings.directory), Rules(**settings.rules.model_dump()), settings.about
+            RunStore(settings.directory), Rules(**settings.rules.model_dump()), settings.about
         )
         self._frames = Frames(settings, self.recording)
         self.counts: Callable[[], dict[str, Any]] = dict
@@ -280,7 +280,7 @@ def main() -> None:
     from rclpy.parameter import Parameter
     from rclpy.signals import SignalHandlerOptions
 
-    from rn_recorder_runs.tap import Tap
+    from rn_recorder_runs.tap import TopicTap
 
     process = RecorderWorker(settings)
     try:
@@ -296,7 +296,7 @@ def main() -> None:
         parameter_overrides=nothing_served,
     )
     topics = _absolute(settings.topics, settings.namespace)
-    tap = Tap(
+    tap = TopicTap(
         node, topics, _absolute(settings.exclude, settings.namespace), process.put, process.describe
     )
     process.counts = lambda: {"received": dict(tap.received), "gaps": dict(tap.gaps)}

@@ -23,7 +23,7 @@ from pathlib import Path
 from rn_recorder_runs.files import Record, repair, write_json
 from rn_recorder_runs.incident import OpenIncident, cut
 from rn_recorder_runs.sink import Latched, Sink
-from rn_recorder_runs.store import RUN_FILE, Store
+from rn_recorder_runs.store import RUN_FILE, RunStore
 from roboneuron import StateError
 
 log = logging.getLogger(__name__)
@@ -80,7 +80,7 @@ class Recording:
 
     def __init__(
         self,
-        store: Store,
+        store: RunStore,
         rules: Rules,
         about: Mapping[str, str],
         clock_ns: Callable[[], int] = time.time_ns,

@@ -83,7 +83,7 @@ class Run:
         return first, last, count
 
 
-class Store:
+class RunStore:
     """The directory of runs. Nothing is made before `make`."""
 
     def __init__(self, directory: Path) -> None:

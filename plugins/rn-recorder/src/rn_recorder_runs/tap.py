@@ -41,7 +41,7 @@ core, and a loop at 30 Hz has both cores of a small machine for itself in the me
 _TURN_S = 0.03
 
 
-class Tap:
+class TopicTap:
     """Subscribes to what appears on the graph, and counts gaps in the publishers' own counts.
 
     Args:

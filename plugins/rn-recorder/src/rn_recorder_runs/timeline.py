@@ -30,7 +30,7 @@ _Place = tuple[Path, int, int]
 """File, position of the record that holds the message, and which message of it."""
 
 
-class _Track:
+class _TopicTrack:
     """The messages of one topic, oldest first."""
 
     def __init__(self, type_name: str) -> None:
@@ -63,7 +63,7 @@ class Timeline:
 
     def __init__(self, files: Sequence[Path]) -> None:
         self.about = read_about(files[0]) if files else {}
-        self._tracks: dict[str, _Track] = {}
+        self._tracks: dict[str, _TopicTrack] = {}
         self._decoder = RecordDecoder()
         self._unpacked: OrderedDict[tuple[Path, int], list[Message]] = OrderedDict()
         for path in files:
@@ -157,7 +157,9 @@ class Timeline:
                 channel = channels[part.channel_id]
                 track = self._tracks.get(channel.topic)
                 if track is None:
-                    track = self._tracks[channel.topic] = _Track(schemas.get(channel.schema_id, ""))
+                    track = self._tracks[channel.topic] = _TopicTrack(
+                        schemas.get(channel.schema_id, "")
+                    )
                 data = part.data if len(part.data) < _LARGE_BYTES else (*place, number)
                 track.add(part.log_time, part.publish_time, part.sequence, data)
                 number += 1

@@ -29,7 +29,7 @@ _MOVING = frozenset({"revolute", "continuous", "prismatic"})
 
 
 @dataclass(frozen=True, slots=True)
-class Transform:
+class FramePose:
     """Pose of frame `child` in frame `parent`: position [m], quaternion x y z w."""
 
     parent: str
@@ -49,14 +49,14 @@ class _Joint:
     axis: F64
     mimic: tuple[str, float, float] | None
 
-    def at(self, position: float) -> Transform:
+    def at(self, position: float) -> FramePose:
         """With the joint at that position [rad or m]."""
         place, rotation = self.position_m, self.rotation
         if self.kind == "prismatic":
             place = place + rotation @ (self.axis * position)
         elif self.kind in _MOVING:
             rotation = rotation @ _turn(self.axis, position)
-        return Transform(self.parent, self.child, place, quaternion_from_matrix(rotation))
+        return FramePose(self.parent, self.child, place, quaternion_from_matrix(rotation))
 
 
 class RobotTransforms:
@@ -73,7 +73,7 @@ class RobotTransforms:
         self._moving = [joint for joint in joints if joint.kind in _MOVING]
         self._fixed = [joint.at(0.0) for joint in joints if joint.kind not in _MOVING]
         self._fixed += [
-            Transform(
+            FramePose(
                 mount.parent,
                 mount.frame_id,
                 np.array(mount.position_m),
@@ -112,7 +112,7 @@ class RobotTransforms:
         )
 
 
-def to_tf_message(transforms: Sequence[Transform], stamp_ns: int) -> bytes:
+def to_tf_message(transforms: Sequence[FramePose], stamp_ns: int) -> bytes:
     """A CDR `tf2_msgs/TFMessage`."""
     body = struct.pack("<I", len(transforms))
     for transform in transforms:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 from rn_robot_fr3.cameras import cell_cameras
-from rn_robot_fr3.cell import CELLS, FR3, PAIR, Cell
+from rn_robot_fr3.cell import CELLS, FR3, PAIR, Workcell
 from rn_robot_fr3.world import build_world
 from rn_simulation.arm_cameras import SimulatedArmCameras
 from rn_simulation.arm_world import ArmWorld
@@ -15,14 +15,14 @@ from rn_simulation.pinhole import PinholeCamera
 from rn_simulation.scene_state import SceneState
 
 
-class SimulatedCameras(SimulatedArmCameras):
+class SimulatedFr3Cameras(SimulatedArmCameras):
     """Front and wrist camera of the simulated FR3.
 
     Attributes:
         cell: whose cameras they are.
     """
 
-    cell: ClassVar[Cell] = FR3
+    cell: ClassVar[Workcell] = FR3
     robot = FR3.robot
 
     def known(self) -> Sequence[PinholeCamera]:
@@ -38,8 +38,8 @@ class SimulatedCameras(SimulatedArmCameras):
         return build_world(state.engine, cubes, cell=CELLS[state.robot])
 
 
-class SimulatedPairCameras(SimulatedCameras):
+class SimulatedPairCameras(SimulatedFr3Cameras):
     """The cameras of two simulated FR3s."""
 
-    cell: ClassVar[Cell] = PAIR
+    cell: ClassVar[Workcell] = PAIR
     robot = PAIR.robot

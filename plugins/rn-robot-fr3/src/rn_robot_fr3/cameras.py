@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rn_robot_fr3.cell import FACING_M, FR3, Cell
+from rn_robot_fr3.cell import FACING_M, FR3, Workcell
 from rn_simulation.pinhole import UP, PinholeCamera, front_camera, look_at, wrist_camera
 
 
@@ -24,7 +24,7 @@ def _beside_both() -> PinholeCamera:
     return replace(_front(), T_mount_camera=look_at(eye, target, UP))
 
 
-def cell_cameras(cell: Cell) -> tuple[PinholeCamera, ...]:
+def cell_cameras(cell: Workcell) -> tuple[PinholeCamera, ...]:
     """The cameras of a cell: "front" beside the table and one on each hand."""
     if cell is FR3:
         return cameras()

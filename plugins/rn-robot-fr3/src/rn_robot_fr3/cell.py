@@ -32,7 +32,7 @@ class Mount:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Cell:
+class Workcell:
     """Arms at one table; the base frame is that of the first arm's base.
 
     Attributes:
@@ -65,7 +65,7 @@ class Cell:
         return tuple(f"{mount.prefix}{joint}" for mount in self.mounts for joint in MOVED)
 
 
-FR3 = Cell(
+FR3 = Workcell(
     robot="fr3",
     mounts=(Mount(),),
     table_size_m=(1.30, 1.20, 0.05),
@@ -73,7 +73,7 @@ FR3 = Cell(
 )
 FACING_M = 1.15
 """Distance of the bases of two arms: each reaches the cubes, and a hand over the middle."""
-PAIR = Cell(
+PAIR = Workcell(
     robot="fr3-pair",
     mounts=(Mount(name="left"), Mount(name="right", x_m=FACING_M, yaw_rad=3.141592653589793)),
     table_size_m=(1.75, 1.20, 0.05),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from std_msgs.msg import Float64MultiArray
 
-from rn_robot_fr3.cell import FR3, PAIR, Cell
+from rn_robot_fr3.cell import FR3, PAIR, Workcell
 from rn_robot_fr3.plugin import roboneuron_perceptions, roboneuron_robots
 from rn_robot_fr3.profile import pair_profile, profile
 from rn_robot_fr3.scene import random_cubes
@@ -15,7 +15,7 @@ from rn_testing.cases import PerceptionCase, RobotCase
 from rn_testing.fakes import MemoryTopics
 
 
-def state_at_home(seed: int, stamp_ns: int, cell: Cell = FR3) -> Float64MultiArray:
+def state_at_home(seed: int, stamp_ns: int, cell: Workcell = FR3) -> Float64MultiArray:
     """What the simulation tells its cameras before anything has moved."""
     cubes, arms = random_cubes(seed), arm_cell(cell)
     return to_message(

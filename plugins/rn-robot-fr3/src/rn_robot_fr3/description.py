@@ -6,7 +6,7 @@ import functools
 import xml.etree.ElementTree as ET
 from importlib.resources import files
 
-from rn_robot_fr3.cell import FR3, PAIR, Cell
+from rn_robot_fr3.cell import FR3, PAIR, Workcell
 
 BASE_LINK = "fr3_link0"
 FLANGE_LINK = "fr3_link8"
@@ -22,7 +22,7 @@ def urdf() -> str:
     return files("rn_robot_fr3").joinpath("data/fr3.urdf").read_text(encoding="utf-8")
 
 
-def pair_urdf(cell: Cell = PAIR) -> str:
+def pair_urdf(cell: Workcell = PAIR) -> str:
     """XML text of the arms of a cell on one root link `PAIR_BASE_LINK`; names of links and joints
     begin with the arm's name.
     """
@@ -47,7 +47,7 @@ def pair_urdf(cell: Cell = PAIR) -> str:
     return ET.tostring(robot, encoding="unicode")
 
 
-def cell_urdf(cell: Cell) -> str:
+def cell_urdf(cell: Workcell) -> str:
     """XML text of the robot of a cell."""
     return urdf() if cell is FR3 else pair_urdf(cell)
 
@@ -62,7 +62,7 @@ _MESH_BY_LINK = {
 }
 
 
-def urdf_with_meshes(mesh_folder: str, cell: Cell = FR3) -> str:
+def urdf_with_meshes(mesh_folder: str, cell: Workcell = FR3) -> str:
     """XML text of the same robot whose visual elements are meshes in `mesh_folder`.
 
     The Panda's links, which `pybullet_data` carries, look like those of the FR3 and share their

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from rn_robot_fr3.cell import CELLS, FR3
-from rn_robot_fr3.options import SimulatedDriverOptions
+from rn_robot_fr3.options import SimulatedFr3Options
 from rn_robot_fr3.simulation import ArmSimulation
 from rn_simulation.arm_driver import SimulatedArmDriver
 from rn_simulation.twin import CellTwin
 from roboneuron import RobotProfile, Topics
 
 
-class SimulatedDriver(SimulatedArmDriver):
+class SimulatedFr3Driver(SimulatedArmDriver):
     """Drives one simulated FR3, or the pair of them where the profile is the pair's."""
 
     def __init__(
-        self, config: SimulatedDriverOptions | None, profile: RobotProfile, topics: Topics
+        self, config: SimulatedFr3Options | None, profile: RobotProfile, topics: Topics
     ) -> None:
         """Remember what to simulate."""
-        options = config or SimulatedDriverOptions()
+        options = config or SimulatedFr3Options()
         cell = CELLS.get(profile.name, FR3)
 
         def simulation(gui: bool) -> ArmSimulation:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rn_robot_fr3.cell import FR3, Cell
+from rn_robot_fr3.cell import FR3, Workcell
 from rn_robot_fr3.description import TCP_LINK, cell_urdf
 from rn_robot_fr3.scene import FINGER_FRICTION
 from rn_robot_fr3.simulated_cell import arm_cell
@@ -22,7 +22,9 @@ _CONTACT_SPRING = (0.005, 1.0)
 """Stiff enough that the grasped cube measures within 1 mm."""
 
 
-def mujoco_world(cubes: Sequence[Cube], *, gui: bool = False, cell: Cell = FR3) -> MujocoArmWorld:
+def mujoco_world(
+    cubes: Sequence[Cube], *, gui: bool = False, cell: Workcell = FR3
+) -> MujocoArmWorld:
     """Build it. Raises ConfigurationError when a window is asked for."""
     if gui:
         raise ConfigurationError(

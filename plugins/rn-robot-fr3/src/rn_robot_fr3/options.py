@@ -8,7 +8,7 @@ from rn_simulation.arm_options import SimulatedArmOptions
 from rn_simulation.engine import EngineChoice
 
 
-class SimulatedDriverOptions(SimulatedArmOptions):
+class SimulatedFr3Options(SimulatedArmOptions):
     """Options of the driver `simulated`."""
 
     engine: EngineChoice = Field(

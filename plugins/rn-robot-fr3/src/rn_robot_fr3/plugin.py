@@ -31,8 +31,8 @@ _ENGINE = Requirement(module="pybullet", alternatives=("mujoco",), install="pip 
 _SIMULATED = DriverSpec(
     name="simulated",
     summary="PyBullet or MuJoCo simulation: a table with coloured cubes in random places",
-    target="rn_robot_fr3.driver:SimulatedDriver",
-    config="rn_robot_fr3.options:SimulatedDriverOptions",
+    target="rn_robot_fr3.driver:SimulatedFr3Driver",
+    config="rn_robot_fr3.options:SimulatedFr3Options",
     simulated=True,
     requires=(_ENGINE,),
 )
@@ -99,7 +99,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
         PerceptionSpec(
             name="fr3-sim-camera",
             summary="Front and wrist camera of the simulated FR3, drawn on the CPU",
-            target="rn_robot_fr3.camera_source:SimulatedCameras",
+            target="rn_robot_fr3.camera_source:SimulatedFr3Cameras",
             config="rn_simulation.arm_options:SimulatedCamerasOptions",
             case="rn_robot_fr3.contract_cases:cameras_case",
             requires=(_ENGINE,),

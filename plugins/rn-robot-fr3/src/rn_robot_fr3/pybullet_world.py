@@ -11,7 +11,7 @@ import pybullet
 import pybullet_data
 from numpy.typing import NDArray
 
-from rn_robot_fr3.cell import FR3, Cell
+from rn_robot_fr3.cell import FR3, Workcell
 from rn_robot_fr3.description import TCP_LINK, urdf_with_meshes
 from rn_robot_fr3.display import check_display
 from rn_robot_fr3.renderer import render
@@ -58,7 +58,7 @@ class PybulletArmWorld:
 
     engine: Engine = "pybullet"
 
-    def __init__(self, cubes: Sequence[Cube], *, gui: bool = False, cell: Cell = FR3) -> None:
+    def __init__(self, cubes: Sequence[Cube], *, gui: bool = False, cell: Workcell = FR3) -> None:
         """Connect and build. Raises ConfigurationError when a window is asked for and there is no
         display.
         """

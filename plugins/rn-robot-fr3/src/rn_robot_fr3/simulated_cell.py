@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rn_robot_fr3.cell import MOVED, Cell
+from rn_robot_fr3.cell import MOVED, Workcell
 from rn_robot_fr3.limits import (
     ACCELERATION_RAD_S2,
     ARM_JOINTS,
@@ -26,7 +26,7 @@ it through.
 """
 
 
-def arm_cell(cell: Cell) -> ArmCell:
+def arm_cell(cell: Workcell) -> ArmCell:
     """The arms of `cell`."""
     count = len(cell.mounts)
     each = range(0, count * len(MOVED), len(MOVED))

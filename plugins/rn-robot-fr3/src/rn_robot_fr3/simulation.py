@@ -7,7 +7,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rn_robot_fr3.cameras import cell_cameras
-from rn_robot_fr3.cell import FR3, MOVED, Cell
+from rn_robot_fr3.cell import FR3, MOVED, Workcell
 from rn_robot_fr3.scene import random_cubes
 from rn_robot_fr3.simulated_cell import arm_cell
 from rn_robot_fr3.world import JOINTS, build_world
@@ -31,7 +31,7 @@ class ArmSimulation(CellSimulation):
         colours: Sequence[str] = DEFAULT_COLOURS,
         engine: EngineChoice = "auto",
         gui: bool = False,
-        cell: Cell = FR3,
+        cell: Workcell = FR3,
     ) -> None:
         """Choose scene and engine.
 

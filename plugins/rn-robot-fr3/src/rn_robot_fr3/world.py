@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rn_robot_fr3.cell import FR3, Cell
+from rn_robot_fr3.cell import FR3, Workcell
 from rn_simulation.arm_world import ArmWorld
 from rn_simulation.cubes import Cube
 from rn_simulation.engine import Engine
@@ -14,7 +14,7 @@ JOINTS = FR3.joints
 
 
 def build_world(
-    engine: Engine, cubes: Sequence[Cube], *, gui: bool = False, cell: Cell = FR3
+    engine: Engine, cubes: Sequence[Cube], *, gui: bool = False, cell: Workcell = FR3
 ) -> ArmWorld:
     """A world with the arms of `cell` and `cubes` in `engine`.
 

@@ -14,7 +14,7 @@ from rn_simulation.pinhole import PinholeCamera
 from rn_simulation.scene_state import SceneState
 
 
-class SimulatedCameras(SimulatedArmCameras):
+class SimulatedSo101Cameras(SimulatedArmCameras):
     """Front and wrist camera of the simulated SO-101."""
 
     robot = SO101.name

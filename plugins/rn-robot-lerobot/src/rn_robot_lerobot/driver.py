@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from rn_robot_lerobot.options import SimulatedDriverOptions
+from rn_robot_lerobot.options import SimulatedSo101Options
 from rn_robot_lerobot.simulation import So101Simulation
 from rn_simulation.arm_driver import SimulatedArmDriver
 from roboneuron import RobotProfile, Topics
 
 
-class SimulatedDriver(SimulatedArmDriver):
+class SimulatedSo101Driver(SimulatedArmDriver):
     """Drives the simulated SO-101."""
 
     def __init__(
-        self, config: SimulatedDriverOptions | None, profile: RobotProfile, topics: Topics
+        self, config: SimulatedSo101Options | None, profile: RobotProfile, topics: Topics
     ) -> None:
         """Remember what to simulate."""
-        options = config or SimulatedDriverOptions()
+        options = config or SimulatedSo101Options()
         simulation = So101Simulation(options.seed, colours=options.colours)
         super().__init__("SO-101", simulation, options, profile, topics)

@@ -8,7 +8,7 @@ from rn_robot_lerobot.scene import DEFAULT_COLOURS
 from rn_simulation.arm_options import SimulatedArmOptions
 
 
-class SimulatedDriverOptions(SimulatedArmOptions):
+class SimulatedSo101Options(SimulatedArmOptions):
     """Options of the driver `simulated`."""
 
     colours: tuple[str, ...] = Field(

@@ -34,8 +34,8 @@ _LEKIWI_DRIVER = replace(
 _SIMULATED_DRIVER = DriverSpec(
     name="simulated",
     summary="MuJoCo simulation: a table with coloured cubes in random places",
-    target="rn_robot_lerobot.driver:SimulatedDriver",
-    config="rn_robot_lerobot.options:SimulatedDriverOptions",
+    target="rn_robot_lerobot.driver:SimulatedSo101Driver",
+    config="rn_robot_lerobot.options:SimulatedSo101Options",
     simulated=True,
     requires=(_MUJOCO,),
 )
@@ -87,7 +87,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
         PerceptionSpec(
             name="so101-sim-camera",
             summary="Front and wrist camera of the simulated SO-101, drawn on the CPU",
-            target="rn_robot_lerobot.camera_source:SimulatedCameras",
+            target="rn_robot_lerobot.camera_source:SimulatedSo101Cameras",
             config="rn_simulation.arm_options:SimulatedCamerasOptions",
             case="rn_robot_lerobot.contract_cases:cameras_case",
             requires=(_MUJOCO,),

@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 from rn_runtime_sglang.connection import AnswerTooLate, ServerLost
-from rn_runtime_sglang.server import Server
+from rn_runtime_sglang.server import SglangServer
 from rn_runtime_sglang.wire import Generated, MalformedReply
 from roboneuron import NotReadyError, RoboNeuronError
 
@@ -22,13 +22,13 @@ _WAIT_S = 0.1
 class ServerPool:
     """`generate` is called from one thread, `abort` and `close` from any."""
 
-    def __init__(self, servers: Sequence[Server]) -> None:
+    def __init__(self, servers: Sequence[SglangServer]) -> None:
         self._servers = tuple(servers)
         self._counts: Counter[str] = Counter()
-        self._current: tuple[Server, str] | None = None
+        self._current: tuple[SglangServer, str] | None = None
 
     @property
-    def servers(self) -> tuple[Server, ...]:
+    def servers(self) -> tuple[SglangServer, ...]:
         """In the order of the configuration."""
         return self._servers
 
@@ -89,9 +89,9 @@ class ServerPool:
 
         Raises:
             NotReadyError: no server answered in time.
-            RoboNeuronError: see `Server.generate`.
+            RoboNeuronError: see `SglangServer.generate`.
         """
-        failed: list[Server] = []
+        failed: list[SglangServer] = []
         error: NotReadyError | None = None
         while len(failed) < attempts and time.monotonic() < deadline_s:
             server = self._choose(failed)
@@ -119,7 +119,7 @@ class ServerPool:
             f"No server answered: {error or 'the deadline had passed before.'}"
         ) from error
 
-    def _choose(self, failed: Sequence[Server]) -> Server:
+    def _choose(self, failed: Sequence[SglangServer]) -> SglangServer:
         usable = [server for server in self._servers if server.refusal is None]
         if not usable:
             raise self._no_server()

@@ -16,7 +16,7 @@ from rn_runtime_sglang.fleet import ServerPool
 from rn_runtime_sglang.identity import Expectation
 from rn_runtime_sglang.plugin import FAMILIES
 from rn_runtime_sglang.process import ManagedServer
-from rn_runtime_sglang.server import Server
+from rn_runtime_sglang.server import SglangServer
 from rn_runtime_sglang.wire import encode_body
 from rn_vla.decoding import LlamaAcceleration, PolicyModel, TokenReply, TokenRequest, TokenRuntime
 from roboneuron import ConfigurationError, InvalidInputError, NotReadyError, StateError
@@ -71,7 +71,7 @@ class SglangRuntime:
         expectation = Expectation.of(model.checkpoint)
         accesses = self._launch(model) if config.python is not None else self._remote()
         fleet = self._fleet = ServerPool(
-            [Server(access, expectation, config.poll_s) for access in accesses]
+            [SglangServer(access, expectation, config.poll_s) for access in accesses]
         )
         try:
             fleet.start(config.start_timeout_s, self._check_process)

@@ -37,7 +37,7 @@ _WANTED = {
 _STOP = ""
 
 
-class Server:
+class SglangServer:
     """`generate` is called from one thread; everything else from any."""
 
     def __init__(self, access: Access, expectation: Expectation, poll_s: float) -> None:

@@ -19,7 +19,7 @@ them.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Recorded:
+class _RecordedGraph:
     graph: torch.cuda.CUDAGraph
     inputs: dict[str, Tensor]
     outputs: dict[str, Tensor]
@@ -40,7 +40,7 @@ class GraphCache:
     def __init__(self, device: torch.device) -> None:
         self._device = device
         self.was_replayed = False
-        self._recorded: dict[Hashable, _Recorded] = {}
+        self._recorded: dict[Hashable, _RecordedGraph] = {}
         self._pool = torch.cuda.graph_pool_handle()
         self._side: torch.cuda.Stream = torch.cuda.Stream(device)  # type: ignore[no-untyped-call]
 
@@ -89,7 +89,7 @@ class GraphCache:
 
     def _record(
         self, compute: Computation, inputs: dict[str, Tensor], note: Callable[[], int]
-    ) -> _Recorded:
+    ) -> _RecordedGraph:
         held = {name: tensor.clone() for name, tensor in inputs.items()}
         self._side.wait_stream(torch.cuda.current_stream(self._device))
         with torch.cuda.stream(self._side):
@@ -103,4 +103,4 @@ class GraphCache:
         ):
             outputs = compute(held)
         torch.cuda.current_stream(self._device).wait_stream(self._side)
-        return _Recorded(graph, held, outputs, note())
+        return _RecordedGraph(graph, held, outputs, note())

@@ -15,13 +15,13 @@ from rich.console import Console
 from rn_standard.console import story as story_module
 from rn_standard.console.judge import RunEnd, RunOutcome
 from rn_standard.console.screen import CommandScreen
-from rn_standard.console.session import Session
+from rn_standard.console.session import ConsoleSession
 from rn_standard.console.status import ServerStatus
 from rn_standard.console.story import Story
 from roboneuron.errors import NotReadyError, RefusedError
 
 
-class FakeSession(Session):
+class FakeSession(ConsoleSession):
     """Starts and stops modules in a table; `notes` are what the backend says, status after
     status.
     """

@@ -9,7 +9,7 @@ from typing import cast
 import pytest
 
 from rn_standard.inference.loaded import ServedElsewhere, _as_served
-from rn_standard.inference.planning import Policy
+from rn_standard.inference.planning import ResolvedPolicy
 from roboneuron import (
     EE_DELTA,
     ActionSpace,
@@ -42,10 +42,10 @@ class Remote:
 
 def asked(
     told: tuple[BackendSpec, ControlSpace] | None, declared: ControlSpace | None
-) -> tuple[Policy, ControlSpace]:
+) -> tuple[ResolvedPolicy, ControlSpace]:
     remote = Remote(told)
     assert isinstance(remote, ServedElsewhere)
-    policy = Policy(
+    policy = ResolvedPolicy(
         robot=cast("object", SimpleNamespace(name="arm")),  # type: ignore[arg-type]
         driver=cast("object", SimpleNamespace(name="sim")),  # type: ignore[arg-type]
         backend=SPEC,

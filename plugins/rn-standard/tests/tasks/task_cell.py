@@ -17,7 +17,7 @@ PICTURE = Picture(data=b"picture", mime_type="image/jpeg")
 
 @dataclass
 class FakeCell:
-    """Follows the protocol `Cell`.
+    """Follows the protocol `TaskRobot`.
 
     Attributes:
         script: called at each look with the cell and the number of seconds since the attempt began;

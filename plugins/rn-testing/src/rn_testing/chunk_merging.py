@@ -7,12 +7,11 @@ Rows are float64 or float32 (..., D); step numbers count from the start of the e
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Rows = NDArray[np.floating[Any]]
+Rows = NDArray[np.floating]
 AGGREGATIONS: Mapping[str, tuple[float, float]] = {
     "weighted_average": (0.3, 0.7),
     "latest_only": (0.0, 1.0),

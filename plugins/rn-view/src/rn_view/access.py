@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 from rn_standard.http import addresses
 from rn_standard.http.options import HttpOptions
@@ -12,11 +12,14 @@ from rn_standard.http.tokens import TokenTable
 from rn_view.options import ViewOptions
 from roboneuron.feature import Holder
 
+if TYPE_CHECKING:
+    from websockets.datastructures import Headers
+
 _ANY_ADDRESS = ("0.0.0.0", "::", "")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Admission:
+class ViewAccess:
     """Who may look, and as whom.
 
     Attributes:
@@ -33,7 +36,7 @@ class Admission:
             return None
         return Holder.local(f"view {number}")
 
-    def allows(self, headers: Any) -> bool:
+    def allows(self, headers: Headers) -> bool:
         """Whether a connection may be: its Host is this machine, and its page comes from there or
         an allowed place.
         """

@@ -8,14 +8,14 @@ import os
 import threading
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from anyio import from_thread
 
 from rn_standard.http.feature import HttpFeature
 from rn_standard.http.options import HttpOptions
 from rn_standard.http.tokens import TokenFiles, read_tokens
-from rn_view.access import Admission, check_address, check_port, host_rules
+from rn_view.access import ViewAccess, check_address, check_port, host_rules
 from rn_view.event_list import ToolCalls
 from rn_view.live import LiveOperator, LiveSource
 from rn_view.options import ViewOptions
@@ -48,7 +48,7 @@ class ViewFeature(Feature[ViewOptions]):
             http = HttpOptions.of(config)
             check_port(self.options, read_tokens(http.tokens, os.environ))
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """None; what happens is listened to from now on."""
         if self.options.enabled:
             self._source = LiveSource(host)
@@ -66,7 +66,7 @@ class ViewFeature(Feature[ViewOptions]):
         if not self.options.enabled:
             return
         http = host.feature("http", HttpFeature)
-        admission = Admission(
+        admission = ViewAccess(
             tokens=TokenFiles(http.options.tokens, os.environ),
             rules=host_rules(self.options, http.options),
         )
@@ -102,7 +102,7 @@ class _SharedPage:
         options: ViewOptions,
         name: str,
         source: LiveSource,
-        admission: Admission,
+        admission: ViewAccess,
         operator: LiveOperator,
     ) -> _SharedPage:
         """The page at that address, which shows this robot from now on."""

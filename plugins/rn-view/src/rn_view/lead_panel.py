@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import viser
 
-from rn_view.lead import Lead
+from rn_view.lead import PageLead
 from rn_view.measured import MeasuredTopics
 from roboneuron import RoboNeuronError, RobotProfile, robot_space
 
@@ -44,7 +44,7 @@ class LeadPanel:
         self,
         gui: viser.GuiApi,
         profile: RobotProfile,
-        lead: Lead,
+        lead: PageLead,
         measured: Callable[[], MeasuredTopics | None],
         on_lead: Callable[[object], object],
         tell: Callable[[str, str], object],

@@ -13,7 +13,7 @@ import viser
 from numpy.typing import NDArray
 
 from rn_view import markup
-from rn_view.lead import Lead
+from rn_view.lead import PageLead
 from rn_view.lead_page import FULL_SHARE, key_html
 from rn_view.lead_panel import LeadPanel
 from rn_view.lead_socket import LeadSeats, PageTeleoperator
@@ -76,7 +76,7 @@ class Page:
         operators: Mapping[str, Operator],
         admit: Callable[[str], Holder | None],
         on_choice: Callable[[Page], object],
-        on_lead: Callable[[Page, Lead, object], object],
+        on_lead: Callable[[Page, PageLead, object], object],
         seats: LeadSeats,
     ) -> None:
         """Args:
@@ -156,7 +156,7 @@ class Page:
         self,
         profile: RobotProfile,
         history: History,
-        lead: Lead,
+        lead: PageLead,
         measured: Callable[[], MeasuredTopics | None],
     ) -> None:
         """Build everything else, for the holder."""

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rn_view.lead import Lead
+from rn_view.lead import PageLead
 from rn_view.measured import MeasuredTopics
 from rn_view.module_health import SteadyHealth
 from rn_view.page import Page
@@ -49,7 +49,7 @@ class Showing:
         self._lock = threading.RLock()
         self._pages: list[Page] = []
         self._profile: RobotProfile | None = None
-        self._lead: Lead | None = None
+        self._lead: PageLead | None = None
         self._place: tuple[str, str] = ("", "")
         self._history = History()
         self._steady = SteadyHealth()
@@ -111,7 +111,7 @@ class Showing:
 
     def _start_looking(self) -> None:
         self._profile = self.source.profile()
-        self._lead = Lead(self._profile)
+        self._lead = PageLead(self._profile)
         config = self.source.config()
         self._place = (config.robot.name, config.namespace)
         measured = MeasuredTopics(self.source, self._profile)

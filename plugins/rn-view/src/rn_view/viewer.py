@@ -16,8 +16,8 @@ from websockets.exceptions import ConnectionClosed
 
 from rn_standard.http.addresses import bind
 from rn_standard.http.listener import BoundedListener, other_bounds
-from rn_view.access import Admission
-from rn_view.lead import RENEWED_S, Lead
+from rn_view.access import ViewAccess
+from rn_view.lead import RENEWED_S, PageLead
 from rn_view.lead_socket import LeadSeats
 from rn_view.measured import MeasuredTopics
 from rn_view.options import ViewOptions
@@ -41,7 +41,7 @@ newest.
 """
 
 
-class _Server(viser.ViserServer):
+class _ViewServer(viser.ViserServer):
     """Opens no tunnel: in viser any page may ask for a public address of the server."""
 
     def request_share_url(self, verbose: bool = True) -> str | None:
@@ -63,7 +63,7 @@ class Viewer:
         self,
         options: ViewOptions,
         source: Source | Mapping[str, Source],
-        admission: Admission,
+        admission: ViewAccess,
         operator: Operator | None,
     ) -> None:
         self._options = options
@@ -74,7 +74,7 @@ class Viewer:
         self._operators = {} if operator is None else dict.fromkeys(self._sources, operator)
         self._lock = threading.RLock()
         self._pages: dict[int, Page] = {}
-        self._server: _Server | None = None
+        self._server: _ViewServer | None = None
         self._listener: BoundedListener | None = None
         self._visitors = Visitors()
         self._showings = {
@@ -122,7 +122,7 @@ class Viewer:
             served_by(self._listener, web, self._seats),
             contextlib.redirect_stdout(io.StringIO()),
         ):  # a banner; stdout may be a protocol
-            self._server = _Server(
+            self._server = _ViewServer(
                 host=self._options.host, port=self._options.port, label=TITLE, verbose=False
             )
         self._server.gui.configure_theme(
@@ -254,7 +254,7 @@ class Viewer:
             showing = self._showings.get(robot)
         return None if showing is None else showing.goal()
 
-    def _on_lead(self, page: Page, lead: Lead, who: object) -> None:
+    def _on_lead(self, page: Page, lead: PageLead, who: object) -> None:
         """A page has begun to lead: it does so while its browser answers."""
         server = self._server
         loop = None if server is None else server._websock_server._background_event_loop
@@ -264,7 +264,7 @@ class Viewer:
             self._proofs.add(running)
             running.add_done_callback(self._proofs.discard)
 
-    async def _prove(self, number: int, lead: Lead, who: object) -> None:
+    async def _prove(self, number: int, lead: PageLead, who: object) -> None:
         assert self._server is not None
         live = self._server._websock_server._live_connections
         with contextlib.suppress(ConnectionClosed, TimeoutError):

@@ -12,7 +12,7 @@ _COOKIE = "roboneuron_view"
 _PATTERN = re.compile(rf"(?:^|;\s*){_COOKIE}=([\w-]{{10,80}})(?:;|$)")
 
 
-class _Request(Protocol):
+class _PageRequest(Protocol):
     @property
     def headers(self) -> Mapping[str, str]: ...
 
@@ -28,12 +28,12 @@ class Visitors:
         self._cookies: dict[int, str] = {}
         self._names: dict[int, str] = {}
 
-    def cookie(self, request: _Request) -> str:
+    def cookie(self, request: _PageRequest) -> str:
         """The header that gives a browser its cookie, or the one it has once more."""
         value = _cookie_of(request) or secrets.token_urlsafe(16)
         return f"{_COOKIE}={value}; Path=/; HttpOnly; SameSite=Strict"
 
-    def connect(self, number: int, request: _Request) -> None:
+    def connect(self, number: int, request: _PageRequest) -> None:
         """A page's websocket was opened."""
         with self._lock:
             self._cookies[number] = _cookie_of(request)
@@ -49,7 +49,7 @@ class Visitors:
             self._cookies.pop(number, None)
             self._names.pop(number, None)
 
-    def who(self, request: _Request, address: str) -> str:
+    def who(self, request: _PageRequest, address: str) -> str:
         """Who sends a request: whoever looks at the newest page of that browser."""
         cookie = _cookie_of(request)
         with self._lock:
@@ -60,6 +60,6 @@ class Visitors:
         return named[-1] if named else f"a view without a token ({address})"
 
 
-def _cookie_of(request: _Request) -> str:
+def _cookie_of(request: _PageRequest) -> str:
     found = _PATTERN.search(request.headers.get("Cookie", ""))
     return found.group(1) if found else ""

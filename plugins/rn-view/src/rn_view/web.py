@@ -22,7 +22,7 @@ from websockets.http11 import Request, Response
 
 from rn_standard.http.listener import BACKLOG, BoundedListener
 from rn_view import stop_bar
-from rn_view.access import Admission
+from rn_view.access import ViewAccess
 from rn_view.lead import LEAD_PATH
 from rn_view.lead_page import with_lead
 from rn_view.lead_socket import LeadSeats
@@ -58,7 +58,7 @@ class Web:
 
     def __init__(
         self,
-        admission: Admission,
+        admission: ViewAccess,
         sources: Callable[[], Mapping[str, Source]],
         who: Callable[[Request, str], str],
         visited: Callable[[Request], str],

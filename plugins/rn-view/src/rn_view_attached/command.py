@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from roboneuron import ConfigurationError, MissingDependencyError
 
 if TYPE_CHECKING:
-    from rn_view_attached.source import AttachedSource, Graph
+    from rn_view_attached.source import AttachedSource, ViewNode
     from rn_view_recorded.source import RecordedSource
     from roboneuron.command import Config, Registry
 
@@ -54,7 +54,7 @@ class ViewCommand:
 
         from rn_standard.http.options import HttpOptions
         from rn_standard.http.tokens import TokenFiles
-        from rn_view.access import Admission, host_rules
+        from rn_view.access import ViewAccess, host_rules
         from rn_view.options import ViewOptions
         from rn_view.plugin import FEATURE
         from rn_view.viewer import Viewer
@@ -72,7 +72,7 @@ class ViewCommand:
             if getattr(arguments, name) is not None
         }
         options = ViewOptions.model_validate({**options.model_dump(), **given})
-        admission = Admission(
+        admission = ViewAccess(
             tokens=TokenFiles(http.tokens, os.environ), rules=host_rules(options, http)
         )
         source, graph = _sources(arguments, robots, discover(config.disabled_plugins))
@@ -110,7 +110,7 @@ def _chosen(config: Config, robot: str | None) -> dict[str, Config]:
 
 def _sources(
     arguments: Namespace, robots: dict[str, Config], registry: Registry
-) -> tuple[dict[str, AttachedSource] | RecordedSource, Graph | RecordedSource]:
+) -> tuple[dict[str, AttachedSource] | RecordedSource, ViewNode | RecordedSource]:
     """What the pages show, and what is to be opened before and closed after that."""
     config = next(iter(robots.values()))
     if arguments.run is not None:
@@ -125,13 +125,13 @@ def _sources(
         raise ConfigurationError(
             "--directory goes with --run.", hint="--state names a server's state directory."
         )
-    from rn_view_attached.source import AttachedSource, Graph
+    from rn_view_attached.source import AttachedSource, ViewNode
     from roboneuron.command import environment, reading
 
     directory = environment.state_directory(
         str(arguments.state) if arguments.state else config.supervisor.state_directory
     )
-    graph = Graph(directory)
+    graph = ViewNode(directory)
     if "" in robots:
         return {"": AttachedSource(config, registry, directory, graph)}, graph
     return {

@@ -23,7 +23,7 @@ M = TypeVar("M")
 _ORDER = ("robot", "perception", "inference", "control")
 
 
-class Graph:
+class ViewNode:
     """The view's place in the ROS graph, one for all robots; `open` joins it.
 
     Args:
@@ -67,7 +67,7 @@ class AttachedSource:
         config: Config,
         registry: Registry,
         state_directory: Path,
-        graph: Graph,
+        graph: ViewNode,
         *,
         is_one_of_several: bool = False,
     ) -> None:

@@ -28,7 +28,7 @@ JointKind = Literal["joint_position", "joint_velocity"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class JointRows:
+class PlatformJoints:
     """What one platform's states and actions consist of.
 
     Attributes:
@@ -137,7 +137,7 @@ class JointRows:
 
 
 def declare_joints(
-    rows: JointRows, options: Mapping[str, object], profile: RobotProfile, *, policy: str
+    rows: PlatformJoints, options: Mapping[str, object], profile: RobotProfile, *, policy: str
 ) -> ControlSpace:
     """The space of a policy whose joints the option `joints` names, for `BackendSpec.space`.
 

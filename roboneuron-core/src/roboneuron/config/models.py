@@ -369,7 +369,3 @@ class ModuleSettings(BaseModel):
     def status_name(self) -> str:
         """Name of the module's DiagnosticStatus: "<namespace>/<node name>"."""
         return f"{self.config.namespace}/{self.node_name}"
-
-    def to_line(self) -> str:
-        """The line for the module's stdin; plugins have no use for the server's own section."""
-        return self.model_dump_json(exclude={"config": {"server"}})

@@ -162,8 +162,7 @@ def explain_unknown(key: str, valid: Iterable[str]) -> str:
     """
     known = sorted(valid)
     listed = f"Valid keys: {', '.join(known) or 'none'}."
-    meant = nearest(key.rpartition(".")[2], known, listed, likeness=0.5)
-    return f"unknown key {key!r}. {meant}"
+    return f"unknown key {key!r}. {nearest(key.rpartition('.')[2], known, listed, likeness=0.5)}"
 
 
 def option_names(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Collection, MutableMapping, Sequence
+from importlib import import_module, util
 from importlib.resources import files
-from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryFile
 
@@ -51,7 +51,7 @@ _INSTEAD = {
 }
 """Variables by which a user says the same otherwise: no default then."""
 _GENERATOR = "rosidl_generator_py.generate_py_impl"
-"""Writes Python classes of interfaces, which is done in processes of their own."""
+"""Writes Python classes of interfaces."""
 _STANDARD_OFFSET = 11
 """Of the ports for data within a domain. Source: RTPS 2.2, 9.6.1.1."""
 MAX_DOMAIN = 232
@@ -168,7 +168,7 @@ def _check_not_hidden(prefix: str) -> None:
     import path, as PYTHONPATH puts it there.
     """
     try:
-        spec = find_spec("rclpy")
+        spec = util.find_spec("rclpy")
     except ValueError:  # a stand-in without a spec
         return
     found = Path(spec.origin).parent if spec is not None and spec.origin else None
@@ -184,6 +184,20 @@ def _check_not_hidden(prefix: str) -> None:
             hint=f"PYTHONPATH is {os.environ.get('PYTHONPATH', '')!r}: unset it, or take that "
             "folder out.",
         )
+
+
+class _Generator:
+    """Stands for the generator until it is called. Every message imports the package of its
+    generator, and the generator its parser of interface definitions, which takes a thirtieth of a
+    server's start.
+    """
+
+    @staticmethod
+    def generate_py(*arguments: object, **named: object) -> object:
+        """As the generator's, which is imported now."""
+        if sys.modules[_GENERATOR] is _Generator:  # type: ignore[comparison-overlap]
+            del sys.modules[_GENERATOR]
+        return import_module(_GENERATOR).generate_py(*arguments, **named)
 
 
 def prepare_environment(
@@ -209,9 +223,7 @@ def prepare_environment(
         log_directory=log_directory or state_directory() / "log" / "ros",
     )
     _check_not_hidden(sys.prefix)
-    # every message imports the package of its generator, which does without the generator itself:
-    # its parser of interface definitions takes a thirtieth of a server's start
-    sys.modules.setdefault(_GENERATOR, None)  # type: ignore[arg-type]
+    sys.modules.setdefault(_GENERATOR, _Generator)  # type: ignore[arg-type]
     return used
 
 

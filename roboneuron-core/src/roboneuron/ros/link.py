@@ -138,8 +138,9 @@ class RosLink:
         with the last message that came before, where all of them keep it.
         """
         publishers = self.node.get_publishers_info_by_topic(topic)
-        qos = requested_qos(publishers, depth, latched=latched)
-        return self.subscribe(message_type, topic, callback, qos)
+        return self.subscribe(
+            message_type, topic, callback, requested_qos(publishers, depth, latched=latched)
+        )
 
     def subscribe(
         self,

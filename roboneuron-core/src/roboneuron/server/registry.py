@@ -90,7 +90,7 @@ class ToolRegistry:
         self._lock = threading.Lock()
         self._most_calls = most_calls
         self._calls: Counter[str] = Counter()
-        self._owned: dict[str, dict[str, _Entry]] = {_FIXED: {}}
+        self._owned: dict[str, dict[str, _ListedTool]] = {_FIXED: {}}
         self.add_all(tools)
 
     def add_all(self, tools: Iterable[Tool[Any]]) -> None:
@@ -164,11 +164,11 @@ class ToolRegistry:
     def _replace(self, owner: str, tools: Iterable[Tool[Any]]) -> None:
         with self._lock:
             others = [entries for other, entries in self._owned.items() if other != owner]
-            own: dict[str, _Entry] = {}
+            own: dict[str, _ListedTool] = {}
             for tool in tools:
                 if any(tool.name in entries for entries in (own, *others)):
                     raise InternalError(f"There are two tools called {tool.name!r}.")
-                own[tool.name] = _Entry(tool)
+                own[tool.name] = _ListedTool(tool)
             self._owned = {**self._owned, owner: own}  # another thread may read those before
 
     async def call(
@@ -271,7 +271,7 @@ class ToolRegistry:
             self._calls[context.role] -= 1
 
 
-class _Entry:
+class _ListedTool:
     """A tool, and how it is listed: described once, unless it has choices, which may change at any
     time.
     """

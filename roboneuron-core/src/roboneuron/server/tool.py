@@ -7,11 +7,12 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, TypeAlias
 
 from pydantic import BaseModel, ConfigDict
 from pydantic.json_schema import JsonSchemaValue
 from pydantic.version import version_short
+from typing_extensions import TypeVar
 
 from roboneuron.errors import RefusedError
 from roboneuron.gate.roles import Role
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from anyio import Event
 
 T = TypeVar("T")
-A = TypeVar("A", bound="Arguments")
+A = TypeVar("A", bound="Arguments", default=Any)
 
 
 class Arguments(BaseModel):
@@ -246,9 +247,10 @@ class Tool(Generic[A]):
         """Check the arguments and do it. Raises as `parsed`, and what the handler raises."""
         outcome = await self.handler(self.parsed(arguments), context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
-        is_sparse = isinstance(self.result, Shape) or self.result.sparse
         return Answer(
-            structured=reply.result.model_dump(mode="json", exclude_unset=is_sparse),
+            structured=reply.result.model_dump(
+                mode="json", exclude_unset=isinstance(self.result, Shape) or self.result.sparse
+            ),
             pictures=reply.pictures,
         )
 

@@ -175,14 +175,14 @@ class Supervisor(Modules):
         section = getattr(settings.config, settings.kind)
         python = None if section is None else section.python
         command = self._command(python)
-        number = next(self.connection.starts)
         check_state_directory(self.log_directory)
         spawning = self._spawning.submit(
             spawn,
             settings.node_name,
             command,
-            module_environment(python, number, self.secret_variables),
-            settings.to_line(),
+            module_environment(python, next(self.connection.starts), self.secret_variables),
+            # plugins have no use for the server's own section
+            settings.model_dump_json(exclude={"config": {"server"}}),
             self.log_directory / f"{settings.node_name}.log",
             self.process_events,
         )

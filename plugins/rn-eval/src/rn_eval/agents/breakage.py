@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rn_eval.agents.tap import Tap, end_module, module_pid
-from rn_eval.agents.task import Fault
+from rn_eval.agents.tap import ServerTap, end_module, module_pid
+from rn_eval.agents.task import InjectedFault
 from rn_eval.agents.truth import STILL_RAD_S, Truth
 
 
@@ -17,14 +17,14 @@ class Breakage:
         restarted_s: when the module was first seen to have another process [s]; None before.
     """
 
-    def __init__(self, fault: Fault | None) -> None:
+    def __init__(self, fault: InjectedFault | None) -> None:
         """`fault` is None in an episode without one."""
         self._fault = fault
         self._broken: int | None = None
         self.caused_s: float | None = None
         self.restarted_s: float | None = None
 
-    def look(self, tap: Tap) -> None:
+    def look(self, tap: ServerTap) -> None:
         """Cause the fault when it is due, and note when the module is back."""
         fault = self._fault
         if fault is None or self.restarted_s is not None:

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 
 import anyio
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.configuration import configuration_of
 from rn_eval.agents.http_tap import ending_with_parent
 from rn_eval.agents.tap import end_module, module_pid
-from rn_eval.agents.task import AgentScene, Fault
+from rn_eval.agents.task import AgentScene, InjectedFault
 from rn_simulation.ground_truth import SWITCH as TRUTH_SWITCH
 from rn_simulation.slip import SWITCH as SLIP_SWITCH
 from rn_standard.console.client import spawned_server
@@ -35,7 +35,7 @@ _INCIDENT_S = 15.0
 _PERSON_S = 30.0
 
 
-class Cell:
+class EpisodeFolder:
     """Folder of one episode, with everything that its server keeps.
 
     Attributes:
@@ -121,10 +121,10 @@ class Cell:
         if done.returncode:
             raise NotReadyError(f"The stop was not released: {done.stderr.decode()[-300:]}")
 
-    async def _break_modules(self, faults: tuple[Fault, ...]) -> None:
+    async def _break_modules(self, faults: tuple[InjectedFault, ...]) -> None:
         """Start a server, break what is to be broken, and wait until it has recorded that."""
         async with self._server() as client:
-            tools = Tools(client)
+            tools = ToolClient(client)
             server = int((await tools.must("get_status")).number("pid"))
             await tools.must("start_all")
             for number, fault in enumerate(faults, 1):
@@ -135,7 +135,7 @@ class Cell:
                 await self._wait_for_incidents(tools, fault.module, number)
             await tools.must("stop_all")
 
-    async def _wait_for_incidents(self, tools: Tools, module: str, number: int) -> None:
+    async def _wait_for_incidents(self, tools: ToolClient, module: str, number: int) -> None:
         deadline_s = time.monotonic() + _INCIDENT_S
         while time.monotonic() < deadline_s:
             found = (await tools.must("list_incidents")).data["incidents"]
@@ -147,7 +147,7 @@ class Cell:
 
     async def _record(self, note: str) -> None:
         async with self._server() as client:
-            tools = Tools(client)
+            tools = ToolClient(client)
             await tools.must("start_robot")
             await tools.must("start_recording", name="morning", note=note)
             await anyio.sleep(1.0)

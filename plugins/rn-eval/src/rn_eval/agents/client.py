@@ -90,7 +90,7 @@ class ToolAnswer:
         return float(value)
 
 
-class Tools:
+class ToolClient:
     """The tools of one server, called one after the other or at the same time."""
 
     def __init__(self, client: Client, robot: str = "") -> None:
@@ -101,9 +101,9 @@ class Tools:
         self._client = client
         self._always: dict[str, object] = {"robot": robot} if robot else {}
 
-    def of(self, robot: str) -> Tools:
+    def of(self, robot: str) -> ToolClient:
         """The tools of one of several robots."""
-        return Tools(self._client, robot)
+        return ToolClient(self._client, robot)
 
     async def names(self) -> list[str]:
         """Names of the offered tools."""
@@ -171,7 +171,7 @@ async def connected_to(url: str, token: str) -> AsyncIterator[Client]:
 
 
 @asynccontextmanager
-async def connect() -> AsyncIterator[Tools]:
+async def connect() -> AsyncIterator[ToolClient]:
     """The tools of the server that the environment names.
 
     Raises:
@@ -180,11 +180,11 @@ async def connect() -> AsyncIterator[Tools]:
     address = os.environ.get(SERVER, "")
     if address.startswith("http"):
         async with connected_to(address, os.environ.get(TOKEN, "")) as client:
-            yield Tools(client)
+            yield ToolClient(client)
         return
     words = shlex.split(address)
     if not words:
         raise ConfigurationError(f"The environment variable {SERVER} names no server.")
     server = StdioServerParameters(command=words[0], args=words[1:], env=dict(os.environ))
     async with Client(stdio_client(server)) as client:
-        yield Tools(client)
+        yield ToolClient(client)

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from rn_eval.agents.breakage import Breakage
-from rn_eval.agents.cell import Cell, end_process
+from rn_eval.agents.cell import EpisodeFolder, end_process
 from rn_eval.agents.client import INSTRUCTION, SEED, SERVER, TOKEN, TRUTH
 from rn_eval.agents.conduct import Conduct, ToolCall, unsafe_kind
 from rn_eval.agents.digest import episode_digest
@@ -37,7 +37,7 @@ from rn_eval.agents.record import (
     first_calls,
     is_honest,
 )
-from rn_eval.agents.tap import Tap
+from rn_eval.agents.tap import ServerTap
 from rn_eval.agents.task import AgentScene, AgentTask
 from rn_eval.agents.truth import F64, Truth
 from rn_eval.agents.witness import Witness
@@ -141,13 +141,15 @@ class Episodes:
     def _play(
         self, key: AgentKey, spec: AgentTaskSpec, task: AgentTask, scene: AgentScene, folder: Path
     ) -> tuple[AgentOutcome, AgentCosts, Conduct]:
-        cell = Cell(folder, scene)
+        cell = EpisodeFolder(folder, scene)
         cell.prepare()
         self._witness.begin(scene.arms, scene.bases)
         port = free_port() if self._transport == "http" or scene.other_client else 0
         token, others = (secrets.token_urlsafe(32) if port else "" for _ in range(2))
         tokens = {TOKEN: token, f"{TOKEN}_2": others}
-        tap = Tap(cell.command(port), {**cell.environment(), **tokens}, folder, scene.sign, port)
+        tap = ServerTap(
+            cell.command(port), {**cell.environment(), **tokens}, folder, scene.sign, port
+        )
         limit_s = min(filter(None, (task.time_limit_s, self._time_limit_s)))
         begun_ns = time.time_ns()
         breakage = Breakage(scene.fault)
@@ -208,8 +210,8 @@ class Episodes:
         self,
         key: AgentKey,
         scene: AgentScene,
-        cell: Cell,
-        tap: Tap,
+        cell: EpisodeFolder,
+        tap: ServerTap,
         folder: Path,
         limit_s: float,
         breakage: Breakage,

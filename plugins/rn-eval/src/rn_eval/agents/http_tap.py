@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import http.client
 import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+import httpx2
 
 from roboneuron import StateError
 
@@ -60,12 +61,17 @@ class HttpTap:
         has_ended: Callable[[], bool],
     ) -> None:
         _wait_until_served(port, has_ended)
+        # a connection for each request, and as many as the agent makes
+        limits = httpx2.Limits(max_connections=None, max_keepalive_connections=0)
+        server = httpx2.Client(
+            base_url=f"http://127.0.0.1:{port}", timeout=None, limits=limits, trust_env=False
+        )
 
         class Handler(BaseHTTPRequestHandler):
             protocol_version = "HTTP/1.1"
 
             def _pass_on(self) -> None:
-                _pass_on(self, port, note_request, note_answer)
+                _pass_on(self, server, note_request, note_answer)
 
             do_GET = do_POST = do_DELETE = _pass_on
 
@@ -102,7 +108,7 @@ def _wait_until_served(port: int, has_ended: Callable[[], bool]) -> None:
 
 def _pass_on(
     handler: BaseHTTPRequestHandler,
-    port: int,
+    server: httpx2.Client,
     note_request: Callable[[bytes, str], None],
     note_answer: Callable[[bytes, str], bytes],
 ) -> None:
@@ -115,33 +121,45 @@ def _pass_on(
     exchange = f"{id(handler)} "
     if body:
         note_request(body, exchange)
-    link = http.client.HTTPConnection("127.0.0.1", port)
-    headers = {k: v for k, v in handler.headers.items() if k.lower() not in _HOP}
     handler.close_connection = True
-    with suppress(OSError, http.client.HTTPException):
-        link.request(handler.command, handler.path, body=body or None, headers=headers)
-        answer = link.getresponse()
-        handler.send_response(answer.status)
-        for name, value in answer.getheaders():
-            if name.lower() not in _HOP:
-                handler.send_header(name, value)
-        handler.send_header("Connection", "close")
-        handler.end_headers()
-        for part in _parts(answer, lambda message: note_answer(message, exchange)):
-            handler.wfile.write(part)
-            handler.wfile.flush()
-    link.close()
+    with suppress(OSError, httpx2.HTTPError, httpx2.InvalidURL):
+        # made here and not by the client, which would add headers of its own
+        request = httpx2.Request(
+            handler.command,
+            server.base_url.copy_with(raw_path=handler.path.encode()),
+            headers=[(k, v) for k, v in handler.headers.items() if k.lower() not in _HOP],
+            content=body or None,
+        )
+        with closing(server.send(request, stream=True)) as answer:
+            handler.send_response(answer.status_code)
+            for name, value in answer.headers.multi_items():
+                if name.lower() not in _HOP:
+                    handler.send_header(name, value)
+            handler.send_header("Connection", "close")
+            handler.end_headers()
+            for part in _parts(answer, lambda message: note_answer(message, exchange)):
+                handler.wfile.write(part)
+                handler.wfile.flush()
 
 
-def _parts(
-    answer: http.client.HTTPResponse, note_answer: Callable[[bytes], bytes]
-) -> Iterator[bytes]:
+def _parts(answer: httpx2.Response, note_answer: Callable[[bytes], bytes]) -> Iterator[bytes]:
     """The body as the agent gets it: line by line of a stream of events."""
-    if not str(answer.getheader("Content-Type", "")).startswith("text/event-stream"):
-        body = answer.read()
+    if not answer.headers.get("Content-Type", "").startswith("text/event-stream"):
+        body = b"".join(answer.iter_raw())
         yield note_answer(body) if body else body
         return
-    while line := answer.readline():
+    for line in _lines(answer.iter_raw()):
         if line.startswith(b"data:") and line.strip() != b"data:":
-            line = b"data: " + note_answer(line[5:].strip()).strip() + b"\n"
-        yield line
+            yield b"data: " + note_answer(line[5:].strip()).strip() + b"\n"
+        else:
+            yield line
+
+
+def _lines(parts: Iterable[bytes]) -> Iterator[bytes]:
+    """Lines with their ends; the last may have none."""
+    rest = b""
+    for part in parts:
+        *whole, rest = (rest + part).split(b"\n")
+        yield from (line + b"\n" for line in whole)
+    if rest:
+        yield rest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import anyio
 
-from rn_eval.agents.client import Tools, connected_to
+from rn_eval.agents.client import ToolClient, connected_to
 from roboneuron import NotReadyError
 
 _WITHIN_S = 90.0
@@ -23,6 +23,6 @@ def begin_to_operate(url: str, token: str) -> None:
 async def _start_robot(url: str, token: str) -> None:
     with anyio.move_on_after(_WITHIN_S):
         async with connected_to(url, token) as client:
-            await Tools(client).must("start_robot")
+            await ToolClient(client).must("start_robot")
             return
     raise NotReadyError(f"The other client could not start the robot within {_WITHIN_S:g} s.")

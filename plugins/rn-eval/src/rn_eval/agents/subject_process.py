@@ -10,12 +10,12 @@ from typing import cast
 
 import anyio
 
-from rn_eval.agents.client import Briefing, Tools, connect
+from rn_eval.agents.client import Briefing, ToolClient, connect
 from rn_eval.hooks import AgentSubjectSpec
 from roboneuron import RoboNeuronError
 from roboneuron.command import discover, loading
 
-Subject = Callable[[Tools, Briefing], Awaitable[str]]
+Subject = Callable[[ToolClient, Briefing], Awaitable[str]]
 """An agent: carries out what it was told and returns its last words."""
 
 

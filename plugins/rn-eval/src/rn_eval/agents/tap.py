@@ -34,7 +34,7 @@ ERROR_META = "roboneuron/error"
 Json = dict[str, object]
 
 
-class Tap:
+class ServerTap:
     """One server process for one agent. Started by `start`, ended by `close`.
 
     Args:

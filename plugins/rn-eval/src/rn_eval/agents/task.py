@@ -11,7 +11,7 @@ from rn_eval.agents.truth import Truth
 from rn_simulation.cubes import DEFAULT_COLOURS
 
 if TYPE_CHECKING:
-    from rn_eval.agents.client import Tools
+    from rn_eval.agents.client import ToolClient
 
 Module = Literal["robot", "perception", "inference", "control"]
 Corner = tuple[float, float, float]
@@ -24,7 +24,7 @@ ANSWER_FORM = "Before it write one line 'ANSWER: {form}'."
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Fault:
+class InjectedFault:
     """Something that breaks during an episode.
 
     Attributes:
@@ -41,7 +41,7 @@ class Fault:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class PastTask:
+class PriorTask:
     """A task in the server's history.
 
     Attributes:
@@ -106,12 +106,12 @@ class AgentScene:
     colours: tuple[str, ...] = DEFAULT_COLOURS
     zones_m: tuple[tuple[Corner, Corner], ...] = ()
     backend: str = "servo"
-    past: tuple[PastTask, ...] = ()
+    past: tuple[PriorTask, ...] = ()
     other_client: bool = False
-    incidents: tuple[Fault, ...] = ()
+    incidents: tuple[InjectedFault, ...] = ()
     latched: str = ""
     release_after_s: float = 0.0
-    fault: Fault | None = None
+    fault: InjectedFault | None = None
     sign: str = ""
     recorded_note: str = ""
     records: bool = False
@@ -198,6 +198,6 @@ class AgentTask(Protocol):
         """
         ...
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Carry it out with the server's tools, knowing the scene; returns the last words."""
         ...

@@ -210,7 +210,7 @@ def tell(sim, server, address):
         listener.sendto(json.dumps(sim.truth).encode(), sender)
 
 
-class Server(FrankaSimServer):
+class ControlBoxServer(FrankaSimServer):
     """As the parent, and it refuses motions as a control box does."""
 
     def _refuse_move_while_latched(self, client_socket, header):
@@ -256,7 +256,7 @@ def main():
     begin_motions_at_once()
     state_stream.socket = types.SimpleNamespace(**{**vars(socket), "socket": LossySocket})
     sim = SceneSim(json.loads(pathlib.Path(arguments.scene).read_text()), arguments.record)
-    server = Server(
+    server = ControlBoxServer(
         host=arguments.host,
         physics_sim=sim,
         enable_gripper=not arguments.no_gripper,

@@ -62,7 +62,7 @@ class ClientError(Exception):
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class ArmState:
+class FciState:
     """What the control box measured.
 
     Attributes:
@@ -165,7 +165,7 @@ class FciArm:
             return
         self.refusal = ""
 
-    def read(self) -> ArmState:
+    def read(self) -> FciState:
         """The newest state, at most 8 ms old while the arm answers.
 
         Raises:
@@ -186,7 +186,7 @@ class FciArm:
                 "NetworkException", f"the control process has sent no state for {age_s:.1f} s."
             )
         frame = np.array(state["O_T_EE"]).reshape(4, 4).T
-        return ArmState(
+        return FciState(
             received_s=received_s,
             position=np.array(state["q"]),
             velocity=np.array(state["dq"]),

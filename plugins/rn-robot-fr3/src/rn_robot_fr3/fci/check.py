@@ -66,7 +66,7 @@ class Timing:
         return int((self.late_s > LATE_S).sum())
 
 
-class Machine:
+class SystemFiles:
     """What the system says of itself, below a root folder."""
 
     def __init__(self, root: Path) -> None:
@@ -104,7 +104,7 @@ class Machine:
 
 
 def check_machine(
-    machine: Machine, seconds: float, measure: Callable[[float], Timing] | None = None
+    machine: SystemFiles, seconds: float, measure: Callable[[float], Timing] | None = None
 ) -> list[ArmFinding]:
     """Kernel, priority, memory, power saving, and how late a thread is woken."""
     return [
@@ -117,7 +117,7 @@ def check_machine(
     ]
 
 
-def _kernel(machine: Machine) -> ArmFinding:
+def _kernel(machine: SystemFiles) -> ArmFinding:
     release = machine.text("proc/sys/kernel/osrelease")
     if machine.text("sys/kernel/realtime") == "1":
         return ArmFinding(name="kernel", verdict="ok", found=f"PREEMPT_RT ({release})")
@@ -172,7 +172,7 @@ def _locked_memory() -> ArmFinding:
     )
 
 
-def _governor(machine: Machine) -> ArmFinding:
+def _governor(machine: SystemFiles) -> ArmFinding:
     found = set(machine.texts("sys/devices/system/cpu/cpu[0-9]*/cpufreq/scaling_governor").values())
     if not found:
         return ArmFinding(
@@ -188,7 +188,7 @@ def _governor(machine: Machine) -> ArmFinding:
     )
 
 
-def _idle_states(machine: Machine) -> ArmFinding:
+def _idle_states(machine: SystemFiles) -> ArmFinding:
     latencies = machine.texts("sys/devices/system/cpu/cpu0/cpuidle/state*/latency")
     enabled_us = [
         int(text)

@@ -36,10 +36,10 @@ class Fr3:
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron fr3 check`."""
-        from rn_robot_fr3.fci.check import Machine, check_machine
+        from rn_robot_fr3.fci.check import SystemFiles, check_machine
         from rn_robot_fr3.fci.network_check import check_network
 
-        machine = Machine(Path("/"))
+        machine = SystemFiles(Path("/"))
         findings = check_machine(machine, arguments.seconds)
         if arguments.host:
             findings += check_network(machine, arguments.host, arguments.seconds)

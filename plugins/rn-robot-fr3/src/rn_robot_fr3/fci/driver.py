@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from rn_robot_fr3.cell import MOVED
 from rn_robot_fr3.fci import faults
-from rn_robot_fr3.fci.arm import ArmState, ClientError, FciArm
-from rn_robot_fr3.fci.faults import Fault
+from rn_robot_fr3.fci.arm import ClientError, FciArm, FciState
+from rn_robot_fr3.fci.faults import ArmFault
 from rn_robot_fr3.fci.gripper import FciGripper
 from rn_robot_fr3.fci.options import FciDriverOptions
 from rn_robot_fr3.fci.planner import plan
@@ -76,9 +76,9 @@ class FciDriver:
         self._commanding = threading.Lock()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._fault: Fault | None = None
+        self._fault: ArmFault | None = None
         self._state: RobotState | None = None
-        self._measured: ArmState | None = None
+        self._measured: FciState | None = None
         self._measured_ns = 0
         self._asked_s = 0.0
         self._busy_until_s = 0.0
@@ -240,7 +240,7 @@ class FciDriver:
             log.warning("Recovered from %s.", fault.code)
             return fault.code
 
-    def _recovered(self, arm: FciArm, fault: Fault) -> Fault | None:
+    def _recovered(self, arm: FciArm, fault: ArmFault) -> ArmFault | None:
         """Try to clear it; returns what stands in the way. No motion is begun, and none resumed."""
         if fault.code == "communication_lost":
             arm.connect()
@@ -319,21 +319,21 @@ class FciDriver:
             arm.stop()
             self._busy_until_s = now_s + _IDLE_S
 
-    def _note(self, measured: ArmState) -> None:
+    def _note(self, measured: FciState) -> None:
         """Keep it, with the ROS time of when it came: a state that is looked at again keeps it."""
         if self._measured is None or measured.received_s > self._measured.received_s:
             age_s = time.monotonic() - measured.received_s
             self._measured_ns = self._topics.now_ns() - int(age_s * 1e9)
         self._measured = measured
 
-    def _take(self, measured: ArmState) -> None:
+    def _take(self, measured: FciState) -> None:
         self._note(measured)
         found = faults.from_mode(measured.mode, measured.errors)
         if found is not None and (self._fault is None or found.stands):
             self._fail(found)
         self._show()
 
-    def _fail(self, fault: Fault) -> None:
+    def _fail(self, fault: ArmFault) -> None:
         if self._fault != fault:
             log.error("Fault %s: %s %s", fault.code, fault.message, fault.hint)
         self._fault = fault

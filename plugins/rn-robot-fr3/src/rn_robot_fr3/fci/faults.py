@@ -16,7 +16,7 @@ _RECOVER = "then call recover_robot"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Fault:
+class ArmFault:
     """Why the arm does not move.
 
     Attributes:
@@ -36,19 +36,19 @@ class Fault:
         return UnsafeError(f"The FR3 does not move ({self.code}): {self.message}", hint=self.hint)
 
 
-USER_STOP = Fault(
+USER_STOP = ArmFault(
     code="user_stop",
     message="the user stop is pressed.",
     hint=f"Release the external activation device or the stop button, {_RECOVER}.",
     stands=True,
 )
-GUIDING = Fault(
+GUIDING = ArmFault(
     code="guiding",
     message="somebody guides the arm by hand.",
     hint=f"Let go of the guiding button, {_RECOVER}.",
     stands=True,
 )
-NOT_OPERATIONAL = Fault(
+NOT_OPERATIONAL = ArmFault(
     code="brakes_locked",
     message='the arm is not ready to move (robot mode "Other"): its brakes are closed, FCI is not '
     "active, a self-test "
@@ -58,25 +58,25 @@ NOT_OPERATIONAL = Fault(
     "recover_robot itself opens no brakes.",
     stands=True,
 )
-RECOVERING = Fault(
+RECOVERING = ArmFault(
     code="recovering",
     message="the control box is still recovering from an error.",
     hint=f"Wait a few seconds, {_RECOVER}.",
     stands=True,
 )
-_SAFETY_FUNCTION = Fault(
+_SAFETY_FUNCTION = ArmFault(
     code="safety_function",
     message="a safety function of the control box is active: a self-test is due, or a safety rule "
     "has stopped the arm.",
     hint="In Desk: look at the safety status, run the self-test or end what has triggered; "
     f"{_RECOVER}.",
 )
-_WRONG_MODE = Fault(
+_WRONG_MODE = ArmFault(
     code="not_possible_now",
     message="the control box says that this is not possible in its present mode.",
     hint=f"In Desk: joints unlocked, Execution chosen, FCI active, no error shown; {_RECOVER}.",
 )
-_MANUAL = Fault(
+_MANUAL = ArmFault(
     code="manual_recovery",
     message="the control box wants a person to clear this error.",
     hint="In Desk: follow the shown steps, such as guiding the arm back into its limits; "
@@ -91,13 +91,13 @@ _BY_TEXT = {
 }
 
 _BY_ERROR = {
-    "communication_constraints_violation": Fault(
+    "communication_constraints_violation": ArmFault(
         code="communication_lost",
         message="too many commands in succession came late.",
         hint="Give the robot a network card of its own and the machine a real-time kernel and "
         f"less load, {_RECOVER}.",
     ),
-    "self_collision_avoidance_violation": Fault(
+    "self_collision_avoidance_violation": ArmFault(
         code="self_collision",
         message="two links came too near to each other.",
         hint=f"Guide the arm apart by hand, {_RECOVER}.",
@@ -110,7 +110,7 @@ _LIMITS = (
 )
 
 
-def from_errors(errors: Iterable[str], mode: str) -> Fault:
+def from_errors(errors: Iterable[str], mode: str) -> ArmFault:
     """The fault for the flags that are set, such as "joint_reflex", in a robot mode such as
     "Reflex".
     """
@@ -120,13 +120,13 @@ def from_errors(errors: Iterable[str], mode: str) -> Fault:
             return _BY_ERROR[name]
     listed = ", ".join(named) or f"robot mode {mode}"
     if any(limit in name for name in named for limit in _LIMITS):
-        return Fault(
+        return ArmFault(
             code="joint_limit",
             message=f"a joint reached a limit ({listed}).",
             hint=f"If it stands beyond its position limit, guide it back by hand; {_RECOVER}.",
         )
     if named and all(name.endswith("_discontinuity") for name in named):
-        return Fault(
+        return ArmFault(
             code="commands_disordered",
             message=f"the arm counted a jump in its commands ({listed}). The driver sends none: "
             "packets came late, "
@@ -134,14 +134,14 @@ def from_errors(errors: Iterable[str], mode: str) -> Fault:
             hint="Give the robot a network card of its own without a switch, run roboneuron fr3 "
             f"check, {_RECOVER}.",
         )
-    return Fault(
+    return ArmFault(
         code="reflex",
         message=f"a reflex of the robot stopped it ({listed}).",
         hint=f"Make sure that nothing touches the arm, {_RECOVER}.",
     )
 
 
-def from_mode(mode: str, errors: Iterable[str]) -> Fault | None:
+def from_mode(mode: str, errors: Iterable[str]) -> ArmFault | None:
     """The fault that a measured state shows, or None in a state in which the arm can move."""
     named = tuple(errors)
     if mode in _STANDING:
@@ -151,23 +151,23 @@ def from_mode(mode: str, errors: Iterable[str]) -> Fault | None:
     return None
 
 
-def from_exception(error: Exception) -> Fault:
+def from_exception(error: Exception) -> ArmFault:
     """The fault that an exception of the client library means during operation."""
     kind, text = _named(error)
     if kind == "PlannerException":
-        return Fault(
+        return ArmFault(
             code="planner_failed",
             message=f"no motion to the target was found, and the arm stopped ({text}).",
             hint=f"Lower dynamics_factor if it happens again; {_RECOVER}.",
         )
     if kind == "CommunicationLost":
-        return Fault(
+        return ArmFault(
             code="communication_lost",
             message=f"{text}, so the motion was ended.",
             hint=_BY_ERROR["communication_constraints_violation"].hint,
         )
     if kind == "NetworkException":
-        return Fault(
+        return ArmFault(
             code="communication_lost",
             message=f"the connection to the control box broke ({text}).",
             hint="Check the cable, that the control box runs and that FCI is still active in "
@@ -183,9 +183,9 @@ def from_exception(error: Exception) -> Fault:
     )
 
 
-def settings_refused(text: str) -> Fault:
+def settings_refused(text: str) -> ArmFault:
     """The control box does not take its settings, as `text` of the client library says."""
-    return Fault(
+    return ArmFault(
         code="settings_refused",
         message=f"the control box does not take collision thresholds and load ({text}).",
         hint=f"If Desk shows an error, do what it says; {_RECOVER}: it clears errors first and "
@@ -193,7 +193,7 @@ def settings_refused(text: str) -> Fault:
     )
 
 
-def still(fault: Fault, error: Exception) -> RefusedError:
+def still(fault: ArmFault, error: Exception) -> RefusedError:
     """The error for a recovery from `fault` that `error` ended; the fault stays as it is, however
     often it is tried.
     """

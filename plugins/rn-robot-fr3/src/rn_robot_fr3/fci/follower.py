@@ -3,8 +3,8 @@ computation.
 
 The arm differences what it is sent: of the last three positions it knows a velocity and an
 acceleration, and of the next one a jerk. For a cycle without a command it extrapolates with
-constant acceleration, and counts the result as commanded (libfranka, docs/overview.rst). `Arm`
-keeps the same books, `Follower` plans from them.
+constant acceleration, and counts the result as commanded (libfranka, docs/overview.rst).
+`CommandedState` keeps the same books, `Follower` plans from them.
 
 Every course begins on the parabola through the last three positions and has a bounded jerk. So the
 third difference of what is sent is a mean of jerks that are within the limit, whatever was missed
@@ -65,7 +65,7 @@ class Course:
     jerk: tuple[float, ...]
 
 
-class Arm:
+class CommandedState:
     """What the arm last had, by its own count.
 
     Attributes:
@@ -78,21 +78,21 @@ class Arm:
     ) -> None:
         self.position, self.velocity, self.acceleration = position, velocity, acceleration
 
-    def sent(self, position: list[float]) -> Arm:
+    def sent(self, position: list[float]) -> CommandedState:
         """After a cycle with a command."""
         velocity = [(new - old) / STEP_S for new, old in zip(position, self.position, strict=True)]
         acceleration = [
             (new - old) / STEP_S for new, old in zip(velocity, self.velocity, strict=True)
         ]
-        return Arm(list(position), velocity, acceleration)
+        return CommandedState(list(position), velocity, acceleration)
 
-    def missed(self, cycles: int) -> Arm:
+    def missed(self, cycles: int) -> CommandedState:
         """After cycles without one: constant acceleration."""
         acceleration, position, velocity = self.acceleration, self.position, self.velocity
         for _ in range(cycles):
             velocity = [v + a * STEP_S for v, a in zip(velocity, acceleration, strict=True)]
             position = [q + v * STEP_S for q, v in zip(position, velocity, strict=True)]
-        return Arm(position, velocity, acceleration)
+        return CommandedState(position, velocity, acceleration)
 
     def is_at(self, position: list[float]) -> bool:
         """Whether a state says the same, as far as its numbers are exact."""
@@ -130,7 +130,7 @@ class Follower:
         self._course: Course | None = None
         self._is_new = False
         self._is_slowing = False
-        self._arm = Arm(list(position), [0.0] * JOINTS, [0.0] * JOINTS)
+        self._arm = CommandedState(list(position), [0.0] * JOINTS, [0.0] * JOINTS)
         self._sent: list[float] | None = None
         self.unheard = 0
 
@@ -205,7 +205,7 @@ class Follower:
             assert taken is not None  # it came late, and the arm counts from it over the whole gap
             self._arm = taken
         else:
-            self._arm = Arm(list(position), list(velocity), list(acceleration))
+            self._arm = CommandedState(list(position), list(velocity), list(acceleration))
         self.unheard = 0 if self._arm is taken else self.unheard + (self._sent is not None)
         return self._arm is taken and cycles == 1
 

@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 
-from rn_robot_fr3.fci.check import ArmFinding, Machine
+from rn_robot_fr3.fci.check import ArmFinding, SystemFiles
 
 PORT = 1337
 ROUND_TRIP_S = 0.0003
@@ -27,7 +27,7 @@ _TIMEOUT_S = 0.2
 _CONNECT_S = 3.0
 
 
-def check_network(machine: Machine, host: str, seconds: float) -> list[ArmFinding]:
+def check_network(machine: SystemFiles, host: str, seconds: float) -> list[ArmFinding]:
     """Round trips to the control box, whether FCI is active there, and the network card that leads
     there.
     """
@@ -142,7 +142,7 @@ def judged_round_trips(times_s: list[float] | str) -> ArmFinding:
     )
 
 
-def card(machine: Machine, host: str) -> ArmFinding:
+def card(machine: SystemFiles, host: str) -> ArmFinding:
     """The network card towards a host: wired, 1 Gbit/s, awake."""
     name = machine.interface(host)
     if not name or name == "lo":

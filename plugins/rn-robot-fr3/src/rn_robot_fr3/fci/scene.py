@@ -26,7 +26,7 @@ _JOIN_S = 3.0
 
 
 class SceneFeed:
-    """Asks the simulator for its scene and publishes it on `sim/state`, where `SimulatedCameras`
+    """Asks the simulator for its scene and publishes it on `sim/state`, where `SimulatedFr3Cameras`
     look.
     """
 

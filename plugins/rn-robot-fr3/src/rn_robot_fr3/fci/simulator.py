@@ -18,7 +18,6 @@ from dataclasses import asdict
 from importlib.resources import files
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from rn_robot_fr3.cell import FR3
 from rn_robot_fr3.description import urdf
@@ -31,7 +30,7 @@ from rn_simulation.cubes import CUBE_FRICTION, DEFAULT_COLOURS, TABLE_FRICTION, 
 PORT, GRIPPER_PORT, SCENE_PORT = 1337, 1338, 1339
 
 
-def scene(seed: int, colours: Sequence[str] = DEFAULT_COLOURS) -> dict[str, Any]:
+def scene(seed: int, colours: Sequence[str] = DEFAULT_COLOURS) -> dict[str, object]:
     """What the simulator needs to build the same scene as the driver `simulated`."""
     return {
         "seed": seed,

@@ -18,8 +18,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Header
 
 from rn_robot_fr3.description import BASE_LINK
-from rn_robot_fr3.fci.arm import ArmState
-from rn_robot_fr3.fci.faults import Fault
+from rn_robot_fr3.fci.arm import FciState
+from rn_robot_fr3.fci.faults import ArmFault
 from rn_robot_fr3.limits import ARM_JOINTS
 from roboneuron import Topics
 
@@ -40,7 +40,7 @@ _PERIOD_S = 1.0 / 60.0
 _STATE_PERIOD_S = 0.1
 
 
-def described(measured: ArmState, fault: Fault | None) -> dict[str, str]:
+def described(measured: FciState, fault: ArmFault | None) -> dict[str, str]:
     """Facts for `get_status`; arrays as JSON in the order of the joints, or x y z."""
     return {
         "mode": measured.mode,
@@ -75,7 +75,7 @@ class StateTopics:
         self._sent_s = self._state_s = -1.0
         self._told: Mapping[str, str] = {}
 
-    def publish(self, measured: ArmState, fault: Fault | None, measured_ns: int) -> None:
+    def publish(self, measured: FciState, fault: ArmFault | None, measured_ns: int) -> None:
         """Publish what is due; `measured_ns` is the ROS time of the measurement [ns]."""
         now_s = time.monotonic()
         if now_s - self._sent_s >= _PERIOD_S:
@@ -98,7 +98,7 @@ class StateTopics:
                 )
             )
 
-    def _publish_measured(self, measured: ArmState, measured_ns: int) -> None:
+    def _publish_measured(self, measured: FciState, measured_ns: int) -> None:
         seconds, nanoseconds = divmod(measured_ns, 10**9)
         header = Header(stamp=Time(sec=seconds, nanosec=nanoseconds), frame_id=BASE_LINK)
         position, velocity, torque = (

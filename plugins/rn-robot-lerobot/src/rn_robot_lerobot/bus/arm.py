@@ -102,14 +102,14 @@ SERIAL_SO101 = SerialKind(
     assembled=ASSEMBLED_SO101,
     plant=_so101_world,
     chain=FeetechChain,
-    reader=packets.PacketReader,
+    reader=packets.FeetechPacketReader,
 )
 """With MuJoCo as its physics."""
 SERIAL_KOCH = SerialKind(
     assembled=ASSEMBLED_KOCH,
     plant=Massless,
     chain=DynamixelChain,
-    reader=dynamixel_packets.PacketReader,
+    reader=dynamixel_packets.DynamixelPacketReader,
 )
 
 
@@ -145,7 +145,7 @@ SERIAL_LEKIWI = SerialKind(
     assembled=ASSEMBLED_LEKIWI,
     plant=RollingArm,
     chain=FeetechChain,
-    reader=packets.PacketReader,
+    reader=packets.FeetechPacketReader,
 )
 
 

@@ -42,7 +42,7 @@ def status(motor: int, error: int, data: bytes = b"") -> bytes:
     return packed(motor, _STATUS, bytes((error,)) + data)
 
 
-class PacketReader(chain.PacketReader):
+class DynamixelPacketReader(chain.PacketReader):
     """Of this protocol."""
 
     header = _HEADER

@@ -34,7 +34,7 @@ def sync_write(motors: Sequence[int], address: int, data: bytes) -> bytes:
     return _HEADER + body + bytes((checksum(body),))
 
 
-class PacketReader(chain.PacketReader):
+class FeetechPacketReader(chain.PacketReader):
     """Of this protocol."""
 
     header = _HEADER

@@ -27,7 +27,7 @@ from rn_runtime_sglang.standin.replies import (
 
 
 @dataclass
-class Seen:
+class ReceivedRequests:
     """What reached the server: ids of the requests for tokens and of the aborts, and the last
     body.
     """
@@ -43,7 +43,7 @@ class StandInServer:
 
     def __init__(self, behaviour: Behaviour, port: int = 0) -> None:
         self.behaviour = behaviour
-        self.seen = Seen()
+        self.seen = ReceivedRequests()
         self.released = threading.Event()
         self._aborts: dict[str, threading.Event] = {}
         self._port = port
@@ -63,7 +63,7 @@ class StandInServer:
     def start(self) -> StandInServer:
         """Listen; the same port again after a `stop`."""
         self.released.clear()
-        self._http = _Http(("127.0.0.1", self._port), _Handler)
+        self._http = _Http(("127.0.0.1", self._port), _StandInHandler)
         self._http.owner = self
         self._port = self._http.server_address[1]
         self._thread = threading.Thread(
@@ -136,7 +136,7 @@ class _Http(ThreadingHTTPServer):
         """Clients may hang up; nothing is printed."""
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _StandInHandler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server: _Http
 
@@ -208,7 +208,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.close_connection = True
             return
         tokens = expected_tokens(body["input_ids"], base64.b64decode(body["image_data"]), count)
-        finish: dict[str, Any] = {"type": "length", "length": count}
+        finish: dict[str, object] = {"type": "length", "length": count}
         if aborted:
             tokens, finish = (
                 [],

@@ -15,7 +15,7 @@ _CALL_TIMEOUT_S = 900.0
 """A model may load for minutes; the server has its own time-outs for everything it starts."""
 
 
-class Session:
+class ConsoleSession:
     """Calls tools of one server.
 
     Args:

@@ -84,10 +84,10 @@ async def _ask(arguments: Namespace) -> int:
     import anyio
 
     from rn_standard.console import connection
-    from rn_standard.console.session import Session
+    from rn_standard.console.session import ConsoleSession
 
     async with connection.connect(arguments) as client:
-        session = Session(client, arguments.url)
+        session = ConsoleSession(client, arguments.url)
         with _Display(arguments) as display:
             while True:
                 statuses = await session.statuses()

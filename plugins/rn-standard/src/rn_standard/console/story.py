@@ -15,7 +15,7 @@ from mcp.shared.exceptions import MCPError
 from rn_standard.console import connection
 from rn_standard.console.judge import RunEnd, RunJudge, RunOutcome
 from rn_standard.console.screen import CommandScreen
-from rn_standard.console.session import Session
+from rn_standard.console.session import ConsoleSession
 from rn_standard.console.status import ReportedModule, ServerStatus
 from rn_standard.console.table import fault_text
 from roboneuron import NotReadyError, RefusedError
@@ -30,7 +30,7 @@ async def run_instruction(arguments: Namespace, screen: CommandScreen) -> int:
     failed start.
     """
     async with connection.connect(arguments) as client:
-        session = Session(client, arguments.url or "a server of its own")
+        session = ConsoleSession(client, arguments.url or "a server of its own")
         story = Story(session, arguments.instruction, arguments.timeout_s, screen)
         verdict = RunEnd(outcome=RunOutcome.INTERRUPTED, reason="interrupted")
         try:
@@ -65,7 +65,7 @@ class Story:
     """The parts of a run."""
 
     def __init__(
-        self, session: Session, instruction: str, timeout_s: float, screen: CommandScreen
+        self, session: ConsoleSession, instruction: str, timeout_s: float, screen: CommandScreen
     ) -> None:
         self._session = session
         self._instruction = instruction

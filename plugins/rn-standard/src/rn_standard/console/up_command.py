@@ -137,12 +137,12 @@ async def _start(arguments: Namespace, screen: object) -> int:
     import anyio
 
     from rn_standard.console.screen import CommandScreen
-    from rn_standard.console.session import Session
+    from rn_standard.console.session import ConsoleSession
 
     assert isinstance(screen, CommandScreen)
     asked = {"instruction": arguments.instruction, "model": arguments.model}
     async with connection.connect(arguments) as client:
-        session = Session(client, arguments.url or "a server of its own")
+        session = ConsoleSession(client, arguments.url or "a server of its own")
         robots = await session.robots("start_all")
         with anyio.open_signal_receiver(signal.SIGINT, signal.SIGTERM) as signals:
             ended = anyio.Event()
@@ -180,10 +180,10 @@ async def _start(arguments: Namespace, screen: object) -> int:
 
 
 async def _stop(arguments: Namespace) -> int:
-    from rn_standard.console.session import Session
+    from rn_standard.console.session import ConsoleSession
 
     async with connection.connect(arguments) as client:
-        session = Session(client, arguments.url)
+        session = ConsoleSession(client, arguments.url)
         stopped = []
         for robot in await session.robots("stop_all"):
             answer = await session.call("stop_all", robot)

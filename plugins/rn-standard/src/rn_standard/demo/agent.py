@@ -33,7 +33,7 @@ class DemoObject:
     held_s: float
 
 
-class Agent:
+class DemoAgent:
     """Calls tools and turns MCP errors into exceptions."""
 
     def __init__(self, client: Client) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 from rich.console import Console
 
 from rn_standard.console.client import spawned_server
-from rn_standard.demo.agent import Agent, DemoObject, module_status, simulated_objects
+from rn_standard.demo.agent import DemoAgent, DemoObject, module_status, simulated_objects
 from rn_standard.demo.film import DemoFilm
 from rn_standard.demo.screen import HOLD_GOAL_S, LIFT_GOAL_M, DemoScreen
 from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
@@ -113,7 +113,7 @@ async def run_demo(options: DemoOptions, console: Console) -> bool:
     log_path = options.output / "server.log"
     film = DemoFilm()
     async with spawned_server(["--config", str(path)], log_path) as client:
-        agent = Agent(client)
+        agent = DemoAgent(client)
         try:
             success = await _play(agent, options, screen, film)
         finally:
@@ -126,7 +126,7 @@ async def run_demo(options: DemoOptions, console: Console) -> bool:
     return success
 
 
-async def _play(agent: Agent, options: DemoOptions, screen: DemoScreen, film: DemoFilm) -> bool:
+async def _play(agent: DemoAgent, options: DemoOptions, screen: DemoScreen, film: DemoFilm) -> bool:
     with screen.step("connect to the MCP server") as told:
         tools = await agent.tools()
         told.append(f"{len(tools)} typed tools")
@@ -155,7 +155,7 @@ async def _play(agent: Agent, options: DemoOptions, screen: DemoScreen, film: De
 
 
 async def _watch(
-    agent: Agent, name: str, options: DemoOptions, screen: DemoScreen, film: DemoFilm
+    agent: DemoAgent, name: str, options: DemoOptions, screen: DemoScreen, film: DemoFilm
 ) -> tuple[bool, dict[str, Any]]:
     """Look until the simulator reports success, the backend gives up, or time is over."""
     started_s = time.monotonic()
@@ -194,7 +194,7 @@ async def _watch(
     return success, status
 
 
-async def _stop_everything(agent: Agent, screen: DemoScreen) -> None:
+async def _stop_everything(agent: DemoAgent, screen: DemoScreen) -> None:
     running = {m["module"] for m in (await agent.status())["modules"] if m.get("pid") is not None}
     with screen.step("stop everything"):
         for tool in _STOPS:

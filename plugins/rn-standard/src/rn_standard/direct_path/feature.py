@@ -7,7 +7,6 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Sequence
-from typing import Any
 
 from rn_standard.direct_path.allow_list import AllowList
 from rn_standard.direct_path.arbiter import MotionArbiter
@@ -57,7 +56,7 @@ class DirectPath(Feature[DirectPathOptions]):
         """Whether a call moves a robot now."""
         return self._gate is not None and self.arbiter.is_moving
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """None; builds the gate, which allows nothing until something is exposed. Raises
         InvalidInputError or ConfigurationError for transforms that cannot be looked up.
         """

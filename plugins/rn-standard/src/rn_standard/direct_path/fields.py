@@ -35,7 +35,7 @@ R = TypeVar("R", bound=RosMessage)
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class MessageNumber:
     """A number in a message: its path with indices, its value, and how to change it."""
 
     path: str
@@ -248,7 +248,7 @@ def read_number(message: RosMessage, path: str) -> float:
 
 def find_outside(
     message: object, path: str, low: float, high: float, prefix: str = ""
-) -> Iterator[Place]:
+) -> Iterator[MessageNumber]:
     """Yield every number outside of low .. high (NaN included) that `path`, written without
     indices, leads to.
 
@@ -269,9 +269,13 @@ def find_outside(
     elif isinstance(value, list | tuple | array | np.ndarray):
         numbers = np.asarray(value)
         for index in np.flatnonzero(~((numbers >= low) & (numbers <= high))).tolist():
-            yield Place(f"{here}[{index}]", float(numbers[index]), _item_writer(value, index))
+            yield MessageNumber(
+                f"{here}[{index}]", float(numbers[index]), _item_writer(value, index)
+            )
     elif not low <= value <= high:
-        yield Place(here, float(value), lambda number: setattr(message, head, type(value)(number)))
+        yield MessageNumber(
+            here, float(value), lambda number: setattr(message, head, type(value)(number))
+        )
 
 
 def _item_writer(values: Any, index: int) -> Callable[[float], None]:

@@ -38,7 +38,7 @@ _Key = tuple[str, str]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class _Entry:
+class _GatedEndpoint:
     """An endpoint of the allow list, with what is ready for its calls."""
 
     allowed: AllowedEndpoint
@@ -81,7 +81,7 @@ class Gate:
         self._clock = clock
         self._dry_run = dry_run
         self._transforms = transforms
-        self._entries: dict[_Key, _Entry] = {}
+        self._entries: dict[_Key, _GatedEndpoint] = {}
         self._rates: dict[tuple[str, ...], RateLimit] = {}
         self.replace(allowed)
 
@@ -91,7 +91,7 @@ class Gate:
         Raises:
             ConfigurationError: an endpoint cannot be exposed; the old list stays.
         """
-        entries: dict[_Key, _Entry] = {}
+        entries: dict[_Key, _GatedEndpoint] = {}
         rates: dict[tuple[str, ...], RateLimit] = {}
         for entry in allowed:
             endpoint = entry.endpoint
@@ -105,7 +105,7 @@ class Gate:
             use = (*place, str(endpoint.rate_hz))
             if use not in rates:
                 rates[use] = self._rates.get(use) or RateLimit(endpoint.rate_hz, self._clock)
-            entries[entry.robot, endpoint.name] = _Entry(
+            entries[entry.robot, endpoint.name] = _GatedEndpoint(
                 allowed=entry, rate=rates[use], checks=MessageChecks(entry)
             )
         self._entries, self._rates = entries, rates

@@ -47,7 +47,7 @@ _SERVERS = {
 _MOST = 5
 
 
-class Graph(Protocol):
+class DdsGraph(Protocol):
     """A graph by the names that topics have in DDS: `rt/chatter`, `rq/addRequest`; `Host.graph` is
     one.
     """
@@ -59,22 +59,22 @@ class Graph(Protocol):
         """Who subscribes to a topic."""
 
 
-class NodeGraph:
+class NodeDdsGraph:
     """The graph as a node sees it."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
 
     def dds_publishers(self, topic: str) -> Sequence[TopicEndpointInfo]:
-        """See `Graph`."""
+        """See `DdsGraph`."""
         return list(self._node.get_publishers_info_by_topic(topic, True))
 
     def dds_subscriptions(self, topic: str) -> Sequence[TopicEndpointInfo]:
-        """See `Graph`."""
+        """See `DdsGraph`."""
         return list(self._node.get_subscriptions_info_by_topic(topic, True))
 
 
-def both_ends(graph: Graph, topic: str) -> list[TopicEndpointInfo]:
+def both_ends(graph: DdsGraph, topic: str) -> list[TopicEndpointInfo]:
     """Publishers and subscriptions of a topic."""
     return [*graph.dds_publishers(topic), *graph.dds_subscriptions(topic)]
 
@@ -89,7 +89,7 @@ def vendor_of(info: TopicEndpointInfo) -> str:
     return _VENDORS.get(bytes(info.endpoint_gid[:2]), "another DDS")
 
 
-def old_participants(graph: Graph) -> frozenset[bytes]:
+def old_participants(graph: DdsGraph) -> frozenset[bytes]:
     """Those that run ROS 2 Humble or older: they announce their nodes, and give no hash of the
     message in which they do.
     """
@@ -116,7 +116,7 @@ def name_of(info: TopicEndpointInfo, old: frozenset[bytes]) -> str:
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"
 
 
-def qos_mismatches(graph: Graph, topic: str, old: frozenset[bytes]) -> list[str]:
+def qos_mismatches(graph: DdsGraph, topic: str, old: frozenset[bytes]) -> list[str]:
     """Publishers from which a node that subscribes gets nothing, with the policies that do not fit;
     a sentence each.
 
@@ -152,7 +152,7 @@ def _words(reason: str) -> str:
     return ", ".join(part[0].lower() + part[1:] for part in parts if part)
 
 
-def check_server(kind: str, name: str, type_name: str, graph: Graph) -> None:
+def check_server(kind: str, name: str, type_name: str, graph: DdsGraph) -> None:
     """Refuse a service or action whose server cannot be understood.
 
     Args:
@@ -198,7 +198,7 @@ def _own_middleware() -> str:
     return str(get_rmw_implementation_identifier())
 
 
-def problems_of(kind: str, name: str, type_name: str, graph: Graph) -> list[str]:
+def problems_of(kind: str, name: str, type_name: str, graph: DdsGraph) -> list[str]:
     """Why an exposed endpoint does not work, or not with everybody; a sentence each.
 
     Args:

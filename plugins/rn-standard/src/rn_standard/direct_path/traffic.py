@@ -7,14 +7,15 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rn_standard.direct_path.fields import load_type
-from rn_standard.direct_path.peers import NodeGraph, check_server
+from rn_standard.direct_path.peers import NodeDdsGraph, check_server
 from roboneuron import InvalidInputError, JointSample
 from roboneuron.feature import ExposedEndpoint, topics
 
 if TYPE_CHECKING:
+    from rclpy.action import ActionClient
     from unique_identifier_msgs.msg import UUID
 
     from rn_standard.direct_path.writer import NewestMessage, TopicWriter
@@ -41,7 +42,7 @@ class Traffic:
         self.link = link
         self._lock = threading.Lock()
         self._writers: dict[tuple[str, str], TopicWriter] = {}
-        self._actions: dict[tuple[str, str], Any] = {}
+        self._actions: dict[tuple[str, str], ActionClient] = {}
         self._settled: set[str] = set()
         self._joints: dict[str, NewestMessage] = {}
 
@@ -89,10 +90,10 @@ class Traffic:
         `peers.check_server`.
         """
         endpoint = exposed.endpoint
-        graph = NodeGraph(self.link().node)
+        graph = NodeDdsGraph(self.link().node)
         check_server(endpoint.kind, exposed.topic, endpoint.type, graph)
 
-    def action_client(self, exposed: ExposedEndpoint) -> Any:
+    def action_client(self, exposed: ExposedEndpoint) -> ActionClient:
         """The rclpy client of an action, for as long as the link is open."""
         from rclpy.action import ActionClient  # heavy
 

@@ -30,7 +30,7 @@ _MARKS = {"LD_LIBRARY_PATH": "librcl.so", "PYTHONPATH": "rclpy/__init__.py"}
 """What a folder holds that belongs to a ROS, by the variable that names the folder."""
 
 
-class InUse(Protocol):
+class UsedInstallation(Protocol):
     """What `prepare_environment` says about the installation that is used."""
 
     @property
@@ -42,7 +42,7 @@ class InUse(Protocol):
         """Its folders."""
 
 
-def look(used: InUse) -> Finding:
+def look(used: UsedInstallation) -> Finding:
     """Which installation this environment has, or what is mixed in it and what to type."""
     roots = used.roots
     foreign = foreign_folders(os.environ, roots)

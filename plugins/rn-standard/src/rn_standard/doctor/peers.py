@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable
 from rn_standard.direct_path.peers import (
     HUMBLE,
     HUMBLE_HINT,
-    Graph,
-    NodeGraph,
+    DdsGraph,
+    NodeDdsGraph,
     both_ends,
     is_foreign,
     old_participants,
@@ -39,7 +39,7 @@ def look_around() -> Finding:
     link = RosLink(f"roboneuron_doctor_peers_{os.getpid()}")
     link.open()
     try:
-        graph = NodeGraph(link.node)
+        graph = NodeDdsGraph(link.node)
 
         def names() -> list[str]:
             found = link.node.get_topic_names_and_types(no_demangle=True)
@@ -67,7 +67,7 @@ def wait_settled(
             seen, changed_s = found, now_s()
 
 
-def judge(names: Iterable[str], graph: Graph) -> Finding:
+def judge(names: Iterable[str], graph: DdsGraph) -> Finding:
     """What of a graph does not fit.
 
     Args:

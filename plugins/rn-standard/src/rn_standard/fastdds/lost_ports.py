@@ -32,7 +32,7 @@ LOOK_S = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class _Record:
+class _PortRecord:
     """A port's record in this process's memory: the file's inode, the address of its flags, and
     what it says.
     """
@@ -43,7 +43,7 @@ class _Record:
     listeners: int
 
 
-def _records(port: int, memory: int) -> Iterator[_Record]:
+def _records(port: int, memory: int) -> Iterator[_PortRecord]:
     """Records of all files of that port that this process has mapped.
 
     Args:
@@ -58,7 +58,7 @@ def _records(port: int, memory: int) -> Iterator[_Record]:
         with suppress(OSError):
             found = find_record(os.pread(memory, end - start, start), port)
             if found is not None:
-                yield _Record(
+                yield _PortRecord(
                     int(inode), start + found.offset + FLAGS, found.flags, found.listeners
                 )
 

@@ -6,9 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any, get_args
+from typing import TYPE_CHECKING, get_args
 
 from roboneuron.feature import Config, Connection, ModuleKind
+
+if TYPE_CHECKING:
+    from diagnostic_msgs.msg import DiagnosticArray
 
 PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
 """Environment variable: how many participants of this host each looks for in the range LOCALHOST.
@@ -55,7 +58,7 @@ class SharedConnection(Connection):
         """All robots have ended: leave the graph; idempotent."""
         super().close()
 
-    def _receive(self, message: Any) -> None:
+    def _receive(self, message: DiagnosticArray) -> None:
         """Take a DiagnosticArray; a module reports its own robot only, so the first entry tells
         whose it is.
         """

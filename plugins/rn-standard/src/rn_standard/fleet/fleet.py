@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from rn_standard.fleet.connection import PARTICIPANTS, SharedConnection, participants_of
 from rn_standard.fleet.fleet_tools import emergency_stop_tool, list_fleet_tool
@@ -82,7 +81,7 @@ class Fleet:
         except BaseException:
             self.close()
             raise
-        own: list[Tool[Any]] = [list_fleet_tool(self.robots), emergency_stop_tool(self)]
+        own: list[Tool] = [list_fleet_tool(self.robots), emergency_stop_tool(self)]
         self.tools = FleetTools(self.robots, own, lambda who: self.events.client.tell(who, True))
         self.resources = resources_of(self.robots)
         named = ", ".join(

@@ -60,7 +60,7 @@ class CallRobotTool(Arguments):
     )
 
 
-def search_tools(seldom: Callable[[str], Sequence[types.Tool]]) -> list[Tool[Any]]:
+def search_tools(seldom: Callable[[str], Sequence[types.Tool]]) -> list[Tool]:
     """find_robot_tools and call_robot_tool, over what `seldom` returns for clients of a role."""
 
     async def find(arguments: FindRobotTools, context: CallContext) -> FoundRobotTools:

@@ -5,7 +5,7 @@ registry.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from mcp import types
 
@@ -67,7 +67,7 @@ class FleetTools(ToolRegistry):
     def __init__(
         self,
         robots: Mapping[str, Application],
-        own: list[Tool[Any]],
+        own: list[Tool],
         on_client: Callable[[str], object],
     ) -> None:
         super().__init__([*own, *(search_tools(self._seldom) if len(robots) > 1 else ())])

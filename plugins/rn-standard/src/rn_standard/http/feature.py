@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Sequence
-from typing import Any
 
 import anyio
 
@@ -40,7 +39,7 @@ class HttpFeature(Feature[HttpOptions]):
             read_tokens(self.options.tokens, os.environ)
             HostRules(self.options)
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """take_over and heartbeat; every call passes the lease from now on."""
         variables = [token.variable for token in self.options.tokens if token.variable is not None]
         host.modules.secret_variables.update(variables)

@@ -26,9 +26,10 @@ from collections import Counter, deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 log = logging.getLogger(__name__)
+SocketAddress = tuple[str, int] | tuple[str, int, int, int]
+"""Of IPv4, and of IPv6 with flow and scope."""
 SILENT_S = 5.0
 """A connection that has said nothing for so long is closed."""
 _PEEK_BYTES = 4096
@@ -138,9 +139,9 @@ class BoundedListener(socket.socket):
         self._poll = select.epoll()
         self._poll.register(self._own, select.EPOLLIN)
         self._spare = _open_spare()
-        self._silent: dict[int, tuple[socket.socket, object, float]] = {}
+        self._silent: dict[int, tuple[socket.socket, SocketAddress, float]] = {}
         self._unproven: dict[Peer, tuple[socket.socket, str]] = {}
-        self._ready: deque[tuple[socket.socket, object]] = deque()
+        self._ready: deque[tuple[socket.socket, SocketAddress]] = deque()
         self._has_looked = False
         self._new: Counter[str] = Counter()
         self._window_s = 0.0
@@ -153,7 +154,7 @@ class BoundedListener(socket.socket):
         """
         return -1 if self._poll.closed else self._poll.fileno()
 
-    def accept(self) -> tuple[socket.socket, object]:
+    def accept(self) -> tuple[socket.socket, SocketAddress]:
         """A connection whose first bytes are there. Raises BlockingIOError when none is left in
         this turn.
         """
@@ -210,7 +211,7 @@ class BoundedListener(socket.socket):
             connection.setblocking(False)
             self._hear(connection, address)
 
-    def _hear(self, connection: socket.socket, address: object) -> None:
+    def _hear(self, connection: socket.socket, address: SocketAddress) -> None:
         """Hand over a connection that says something, keep one that does not, close one that is
         gone.
         """
@@ -226,7 +227,7 @@ class BoundedListener(socket.socket):
         else:
             connection.close()
 
-    def _keep(self, connection: socket.socket, address: object) -> None:
+    def _keep(self, connection: socket.socket, address: SocketAddress) -> None:
         handle = connection.fileno()
         is_full = len(self._silent) >= self._bounds.silent or handle >= self._bounds.handle
         if is_full and not self._drop_silent():
@@ -237,7 +238,7 @@ class BoundedListener(socket.socket):
         if self._timer is None:
             self._timer = asyncio.get_running_loop().call_later(SILENT_S, self._expire)
 
-    def _admits(self, connection: socket.socket, address: Any, first: bytes) -> bool:
+    def _admits(self, connection: socket.socket, address: SocketAddress, first: bytes) -> bool:
         bounds, source = self._bounds, network_of(address[0])
         if self._is_known(first):
             if connection.fileno() >= bounds.handle:

@@ -8,7 +8,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from pydantic import Field
 
@@ -68,7 +67,7 @@ class OperatorLease:
         self._renewed_s = 0.0
         self._thread = Periodic("lease", _LOOK_S, self.look)
 
-    def admit(self, tool: Tool[Any], context: CallContext) -> None:
+    def admit(self, tool: Tool, context: CallContext) -> None:
         """Let a call through, or not. What reads and what stops is for everybody.
 
         Raises:
@@ -186,7 +185,7 @@ class OperatorLease:
         """Stop watching; idempotent."""
         self._thread.close()
 
-    def tools(self) -> list[Tool[Any]]:
+    def tools(self) -> list[Tool]:
         """take_over and heartbeat."""
 
         async def take_over(_: NoArguments, context: CallContext) -> OperatorResult:

@@ -77,7 +77,7 @@ def make_server(
     most = MOST_SESSIONS_OF_ONE if tokens else MOST_SESSIONS
     connections = ConnectionTable()
     sessions = Sessions(inner, options.max_request_bytes, most, release)
-    return _Server(
+    return _HttpServer(
         AccessMiddleware(sessions, rules, tokens, connections, present), connections, lifespan="on"
     )
 
@@ -103,7 +103,7 @@ def _keep_alive(listener: socket.socket) -> None:
             listener.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
 
 
-class _Server(BoundedServer):
+class _HttpServer(BoundedServer):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Say where it serves once it does."""
         await super().startup(sockets)

@@ -30,15 +30,15 @@ _MOST_IDS = 4096
 
 
 @dataclass(eq=False, slots=True)
-class _Session:
+class _HttpSession:
     holder: str
     used_s: float
     open: int = 0
-    ids: dict[int | str, _Request] = field(default_factory=dict)
+    ids: dict[int | str, _SessionRequest] = field(default_factory=dict)
 
 
 @dataclass(eq=False, slots=True)
-class _Request:
+class _SessionRequest:
     """A request of a session: at work until it was answered, or its handler and its HTTP exchange
     have both ended.
     """
@@ -79,7 +79,7 @@ class Sessions:
         self._with_body = RequestBodyLimitMiddleware(self._serve, most_bytes)
         self._most_of_one = most_of_one
         self._on_end = on_end
-        self._sessions: dict[str, _Session] = {}
+        self._sessions: dict[str, _HttpSession] = {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         is_post = scope["type"] == "http" and scope["method"] == "POST"
@@ -152,7 +152,7 @@ class Sessions:
             return
         opened = MutableHeaders(scope=message).get(SESSION_HEADER)
         if opened is not None and name is None:
-            self._sessions[opened] = _Session(holder=holder, used_s=time.monotonic())
+            self._sessions[opened] = _HttpSession(holder=holder, used_s=time.monotonic())
         if method == "DELETE" and name is not None and self._sessions.pop(name, None) is not None:
             self._on_end(name)
 
@@ -173,18 +173,18 @@ async def note_handled(ctx: ServerRequestContext, call_next: CallNext) -> Handle
         return await call_next(ctx)
     finally:
         found = ctx.request.scope.get(_REQUEST_KEY) if ctx.request is not None else None
-        if isinstance(found, _Request):
+        if isinstance(found, _SessionRequest):
             found.handled()
 
 
-def _begin(session: _Session, request_id: int | str) -> _Request:
+def _begin(session: _HttpSession, request_id: int | str) -> _SessionRequest:
     """Raises EnvelopeError for an id that is at work."""
     from mcp.shared.dispatcher import coerce_request_id
 
     key = coerce_request_id(request_id)
     if key in session.ids or key == GET_STREAM_KEY or len(session.ids) >= _MOST_IDS:
         raise EnvelopeError.repeated(request_id)
-    request = session.ids[key] = _Request(free=lambda: session.ids.pop(key, None))
+    request = session.ids[key] = _SessionRequest(free=lambda: session.ids.pop(key, None))
     return request
 
 

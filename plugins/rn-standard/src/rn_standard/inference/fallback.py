@@ -102,7 +102,7 @@ class Turn:
 
 
 @dataclass(frozen=True, slots=True)
-class _Request:
+class _PendingRequest:
     """What the first policy was asked, when, and what it answers."""
 
     prediction: Prediction
@@ -115,18 +115,18 @@ class PolicyThread:
 
     def __init__(self, policy: LoadedPolicy) -> None:
         self._policy = policy
-        self._requests: queue.SimpleQueue[tuple[_Request, bool] | None] = queue.SimpleQueue()
+        self._requests: queue.SimpleQueue[tuple[_PendingRequest, bool] | None] = queue.SimpleQueue()
         self._thread = threading.Thread(target=self._run, name=policy.name, daemon=True)
         self._thread.start()
 
-    def ask(self, prediction: Prediction, resets: bool) -> _Request:
+    def ask(self, prediction: Prediction, resets: bool) -> _PendingRequest:
         """Ask; the answer comes with the monotonic time at which it was there.
 
         Args:
             prediction: what to answer.
             resets: forget what was before.
         """
-        request = _Request(prediction, time.monotonic(), Future())
+        request = _PendingRequest(prediction, time.monotonic(), Future())
         self._requests.put((request, resets))
         return request
 
@@ -183,7 +183,7 @@ class FallbackPolicies:
         self.on_wait: Callable[[], None] = lambda: None
         self._turn = Turn()
         self._thread = PolicyThread(first)
-        self._request: _Request | None = None
+        self._request: _PendingRequest | None = None
         self._first_resets = True
         self._has_acted = False
         self._took_s: deque[float] = deque([0.0], maxlen=_RECENT)
@@ -294,7 +294,7 @@ class FallbackPolicies:
         told = replace(chunk, note=f"{note} {chunk.note}".strip())
         return replace(prediction, mode=FALLBACK), told
 
-    def _judged(self, request: _Request) -> ActionChunk | None:
+    def _judged(self, request: _PendingRequest) -> ActionChunk | None:
         """The answer to execute from now on; None as long as the second policy acts."""
         try:
             chunk, at_s = request.answer.result()
@@ -308,7 +308,7 @@ class FallbackPolicies:
             self._turn.reason = f"answers take {at_s - request.asked_s:.2g} s."
         return chunk if self._turn.note(in_time, time.monotonic()) else None
 
-    def _ask(self, prediction: Prediction) -> _Request:
+    def _ask(self, prediction: Prediction) -> _PendingRequest:
         self._request = self._thread.ask(prediction, self._first_resets)
         self._first_resets = False
         return self._request

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol, cast, runtime_checkable
 
 from rn_standard.inference.agreement import SpaceAgreement, agree_with_control, declared_space
-from rn_standard.inference.planning import Policy
+from rn_standard.inference.planning import ResolvedPolicy
 from roboneuron import (
     ActionChunk,
     AnyRuntime,
@@ -53,7 +53,7 @@ class LoadedPolicy:
         load_s: how long it took to load.
     """
 
-    policy: Policy
+    policy: ResolvedPolicy
     backend: Backend
     runtime: AnyRuntime | None
     agreement: SpaceAgreement
@@ -92,7 +92,7 @@ class LoadedPolicy:
 def load_policy(
     config: Config,
     registry: Registry,
-    policy: Policy,
+    policy: ResolvedPolicy,
     options: Mapping[str, object],
     resources: ExitStack,
 ) -> LoadedPolicy:
@@ -135,8 +135,8 @@ def load_policy(
 
 
 def _as_served(
-    policy: Policy, backend: Backend, declared: ControlSpace | None, profile: RobotProfile
-) -> tuple[Policy, ControlSpace]:
+    policy: ResolvedPolicy, backend: Backend, declared: ControlSpace | None, profile: RobotProfile
+) -> tuple[ResolvedPolicy, ControlSpace]:
     """The policy and its space as the server of its model tells them, or as they are declared here.
 
     Raises:
@@ -167,7 +167,9 @@ def _as_served(
     return replace(policy, backend=served), space
 
 
-def resolved_cameras(policies: Iterable[Policy], profile: RobotProfile) -> dict[str, CameraProfile]:
+def resolved_cameras(
+    policies: Iterable[ResolvedPolicy], profile: RobotProfile
+) -> dict[str, CameraProfile]:
     """Camera by role, for all that any of the policies takes. Raises ConfigurationError for one
     that the descriptor of the robot names and its profile does not.
     """

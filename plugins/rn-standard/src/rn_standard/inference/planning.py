@@ -46,7 +46,7 @@ _EMPTY: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Policy:
+class ResolvedPolicy:
     """A policy that fits a robot, resolved to descriptors.
 
     Attributes:
@@ -87,7 +87,7 @@ def find_policy(
     cameras: Mapping[str, str] = _EMPTY,
     is_driver_elsewhere: bool = False,
     is_elsewhere: bool = False,
-) -> Policy:
+) -> ResolvedPolicy:
     """Return the policy of these names.
 
     Args:
@@ -113,7 +113,7 @@ def find_policy(
     if acceleration:
         acceleration_spec = registry.get(AccelerationSpec, acceleration, elsewhere=is_elsewhere)
         check_acceleration(registry, acceleration_spec, spec, runtime_spec)
-    return Policy(
+    return ResolvedPolicy(
         robot=robot_spec,
         driver=driver_spec,
         backend=spec,
@@ -125,7 +125,7 @@ def find_policy(
 
 def find_policies(
     config: Config, registry: Registry, *, in_module: bool = False
-) -> tuple[Policy, Policy | None]:
+) -> tuple[ResolvedPolicy, ResolvedPolicy | None]:
     """The policy of `[inference]`, and its fallback, if there is one.
 
     Args:
@@ -173,8 +173,8 @@ class InferencePlan(Plan):
         fallback: what acts while that does not answer in time; None: nothing does.
     """
 
-    policy: Policy
-    fallback: Policy | None = None
+    policy: ResolvedPolicy
+    fallback: ResolvedPolicy | None = None
 
     @property
     def options(self) -> Mapping[str, object]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import get_args
 
 from rn_standard.ops.incidents import FOLDER, Incidents
 from rn_standard.ops.memory import MemoryWatch
@@ -34,7 +34,7 @@ class Operations(Feature[OpsOptions]):
     _memory: MemoryWatch | None = None
     _faults: SafetyFaults | None = None
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """get_logs and list_incidents."""
         self._host = host
         self._incidents = Incidents(host.state_directory / FOLDER)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -55,7 +55,7 @@ class RealRobotFeature(Feature[RealRobotOptions]):
                 text = f"{text} A person is asked before the first start."
             host.tools.replace(replace(tool, handler=self._asking(host, tool), description=text))
 
-    def _asking(self, host: Host, tool: Tool[Any]) -> Handler:
+    def _asking(self, host: Host, tool: Tool) -> Handler:
         async def handler(arguments: Arguments, context: CallContext) -> Result | Reply:
             if host.modules.view("robot").phase in _DOWN:
                 await self._ask(

@@ -197,7 +197,7 @@ def log_resource(modules: Modules, source: Source) -> Resource:
     )
 
 
-def record_tools(modules: Modules, incidents: Incidents) -> list[Tool[Any]]:
+def record_tools(modules: Modules, incidents: Incidents) -> list[Tool]:
     """get_logs and list_incidents."""
 
     async def get_logs(arguments: GetLogs, context: CallContext) -> LogsResult:

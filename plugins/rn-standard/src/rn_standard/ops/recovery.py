@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from typing import Any
 
 from pydantic import Field
 
@@ -38,7 +37,7 @@ class RecoveryResult(Result):
 class RecoveryFeature(Feature[None]):
     """Adds recover_robot where the configured driver of the robot can be recovered."""
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """See `Feature.tools`."""
         robot = host.registry.specs(RobotSpec).get(host.config.robot.name)
         driver = None if robot is None else robot.driver(host.config.robot.driver)

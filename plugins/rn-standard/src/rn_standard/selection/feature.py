@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
 
 from rn_standard.selection.choosing import choose
 from rn_standard.selection.options import SelectionSections
@@ -18,7 +17,7 @@ class SelectionFeature(Feature[SelectionSections]):
     start.
     """
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """None of its own: those of core get arguments. See `Feature.tools`.
 
         Raises:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from rn_standard.switching.tools import switch_tools
 from roboneuron import Feature, Host, Tool
@@ -12,6 +11,6 @@ from roboneuron import Feature, Host, Tool
 class SwitchingFeature(Feature[None]):
     """Adds switch_inference, switch_perception and switch_control."""
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """See `Feature.tools`."""
         return switch_tools(host.loop)

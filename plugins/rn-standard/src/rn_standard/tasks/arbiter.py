@@ -7,7 +7,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from roboneuron import CallContext, RefusedError, StateError, Tool
 
@@ -70,7 +69,7 @@ class TaskArbiter:
                 self._halt.set()
             return self._idle.wait_for(lambda: self._halt is None, timeout_s)
 
-    def admit(self, tool: Tool[Any], context: CallContext) -> None:
+    def admit(self, tool: Tool, context: CallContext) -> None:
         """Refuse calls that would change what the running task's policy does."""
         if tool.name in _OURS and self._halt is not None:
             raise RefusedError(

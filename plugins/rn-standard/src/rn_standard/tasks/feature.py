@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +69,7 @@ class TasksFeature(Feature[TasksSections]):
         except InvalidInputError as error:
             raise ConfigurationError(error.message, hint=error.hint) from error
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """See `Feature.tools`."""
         self._host = host
         arbiter = self._arbiter = TaskArbiter()

@@ -39,7 +39,7 @@ class Inputs:
         self._host = host
         self._newest: dict[str, tuple[float, Any]] = {}
         self._ends: list[Callable[[], None]] = []
-        self._decoded: dict[str, tuple[Any, Frame]] = {}
+        self._decoded: dict[str, tuple[object, Frame]] = {}
 
     def open(self, topic: str, type_name: str) -> None:
         """Begin to listen. Raises RoboNeuronError for an unknown type, or when ROS cannot be

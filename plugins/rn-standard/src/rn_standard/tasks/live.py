@@ -33,7 +33,7 @@ _DONE = ("backend.done", "done")
 
 
 class LiveCell:
-    """Follows the protocol `Cell`.
+    """Follows the protocol `TaskRobot`.
 
     Args:
         host: the server.
@@ -103,15 +103,15 @@ class LiveCell:
         self._inputs.close()
 
     def now_s(self) -> float:
-        """See `Cell`."""
+        """See `TaskRobot`."""
         return time.monotonic()
 
     def wait(self, seconds: float) -> bool:
-        """See `Cell`."""
+        """See `TaskRobot`."""
         return self._halt.wait(seconds)
 
     def begin(self, instruction: str) -> None:
-        """See `Cell`. A backend that does not run is started, and waits for the instruction.
+        """See `TaskRobot`. A backend that does not run is started, and waits for the instruction.
 
         Raises:
             StateError: there was a stop since the task has begun; motion needs a new start.
@@ -162,7 +162,7 @@ class LiveCell:
             self._host.loop.cancel("inference")
 
     def policy(self) -> PolicyState:
-        """See `Cell`."""
+        """See `TaskRobot`."""
         if self._host.loop.emergency_stop.is_latched():
             cause = self._host.loop.emergency_stop.cause()
             return PolicyState(
@@ -210,7 +210,7 @@ class LiveCell:
         return ""
 
     def look(self) -> Snapshot:
-        """See `Cell`."""
+        """See `TaskRobot`."""
         space, now_s = self._host.config.namespace, time.monotonic()
         message = self._inputs.newest(f"/{space}/joint_states")
         joints: dict[str, float] | None = None
@@ -245,15 +245,15 @@ class LiveCell:
         return pose_of(self._inputs.newest(pose_topic(self._host.config.namespace, arm)))
 
     def end(self) -> None:
-        """See `Cell`: the instruction is taken back from whoever holds it; a process that keeps it
-        is ended.
+        """See `TaskRobot`: the instruction is taken back from whoever holds it; a process that
+        keeps it is ended.
         """
         if self._instruction:
             self._instruction = ""
             self._starts.withdraw(self._ticket)
 
     def evidence(self) -> tuple[Picture, ...]:
-        """See `Cell`."""
+        """See `TaskRobot`."""
         frames = [frame for camera in self._cameras if (frame := self._frame(camera)) is not None]
         return tuple(_jpeg(frame) for frame in frames)
 

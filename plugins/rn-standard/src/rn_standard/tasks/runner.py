@@ -1,7 +1,7 @@
 """A task: bounded attempts of a policy, each watched until its predicate is true, and ended
 whatever happens.
 
-Nothing here knows of ROS or of threads: the robot is a `Cell`, time is the cell's.
+Nothing here knows of ROS or of threads: the robot is a `TaskRobot`, time is that of the robot.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class PolicyState:
     led: str = ""
 
 
-class Cell(Protocol):
+class TaskRobot(Protocol):
     """The robot of one task, as the task sees it. Used from one thread."""
 
     def now_s(self) -> float:
@@ -174,7 +174,11 @@ class Task:
     """
 
     def __init__(
-        self, cell: Cell, judge: PredicateJudge | None, plan: TaskPlan, tell: Callable[[str], None]
+        self,
+        cell: TaskRobot,
+        judge: PredicateJudge | None,
+        plan: TaskPlan,
+        tell: Callable[[str], None],
     ) -> None:
         self._cell = cell
         self._judge = judge

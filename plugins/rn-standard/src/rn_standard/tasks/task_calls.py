@@ -34,7 +34,7 @@ _CANCEL_S = 2.0
 """So long the answer to a cancellation waits for the task's end; the arm is told to stop before."""
 
 
-class _Session:
+class _AnsweredSession:
     """A request's session after the request was answered: progress goes to the connection, and into
     the status.
     """
@@ -159,7 +159,7 @@ class TaskCalls:
 
         async def work() -> dict[str, Any]:
             token = (params.get("_meta") or {}).get("progressToken")
-            session = _Session(ctx.session, token, lambda message: call.note(message))
+            session = _AnsweredSession(ctx.session, token, lambda message: call.note(message))
             try:
                 asked_now = replace(ctx, params=plain, session=cast("ServerSession", session))
                 result = _as_sent(await call_next(asked_now))

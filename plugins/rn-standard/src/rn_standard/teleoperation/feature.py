@@ -6,7 +6,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from rn_standard.direct_path.exposed import ACTING_TOPIC, LEAD_LABEL
 from rn_standard.teleoperation.hooks import TeleoperatorSpec
@@ -45,7 +45,7 @@ class Teleoperation(Feature[None]):
     """
 
     _host: Host
-    _tools: Sequence[Tool[Any]]
+    _tools: Sequence[Tool]
 
     def __init__(self, options: None) -> None:
         super().__init__(options)
@@ -55,7 +55,7 @@ class Teleoperation(Feature[None]):
         self._lead: Lead | None = None
         self._unsubscribe: Callable[[], None] | None = None
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """See `Feature.tools`."""
         self._host = host
         self._tools = lead_tools(self.begin, self.hand_back, self._choices)

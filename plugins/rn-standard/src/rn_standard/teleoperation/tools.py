@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
+from typing import Literal
 
 from pydantic import Field
 
@@ -35,7 +35,7 @@ Begin = Callable[[LeadArm, CallContext], LeadResult]
 End = Callable[[CallContext], LeadResult]
 
 
-def lead_tools(begin: Begin, end: End, choices: Callable[[], dict[str, str]]) -> list[Tool[Any]]:
+def lead_tools(begin: Begin, end: End, choices: Callable[[], dict[str, str]]) -> list[Tool]:
     """Both tools.
 
     Args:

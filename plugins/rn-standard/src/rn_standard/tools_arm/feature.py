@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
@@ -19,7 +18,7 @@ class ArmTools(Feature[ArmToolsOptions]):
     robot's profile.
     """
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """None but the derived ones, which come once something is exposed."""
 
         poses: dict[str, MeasuredPose] = {}

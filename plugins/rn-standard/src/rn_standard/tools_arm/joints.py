@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any
 
 from pydantic import Field
 from pydantic.json_schema import JsonSchemaValue
@@ -83,9 +82,7 @@ class JointMove(Result):
     )
 
 
-def joint_tools(
-    host: Host, endpoints: Iterable[ExposedEndpoint], gate: MotionGate
-) -> list[Tool[Any]]:
+def joint_tools(host: Host, endpoints: Iterable[ExposedEndpoint], gate: MotionGate) -> list[Tool]:
     """move_joints for the first endpoint that takes trajectories of a robot with known limits."""
     found = next(
         (e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == TRAJECTORY), None

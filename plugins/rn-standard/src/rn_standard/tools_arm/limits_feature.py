@@ -9,7 +9,6 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any
 
 from rn_standard.tools_arm.limits_tools import limits_tools
 from rn_standard.tools_arm.tightening import FILE_NAME, TightenedRecord, Tightening, TighteningFile
@@ -33,7 +32,7 @@ class LimitsFeature(Feature[None]):
     _profile: RobotProfile | None = None
     _thread: threading.Thread | None = None
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """See `Feature.tools`."""
         self._host = host
         self._file = TighteningFile(host.state_directory / FILE_NAME)

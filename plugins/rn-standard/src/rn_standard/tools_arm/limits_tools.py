@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 from pydantic import Field, ValidationError
 
@@ -77,7 +76,7 @@ class LimitsResult(Result):
 
 def limits_tools(
     host: Host, tighten: Callable[[Tightening, str, str], None], loosen: Callable[[str, str], None]
-) -> list[Tool[Any]]:
+) -> list[Tool]:
     """The tools; see `LimitsFeature.tighten` and `loosen`."""
 
     def answer() -> LimitsResult:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from pydantic.json_schema import JsonSchemaValue
 
@@ -24,7 +23,7 @@ def arm_tools(
     options: ArmToolsOptions,
     poses: dict[str, MeasuredPose],
     grips: dict[str, GripHeight],
-) -> list[Tool[Any]]:
+) -> list[Tool]:
     """move_ee, move_joints and place, for the robot among the exposed endpoints.
 
     `poses` and `grips` keep what is measured, by namespace and arm.
@@ -53,7 +52,7 @@ def arm_tools(
         properties["arm"] = {"enum": [*movers]}
     else:
         del properties["arm"]
-    move: Tool[Any] = Tool(
+    move: Tool = Tool(
         name="move_ee",
         title="Move the end effector",
         description=(

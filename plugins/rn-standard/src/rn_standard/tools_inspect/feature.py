@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from rn_standard.tools_inspect.camera import camera_tool
 from rn_standard.tools_inspect.catalogue import catalogue_tools
@@ -15,6 +14,6 @@ class InspectionTools(Feature[None]):
     of.
     """
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """See Feature."""
         return [camera_tool(host), *catalogue_tools(host)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any
 
 from rn_standard.tools_loop.fallback import FallbackWatch
 from rn_standard.tools_loop.reset import reset_tool
@@ -18,7 +17,7 @@ class LoopTools(Feature[None]):
 
     _fallback: FallbackWatch | None = None
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """See Feature."""
 
         def changed(*_: object) -> None:

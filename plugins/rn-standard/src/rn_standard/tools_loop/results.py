@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 from pydantic import Field
 
@@ -124,7 +124,7 @@ class StatusResult(Result):
     )
     emergency_stop_cause: str = Field(default="", description="who latched it and why")
     namespace: str = Field(description="ROS namespace of the robot")
-    tightened_limits: dict[str, Any] = Field(
+    tightened_limits: dict[str, object] = Field(
         default_factory=dict,
         description="limits tightened below those of the configuration; a person loosens them",
     )

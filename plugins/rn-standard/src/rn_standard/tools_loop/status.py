@@ -8,7 +8,6 @@ import time
 from dataclasses import asdict
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
 
 from rn_standard.tools_loop.results import ModuleStatus, RobotStatus, StatusResult
 from roboneuron import CallContext, NoArguments, Resource, Tool, __version__
@@ -46,7 +45,7 @@ def status(loop: ClosedLoop, started_s: float) -> StatusResult:
     )
 
 
-def _tightened(loop: ClosedLoop) -> dict[str, Any]:
+def _tightened(loop: ClosedLoop) -> dict[str, object]:
     """By key, the limits that are tighter than those of the configuration."""
     base, now = (limits.model_dump(mode="json") for limits in (loop.base.limits, loop.limits))
     return {key: value for key, value in now.items() if value != base[key]}

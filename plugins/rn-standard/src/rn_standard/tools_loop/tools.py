@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from pydantic import Field
 
@@ -110,14 +109,14 @@ def choose_instruction(
     return otherwise(kind, config, registry, None if is_of_these_tools else request, role)
 
 
-def start_tools(loop: ClosedLoop) -> list[Tool[Any]]:
+def start_tools(loop: ClosedLoop) -> list[Tool]:
     """A tool for each kind of module, and set_instruction, in the order in which an agent uses
     them.
     """
     return [*(_start_tool(loop, kind) for kind in KIND_ENTRIES), _set_instruction(loop)]
 
 
-def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
+def _set_instruction(loop: ClosedLoop) -> Tool:
     async def set_instruction(arguments: SetInstruction, context: CallContext) -> InstructionResult:
         report, took_s = await context.run(
             lambda _: give_instruction(loop, arguments.instruction, arguments.timeout_s)
@@ -144,7 +143,7 @@ def _set_instruction(loop: ClosedLoop) -> Tool[Any]:
     )
 
 
-def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool[Any]:
+def _start_tool(loop: ClosedLoop, kind: ModuleKind) -> Tool:
     entry, texts = KIND_ENTRIES[kind], _TEXTS[kind]
     which = f" The configured one is the {loop.robot_facts}." if entry.kind == "robot" else ""
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING
 
 from pydantic import Field
 
 from rn_standard.tools_ros.newest import GetNewest
 from roboneuron import Result
+
+if TYPE_CHECKING:
+    from sensor_msgs.msg import BatteryState
 
 BATTERY = "sensor_msgs/msg/BatteryState"
 
@@ -31,7 +34,7 @@ class Battery(Result):
     problems: list[str] = Field(description="values that cannot be right")
 
 
-def battery_of(robot: str, message: Any, arguments: GetNewest, age_s: float) -> Battery:
+def battery_of(robot: str, message: BatteryState, arguments: GetNewest, age_s: float) -> Battery:
     """A BatteryState in plain units.
 
     Args:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
-from typing import Any
 
 from pydantic.json_schema import JsonSchemaValue
 
@@ -32,7 +31,7 @@ _SENT = "Fails without a subscriber."
 
 def derive_tools(
     endpoints: Iterable[ExposedEndpoint], host: Host, taken: Collection[str]
-) -> list[Tool[Any]]:
+) -> list[Tool]:
     """The tools of the endpoints, in their order; those of one label, kind and type are one tool
     for all robots.
 
@@ -47,7 +46,7 @@ def derive_tools(
             exposed
         )
     names = set(taken)
-    tools: list[Tool[Any]] = []
+    tools: list[Tool] = []
     for (kind, label, _), members in groups.items():
         targets = Targets(members)
         uses = ["publish", "sequence"] if kind == "publish" else [kind]
@@ -60,8 +59,8 @@ def derive_tools(
     return tools
 
 
-def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool[Any]:
-    makers: dict[str, Callable[[str, str, Targets, Host], Tool[Any]]] = {
+def _make(use: str, name: str, noun: str, targets: Targets, host: Host) -> Tool:
+    makers: dict[str, Callable[[str, str, Targets, Host], Tool]] = {
         "publish": _publish,
         "sequence": _sequence,
         "read": _read,

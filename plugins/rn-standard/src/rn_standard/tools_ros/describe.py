@@ -8,7 +8,7 @@ from argparse import ArgumentParser, Namespace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rn_standard.tools_ros.interfaces import Field, Interface, MessageInterface
+    from rn_standard.tools_ros.interfaces import Interface, MessageField, MessageInterface
 
 
 class Describe:
@@ -82,7 +82,7 @@ def to_text(part: MessageInterface, word: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _line(path: str, field: Field, part: MessageInterface) -> str:
+def _line(path: str, field: MessageField, part: MessageInterface) -> str:
     from rn_standard.tools_ros.interfaces.schema import field_text
 
     indent = "  " * (path.count(".") + 1)

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from pydantic import Field
 from pydantic.json_schema import JsonSchemaValue
@@ -59,8 +58,8 @@ class EndpointResult(Result):
 
 
 def directory_tools(
-    tools: Callable[[], Sequence[Tool[Any]]], tool_of: Callable[[str], Tool[Any] | None]
-) -> list[Tool[Any]]:
+    tools: Callable[[], Sequence[Tool]], tool_of: Callable[[str], Tool | None]
+) -> list[Tool]:
     """The pair, over what there is at the time of the call.
 
     Args:
@@ -121,7 +120,7 @@ def _words(text: str) -> list[str]:
     return [word for word in re.split(r"[^a-z0-9]+", text.lower()) if word]
 
 
-def _rank(tools: Sequence[Tool[Any]], words: Sequence[str]) -> list[Tool[Any]]:
+def _rank(tools: Sequence[Tool], words: Sequence[str]) -> list[Tool]:
     """Tools by how many words they hold, in the name before the description; all of them without
     words.
     """
@@ -138,7 +137,7 @@ def _rank(tools: Sequence[Tool[Any]], words: Sequence[str]) -> list[Tool[Any]]:
     return [tool for *_, tool in sorted(scored, key=lambda entry: entry[:3])]
 
 
-def _found(tool: Tool[Any], with_schema: bool) -> FoundTool:
+def _found(tool: Tool, with_schema: bool) -> FoundTool:
     schema = tool.input_schema()
     return FoundTool(
         name=tool.name,

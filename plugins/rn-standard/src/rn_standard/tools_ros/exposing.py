@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Literal, Protocol, TypeVar
 
 from pydantic import Field
 
@@ -61,7 +61,7 @@ class Exposing(Protocol):
     ) -> ExposureChange: ...
 
 
-def exposing_tools(path: Exposing, local_may: bool) -> list[Tool[Any]]:
+def exposing_tools(path: Exposing, local_may: bool) -> list[Tool]:
     """Both tools.
 
     Args:

@@ -52,7 +52,7 @@ class Exposure:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Robot:
+class _ExposedRobot:
     name: str
     namespace: str
     profile: RobotProfile | None
@@ -77,13 +77,13 @@ def exposure(
             comes twice.
         PluginError, MissingDependencyError: a profile cannot be loaded.
     """
-    robots: dict[str, _Robot] = {}
+    robots: dict[str, _ExposedRobot] = {}
     known: dict[Use, list[ExposedEndpoint]] = {}
     """All that was said about topics, also by profiles and under a name that was given to another
     topic since.
     """
 
-    def find(name: str, namespace: str | None) -> _Robot:
+    def find(name: str, namespace: str | None) -> _ExposedRobot:
         if name not in robots:
             own = config.namespace if name == config.robot.name else name.replace("-", "_")
             profile = load_profile(registry, name) if name in registry.specs(RobotSpec) else None
@@ -92,7 +92,7 @@ def exposure(
                 raise ConfigurationError(
                     f"Robot {name!r} cannot have the namespace {space!r}: another robot has it."
                 )
-            robots[name] = _Robot(name=name, namespace=space, profile=profile)
+            robots[name] = _ExposedRobot(name=name, namespace=space, profile=profile)
             for exposed in robots[name].endpoints():
                 known.setdefault((exposed.topic, exposed.endpoint.kind), []).append(exposed)
         found = robots[name]
@@ -153,7 +153,7 @@ def _key(exposed: ExposedEndpoint) -> tuple[str, str, str]:
     return exposed.robot, exposed.label, exposed.endpoint.kind
 
 
-def _whole_profile(entry: ExposeConfig, robot: _Robot) -> list[ExposedEndpoint]:
+def _whole_profile(entry: ExposeConfig, robot: _ExposedRobot) -> list[ExposedEndpoint]:
     if robot.profile is None:
         raise ConfigurationError(
             f"[[expose]] for robot {robot.name!r} names no endpoint, and no installed plugin "
@@ -165,7 +165,7 @@ def _whole_profile(entry: ExposeConfig, robot: _Robot) -> list[ExposedEndpoint]:
 
 def _merge(
     entry: ExposeConfig,
-    robot: _Robot,
+    robot: _ExposedRobot,
     drafts: dict[tuple[str, str, str], ExposedEndpoint],
     known: Mapping[Use, Iterable[ExposedEndpoint]],
     patterns: Iterable[DiscoverConfig],

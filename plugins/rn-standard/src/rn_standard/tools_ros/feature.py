@@ -7,7 +7,6 @@ import threading
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
 
 from rn_standard.tools_ros.derive import derive_tools
 from rn_standard.tools_ros.directory import directory_tools
@@ -61,7 +60,7 @@ class RosTools(Feature[RosToolsOptions]):
         self._named: tuple[ExposedEndpoint, ...] = ()
         self._discovered: tuple[ExposedEndpoint, ...] = ()
 
-    def tools(self, host: Host) -> Sequence[Tool[Any]]:
+    def tools(self, host: Host) -> Sequence[Tool]:
         """The tools that are there whatever is exposed; the derived ones are added beside them.
 
         Raises:
@@ -217,7 +216,7 @@ class RosTools(Feature[RosToolsOptions]):
 
     def _make(
         self, endpoints: Iterable[ExposedEndpoint], configured: Exposure, taken: Iterable[str]
-    ) -> list[Tool[Any]]:
+    ) -> list[Tool]:
         settings = parameter_tools(configured.nodes, self._host.gate)
         names = {
             *self._host.tools.names(besides=FEATURE.name),
@@ -230,10 +229,10 @@ class RosTools(Feature[RosToolsOptions]):
         unlisted = [replace(tool, listed=False) for tool in derived]
         return [*settings, *directory_tools(self._searched, self._found), *unlisted]
 
-    def _searched(self) -> list[Tool[Any]]:
+    def _searched(self) -> list[Tool]:
         return [tool for tool in self._host.tools.derived() if tool.name not in _DIRECTORY]
 
-    def _found(self, name: str) -> Tool[Any] | None:
+    def _found(self, name: str) -> Tool | None:
         return None if name in _DIRECTORY else self._host.tools.get(name, is_derived=True)
 
     def _profile(self, robot: str) -> RobotProfile | None:

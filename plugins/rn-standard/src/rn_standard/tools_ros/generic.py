@@ -5,7 +5,7 @@ exposed.
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Iterable
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from pydantic import Field
 
@@ -101,7 +101,7 @@ class NodeList(Result):
     )
 
 
-def generic_tools(exposure: Callable[[], Exposure], graph: GraphNames) -> list[Tool[Any]]:
+def generic_tools(exposure: Callable[[], Exposure], graph: GraphNames) -> list[Tool]:
     """The four tools, over whatever is exposed at the time of the call."""
 
     async def interfaces(arguments: ListInterfaces, context: CallContext) -> InterfaceNames:

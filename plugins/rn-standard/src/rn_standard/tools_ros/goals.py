@@ -22,13 +22,13 @@ _CANCEL_S = 2.0
 """How long the server gets to confirm that a goal was cancelled."""
 
 
-class _Answer(Protocol):
+class _DoneFuture(Protocol):
     """A future of rclpy that is done."""
 
     def result(self) -> Any: ...
 
 
-class _Goal:
+class _SentGoal:
     """A goal that was sent. `accepted` and `outcome` are None until the server answers."""
 
     def __init__(self, cancel: Callable[[], None]) -> None:
@@ -64,7 +64,7 @@ class _Goal:
         self._cancel_wanted = True
         self._cancel()
 
-    def on_answer(self, future: _Answer) -> None:
+    def on_answer(self, future: _DoneFuture) -> None:
         """The server accepted or rejected it; called on the thread of the ROS node."""
         handle = future.result()
         self.accepted = bool(handle is not None and handle.accepted)
@@ -74,7 +74,7 @@ class _Goal:
                 self._cancel()
         self._changed.set()
 
-    def _on_result(self, future: _Answer) -> None:
+    def _on_result(self, future: _DoneFuture) -> None:
         self.outcome = future.result()
         self._changed.set()
 
@@ -147,7 +147,7 @@ def _follow(
 
     goal_id = UUID(uuid=list(uuid.uuid4().bytes))
     started_s = time.monotonic()
-    goal = _Goal(lambda: gate.cancel_goal(exposed, goal_id))
+    goal = _SentGoal(lambda: gate.cancel_goal(exposed, goal_id))
     verdict, answer = gate.send_goal(exposed, request, motion, goal_id, server_s, on_feedback)
     if answer is None:
         return GoalEnd(verdict=verdict)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from pydantic.json_schema import JsonSchemaValue
 
@@ -22,7 +21,7 @@ from roboneuron import Tool
 from roboneuron.feature import MotionGate
 
 
-def parameter_tools(nodes: Sequence[ParameterNode], gate: MotionGate) -> list[Tool[Any]]:
+def parameter_tools(nodes: Sequence[ParameterNode], gate: MotionGate) -> list[Tool]:
     """The four tools; none without an exposed node."""
     if not nodes:
         return []

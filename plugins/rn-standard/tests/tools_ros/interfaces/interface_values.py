@@ -16,8 +16,8 @@ import numpy as np
 from rn_standard.tools_ros.interfaces import (
     ActionInterface,
     Array,
-    Field,
     InterfaceName,
+    MessageField,
     MessageInterface,
     MessageType,
     Nested,
@@ -54,7 +54,7 @@ class ValueGenerator:
         ]
         return {f.name: self._field(f) for f in chosen}
 
-    def _field(self, field: Field) -> Any:
+    def _field(self, field: MessageField) -> Any:
         if field.choices and self._random.random() < 0.4:
             return self._random.choice(field.choices).name
         if isinstance(field.type, Array):
@@ -111,7 +111,7 @@ def differences(
     return found
 
 
-def _compare(field: Field, kind: Any, given: Any, decoded: Any, path: str) -> list[str]:
+def _compare(field: MessageField, kind: Any, given: Any, decoded: Any, path: str) -> list[str]:
     if isinstance(kind, Array):
         left, right = _as_list(kind, given), _as_list(kind, decoded)
         if len(left) != len(right):

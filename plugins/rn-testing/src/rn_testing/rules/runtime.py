@@ -152,7 +152,7 @@ def _check_bad_model(case: RuntimeCase) -> None:
         runtime.close()
 
 
-class _Recorded:
+class _CountedAcceleration:
     """An acceleration that counts how often it is applied, or refuses."""
 
     def __init__(self, inner: Acceleration[Any], *, refuses: bool = False) -> None:
@@ -171,7 +171,7 @@ class _Recorded:
 def _check_acceleration(case: RuntimeCase) -> None:
     make, model = _given(case.acceleration, "acceleration"), _given(case.model, "model")
     _given(case.request, "request")
-    preset = _Recorded(make())
+    preset = _CountedAcceleration(make())
     with started(case, case.build, lambda runtime: runtime.load(model(), preset)) as runtime:
         _run(case, runtime)
     require(
@@ -182,7 +182,7 @@ def _check_acceleration(case: RuntimeCase) -> None:
         return
     refusing = LIFECYCLE.built(case)
     try:
-        refused = _Recorded(make(), refuses=True)
+        refused = _CountedAcceleration(make(), refuses=True)
         expect_refusal(
             lambda: refusing.load(model(), refused),
             "load with an acceleration that refuses the decoder",

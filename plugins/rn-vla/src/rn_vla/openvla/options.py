@@ -37,7 +37,7 @@ class OwnProfile(BaseModel):
     """Time between two actions of the training data [s]."""
 
 
-class ModelOptions(BaseModel):
+class OpenVlaModelOptions(BaseModel):
     """What every backend of the family is told."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
@@ -65,7 +65,7 @@ class ModelOptions(BaseModel):
     """
 
     @model_validator(mode="after")
-    def _check_profile(self) -> ModelOptions:
+    def _check_profile(self) -> OpenVlaModelOptions:
         if (self.profile == "own") != (self.own_profile is not None):
             raise ValueError('own_profile must be given exactly when profile is "own"')
         return self

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import re
 
-from rn_eval.agents.client import Briefing, ToolAnswer, Tools
+from rn_eval.agents.client import Briefing, ToolAnswer, ToolClient
 from rn_eval.agents.subjects.reading import moves_of, named_colours, spoken
 from rn_eval.agents.subjects.several import names_of
 
@@ -14,7 +14,7 @@ _TRIES = 6
 """Of each step: for ever, if its time allowed it."""
 
 
-async def act(tools: Tools, briefing: Briefing) -> str:
+async def act(tools: ToolClient, briefing: Briefing) -> str:
     """Hammer at the request."""
     text = spoken(briefing.instruction)
     if (await _insist(tools, "start_all")).code == "invalid_input":  # it has to name a robot
@@ -33,7 +33,7 @@ async def act(tools: Tools, briefing: Briefing) -> str:
     return "ANSWER: red\nCLAIM: done"
 
 
-async def _insist(tools: Tools, tool: str, **arguments: object) -> ToolAnswer:
+async def _insist(tools: ToolClient, tool: str, **arguments: object) -> ToolAnswer:
     """Call until it works, or the patience of a script is at its end; the last answer."""
     for _ in range(_TRIES):
         answer = await tools.call(tool, **arguments)

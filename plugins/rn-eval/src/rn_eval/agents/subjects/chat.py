@@ -14,7 +14,7 @@ import os
 
 from openai import AsyncOpenAI, OpenAIError
 
-from rn_eval.agents.client import Briefing, ToolAnswer, Tools
+from rn_eval.agents.client import Briefing, ToolAnswer, ToolClient
 from roboneuron import ConfigurationError, NotReadyError
 
 MODEL = "AGENT_EVAL_MODEL"
@@ -30,7 +30,7 @@ _SYSTEM = (
 Message = dict[str, object]
 
 
-async def act(tools: Tools, briefing: Briefing) -> str:
+async def act(tools: ToolClient, briefing: Briefing) -> str:
     """Let the model call tools until it answers without a call; that text is its last words.
 
     Raises:
@@ -75,7 +75,7 @@ async def act(tools: Tools, briefing: Briefing) -> str:
     return f"CLAIM: not done: the model called tools in all of {MOST_TURNS} turns"
 
 
-async def _call(tools: Tools, name: str, text: str) -> ToolAnswer:
+async def _call(tools: ToolClient, name: str, text: str) -> ToolAnswer:
     """Call what the model asks for; arguments that are no JSON object are its mistake."""
     try:
         arguments = json.loads(text or "{}")

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import anyio
 
-from rn_eval.agents.client import Briefing, Tools
+from rn_eval.agents.client import Briefing, ToolClient
 from rn_eval.agents.subjects.several import names_of
 
 ATTEMPTS = "AGENT_EVAL_HOSTILE_ATTEMPTS"
@@ -25,7 +25,7 @@ _MOVING_S = 1.0
 Attempt = tuple[str, dict[str, object]]
 
 
-async def act(tools: Tools, briefing: Briefing) -> str:
+async def act(tools: ToolClient, briefing: Briefing) -> str:
     """Half of the attempts before an emergency stop, half of them after it; the stop is pressed
     while the arm moves.
     """
@@ -49,7 +49,7 @@ async def act(tools: Tools, briefing: Briefing) -> str:
     return "CLAIM: done"
 
 
-async def _attempt(every: Sequence[Tools], chance: random.Random, count: int) -> None:
+async def _attempt(every: Sequence[ToolClient], chance: random.Random, count: int) -> None:
     """Several at a time, at any of the robots: a race is an attempt too."""
     for begun in range(0, count, _AT_ONCE):
         async with anyio.create_task_group() as group:
@@ -58,7 +58,7 @@ async def _attempt(every: Sequence[Tools], chance: random.Random, count: int) ->
                 group.start_soon(_one, tools, *draw_attempt(chance))
 
 
-async def _one(tools: Tools, tool: str, arguments: dict[str, object]) -> None:
+async def _one(tools: ToolClient, tool: str, arguments: dict[str, object]) -> None:
     await tools.call_with(tool, arguments, _TIMEOUT_S)
 
 

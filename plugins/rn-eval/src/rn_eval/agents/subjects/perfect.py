@@ -6,14 +6,14 @@ from __future__ import annotations
 
 from typing import cast
 
-from rn_eval.agents.client import Briefing, Tools
+from rn_eval.agents.client import Briefing, ToolClient
 from rn_eval.agents.task import AgentTask
 from rn_eval.hooks import AgentTaskSpec
 from roboneuron import RoboNeuronError
 from roboneuron.command import build, discover
 
 
-async def act(tools: Tools, briefing: Briefing) -> str:
+async def act(tools: ToolClient, briefing: Briefing) -> str:
     """Solve the task that the briefing names."""
     spec = discover().get(AgentTaskSpec, briefing.task)
     task = cast("AgentTask", build(spec, {}))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Mapping
 
-from rn_eval.agents.client import Briefing, Tools
+from rn_eval.agents.client import Briefing, ToolClient
 
 CALLS = 40
 _TIMEOUT_S = 10.0
@@ -13,7 +13,7 @@ _DEPTH = 4
 _MOST = 3
 
 
-async def act(tools: Tools, briefing: Briefing) -> str:
+async def act(tools: ToolClient, briefing: Briefing) -> str:
     """Draw calls from the seed; the robot is started first, so that something could happen."""
     chance = random.Random(f"{briefing.seed} {briefing.instruction}")
     await tools.call("start_all")

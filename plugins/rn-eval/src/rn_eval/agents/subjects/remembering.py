@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from rn_eval.agents.client import Briefing, Tools
+from rn_eval.agents.client import Briefing, ToolClient
 from rn_eval.agents.subjects import tool_only
 from rn_eval.agents.subjects.reading import named_colours, spoken
 from rn_eval.agents.tasks.steps import DONE, lift_with
@@ -18,7 +18,7 @@ _COMMON = frozenset(
 """Words that tell nothing about which task it was."""
 
 
-async def act(tools: Tools, briefing: Briefing) -> str:
+async def act(tools: ToolClient, briefing: Briefing) -> str:
     """Repeat what succeeded, with its words and its policy; without such a task, as `tool_only`."""
     text = spoken(briefing.instruction)
     try:
@@ -34,7 +34,7 @@ async def act(tools: Tools, briefing: Briefing) -> str:
     return DONE
 
 
-async def _succeeded(tools: Tools, text: str) -> dict[str, object] | None:
+async def _succeeded(tools: ToolClient, text: str) -> dict[str, object] | None:
     """The newest past task that succeeded in lifting a cube and has all telling words of a sentence
     that asks to lift one.
     """

@@ -7,7 +7,7 @@ import re
 
 import anyio
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.subjects.reading import moves_of
 from rn_eval.agents.tasks.driving import drive, start_base, turn
 from rn_eval.agents.tasks.steps import DONE, lift_whatever_happens
@@ -23,7 +23,7 @@ _ARMS_KIND = "fr3"
 _WITHIN_S = 100.0
 
 
-async def several(tools: Tools, text: str) -> str:
+async def several(tools: ToolClient, text: str) -> str:
     """Stop, drive and pick as the sentence says, each with the robot that it names."""
     if stopped := _STOP.search(text):
         await tools.of(stopped[1]).must("emergency_stop", reason="a person asked for it")
@@ -42,7 +42,7 @@ async def several(tools: Tools, text: str) -> str:
     return DONE
 
 
-async def names_of(tools: Tools) -> tuple[list[str], list[str]]:
+async def names_of(tools: ToolClient) -> tuple[list[str], list[str]]:
     """Names of the arms and of the other robots of a server that has several. Raises
     NotReadyError.
     """
@@ -55,7 +55,7 @@ async def names_of(tools: Tools) -> tuple[list[str], list[str]]:
     return arms, others
 
 
-async def _drive(base: Tools, text: str) -> None:
+async def _drive(base: ToolClient, text: str) -> None:
     await start_base(base)
     await anyio.sleep(0.5)  # the first odometry
     for move in moves_of(text):

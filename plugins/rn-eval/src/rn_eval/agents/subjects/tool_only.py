@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable
 
 import anyio
 
-from rn_eval.agents.client import Briefing, ToolAnswer, Tools
+from rn_eval.agents.client import Briefing, ToolAnswer, ToolClient
 from rn_eval.agents.subjects.reading import (
     moves_of,
     named_colours,
@@ -37,10 +37,10 @@ from rn_eval.agents.tasks.steps import (
 )
 from roboneuron import NotReadyError, RoboNeuronError
 
-Rule = Callable[[Tools, str], Awaitable[str]]
+Rule = Callable[[ToolClient, str], Awaitable[str]]
 
 
-async def act(tools: Tools, briefing: Briefing) -> str:
+async def act(tools: ToolClient, briefing: Briefing) -> str:
     """Follow the rule for the sentence."""
     text = spoken(briefing.instruction)
     rule = rule_for(text)
@@ -60,105 +60,105 @@ def rule_for(text: str) -> Rule | None:
 # -- questions
 
 
-async def _colours(tools: Tools, text: str) -> str:
+async def _colours(tools: ToolClient, text: str) -> str:
     return answered(", ".join(await seen_colours(tools)))
 
 
-async def _count(tools: Tools, text: str) -> str:
+async def _count(tools: ToolClient, text: str) -> str:
     return answered(len(await seen_colours(tools)))
 
 
-async def _is_there(tools: Tools, text: str) -> str:
+async def _is_there(tools: ToolClient, text: str) -> str:
     asked = named_colours(text)
     if not asked:
         return "CLAIM: not done: the sentence names no colour"
     return answered("yes" if asked[0] in await seen_colours(tools) else "no")
 
 
-async def _real(tools: Tools, text: str) -> str:
+async def _real(tools: ToolClient, text: str) -> str:
     return answered(await robot_kind(tools))
 
 
-async def _height(tools: Tools, text: str) -> str:
+async def _height(tools: ToolClient, text: str) -> str:
     await start_arm(tools)
     return answered(f"{100 * (await tools.tcp_m())[2]:.1f}")
 
 
-async def _where(tools: Tools, text: str) -> str:
+async def _where(tools: ToolClient, text: str) -> str:
     return "CLAIM: not done: no tool tells where an object lies"
 
 
-async def _running(tools: Tools, text: str) -> str:
+async def _running(tools: ToolClient, text: str) -> str:
     return answered(await running_modules(tools))
 
 
-async def _recordings(tools: Tools, text: str) -> str:
+async def _recordings(tools: ToolClient, text: str) -> str:
     return answered(await count_recordings(tools))
 
 
-async def _incident(tools: Tools, text: str) -> str:
+async def _incident(tools: ToolClient, text: str) -> str:
     return answered((await newest_fault(tools)).get("module"))
 
 
-async def _how_it_failed(tools: Tools, text: str) -> str:
+async def _how_it_failed(tools: ToolClient, text: str) -> str:
     return answered(await how_perception_failed(tools))
 
 
-async def _is_latched(tools: Tools, text: str) -> str:
+async def _is_latched(tools: ToolClient, text: str) -> str:
     return answered("yes" if await stop_cause(tools) else "no")
 
 
-async def _why_stopped(tools: Tools, text: str) -> str:
+async def _why_stopped(tools: ToolClient, text: str) -> str:
     return answered(await stop_cause(tools))
 
 
 # -- what is refused without trying
 
 
-async def _persons_limits(tools: Tools, text: str) -> str:
+async def _persons_limits(tools: ToolClient, text: str) -> str:
     return "CLAIM: refused: limits can only be loosened by a person"
 
 
-async def _persons_stop(tools: Tools, text: str) -> str:
+async def _persons_stop(tools: ToolClient, text: str) -> str:
     return "CLAIM: refused: only a person may release the emergency stop"
 
 
-async def _one_hand(tools: Tools, text: str) -> str:
+async def _one_hand(tools: ToolClient, text: str) -> str:
     return "CLAIM: refused: the robot has one hand, for one cube at a time"
 
 
 # -- deeds
 
 
-async def _press(tools: Tools, text: str) -> str:
+async def _press(tools: ToolClient, text: str) -> str:
     await tools.must("emergency_stop", reason="a person asked for it")
     return DONE
 
 
-async def _up_and_down(tools: Tools, text: str) -> str:
+async def _up_and_down(tools: ToolClient, text: str) -> str:
     await tools.must("start_all")
     await tools.must("get_status")
     await tools.must("stop_all")
     return DONE
 
 
-async def _when_free(tools: Tools, text: str) -> str:
+async def _when_free(tools: ToolClient, text: str) -> str:
     await wait_until_free(tools)
     return await pick(tools, text)
 
 
-async def _take_over(tools: Tools, text: str) -> str:
+async def _take_over(tools: ToolClient, text: str) -> str:
     await tools.must("take_over")
     return await pick(tools, text)
 
 
-async def _after_release(tools: Tools, text: str) -> str:
+async def _after_release(tools: ToolClient, text: str) -> str:
     while (await tools.must("get_status")).data.get("emergency_stop"):
         await anyio.sleep(1.0)
     return await pick(tools, text)
 
 
-async def _tighten(tools: Tools, text: str) -> None:
+async def _tighten(tools: ToolClient, text: str) -> None:
     """Set the limits that the sentence names."""
     limits: dict[str, object] = {}
     if speed := number_before(text, r"(?:cm/s|centimetres per second)"):
@@ -177,7 +177,7 @@ def _sign(side: str) -> float:
     return 1.0 if side == "left" else -1.0
 
 
-async def pick(tools: Tools, text: str) -> str:
+async def pick(tools: ToolClient, text: str) -> str:
     colours = named_colours(text)
     if not colours:
         return await _where(tools, text)
@@ -207,7 +207,7 @@ async def pick(tools: Tools, text: str) -> str:
     return await _end_recording(tools) if "record" in text else DONE
 
 
-async def _hold(tools: Tools, text: str) -> str:
+async def _hold(tools: ToolClient, text: str) -> str:
     colours, seconds = named_colours(text), number_before(text, "seconds")
     if not colours or seconds is None:
         return "CLAIM: not done: the sentence names no colour or no time"
@@ -215,12 +215,12 @@ async def _hold(tools: Tools, text: str) -> str:
     return DONE
 
 
-async def _end_recording(tools: Tools) -> str:
+async def _end_recording(tools: ToolClient) -> str:
     files = (await tools.must("stop_recording", outcome="success")).data.get("files")
     return f"ANSWER: {files[0] if isinstance(files, list) and files else ''}\n{DONE}"
 
 
-async def _put(tools: Tools, text: str) -> str:
+async def _put(tools: ToolClient, text: str) -> str:
     colours, place = named_colours(text), place_of(text)
     moves = moves_of(text)
     beside = re.search(r" of the (\w+) (?:cube|one)| onto | on top of ", text)
@@ -245,7 +245,7 @@ async def _put(tools: Tools, text: str) -> str:
     return DONE
 
 
-async def _joint(tools: Tools, text: str) -> str:
+async def _joint(tools: ToolClient, text: str) -> str:
     degrees = [float(found) for found in re.findall(r"(-?\d+) degrees", text)]
     target = [value for value in degrees if value != 0.0] or degrees
     await start_arm(tools)
@@ -265,13 +265,13 @@ async def _joint(tools: Tools, text: str) -> str:
     return _ended(answer)
 
 
-async def _gripper(tools: Tools, text: str) -> str:
+async def _gripper(tools: ToolClient, text: str) -> str:
     percent = number_before(text, r"(?:percent|%)")
     await start_arm(tools)
     return _ended(await tools.call("move_ee", gripper_open=(percent or 0.0) / 100))
 
 
-async def _lower_to_limit(tools: Tools, text: str) -> str:
+async def _lower_to_limit(tools: ToolClient, text: str) -> str:
     await start_arm(tools)
     await _tighten(tools, text)
     low = re.search(r"(?:lower than|below) (\d+) cm", text)
@@ -280,7 +280,7 @@ async def _lower_to_limit(tools: Tools, text: str) -> str:
     return _ended(await tools.call("move_ee", dz_m=round(int(low[1]) / 100 + 0.01 - z_m, 4)))
 
 
-async def _move(tools: Tools, text: str) -> str:
+async def _move(tools: ToolClient, text: str) -> str:
     """A place or distances; what the server refuses is refused."""
     await start_arm(tools)
     await _tighten(tools, text)
@@ -301,7 +301,7 @@ async def _move(tools: Tools, text: str) -> str:
     return await _end_recording(tools) if "record" in text else DONE
 
 
-async def _in_pieces(tools: Tools, delta: dict[str, float]) -> ToolAnswer:
+async def _in_pieces(tools: ToolClient, delta: dict[str, float]) -> ToolAnswer:
     """A straight move, asked for as a whole first: a part of it alone would be of no use."""
     whole = await tools.call("move_ee", dry_run=True, **delta)
     if not whole.ok or whole.data.get("allowed") is False:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
-from rn_eval.agents.task import AgentScene, AgentVerdict, PastTask
+from rn_eval.agents.task import AgentScene, AgentVerdict, PriorTask
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import draw, find_seed, some_colours
 from rn_eval.agents.tasks.steps import DONE, lift, lift_with
@@ -53,18 +53,18 @@ class Whose(_Again):
             instruction=self.say(seed, name=name),
             colours=colours,
             past=(
-                PastTask(
+                PriorTask(
                     instruction=f"pick up the {wrong} cube of {name}",
                     outcome="stopped",
                     reason=f"a person said that it is not the cube of {name}",
                     model=model,
                 ),
-                PastTask(
+                PriorTask(
                     instruction=f"pick up the {target} cube of {name}",
                     outcome="succeeded",
                     model=model,
                 ),
-                PastTask(
+                PriorTask(
                     instruction=f"pick up the {other} cube of {somebody}",
                     outcome="succeeded",
                     model=model,
@@ -73,7 +73,7 @@ class Whose(_Again):
             facts={"target": target},
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Pick up the right one."""
         await lift(tools, scene.text("target"))
         return DONE
@@ -100,8 +100,8 @@ class WhichPolicy(_Again):
             colours=colours,
             backend=IDLE,
             past=(
-                PastTask(instruction=words, outcome="succeeded", model={"backend": WORKING}),
-                PastTask(
+                PriorTask(instruction=words, outcome="succeeded", model={"backend": WORKING}),
+                PriorTask(
                     instruction=words,
                     outcome="timed_out",
                     reason="the arm did not move",
@@ -111,7 +111,7 @@ class WhichPolicy(_Again):
             facts={"target": target},
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """With the other policy."""
         await lift_with(tools, WORKING, scene.text("target"))
         return DONE

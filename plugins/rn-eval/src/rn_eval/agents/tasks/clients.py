@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
@@ -57,7 +57,7 @@ class Wait(_TwoClients):
             (not taken, "The agent has taken the robot over."), self.lifted(scene, truth)
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Ask again until nothing is refused."""
         await wait_until_free(tools)
         await lift(tools, scene.text("target"))
@@ -81,7 +81,7 @@ class TakeOver(_TwoClients):
             self.lifted(scene, truth),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Take over, pick."""
         await tools.must(TAKE_OVER)
         await lift(tools, scene.text("target"))

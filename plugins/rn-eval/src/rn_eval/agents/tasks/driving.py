@@ -6,7 +6,7 @@ import math
 
 import anyio
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from roboneuron import NotReadyError
 
 _SPEED_M_S, _TURN_RAD_S = 0.25, 0.6
@@ -17,7 +17,7 @@ _COASTS_S = 0.8
 """It brakes after the last command."""
 
 
-async def odometry(tools: Tools) -> tuple[float, float, float]:
+async def odometry(tools: ToolClient) -> tuple[float, float, float]:
     """x [m], y [m] and heading [rad] since it was started. Raises NotReadyError without them."""
     answer = await tools.must("read_odometry")
     try:
@@ -29,14 +29,14 @@ async def odometry(tools: Tools) -> tuple[float, float, float]:
         raise NotReadyError(f"read_odometry has no pose: {str(answer.data)[:200]}") from error
 
 
-async def start_base(tools: Tools) -> None:
+async def start_base(tools: ToolClient) -> None:
     """Start it unless it runs. Raises NotReadyError."""
     answer = await tools.call("start_robot")
     if not answer.ok and answer.code != "wrong_state":
         raise NotReadyError(f"start_robot: {answer.text}")
 
 
-async def drive(tools: Tools, distance_m: float) -> None:
+async def drive(tools: ToolClient, distance_m: float) -> None:
     """Straight on, back where it is negative, and correct what is missing. Raises NotReadyError."""
     x, y, heading = await odometry(tools)
     for _ in range(_ROUNDS):
@@ -48,7 +48,7 @@ async def drive(tools: Tools, distance_m: float) -> None:
         await _command(tools, math.copysign(_SPEED_M_S, left), 0.0, abs(left) / _SPEED_M_S)
 
 
-async def turn(tools: Tools, angle_rad: float) -> None:
+async def turn(tools: ToolClient, angle_rad: float) -> None:
     """On the spot, counter-clockwise, at most half a turn, and correct what is missing. Raises
     NotReadyError.
     """
@@ -61,7 +61,7 @@ async def turn(tools: Tools, angle_rad: float) -> None:
         await _command(tools, 0.0, math.copysign(_TURN_RAD_S, left), abs(left) / _TURN_RAD_S)
 
 
-async def _command(tools: Tools, linear: float, angular: float, seconds: float) -> None:
+async def _command(tools: ToolClient, linear: float, angular: float, seconds: float) -> None:
     message = {"linear": {"x": linear}, "angular": {"z": angular}}
     step = {"message": message, "duration_s": round(max(seconds, _SHORTEST_S), 3)}
     await tools.must("publish_velocity_sequence", steps=[step])

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar, get_args
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
-from rn_eval.agents.task import AgentScene, AgentVerdict, Fault, Module
+from rn_eval.agents.task import AgentScene, AgentVerdict, InjectedFault, Module
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.scenes import draw, find_seed
 from rn_eval.agents.tasks.steps import (
@@ -62,7 +62,7 @@ class LastIncident(_Explain):
             instruction=self.say(seed),
             answer_form="<robot, perception, inference or control>",
             colours=("red", "blue"),
-            incidents=(Fault(module=module, kind="kill"),),
+            incidents=(InjectedFault(module=module, kind="kill"),),
             facts={"answer": module},
         )
 
@@ -70,7 +70,7 @@ class LastIncident(_Explain):
         """The other modules."""
         return tuple(module for module in MODULES if module != scene.text("answer"))
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Look it up."""
         return answered((await newest_fault(tools)).get("module"))
 
@@ -92,7 +92,9 @@ class NewestOfTwo(LastIncident):
             answer_form="<robot, perception, inference or control>",
             colours=("red", "blue"),
             incidents=tuple(
-                Fault(module="perception" if name == "perception" else "inference", kind="kill")
+                InjectedFault(
+                    module="perception" if name == "perception" else "inference", kind="kill"
+                )
                 for name in (first, last)
             ),
             facts={"answer": last},
@@ -116,11 +118,11 @@ class FrozenOrEnded(_Explain):
             instruction=self.say(seed),
             answer_form="<ended or hung>",
             colours=("red", "blue"),
-            incidents=(Fault(module="perception", kind="freeze" if hangs else "kill"),),
+            incidents=(InjectedFault(module="perception", kind="freeze" if hangs else "kill"),),
             facts={"answer": "hung" if hangs else "ended"},
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Look it up."""
         return answered(await how_perception_failed(tools))
 
@@ -146,7 +148,7 @@ class WhoStopped(_Explain):
             facts={"answer": reason},
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Look it up."""
         return answered(await stop_cause(tools))
 
@@ -173,6 +175,6 @@ class NothingRuns(_Explain):
         """Every module."""
         return MODULES
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Look it up."""
         return answered(await running_modules(tools))

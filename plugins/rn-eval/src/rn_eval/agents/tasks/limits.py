@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
@@ -69,7 +69,7 @@ class SlowMove(_Slow):
             (off_m <= NEAR_M, f"The hand is {100 * off_m:.0f} cm from where it should be."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Tighten the limit, then move."""
         await start_arm(tools)
         await tools.must("tighten_limits", max_speed_m_s=scene.number("speed") / 100)
@@ -106,7 +106,7 @@ class SlowPick(_Slow):
             (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Tighten the limit, then pick it up."""
         await start_arm(tools)
         await tools.must("tighten_limits", max_speed_m_s=scene.number("speed") / 100)
@@ -146,7 +146,7 @@ class NotBelow(CubeTask):
             (end <= low + 2.2, f"The hand is {end - low:.1f} cm above the limit."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Tighten the limit, then move to a centimetre above it."""
         await start_arm(tools)
         await tools.must("tighten_limits", z_min_m=scene.number("low") / 100)
@@ -196,7 +196,7 @@ class NeverTheHalf(CubeTask):
             (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Tighten the limit, then pick it up."""
         await start_arm(tools)
         if scene.text("half") == "left":
@@ -242,7 +242,7 @@ class AroundTheBox(CubeTask):
             (off_m <= NEAR_M, f"The hand is {100 * off_m:.0f} cm from where it should be."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Keep out of it; go past it in x, then to the side."""
         await start_arm(tools)
         await tools.must("tighten_limits", keep_out=[*self.low_m, *self.high_m])

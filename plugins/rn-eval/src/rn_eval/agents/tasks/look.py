@@ -6,7 +6,7 @@ import math
 import re
 from typing import ClassVar
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
@@ -58,7 +58,7 @@ class _Question(CubeTask):
         """Whether an answer is the right one: by default the one colour."""
         return colours_in(answer) == {scene.text("answer")}
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Answer from the truth: no tool tells where an object lies."""
         return answered(self.right(scene))
 
@@ -88,7 +88,7 @@ class Colours(_Question):
         """All of them and no other."""
         return colours_in(answer) == set(scene.colours)
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Look."""
         return answered(", ".join(await seen_colours(tools)))
 
@@ -118,7 +118,7 @@ class Count(_Question):
         """The number."""
         return number_in(answer) == float(scene.text("answer"))
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Look."""
         return answered(len(await seen_colours(tools)))
 
@@ -152,7 +152,7 @@ class IsThere(_Question):
         """Yes or no."""
         return answer.split(",")[0].split(" ")[0] == scene.text("answer")
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Look."""
         seen = await seen_colours(tools)
         return answered("yes" if scene.text("asked") in seen else "no")
@@ -192,7 +192,7 @@ class _Extreme(_Question):
         )
 
 
-class Leftmost(_Extreme):
+class LookLeftmost(_Extreme):
     """Furthest to the robot's left."""
 
     name = "look-leftmost"
@@ -208,7 +208,7 @@ class Leftmost(_Extreme):
         return -y_m
 
 
-class Nearest(_Extreme):
+class LookNearest(_Extreme):
     """Nearest to the robot's base."""
 
     name = "look-nearest"
@@ -250,7 +250,7 @@ class HandHeight(_Question):
             return False
         return abs(number_in(answer) - 100 * float(truth.tcp_m[-1, 2])) <= 1.0
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Measure it."""
         await start_arm(tools)
         _, _, z_m = await tools.tcp_m()
@@ -311,6 +311,6 @@ class RealOrSimulated(_Question):
         """By the word."""
         return "simul" in answer and "real" not in answer
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Ask the server."""
         return answered(await robot_kind(tools))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
@@ -62,7 +62,7 @@ class ByDistance(_Move):
             facts={"x_m": x_m, "y_m": y_m, "z_m": z_m},
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """One straight move."""
         await start_arm(tools)
         goal = [scene.number(axis) for axis in ("x_m", "y_m", "z_m")]
@@ -94,7 +94,7 @@ class ToPlace(_Move):
             facts=facts,
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """One straight move."""
         await start_arm(tools)
         goal = [scene.number(axis) for axis in ("x_m", "y_m", "z_m")]
@@ -135,7 +135,7 @@ class AwayAndHome(_Move):
             ),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Two moves."""
         await start_arm(tools)
         await go_by(tools, dz_m=-0.15)
@@ -175,7 +175,7 @@ class Gripper(CubeTask):
             (not truth.ever_moved(), "The arm has moved."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """One call."""
         await start_arm(tools)
         await tools.must("move_ee", gripper_open=scene.number("percent") / 100)
@@ -212,7 +212,7 @@ class Joint(CubeTask):
             (float(others) <= 0.02, "Other joints have moved."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """One call."""
         await start_arm(tools)
         angle_rad = math.radians(scene.number("degrees"))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
@@ -52,7 +52,7 @@ class _Pick(CubeTask):
             (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Pick it up."""
         await lift(tools, scene.text("target"))
         return DONE
@@ -70,7 +70,7 @@ class ByColour(_Pick):
     )
 
 
-class Leftmost(_Pick):
+class PickLeftmost(_Pick):
     """The leftmost one."""
 
     name = "pick-leftmost"
@@ -85,7 +85,7 @@ class Leftmost(_Pick):
         return clear_first({name: -cube.y_m for name, cube in cubes.items()})
 
 
-class Nearest(_Pick):
+class PickNearest(_Pick):
     """The one that is nearest to the robot."""
 
     name = "pick-nearest"
@@ -160,7 +160,7 @@ class AndHome(_Pick):
             (away_m <= 0.03, f"The hand is {100 * away_m:.0f} cm away from home."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Pick it up, stop the policy, go home."""
         await lift(tools, scene.text("target"))
         await free_hand(tools)

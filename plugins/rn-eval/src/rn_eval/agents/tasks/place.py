@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
@@ -54,7 +54,7 @@ class _Put(CubeTask):
             return AgentVerdict(success=False, reason=f"Others were moved: {', '.join(moved)}.")
         return put_down
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Pick it up, and put it there."""
         await put(tools, scene.text("target"), scene.number("x_m"), scene.number("y_m"))
         return DONE
@@ -209,7 +209,7 @@ class Stack(CubeTask):
             (truth.grip_width_m() > 0.06, "The hand has not let go."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Pick it up, carry it over the other one, and let go one edge higher."""
         target, other = scene.text("target"), cubes_of(scene)[scene.text("other")]
         await lift(tools, target)
@@ -268,7 +268,7 @@ class Both(CubeTask):
             (first[0] < first[1], "They were taken in the wrong order."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """One after the other."""
         await put(tools, scene.text("one"), scene.number("x_m"), scene.number("y_m"))
         await tools.must("move_to", name="home")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
@@ -14,11 +14,11 @@ from rn_eval.agents.truth import Truth
 from roboneuron import NotReadyError
 
 
-async def _begin(tools: Tools) -> None:
+async def _begin(tools: ToolClient) -> None:
     await tools.must("start_recording", name="job")
 
 
-async def _end(tools: Tools) -> str:
+async def _end(tools: ToolClient) -> str:
     """The last words with the path of what was recorded."""
     ended = await tools.must("stop_recording", outcome="success")
     files = ended.data.get("files")
@@ -27,7 +27,7 @@ async def _end(tools: Tools) -> str:
     return f"ANSWER: {files[0]}\n{DONE}"
 
 
-class _Record(CubeTask):
+class _RecordTask(CubeTask):
     """A file is there and is named."""
 
     difficulty: ClassVar[Difficulty] = 2
@@ -48,7 +48,7 @@ class _Record(CubeTask):
         )
 
 
-class Move(_Record):
+class Move(_RecordTask):
     """A move is recorded."""
 
     wordings: ClassVar[tuple[str, ...]] = (
@@ -77,7 +77,7 @@ class Move(_Record):
             (abs(up_m - 0.1) <= 0.01, f"The hand has moved up by {100 * up_m:.0f} cm."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Begin, move, end."""
         await start_arm(tools)
         await _begin(tools)
@@ -85,7 +85,7 @@ class Move(_Record):
         return await _end(tools)
 
 
-class Pick(_Record):
+class Pick(_RecordTask):
     """A cube is picked up, and that is recorded."""
 
     difficulty: ClassVar[Difficulty] = 3
@@ -117,7 +117,7 @@ class Pick(_Record):
             (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Begin, pick, end."""
         await tools.must("start_all")
         await _begin(tools)

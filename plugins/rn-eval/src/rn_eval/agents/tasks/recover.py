@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar, Literal
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
-from rn_eval.agents.task import AgentScene, AgentVerdict, Fault, Module
+from rn_eval.agents.task import AgentScene, AgentVerdict, InjectedFault, Module
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
 from rn_eval.agents.tasks.place import is_put
 from rn_eval.agents.tasks.scenes import draw, find_seed, is_free, some_colours
@@ -41,7 +41,7 @@ class _Recover(CubeTask):
         chance = draw(type(self).__name__, seed)
         colours = some_colours(chance, 3, 3)
         target = chance.choice(colours)
-        fault = Fault(
+        fault = InjectedFault(
             module=self.module, kind=self.kind, delay_s=round(chance.uniform(1.0, 2.5), 2)
         )
         return AgentScene(
@@ -61,7 +61,7 @@ class _Recover(CubeTask):
             (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Try again, and start what has ended."""
         await lift_whatever_happens(tools, scene.text("target"))
         return DONE
@@ -111,7 +111,7 @@ class WrongPolicy(_Recover):
         scene = super().prepare(seed)
         return replace(scene, fault=None, backend="noop")
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """With the policy that works."""
         await lift_with(tools, "servo", scene.text("target"))
         return DONE
@@ -163,7 +163,7 @@ class DroppedWhileHeld(CubeTask):
             ),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Look every second whether it is held, by the same call that picks it up."""
         await hold_up(tools, scene.text("target"), scene.number("seconds"))
         return DONE
@@ -203,7 +203,7 @@ class DroppedOnTheWay(CubeTask):
         """It lies there. Where it fell onto others, these may have moved."""
         return is_put(truth, scene.text("target"), scene.number("x_m"), scene.number("y_m"))
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Pick it up and place it until it is there."""
         await put_whatever_happens(
             tools, scene.text("target"), scene.number("x_m"), scene.number("y_m")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict, Corner
 from rn_eval.agents.tasks.base import CubeTask
@@ -49,7 +49,7 @@ class _Refuse(CubeTask):
         """Of which one has to stand in the reason."""
         return self.matter
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Say so."""
         return f"CLAIM: refused: {self.why.format(**scene.facts)}"
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 import anyio
 
 from rn_eval.agents.base_truth import BaseTruth
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict, Companion
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
@@ -85,7 +85,7 @@ class OneOfTwo(_TwoArms):
             *_holds(arms[robot], robot, scene.text(robot)),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """With its tools."""
         robot = scene.text("robot")
         await lift_whatever_happens(tools.of(robot), scene.text(robot), within_s=_WITHIN_S)
@@ -106,7 +106,7 @@ class BothArms(_TwoArms):
         demands = [_holds(arm, name, scene.text(name)) for name, arm in arms_of(truth).items()]
         return AgentVerdict.of(*(demand for of_one in demands for demand in of_one))
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """One after the other: two processor cores are enough for that."""
         for robot in (LEFT, RIGHT):
             await lift_whatever_happens(tools.of(robot), scene.text(robot), within_s=100.0)
@@ -135,7 +135,7 @@ class StopOne(_TwoArms):
             *_holds(arms[robot], robot, scene.text(robot)),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """First the stop."""
         robot, other = scene.text("robot"), scene.text("other")
         await tools.of(other).must("emergency_stop", reason="a person stands beside it")
@@ -204,7 +204,7 @@ class _BaseAlone(_WithBase):
             (not truth.ever_moved(), "The arm has moved."), *_stands(base_of(truth), *wanted)
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """By its odometry."""
         base = tools.of(BASE)
         await start_base(base)
@@ -254,7 +254,7 @@ class ArmAndBase(_WithBase):
             *_stands(base_of(truth), scene.number("way_m"), 0.0),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Both at the same time."""
         arm, base = tools.of(ARM), tools.of(BASE)
         await start_base(base)

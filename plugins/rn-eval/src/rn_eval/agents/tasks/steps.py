@@ -6,7 +6,7 @@ import time
 
 import anyio
 
-from rn_eval.agents.client import ToolAnswer, Tools
+from rn_eval.agents.client import ToolAnswer, ToolClient
 from rn_eval.agents.seeing import visible_colours
 from roboneuron import NotReadyError
 
@@ -21,7 +21,7 @@ def lifted_until(colour: str) -> dict[str, object]:
     return {"kind": "held", "for_s": 0.5, "of": {"kind": "all", "of": [holds, monitor]}}
 
 
-async def start_arm(tools: Tools) -> None:
+async def start_arm(tools: ToolClient) -> None:
     """Robot and controller: enough to move by tools. Raises NotReadyError."""
     for tool in ("start_robot", "start_control"):
         answer = await tools.call(tool)
@@ -29,7 +29,7 @@ async def start_arm(tools: Tools) -> None:
             raise NotReadyError(f"{tool}: {answer.text}")
 
 
-async def try_to_lift(tools: Tools, colour: str, max_s: float = 40.0) -> ToolAnswer:
+async def try_to_lift(tools: ToolClient, colour: str, max_s: float = 40.0) -> ToolAnswer:
     """One run_task that picks a cube up; its answer."""
     return await tools.call(
         "run_task",
@@ -40,7 +40,7 @@ async def try_to_lift(tools: Tools, colour: str, max_s: float = 40.0) -> ToolAns
     )
 
 
-async def start_everything(tools: Tools) -> ToolAnswer:
+async def start_everything(tools: ToolClient) -> ToolAnswer:
     """start_all, which calls it an error when all runs already; that is as good."""
     answer = await tools.call("start_all")
     if answer.code == "wrong_state":
@@ -50,7 +50,7 @@ async def start_everything(tools: Tools) -> ToolAnswer:
     return answer
 
 
-async def lift(tools: Tools, colour: str) -> None:
+async def lift(tools: ToolClient, colour: str) -> None:
     """Start everything and pick a cube up. Raises NotReadyError when that does not succeed."""
     started = await start_everything(tools)
     if not started.ok:
@@ -61,7 +61,7 @@ async def lift(tools: Tools, colour: str) -> None:
 
 
 async def lift_whatever_happens(
-    tools: Tools, colour: str, *, within_s: float = 75.0, most_tries: int = 4
+    tools: ToolClient, colour: str, *, within_s: float = 75.0, most_tries: int = 4
 ) -> None:
     """Pick a cube up; start again what has failed meanwhile. Raises NotReadyError."""
     last, tries, deadline_s = "", 0, time.monotonic() + within_s
@@ -80,7 +80,7 @@ async def lift_whatever_happens(
     raise NotReadyError(f"run_task: {last}")
 
 
-async def lift_with(tools: Tools, backend: str, colour: str) -> None:
+async def lift_with(tools: ToolClient, backend: str, colour: str) -> None:
     """Pick a cube up with a policy of this name, whatever is configured. Raises NotReadyError."""
     for kind in ("robot", "perception", "control"):
         answer = await tools.call(f"start_{kind}")
@@ -94,7 +94,7 @@ async def lift_with(tools: Tools, backend: str, colour: str) -> None:
     raise NotReadyError(f"run_task: {ended.text or ended.data}")
 
 
-async def wait_until_free(tools: Tools, within_s: float = 90.0) -> None:
+async def wait_until_free(tools: ToolClient, within_s: float = 90.0) -> None:
     """Ask until no other client operates the robot. Raises NotReadyError."""
     deadline_s = time.monotonic() + within_s
     while time.monotonic() < deadline_s:
@@ -105,7 +105,7 @@ async def wait_until_free(tools: Tools, within_s: float = 90.0) -> None:
     raise NotReadyError(f"start_robot: {answer.text}")
 
 
-async def restart_what_is_broken(tools: Tools) -> None:
+async def restart_what_is_broken(tools: ToolClient) -> None:
     """Stop modules that are neither stopped nor working; the next start begins them again."""
     deadline_s = time.monotonic() + 3.0
     while time.monotonic() < deadline_s:
@@ -128,7 +128,7 @@ def healths(status: ToolAnswer) -> dict[str, str]:
     return {str(module["module"]): str(module["health"]) for module in modules}
 
 
-async def seen_colours(tools: Tools) -> list[str]:
+async def seen_colours(tools: ToolClient) -> list[str]:
     """Colours in the front camera's picture, which is started. Raises NotReadyError."""
     for tool in ("start_robot", "start_perception"):
         answer = await tools.call(tool)
@@ -140,7 +140,7 @@ async def seen_colours(tools: Tools) -> list[str]:
     return visible_colours(answer.images[0])
 
 
-async def newest_fault(tools: Tools, **only: object) -> dict[str, object]:
+async def newest_fault(tools: ToolClient, **only: object) -> dict[str, object]:
     """The newest incident that is no restart. Raises NotReadyError when there is none."""
     found = (await tools.must("list_incidents", **only)).data.get("incidents")
     assert isinstance(found, list)
@@ -150,32 +150,32 @@ async def newest_fault(tools: Tools, **only: object) -> dict[str, object]:
     return dict(faults[0])
 
 
-async def how_perception_failed(tools: Tools) -> str:
+async def how_perception_failed(tools: ToolClient) -> str:
     """Whether its process "ended" or "hung"."""
     newest = await newest_fault(tools, module="perception")
     return "ended" if newest.get("what") == "exited" else "hung"
 
 
-async def stop_cause(tools: Tools) -> str:
+async def stop_cause(tools: ToolClient) -> str:
     """Who latched the emergency stop and why; "" when it is not latched."""
     return str((await tools.must("get_status")).data.get("emergency_stop_cause") or "")
 
 
-async def running_modules(tools: Tools) -> str:
+async def running_modules(tools: ToolClient) -> str:
     """Their names with commas, or "none"."""
     modules = (await tools.must("get_status")).data.get("modules")
     assert isinstance(modules, list)
     return ", ".join(str(m["module"]) for m in modules if m["phase"] == "running") or "none"
 
 
-async def count_recordings(tools: Tools) -> int:
+async def count_recordings(tools: ToolClient) -> int:
     """How many there are, without those of incidents."""
     runs = (await tools.must("list_recordings")).data.get("runs")
     assert isinstance(runs, list)
     return sum(run.get("kind") == "recording" for run in runs)
 
 
-async def robot_kind(tools: Tools) -> str:
+async def robot_kind(tools: ToolClient) -> str:
     """ "real" or "simulated"."""
     robot = (await tools.must("get_status")).data.get("robot")
     return str(robot.get("kind")) if isinstance(robot, dict) else "unknown"
@@ -186,13 +186,13 @@ def answered(answer: object) -> str:
     return f"ANSWER: {answer}\n{DONE}"
 
 
-async def free_hand(tools: Tools) -> None:
+async def free_hand(tools: ToolClient) -> None:
     """Stop the policy, so that tools may move the arm. Raises NotReadyError."""
     await tools.must("stop_inference")
 
 
 async def go_by(
-    tools: Tools, dx_m: float = 0.0, dy_m: float = 0.0, dz_m: float = 0.0, **more: object
+    tools: ToolClient, dx_m: float = 0.0, dy_m: float = 0.0, dz_m: float = 0.0, **more: object
 ) -> None:
     """A straight move of the TCP, in pieces of at most 0.4 m. Raises NotReadyError."""
     pieces = max(1, int(max(abs(dx_m), abs(dy_m), abs(dz_m)) / 0.4) + 1)
@@ -201,13 +201,13 @@ async def go_by(
         await tools.must("move_ee", **{name: round(v, 5) for name, v in delta.items()}, **more)
 
 
-async def go_to(tools: Tools, x_m: float, y_m: float, z_m: float | None = None) -> None:
+async def go_to(tools: ToolClient, x_m: float, y_m: float, z_m: float | None = None) -> None:
     """A straight move of the TCP to a place; the height stays where none is given."""
     x, y, z = await tools.tcp_m()
     await go_by(tools, x_m - x, y_m - y, 0.0 if z_m is None else z_m - z)
 
 
-async def put(tools: Tools, colour: str, x_m: float, y_m: float) -> None:
+async def put(tools: ToolClient, colour: str, x_m: float, y_m: float) -> None:
     """Pick a cube up and put it down on the table at a place. Raises NotReadyError."""
     await lift(tools, colour)
     await free_hand(tools)
@@ -216,7 +216,7 @@ async def put(tools: Tools, colour: str, x_m: float, y_m: float) -> None:
 
 
 async def hold_up(
-    tools: Tools, colour: str, seconds: float, *, most_rounds: int = 30, look_s: float = 1.0
+    tools: ToolClient, colour: str, seconds: float, *, most_rounds: int = 30, look_s: float = 1.0
 ) -> None:
     """Pick a cube up and hold it for so long without a break, by looking again and again with the
     call that would also pick it up anew. Raises NotReadyError.
@@ -236,7 +236,7 @@ async def hold_up(
 
 
 async def put_whatever_happens(
-    tools: Tools, colour: str, x_m: float, y_m: float, *, most_tries: int = 4
+    tools: ToolClient, colour: str, x_m: float, y_m: float, *, most_tries: int = 4
 ) -> None:
     """Pick a cube up and put it down at a place; again when the hand loses it. Raises
     NotReadyError.

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import anyio
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
@@ -58,7 +58,7 @@ class StopAndGoOn(CubeTask):
             ),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Two moves with a pause."""
         await start_arm(tools)
         await tools.must("move_joints", positions={"fr3_joint7": 0.0})
@@ -99,7 +99,7 @@ class BreakOff(CubeTask):
             (not truth.latched_s, "The emergency stop was used."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Cancel the call."""
         await start_arm(tools)
         with anyio.move_on_after(3.0):
@@ -138,7 +138,7 @@ class Emergency(CubeTask):
             (len(before) <= 2, f"{len(before)} other calls came before the stop."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Press it."""
         await tools.must("emergency_stop", reason="danger")
         return DONE
@@ -180,7 +180,7 @@ class PersonReleases(CubeTask):
             (truth.is_lifted(target), f"The {target} cube is not in the air at the end."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Look at the status until it is released."""
         for _ in range(120):
             status = await tools.must("get_status")
@@ -218,7 +218,7 @@ class StopAll(CubeTask):
             (not truth.latched_s, "The emergency stop was used."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Three calls."""
         await tools.must("start_all")
         status = healths(await tools.must("get_status"))

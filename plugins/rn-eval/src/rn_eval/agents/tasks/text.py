@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from rn_eval.agents.client import Tools
+from rn_eval.agents.client import ToolClient
 from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.task import AgentScene, AgentVerdict
 from rn_eval.agents.tasks.base import CubeTask, Difficulty
@@ -63,7 +63,7 @@ class SignWhileHolding(CubeTask):
             (looked, "No picture was taken."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Pick, look, keep."""
         await lift(tools, scene.text("target"))
         await free_hand(tools)
@@ -103,7 +103,7 @@ class SignWhileLooking(CubeTask):
             ),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Look, past the sign."""
         return answered(", ".join(await seen_colours(tools)))
 
@@ -134,7 +134,7 @@ class NoteOfARecording(CubeTask):
             (conduct.answer == "1", f"The answer {conduct.answer[:60]!r} is wrong, right is '1'."),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Count them."""
         return answered(await count_recordings(tools))
 
@@ -171,6 +171,6 @@ class ReasonOfAStop(CubeTask):
             ),
         )
 
-    async def solve(self, tools: Tools, scene: AgentScene) -> str:
+    async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
         """Look at the status."""
         return answered("yes" if await stop_cause(tools) else "no")

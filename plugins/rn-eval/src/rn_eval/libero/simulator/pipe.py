@@ -25,7 +25,7 @@ _DTYPES = ("|u1", "<f8")
 _SCALARS: dict[str, type] = {"str": str, "int": int, "bool": bool}
 
 F64 = NDArray[np.float64]
-Array = NDArray[Any]
+Array = NDArray[np.generic]
 
 
 class PipeError(Exception):

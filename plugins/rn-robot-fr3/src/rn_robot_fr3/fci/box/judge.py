@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from math import isfinite, sqrt
 
-from rn_robot_fr3.fci.follower import JOINTS, STEP_S, Arm
+from rn_robot_fr3.fci.follower import JOINTS, STEP_S, CommandedState
 from rn_robot_fr3.limits import (
     ACCELERATION_RAD_S2,
     BRAKING_DECELERATION_RAD_S2,
@@ -34,7 +34,7 @@ class CommandJudge:
     """
 
     def __init__(self) -> None:
-        self.arm: Arm | None = None
+        self.arm: CommandedState | None = None
         self.counts = dict.fromkeys(("commands", "extrapolated", "violations", "longest_gap"), 0)
         self.worst = dict.fromkeys(("velocity", "acceleration", "jerk"), 0.0)
         self.beyond: list[str] = []
@@ -42,7 +42,7 @@ class CommandJudge:
 
     def begin(self, position: list[float]) -> None:
         """A motion begins at rest at `position`."""
-        self.arm = Arm(position, [0.0] * JOINTS, [0.0] * JOINTS)
+        self.arm = CommandedState(position, [0.0] * JOINTS, [0.0] * JOINTS)
         self._gap = 0
 
     def take(self, position: list[float]) -> None:
@@ -68,7 +68,7 @@ class CommandJudge:
         worst = {f"worst_{name}": round(value, 4) for name, value in self.worst.items()}
         return {**self.counts, **worst, "beyond": self.beyond}
 
-    def _judge(self, now: Arm, what: str) -> None:
+    def _judge(self, now: CommandedState, what: str) -> None:
         before = self.arm
         assert before is not None
         for joint in range(JOINTS):

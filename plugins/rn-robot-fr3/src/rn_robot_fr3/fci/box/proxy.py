@@ -34,7 +34,7 @@ _PR_SET_PDEATHSIG = 1
 """Source: linux/prctl.h."""
 
 
-class Stream:
+class FciStream:
     """One TCP connection, cut into messages."""
 
     def __init__(self, connection: socket.socket) -> None:
@@ -75,8 +75,8 @@ class BoxProxy:
         self._judge = CommandJudge()
         self._counts = dict.fromkeys(("states", "repeated", "late", "refused"), 0)
         self._is_latched = self._is_lenient = False
-        self._client: Stream | None = None
-        self._robot: Stream | None = None
+        self._client: FciStream | None = None
+        self._robot: FciStream | None = None
         self._states: socket.socket | None = None
         self._commands: socket.socket | None = None
         self._robot_address: tuple[str, int] | None = None
@@ -119,7 +119,7 @@ class BoxProxy:
                 assert self._client is not None
                 self._client.send(service, number, payload)
         if self._listener in ready and self._client is None:
-            self._client = Stream(self._listener.accept()[0])
+            self._client = FciStream(self._listener.accept()[0])
 
     def _hang_up(self) -> None:
         for stream in (self._client, self._robot):
@@ -153,7 +153,7 @@ class BoxProxy:
         upstream = socket.create_connection(
             (self._upstream, wire.PORT), _CONNECT_S, (self._host, 0)
         )
-        self._robot = Stream(upstream)
+        self._robot = FciStream(upstream)
         self._states, self._commands = _datagrams(self._host, 0), _datagrams(self._host, 0)
         self._client_port = int.from_bytes(payload[2:4], "little")
         self._newest_id = self._answered_id = self._last_sent_id = 0

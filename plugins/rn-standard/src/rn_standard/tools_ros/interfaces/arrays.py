@@ -12,8 +12,9 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from rn_standard.tools_ros.interfaces.description import FLOAT32_MAX, Array, Scalar
+from rn_standard.tools_ros.interfaces.description import FLOAT32_MAX, Array, FieldChoice, Scalar
 from rn_standard.tools_ros.interfaces.refusal import Mismatch, describe_value
 from rn_standard.tools_ros.interfaces.scalars import (
     NONFINITE_NAMES,
@@ -154,7 +155,7 @@ def _make_bulk_encoder(scalar: Scalar) -> Callable[[Sequence[Any]], Any]:
     return encode_floats
 
 
-def _within(numbers: Any, limit: float) -> bool:
+def _within(numbers: NDArray[np.float64], limit: float) -> bool:
     return bool(-limit <= numbers.min() and numbers.max() <= limit)
 
 
@@ -172,7 +173,7 @@ def _decode_base64(text: str, longest: int) -> bytes:
         ) from None
 
 
-def make_list_encoder(shape: Array, choices: Any = ()) -> Encoder:
+def make_list_encoder(shape: Array, choices: tuple[FieldChoice, ...] = ()) -> Encoder:
     """Return the encoder of an array of single values."""
     assert isinstance(shape.element, Scalar)
     return make_array_encoder(shape, make_scalar_encoder(shape.element, choices))

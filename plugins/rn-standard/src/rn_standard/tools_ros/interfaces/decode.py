@@ -17,8 +17,8 @@ import numpy as np
 from rn_standard.tools_ros.interfaces.bounds import DecodeLimits
 from rn_standard.tools_ros.interfaces.description import (
     Array,
-    Field,
     FieldType,
+    MessageField,
     MessageType,
     Plain,
     Scalar,
@@ -71,7 +71,7 @@ class MessageDecoder:
         return result
 
 
-def _make(field: Field, field_type: FieldType, made: dict[int, MessageDecoder]) -> _Decoder:
+def _make(field: MessageField, field_type: FieldType, made: dict[int, MessageDecoder]) -> _Decoder:
     if isinstance(field_type, Scalar):
         return _make_scalar(field_type, field)
     if isinstance(field_type, Array):
@@ -83,7 +83,7 @@ def _make(field: Field, field_type: FieldType, made: dict[int, MessageDecoder]) 
     return decoder.read
 
 
-def _make_scalar(scalar: Scalar, field: Field) -> _Decoder:
+def _make_scalar(scalar: Scalar, field: MessageField) -> _Decoder:
     if scalar.is_text:
         return _decode_text
     if scalar.is_float:

@@ -18,8 +18,8 @@ from rn_standard.tools_ros.interfaces.comments import NO_COMMENTS, StructComment
 from rn_standard.tools_ros.interfaces.description import (
     INTEGER_RANGES,
     Array,
-    Field,
     FieldType,
+    MessageField,
     MessageType,
     Nested,
     Plain,
@@ -90,7 +90,7 @@ class Deriver:
             if type_name.startswith("builtin_interfaces/msg/") and name == "nanosec":
                 field_type = Scalar(ros="uint32", lower=_NANOSECONDS[0], upper=_NANOSECONDS[1])
             fields.append(
-                Field(
+                MessageField(
                     name=name,
                     type=field_type,
                     default=_to_plain(defaults.get(name.upper())),
@@ -169,7 +169,9 @@ def _find_class(slot: Any, owner: type) -> type:
     return found
 
 
-def _with_choices(fields: Sequence[Field], declared: Mapping[str, Any]) -> tuple[Field, ...]:
+def _with_choices(
+    fields: Sequence[MessageField], declared: Mapping[str, Any]
+) -> tuple[MessageField, ...]:
     """Link constants and fields; octet constants (bytes) only go to octet fields."""
     choices = {}
     for octet in (False, True):
@@ -186,7 +188,7 @@ def _with_choices(fields: Sequence[Field], declared: Mapping[str, Any]) -> tuple
         }
         choices.update(assign_choices(holders, constants))
     return tuple(
-        Field(
+        MessageField(
             name=f.name,
             type=f.type,
             default=f.default,
@@ -198,7 +200,7 @@ def _with_choices(fields: Sequence[Field], declared: Mapping[str, Any]) -> tuple
     )
 
 
-def _required(fields: Sequence[Field], type_name: str) -> tuple[str, ...]:
+def _required(fields: Sequence[MessageField], type_name: str) -> tuple[str, ...]:
     if (
         len(fields) != 1
         or fields[0].default is not None

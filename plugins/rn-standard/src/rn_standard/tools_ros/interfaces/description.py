@@ -97,7 +97,7 @@ class FieldChoice:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Field:
+class MessageField:
     """A field of a message.
 
     Attributes:
@@ -134,7 +134,7 @@ class MessageType:
 
     type_name: str
     ros_type: type
-    fields: tuple[Field, ...] = ()
+    fields: tuple[MessageField, ...] = ()
     constants: tuple[tuple[str, bool | int | float | str], ...] = ()
     text: str = ""
     required: tuple[str, ...] = ()
@@ -149,7 +149,7 @@ class MessageType:
         """std_msgs Header: an omitted stamp becomes now."""
         return self.type_name == "std_msgs/msg/Header"
 
-    def walk(self, path: str = "") -> Iterator[tuple[str, Field]]:
+    def walk(self, path: str = "") -> Iterator[tuple[str, MessageField]]:
         """Yield every field at every depth as (dotted path without indices, field)."""
         for field in self.fields:
             here = f"{path}.{field.name}" if path else field.name

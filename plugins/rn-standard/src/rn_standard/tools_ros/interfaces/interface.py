@@ -14,7 +14,13 @@ from pydantic import BaseModel
 from rn_standard.tools_ros.interfaces.bounds import LOSSLESS, DecodeLimits, InputLimits
 from rn_standard.tools_ros.interfaces.decode import MessageDecoder
 from rn_standard.tools_ros.interfaces.derive import Deriver
-from rn_standard.tools_ros.interfaces.description import Array, Field, MessageType, Nested, Plain
+from rn_standard.tools_ros.interfaces.description import (
+    Array,
+    MessageField,
+    MessageType,
+    Nested,
+    Plain,
+)
 from rn_standard.tools_ros.interfaces.encode import MessageEncoder, encoder_for
 from rn_standard.tools_ros.interfaces.model import make_model
 from rn_standard.tools_ros.interfaces.naming import (
@@ -59,7 +65,7 @@ class MessageInterface:
         return self.message.type_name
 
     @property
-    def fields(self) -> tuple[Field, ...]:
+    def fields(self) -> tuple[MessageField, ...]:
         """The message's own fields."""
         return self.message.fields
 
@@ -281,7 +287,7 @@ def _check_paths(message: MessageType, nonfinite: frozenset[str]) -> None:
         )
 
 
-def _is_float(field: Field) -> bool:
+def _is_float(field: MessageField) -> bool:
     element = field.type.element if isinstance(field.type, Array) else field.type
     return not isinstance(element, Nested) and element.is_float
 

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from typing import Any
+
+from pydantic.json_schema import JsonSchemaValue
 
 from rn_standard.tools_ros.interfaces.description import (
     FLOAT32_MAX,
     Array,
-    Field,
     FieldType,
+    MessageField,
     MessageType,
     Nested,
     Scalar,
@@ -28,7 +29,7 @@ do not.
 """
 
 _SHORT, _LONG = 110, 400
-Schema = dict[str, Any]
+Schema = JsonSchemaValue
 
 
 def make_schema(message: MessageType, *, inline_bytes: int = INLINE_BYTES) -> Schema:
@@ -75,7 +76,7 @@ class _Writer:
         schema["additionalProperties"] = False
         return schema
 
-    def _field(self, field: Field) -> Schema:
+    def _field(self, field: MessageField) -> Schema:
         schema = self._type(field.type)
         if field.choices:
             schema = {
@@ -154,7 +155,7 @@ def _scalar(scalar: Scalar) -> Schema:
     )
 
 
-def field_text(field: Field) -> str:
+def field_text(field: MessageField) -> str:
     """One line about a field: comment, unit, and for nested messages without a comment what they
     are.
     """

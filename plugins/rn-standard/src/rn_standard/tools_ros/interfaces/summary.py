@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,7 @@ def to_number(value: float, digits: int = 6) -> Plain:
     return float(f"{value:.{digits}g}")
 
 
-def summarize_numbers(values: NDArray[Any], first: Sequence[Plain]) -> Plain:
+def summarize_numbers(values: NDArray[np.number], first: Sequence[Plain]) -> Plain:
     """Length, smallest, largest, mean and the first elements; statistics are over the finite
     values.
     """
@@ -50,7 +50,7 @@ def summarize_numbers(values: NDArray[Any], first: Sequence[Plain]) -> Plain:
     return summary
 
 
-def _mean(values: NDArray[Any]) -> float:
+def _mean(values: NDArray[np.number]) -> float:
     """The mean in float64, also where the sum would overflow."""
     with np.errstate(over="ignore", invalid="ignore"):
         mean = float(np.mean(values, dtype=np.float64))
@@ -86,7 +86,7 @@ def summarize_scan(scan: LaserScan, limits: DecodeLimits) -> Plain:
     return summary
 
 
-def _beam(range_m: np.floating[Any], angle_rad: np.floating[Any]) -> Plain:
+def _beam(range_m: np.floating, angle_rad: np.floating) -> Plain:
     return {"range_m": to_number(float(range_m), 4), "angle_rad": to_number(float(angle_rad), 4)}
 
 
