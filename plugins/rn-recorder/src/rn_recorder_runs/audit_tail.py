@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 _MOST = 1 << 20
 
@@ -22,7 +23,7 @@ class AuditTail:
         self._rest = b""
         self._open(from_end=True)
 
-    def lines(self) -> Iterator[tuple[str, dict[str, object]]]:
+    def lines(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """Lines that came since the last call, with what they say."""
         yield from self._new()
         with suppress(OSError):
@@ -45,7 +46,7 @@ class AuditTail:
             if from_end:
                 os.lseek(self._descriptor, 0, os.SEEK_END)
 
-    def _new(self) -> Iterator[tuple[str, dict[str, object]]]:
+    def _new(self) -> Iterator[tuple[str, dict[str, Any]]]:
         while self._descriptor >= 0:
             data = os.read(self._descriptor, _MOST)
             if not data:
