@@ -9,7 +9,7 @@ import pty
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from contextlib import AbstractAsyncContextManager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from mcp import Client
 
 _INCIDENT_S = 15.0
+_POLL_S = 0.2
+_FROZEN = ("silent", "stuck", "stalled")
+"""Words of list_incidents for a suspended process."""
 _PERSON_S = 30.0
 
 
@@ -127,23 +130,14 @@ class EpisodeFolder:
             tools = ToolClient(client)
             server = int((await tools.must("get_status")).number("pid"))
             await tools.must("start_all")
-            for number, fault in enumerate(faults, 1):
+            for fault in faults:
+                known = {str(one["id"]) for one in await incidents(tools)}
                 pid = module_pid(server, fault.module)
                 if pid is None:
                     raise NotReadyError(f"The module {fault.module} has no process to break.")
                 end_module(pid, fault.kind)
-                await self._wait_for_incidents(tools, fault.module, number)
+                await wait_for_incident(tools, fault, known)
             await tools.must("stop_all")
-
-    async def _wait_for_incidents(self, tools: ToolClient, module: str, number: int) -> None:
-        deadline_s = time.monotonic() + _INCIDENT_S
-        while time.monotonic() < deadline_s:
-            found = (await tools.must("list_incidents")).data["incidents"]
-            assert isinstance(found, list)
-            if any(one.get("module") == module for one in found) and len(found) >= number:
-                return
-            await anyio.sleep(0.2)
-        raise NotReadyError(f"The server has recorded no incident of {module}.")
 
     async def _record(self, note: str) -> None:
         async with self._server() as client:
@@ -158,6 +152,45 @@ class EpisodeFolder:
         os.environ.update(_changed(os.environ, self.environment()))
         options = ["--config", str(self.configuration), "--log-level", "error"]
         return spawned_server(options, self._folder / "before.log")
+
+
+async def incidents(tools: ToolClient) -> list[dict[str, object]]:
+    """Faults that the server has recorded, newest first; restarts are none."""
+    found = (await tools.must("list_incidents", entries=100)).data["incidents"]
+    assert isinstance(found, list)
+    return [dict(one) for one in found if one.get("what") != "restart"]
+
+
+async def wait_for_incident(
+    tools: ToolClient, fault: InjectedFault, known: Set[str], within_s: float = _INCIDENT_S
+) -> None:
+    """Wait until a fault is the newest one that the server has recorded. A busy machine makes
+    others: a module may stall before it is killed, and another one after that.
+
+    Args:
+        tools: of the server.
+        fault: was just caused.
+        known: ids of what was recorded before it.
+        within_s: longest wait.
+
+    Raises:
+        NotReadyError: it is not recorded in time, or another module has failed after it.
+    """
+    expected = ("exited",) if fault.kind == "kill" else _FROZEN
+    deadline_s = time.monotonic() + within_s
+    while True:
+        new = [one for one in await incidents(tools) if one["id"] not in known]
+        told = [one for one in new if one["module"] == fault.module and one["what"] in expected]
+        if told:
+            break
+        if time.monotonic() >= deadline_s:
+            raise NotReadyError(f"The server has recorded no incident of {fault.module}.")
+        await anyio.sleep(_POLL_S)
+    if new[0]["module"] != fault.module:
+        raise NotReadyError(
+            f"{new[0]['module']} is {new[0]['what']} since {fault.module} was broken: another "
+            "fault than that of the scene is the newest one."
+        )
 
 
 def _changed(now: Mapping[str, str], wanted: Mapping[str, str]) -> dict[str, str]:
