@@ -51,6 +51,20 @@ def eval_demo(session: nox.Session) -> None:
 
 
 @lane
+def eval_shift(session: nox.Session) -> None:
+    """the learned policy on 50 seeds with the camera moved, other light, table or noise"""
+    policy = "out/eval/policy"
+    shutil.rmtree(ROOT / policy, ignore_errors=True)
+    roboneuron(session, "cubes-policy", "unpack", policy)
+    run = ["eval", "run", "--backend", "oft-primary", "--checkpoint", policy]
+    run += ["--config", f"{policy}/roboneuron.toml", "--execution", "overlap"]
+    run += ["--seed", "10000", "--episodes", "50", "--workers", JOBS, "--retry-errors"]
+    for shift in ("none", "camera", "light", "table", "noise"):
+        option = ("--suite-option", f"shift={shift}", "--out", f"out/eval/shift/{shift}")
+        roboneuron(session, *run, *option, *session.posargs)
+
+
+@lane
 def eval_libero(session: nox.Session) -> None:
     """each of LIBERO's 40 tasks once: no-op, tiny random OpenVLA and OFT (0 % is right)"""
     prepare(session, "libero")

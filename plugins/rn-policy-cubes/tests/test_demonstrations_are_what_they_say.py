@@ -82,6 +82,23 @@ def test_labels_have_the_shapes_of_the_layout_and_are_the_teachers(shards: Path)
     assert np.array_equal(state_of(rows[3]), labels.state[3])
 
 
+def test_the_yaw_to_be_seen_is_the_cubes_alone_and_a_quarter_turn_changes_nothing(
+    shards: Path,
+) -> None:
+    rows = np.load(shard_files(shards, 0)[0])[:1].repeat(3)
+    rows["rotation"] = np.diag([1.0, -1.0, -1.0])
+    turned = 0.3
+    sine, cosine = np.sin(turned), np.cos(turned)
+    rows["rotation"][1] = [[cosine, sine, 0.0], [sine, -cosine, 0.0], [0.0, 0.0, -1.0]]
+    rows["cube_yaw_rad"] = 0.1
+    rows["cube_yaw_rad"][2] += np.pi / 2
+    place = label(rows).place
+    assert np.allclose(place[:, :, 5:], [np.sin(0.4), np.cos(0.4)], atol=1e-6)
+    assert np.allclose(place[0], place[2], atol=1e-6)
+    to_cube = 4 * (0.1 - turned)
+    assert np.allclose(place[1, :, 3:5], [np.sin(to_cube), np.cos(to_cube)], atol=1e-6)
+
+
 def test_a_held_cube_leaves_no_answer_for_the_others() -> None:
     rows = np.zeros(1, dtype=ROW)
     rows["rotation"] = np.diag([1.0, -1.0, -1.0])

@@ -65,12 +65,10 @@ def test_an_error_of_a_turn_is_never_more_than_an_eighth() -> None:
     turns = torch.tensor([0.1, 0.75, -0.75, 0.0])
     told = turns + torch.tensor([0.05, 0.1, 0.0, torch.pi / 4])
 
-    def places(values: torch.Tensor) -> torch.Tensor:
-        return torch.cat(
-            (torch.zeros(4, 3), (4 * values).sin()[:, None], (4 * values).cos()[:, None]), dim=1
-        )
+    def angles(values: torch.Tensor) -> torch.Tensor:
+        return torch.stack(((4 * values).sin(), (4 * values).cos()), dim=1)
 
-    assert turn_error(places(told), places(turns)) == pytest.approx(
+    assert turn_error(angles(told), angles(turns)) == pytest.approx(
         [0.05, 0.1, 0.0, torch.pi / 4], abs=1e-5
     )
 

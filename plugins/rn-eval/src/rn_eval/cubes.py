@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from rn_eval.arm import DeployedArm
+from rn_eval.domain_shift import DomainShift, Shift
 from rn_eval.suite import Episode, Judgement, Setup
+from rn_robot_fr3.cameras import cell_cameras
 from rn_robot_fr3.cell import FR3, Workcell
 from rn_robot_fr3.simulation import STEP_S, ArmSimulation
 from rn_simulation.cubes import DEFAULT_COLOURS, RGBA_BY_COLOUR
@@ -69,6 +71,11 @@ class CubesOptions(BaseModel):
     )
     held_s: float = Field(
         default=1.0, gt=0, le=10, description="how long the cube must be held 10 cm up"
+    )
+
+    shift: Shift = Field(
+        default="none",
+        description="what differs from training: camera beside the table, light, table, noise",
     )
 
     @model_validator(mode="after")
@@ -173,8 +180,13 @@ class CubesScene:
         self._controller = setup.controller
         self._arm = DeployedArm(setup, setup.controller)
         self._poses = poses_of(setup.controller)
+        self._shift = DomainShift(options.shift, episode.seed)
         self._simulation = ArmSimulation(
-            episode.seed, colours=colours, engine=options.engine, cell=self.cell
+            episode.seed,
+            colours=colours,
+            engine=options.engine,
+            cell=self.cell,
+            cameras=self._shift.cameras(cell_cameras(self.cell)),
         )
         self._simulation.open()
         self._turned_rad = self._turn_to_target()
@@ -185,7 +197,7 @@ class CubesScene:
         frames = {
             role: Frame(
                 camera=camera.name,
-                image=self._simulation.render(camera.name, size, size),
+                image=self._shift.image(self._simulation.render(camera.name, size, size)),
                 stamp_ns=stamp_ns,
                 frame_id=camera.frame_id,
                 calibration=self._calibrations[role],

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 DEFAULT_DIRECTORY = Path("out/train-cubes")
 IMPROVED_DIRECTORY = Path("out/improve-cubes")
+_FUSE_HELP = "compile the layers: half the time; needs C++"
 
 
 class CubesPolicy:
@@ -53,9 +54,7 @@ class CubesPolicy:
         train.add_argument(
             "--threads", type=int, default=1, help="threads of the training on a CPU (default: 1)"
         )
-        train.add_argument(
-            "--fuse", action="store_true", help="compile the layers: half the time; needs C++"
-        )
+        train.add_argument("--fuse", action="store_true", help=_FUSE_HELP)
         _configure_improve(
             actions.add_parser(
                 "improve",
@@ -123,6 +122,7 @@ def _configure_improve(parser: ArgumentParser) -> None:
         help="another value of the training's recipe: rate=0.0005",
     )
     add("--threads", type=int, default=1, help="threads of the training on a CPU (default: 1)")
+    add("--fuse", action="store_true", help=_FUSE_HELP)
 
 
 def _improve(arguments: Namespace) -> int:
@@ -147,7 +147,7 @@ def _improve(arguments: Namespace) -> int:
     except ValidationError as error:
         raise _wrong_value(error) from None
     with alone_in(arguments.out):
-        wheel = Wheel(arguments.out, _say)
+        wheel = Wheel(arguments.out, _say, fuse=arguments.fuse)
         number = wheel.begin(arguments.weights or shipped_weights(), plan, arguments.corrections)
         test = wheel.run(number)
         is_promoted = wheel.champion == number

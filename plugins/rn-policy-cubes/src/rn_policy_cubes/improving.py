@@ -91,10 +91,11 @@ class Wheel:
     Args:
         directory: of everything.
         say: gets lines for people.
+        fuse: compile the layers before training, see `train`.
     """
 
-    def __init__(self, directory: Path, say: Say) -> None:
-        self.directory, self._say = directory, say
+    def __init__(self, directory: Path, say: Say, *, fuse: bool = False) -> None:
+        self.directory, self._say, self._fuse = directory, say, fuse
         self.ledger = ImprovementLedger(directory)
         self._data = directory / "demonstrations"
 
@@ -228,6 +229,7 @@ class Wheel:
             more=more,
             corrections=corrections_in(self.directory, self._corrections(number)),
             say=self._say,
+            fuse=self._fuse,
         )
         packed = pack(folder / "training")
         with replacing(self._weights(number)) as unfinished:

@@ -29,7 +29,7 @@ U8 = NDArray[np.uint8]
 
 PLACE_SCALE = 5.0
 """Places relative to the TCP are told in units of 1 / PLACE_SCALE metres."""
-PLACE_WIDTH = 5
+PLACE_WIDTH = 7
 _LOW, _HIGH = np.array(STATE_LOW), np.array(STATE_HIGH)
 _PIXELS_PER_PATCH = PATCH_PX * PATCH_PX
 
@@ -41,8 +41,8 @@ class Labels:
     Attributes:
         state: float32 (n, 7), normalised.
         actions: float32 (n, c, ROWS, 7), normalised.
-        place: float32 (n, c, 5), cube relative to the TCP, scaled, and sine and cosine of four
-            times the turn to it.
+        place: float32 (n, c, 7), cube relative to the TCP, scaled; sine and cosine of four times
+            the turn to it; the same of its yaw in the base frame.
         known: bool (n, c), False where the teacher has no sensible answer: the gripper is busy with
             another cube.
         distance_m: float32 (n, c), between TCP and cube.
@@ -75,9 +75,12 @@ def label(rows: NDArray[np.void]) -> Labels:
     distance = np.empty((count, colours), dtype=np.float32)
     for cube in range(colours):
         now = situations(rows, cube)
-        turn = 4 * now.turn_rad
+        # a quarter turn changes nothing; the yaw can be seen without knowing the gripper's
+        angles = 4 * np.column_stack([now.turn_rad, now.cube_yaw_rad])
+        sine, cosine = np.sin(angles), np.cos(angles)
         distance[:, cube] = np.linalg.norm(now.to_cube_m, axis=1)
-        place[:, cube] = np.column_stack([now.to_cube_m * PLACE_SCALE, np.sin(turn), np.cos(turn)])
+        place[:, cube, :3] = now.to_cube_m * PLACE_SCALE
+        place[:, cube, 3::2], place[:, cube, 4::2] = sine, cosine
         actions[:, cube] = chunks(now, ROWS)
     is_target = rows["target"][:, None] == np.arange(colours)
     is_busy = (rows["opening"] < 0.9) & (distance[is_target] < 0.03)

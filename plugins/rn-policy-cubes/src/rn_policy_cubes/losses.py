@@ -43,7 +43,7 @@ class Losses:
         action: weighted L1.
         point, spot, place: of the helpers.
         accuracy: of pointing, balanced.
-        told: (pairs, 5), the place told by the rows.
+        told: (pairs, 7), the place told by the rows.
     """
 
     total: Tensor

@@ -33,6 +33,7 @@ class Figures:
             TCP.
         turn_rad: median error of the told turn to the cube farther than 10 cm from the TCP, where
             turns are spread evenly; who does not see how a cube is turned errs by pi / 8.
+        yaw_rad: likewise of its yaw in the base frame.
         action_mm: mean absolute error of a move, per axis; `action_near_mm` likewise near the cube.
         grip: share of actions with the right opening; `grip_near` near the cube.
     """
@@ -42,6 +43,7 @@ class Figures:
     place_mm: float
     place_near_mm: float
     turn_rad: float
+    yaw_rad: float
     action_mm: float
     action_near_mm: float
     grip: float
@@ -72,7 +74,7 @@ def measure(
     most: int | None = None,
 ) -> Figures:
     """The figures of a network, over all views or `most` of them."""
-    told, true, move, grip, known, distance, pointing, turn = [], [], [], [], [], [], [], []
+    told, true, move, grip, known, distance, pointing, turn, yaw = ([] for _ in range(9))
     for batch in every(shards, prompts, _VIEWS, most):
         batch = batch.to(device)
         with torch.autocast(device.type, torch.bfloat16):
@@ -81,7 +83,8 @@ def measure(
         pointing.append(float(result.accuracy))
         told.append(result.told[:, :3].cpu().numpy() / PLACE_SCALE)
         true.append(batch.place[:, :3].cpu().numpy() / PLACE_SCALE)
-        turn.append(turn_error(result.told, batch.place))
+        turn.append(turn_error(result.told[:, 3:5], batch.place[:, 3:5]))
+        yaw.append(turn_error(result.told[:, 5:], batch.place[:, 5:]))
         error = (thought.actions.float() - batch.actions).abs()
         move.append(error[..., :3].mean(dim=(1, 2)).cpu().numpy() * MOVE_SCALE_M)
         said = thought.actions[..., 6].float() > 0.5
@@ -101,6 +104,7 @@ def measure(
         place_mm=float(np.median(error_m) * 1e3),
         place_near_mm=_mean(np.median, error_m[near]) * 1e3,
         turn_rad=_mean(np.median, np.concatenate(turn)[far > _FAR_M]),
+        yaw_rad=_mean(np.median, np.concatenate(yaw)[far > _FAR_M]),
         action_mm=float(moves[ok].mean() * 1e3),
         action_near_mm=_mean(np.mean, moves[near]) * 1e3,
         grip=float(grips[ok].mean()),
@@ -109,10 +113,8 @@ def measure(
 
 
 def turn_error(told: Tensor, true: Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Of places (pairs, 5), the last two values of which are sine and cosine of four times the
-    turn; [rad].
-    """
-    four = torch.atan2(told[:, 3], told[:, 4]) - torch.atan2(true[:, 3], true[:, 4])
+    """Of turns (pairs, 2), sine and cosine of four times the angle; [rad]."""
+    four = torch.atan2(told[:, 0], told[:, 1]) - torch.atan2(true[:, 0], true[:, 1])
     error: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
     error = torch.atan2(four.sin(), four.cos()).abs().double().cpu().numpy() / 4
     return error

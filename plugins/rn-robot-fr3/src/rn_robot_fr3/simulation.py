@@ -16,6 +16,7 @@ from rn_simulation.arm_simulation import CellSimulation
 from rn_simulation.arm_world import ArmWorld
 from rn_simulation.cubes import DEFAULT_COLOURS
 from rn_simulation.engine import EngineChoice, choose_engine
+from rn_simulation.pinhole import PinholeCamera
 
 COMMANDED = MOVED
 """Joints of one arm that a command may name."""
@@ -32,8 +33,9 @@ class ArmSimulation(CellSimulation):
         engine: EngineChoice = "auto",
         gui: bool = False,
         cell: Workcell = FR3,
+        cameras: Sequence[PinholeCamera] | None = None,
     ) -> None:
-        """Choose scene and engine.
+        """Choose scene and engine; `cameras` are those of the cell unless others are given.
 
         Raises:
             ConfigurationError: unknown colours, too many cubes, or the engine is not installed.
@@ -44,7 +46,7 @@ class ArmSimulation(CellSimulation):
             seed=seed,
             scene=random_cubes(seed, colours),
             engine=choose_engine(engine),
-            cameras=cell_cameras(cell),
+            cameras=cell_cameras(cell) if cameras is None else cameras,
         )
 
     def build_world(self) -> ArmWorld:
