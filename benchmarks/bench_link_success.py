@@ -119,16 +119,15 @@ LONGEST_S = 12 * 3600
 """Of one run of the evaluation, which goes on where it was ended."""
 
 
-def play(files: Sequence[Path], episodes: int, out: Path) -> None:
-    """Play what is missing of so many seeds with each file of times."""
+def play(files: Sequence[Path], executions: Sequence[str], episodes: int, out: Path) -> None:
+    """Play what is missing of so many seeds with each file of times and each execution."""
     policy = out / "policy"
     if not policy.exists():
         subprocess.run([PROGRAM, "cubes-policy", "unpack", str(policy)], check=True, timeout=300)
     words = ["--checkpoint", str(policy), "--config", str(policy / "roboneuron.toml")]
     for path in files:
         words += ["--latency", f"file:{path}"]
-    executions = ",".join(EXECUTIONS)
-    more = ["--execution", executions, "--seed", str(FIRST_SEED), "--strips", "none"]
+    more = ["--execution", ",".join(executions), "--seed", str(FIRST_SEED), "--strips", "none"]
     for count in sorted({episodes, *(size for size in ROUNDS if size < episodes)}):
         size = ["--episodes", str(count), "--out", str(out / "episodes"), "--retry-errors"]
         subprocess.run(
@@ -177,6 +176,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--episodes", type=int, default=20, help="seeds of each variant")
     parser.add_argument("--links", nargs="+", default=LINKS)
+    parser.add_argument("--executions", nargs="+", choices=EXECUTIONS, default=EXECUTIONS)
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--answers", action="store_true", help="only time answers")
     parser.add_argument("--judge", action="store_true", help="only print what is there")
@@ -196,7 +196,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.answers:
         return 0
     if not given.judge:
-        play([path for path, _ in found.values()], given.episodes, given.out)
+        files = [path for path, _ in found.values()]
+        play(files, given.executions, given.episodes, given.out)
     table(found, given.out)
     return 0
 

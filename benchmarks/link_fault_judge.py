@@ -148,6 +148,7 @@ class Judge:
             wrong.append("it did not go on by its remote policy")
         told |= {"fault_s": round(end_s - fault_s, 2), "back_s": round(time.time() - end_s, 2)}
         told["load"] = round(os.getloadavg()[0], 1)
+        told["connections"] = site.server.status()["robots"]
         if trial.is_spoilt and site.lied() == lies and "handshake" not in trial.kind:
             wrong.append("nothing was spoilt")
         wrong += self._motion(fault_s, told)

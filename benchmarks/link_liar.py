@@ -143,7 +143,9 @@ def serve(raw: socket.socket, liar: Liar, contexts: tuple[ssl.SSLContext, ...], 
             with contextlib.suppress(OSError):
                 while data := robot.recv(65536):
                     server.sendall(data)
-            server.close()
+            with contextlib.suppress(OSError):
+                # closed while it is read from, it would stay one of the server's robots
+                socket.socket.shutdown(server, socket.SHUT_RDWR)
 
         threading.Thread(target=ask, daemon=True).start()
         with contextlib.suppress(OSError):

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from link_machines import Machine
 
 from rn_backend_shared.backend import SharedBackend
 from rn_backend_shared.case import install, options_in
@@ -28,7 +29,8 @@ from rn_backend_shared.plugin import BACKEND
 from rn_backend_shared.processes import ask_status
 from rn_backend_shared.serve_command import name_of
 from rn_link.certificates import new_key, read_certificate
-from rn_link.machine import PORT, Machine, Peer
+from rn_link.machine import PORT, Peer
+from rn_link.machine import Machine as LinkMachine
 from rn_link_pairing.keeping import add_member, become_hub, become_member
 from rn_testing.fakes.backend import make_observation
 from rn_testing.waiting import wait_until
@@ -50,7 +52,7 @@ def pair(hub: Path, member: Path, *, name: str = "gpu", address: str = "127.0.0.
         become_hub(folder, "robot", datetime.now(UTC), 365)
     key = new_key()
     shown = add_member(folder, name, Peer(address), key.public_key(), datetime.now(UTC), 365)
-    machine = Machine(name=name, role="member", peers={"robot": Peer(address, PORT)})
+    machine = LinkMachine(name=name, role="member", peers={"robot": Peer(address, PORT)})
     become_member(link_of(member), machine, key, shown, read_certificate(folder / "ca.pem"))
 
 
@@ -162,6 +164,16 @@ class RunningServer:
         finally:
             self._process.kill()
             self._process.wait(30.0)
+
+
+class FarServer(RunningServer):
+    """A server inside a machine, which is set before it starts."""
+
+    machine: Machine
+
+    def words(self) -> list[str]:
+        """Its command line."""
+        return self.machine.inside(*super().words())
 
 
 def robot_of(address: str, **options: Any) -> SharedBackend:

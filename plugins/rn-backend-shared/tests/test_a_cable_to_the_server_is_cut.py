@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 from link_machines import Machine, impossible, machines
-from policy_servers import RunningServer, pair
+from policy_servers import FarServer, pair
 
 from rn_testing.waiting import wait_until
 
@@ -32,15 +32,6 @@ TIMEOUT_S = 0.3
 CUTS = int(os.environ.get("ROBONEURON_CUTS", "5"))
 MARGIN_S = 0.25
 """What a busy machine adds to a deadline."""
-
-
-class FarServer(RunningServer):
-    """A server inside a machine."""
-
-    machine: Machine
-
-    def words(self) -> list[str]:
-        return self.machine.inside(*super().words())
 
 
 class Robot:

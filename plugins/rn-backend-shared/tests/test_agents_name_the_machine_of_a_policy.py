@@ -18,7 +18,7 @@ import pytest
 from link_machines import Machine, Talker, impossible, machines
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
-from policy_servers import RunningServer, pair
+from policy_servers import FarServer, pair
 
 from rn_testing.waiting import wait_until
 
@@ -52,15 +52,6 @@ options = { timeout_s = 0.4 }
 """
 STEP_S, ROWS = 0.1, 16
 MOVED_RAD = 0.003
-
-
-class FarServer(RunningServer):
-    """A server inside a machine."""
-
-    machine: Machine
-
-    def words(self) -> list[str]:
-        return self.machine.inside(*super().words())
 
 
 @contextmanager

@@ -309,6 +309,24 @@ def check_tls(
     assert computed(server) - before <= 3 + 4
 
 
+@pytest.mark.parametrize("asks", [False, True], ids=["answers", "requests"])
+def test_the_first_connection_after_records_came_twice_is_the_last(
+    serve: Serve, robot: Robot, in_the_middle: Stand, asks: bool
+) -> None:
+    man = in_the_middle(serve().port, tls_record)
+    one = robot(man.address, **RAW)
+    assert answers(one)
+    if asks:
+        man.ask = twice
+    else:
+        man.answer = twice
+    wait_until(lambda: not answers(one) and len(man.recordings) > 3, 30.0, "it tries and tries")
+    man.honest()
+    tried = len(man.recordings)
+    wait_until(lambda: answers(one), 20.0, "it is answered again")
+    assert len(man.recordings) <= tried + 1, "nothing is left of those before"
+
+
 def test_tls_refuses_a_conversation_that_is_sent_again(
     serve: Serve, robot: Robot, in_the_middle: Stand
 ) -> None:
