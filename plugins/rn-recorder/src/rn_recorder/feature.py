@@ -86,7 +86,7 @@ class Recorder(Feature[RecorderOptions]):
             )
 
     def tools(self, host: Host) -> Sequence[Tool[Any]]:
-        """start_recording, stop_recording and list_recordings."""
+        """start_recording, stop_recording, label_recording and list_recordings."""
         self._host = host
         self._store = Store(runs_directory(self.options, host.state_directory))
         self._restarting = threading.Lock()
