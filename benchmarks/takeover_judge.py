@@ -29,8 +29,8 @@ REST_S = 0.2
 WAYS = ("closed", "silent", "killed", "released")
 """How a page is lost."""
 ROUNDING, MEASURED = 1.02, 1.5
-"""Shares of limits. An arm whose commands keep its acceleration is measured at up to 1.4 of it under
-the undisturbed policy: differences of velocities whose stamps are late by milliseconds.
+"""Shares of limits. An arm whose commands keep its acceleration is measured at up to 1.4 of it
+under the undisturbed policy: differences of velocities whose stamps are late by milliseconds.
 """
 BORDER_S = 0.05
 """Longest time from an action's being sent until control says that it acts."""
