@@ -8,6 +8,7 @@ import threading
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ WINDOW_S = 0.4
 """About a hand-over, and of the policy alone that it is compared with."""
 STILL_RAD_S = 0.01
 TICK_S = 0.005
+JOINTS_S = 0.02
+"""Between two measurements of joints, at most."""
 HELD_UP_S = 0.03
 """A machine that wakes a process so late judges itself: its trials are counted apart."""
 REST_S = 0.2
@@ -121,10 +124,13 @@ class Onlooker:
         return {row.who for at, row in list(self.acting) if begin_ns <= at <= end_ns}
 
     def held_up_s(self, begin_ns: int, end_ns: int) -> float:
-        """How late this process was woken at worst within a span [s]: what the machine does to
-        everybody.
+        """How late this process was woken at worst within a span, or the robot's measurements were
+        [s]: what the machine does to everybody.
         """
-        return max([late_s for at, late_s in list(self.late) if begin_ns <= at <= end_ns] + [0.0])
+        late = [late_s for at, late_s in list(self.late) if begin_ns <= at <= end_ns]
+        stamps = [row[0] for row in self.joints[self._first(begin_ns) :] if row[0] <= end_ns]
+        gaps = [(after - before) / 1e9 - JOINTS_S for before, after in pairwise(stamps)]
+        return max([0.0, *late, *gaps])
 
     def went_on_s(self, back_ns: int) -> tuple[float, float] | None:
         """After a hand-back: until control executes an action of the policy, and how long before
@@ -254,7 +260,7 @@ def report(rows: list[dict[str, Any]]) -> bool:
         for seed, faults in wrong.items():
             print(f"  {seed}: {'; '.join(faults)}")
         if part == "takeovers" and judged:
-            tell_motions([row for row in timed if row["all"]])
+            tell_motions([row for row in judged if row["all"]])
         for way in WAYS if part == "lost" else ():
             for what, found in (("all", judged), ("timed", timed)):
                 rests = [row["rest_s"] for row in found if row["way"] == way]
