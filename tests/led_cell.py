@@ -39,8 +39,10 @@ STILL = [0.0] * 6
 class Cell:
     """A server with its page, and a node that looks at the robot."""
 
-    def __init__(self, environment: dict[str, str], tmp_path: Path, stack: ExitStack) -> None:
-        (tmp_path / "roboneuron.toml").write_text(CONFIG)
+    def __init__(
+        self, environment: dict[str, str], tmp_path: Path, stack: ExitStack, more: str = ""
+    ) -> None:
+        (tmp_path / "roboneuron.toml").write_text(CONFIG + more)
         log = tmp_path / "server.log"
         self._portal = stack.enter_context(start_blocking_portal())
         with pytest.MonkeyPatch.context() as patch:

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from view_fakes import FakeOperator
 from view_page import wait_until
@@ -98,8 +99,40 @@ def test_a_page_that_is_closed_or_floods_loses_the_lead(
     source = leading(page, operator)
     sample_until(source, lambda sample: True)
     page.evaluate(
-        "() => { for (let n = 0; n < 1000; n++) rnLead.flood({n: 1e6 + n, t: 1, held: true}); }"
+        "() => { for (let n = 0; n < 1000; n++) rnLead.send({n: 1e6 + n, t: 1, held: true}); }"
     )
     page.get_by_text("The connection is lost").wait_for()
     with pytest.raises(Exception, match=r"sends too much|page is gone"):
         wait_until(lambda: source.read(0.2) is None)
+
+
+def test_a_gamepad_without_numbers_is_told_as_it_is(
+    serve: Callable[..., Any], look: Callable[..., Any], operator: FakeOperator
+) -> None:
+    page = look(serve().url)
+    source = leading(page, operator)
+    page.evaluate(
+        """() => { navigator.getGamepads = () => [null, {connected: true, axes: [NaN, Infinity, 0],
+        buttons: [0, 0, 0, 0, 1].map(pressed => ({pressed: !!pressed}))}]; }"""
+    )
+    sample = sample_until(source, lambda one: one.is_held)
+    assert np.isnan(sample.twist[:2]).all()
+
+
+def test_thousands_of_keys_make_no_more_samples(
+    serve: Callable[..., Any], look: Callable[..., Any], operator: FakeOperator
+) -> None:
+    page = look(serve().url)
+    source = leading(page, operator)
+    before = sample_until(source, lambda one: True).number
+    took_ms = page.evaluate(
+        """() => { const begun = performance.now();
+        for (let n = 0; n < 5000; n++) for (const word of ["keydown", "keyup"])
+          dispatchEvent(new KeyboardEvent(word, {code: "KeyW", bubbles: true}));
+        dispatchEvent(new KeyboardEvent("keydown", {code: "KeyW"}));
+        return performance.now() - begun; }"""
+    )
+    after = sample_until(source, lambda one: one.twist[0] > 0.2)
+    assert not after.is_held
+    assert after.number - before < 500 + took_ms
+    assert page.get_by_text("You lead.").is_visible()

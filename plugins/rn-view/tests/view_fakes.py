@@ -139,7 +139,7 @@ class FakeSource:
 
 
 class FakeOperator:
-    """Keeps the calls; every call succeeds."""
+    """Keeps the calls."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, str, dict[str, Any]]] = []
@@ -147,6 +147,10 @@ class FakeOperator:
         self.open: list[str] = []
         self.called = threading.Event()
         self.lent: dict[str, Any] = {}
+        self.tools: dict[str, dict[str, Any]] = {}
+        """What tools say that were asked by `fetch`; a page has these only."""
+        self.refusal = ""
+        """What every call but that of `take_over` says; empty: it succeeds."""
 
     def lend(self, name: str, source: Any) -> bool:
         self.lent[name] = source
@@ -156,8 +160,16 @@ class FakeOperator:
         done: Future[str] = Future()
         self.calls.append((holder.who, tool, arguments))
         self.called.set()
-        done.set_result("")
+        done.set_result("" if tool == "take_over" else self.refusal)
         return done
+
+    def fetch(self, holder: Holder, tool: str) -> Future[dict[str, Any]]:
+        done: Future[dict[str, Any]] = Future()
+        done.set_result(self.tools.get(tool, {}))
+        return done
+
+    def has(self, tool: str) -> bool:
+        return tool in self.tools
 
     @contextmanager
     def present(self, holder: Holder) -> Iterator[None]:

@@ -85,7 +85,7 @@ class Recorder(Feature[RecorderOptions]):
             )
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """start_recording, stop_recording and list_recordings."""
+        """start_recording, stop_recording, label_recording and list_recordings."""
         self._host = host
         self._store = RunStore(runs_directory(self.options, host.state_directory))
         self._restarting = threading.Lock()

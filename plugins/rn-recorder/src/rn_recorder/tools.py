@@ -1,4 +1,4 @@
-"""The tools: begin and end a recording, list what is there."""
+"""The tools: begin, end and label a recording, list what is there."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from rn_recorder_runs.store import Run, RunStore
 from roboneuron import (
     Arguments,
     CallContext,
+    InvalidInputError,
     NotReadyError,
     Result,
     RoboNeuronError,
@@ -76,6 +77,24 @@ class ListRecordings(Arguments):
     """Arguments of list_recordings."""
 
     entries: int = Field(default=20, ge=1, le=200, description="At most so many, the newest.")
+
+
+class LabelRecording(Arguments):
+    """Arguments of label_recording."""
+
+    run: str = Field(min_length=1, max_length=200, description="Id, as list_recordings gives it.")
+    outcome: Outcome | None = Field(default=None, description="How it went; default: as it was.")
+    comment: str | None = Field(
+        default=None, max_length=500, description="Any text; default: as it was."
+    )
+
+
+class LabelledRecording(Result):
+    """The whole label of a recording."""
+
+    id: str
+    outcome: str
+    comment: str
 
 
 class RunEntry(Result):
@@ -143,7 +162,8 @@ def recording_tools(
     is_enabled: bool,
     ends: RecordingEnds,
 ) -> list[Tool]:
-    """start_recording, stop_recording and list_recordings."""
+    """start_recording, stop_recording, label_recording and list_recordings."""
+    labelling = threading.Lock()  # two pages may label at once
 
     def recorder() -> RecorderProcess:
         found = process()
@@ -190,6 +210,19 @@ def recording_tools(
             lost=int(run["lost_to_disk"]) + int(run["missed"]),
         )
 
+    async def label_recording(arguments: LabelRecording, context: CallContext) -> LabelledRecording:
+        if arguments.outcome is None and arguments.comment is None:
+            raise InvalidInputError("There is nothing to say.", hint="Give outcome or comment.")
+
+        def label() -> Run:
+            with labelling:
+                run = store.get(arguments.run)
+                store.label(run, outcome=arguments.outcome, comment=arguments.comment)
+                return store.get(run.id)
+
+        run = await context.run(lambda _: label())
+        return LabelledRecording(id=run.id, **run.told)
+
     async def list_recordings(arguments: ListRecordings, context: CallContext) -> Recordings:
         runs = await context.run(lambda _: store.runs())
         found = process()
@@ -227,6 +260,20 @@ def recording_tools(
             destructive=False,
         ),
         Tool(
+            name="label_recording",
+            title="Label a recording",
+            description=(
+                "Say how a finished recording went, as a person has told you. Counts more than "
+                "what stop_recording said."
+            ),
+            arguments=LabelRecording,
+            result=LabelledRecording,
+            handler=label_recording,
+            destructive=False,
+            idempotent=True,
+            listed=False,
+        ),
+        Tool(
             name="list_recordings",
             title="What was recorded",
             description="Recordings and incidents on disk, and the recorder's state.",
@@ -248,6 +295,6 @@ def _entry(run: Run) -> RunEntry:
         size_bytes=run.size_bytes,
         files=len(run.files),
         state=str(run.facts.get("state", "finished")),
-        outcome=str(run.facts.get("outcome", "")),
-        note=str(run.facts.get("note") or run.facts.get("incident") or ""),
+        outcome=run.told["outcome"],
+        note=run.told["comment"],
     )

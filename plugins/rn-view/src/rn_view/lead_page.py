@@ -7,6 +7,8 @@ from __future__ import annotations
 import json
 from html import escape
 
+from rn_view import label_page
+
 SOCKET_PATH = "/lead/socket"
 """A websocket; `?key=` of a page that may lead."""
 PROTOCOL = "viser-v1"
@@ -18,59 +20,59 @@ _KEY_ID = "rn-lead-key"
 
 _STYLE = """
 #rn-lead { position: fixed; left: 322px; right: 392px; bottom: 12px; z-index: 1000; display: none; font: 14px/1.35 system-ui, sans-serif;
-  color: #212529; pointer-events: none; justify-content: center; }
+  color: var(--rn-ink); pointer-events: none; justify-content: center; }
 #rn-lead.there { display: flex; }
 #rn-lead > * { pointer-events: auto; }
-#rn-lead button, #rn-lead select { font: inherit; min-height: 44px; border: 1px solid #868e96; border-radius: 6px; background: #fff; color: #212529;
+#rn-lead button, #rn-lead select { font: inherit; min-height: 44px; border: 1px solid var(--rn-line); border-radius: 6px; background: var(--rn-paper); color: var(--rn-ink);
   padding: 0 12px; cursor: pointer; touch-action: manipulation; }
-#rn-lead button:focus-visible, #rn-lead select:focus-visible, .rn-stick:focus-visible { outline: 3px solid #1864ab; outline-offset: 2px; }
-#rn-lead button.main { background: #1864ab; border-color: #1864ab; color: #fff; font-weight: 600; }
-#rn-lead button[aria-pressed=true] { background: #d0ebff; border-color: #1864ab; font-weight: 600; }
+#rn-lead button:focus-visible, #rn-lead select:focus-visible, .rn-stick:focus-visible { outline: 3px solid var(--rn-blue); outline-offset: 2px; }
+#rn-lead button.main { background: var(--rn-blue); border-color: var(--rn-blue); color: var(--rn-on-blue); font-weight: 600; }
+#rn-lead button[aria-pressed=true] { background: var(--rn-chosen); border-color: var(--rn-blue); font-weight: 600; }
 #rn-lead button:disabled, #rn-lead select:disabled { opacity: .55; cursor: default; }
-#rn-lead-box { width: min(720px, 100%); background: #fff; border: 1px solid #adb5bd; border-radius: 10px; padding: 12px; box-sizing: border-box;
+#rn-lead-box { width: min(720px, 100%); background: var(--rn-paper); border: 1px solid var(--rn-edge); border-radius: 10px; padding: 12px; box-sizing: border-box;
   box-shadow: 0 4px 18px #0003; display: none; max-height: calc(100dvh - var(--rn-bar) - 24px); overflow: auto; }
 #rn-lead.open #rn-lead-box { display: block; }
 #rn-lead.open #rn-lead-open { display: none; }
 #rn-lead-open { box-shadow: 0 2px 8px #0003; }
 #rn-lead .row { display: flex; gap: 8px; flex-wrap: wrap; align-items: center; }
-#rn-lead .row + .row { margin-top: 10px; }
+#rn-lead .row + .row, #rn-label-box textarea + .row { margin-top: 10px; }
 #rn-lead .grow { flex: 1 1 auto; }
 #rn-lead label { display: inline-flex; gap: 6px; align-items: center; }
 #rn-lead input[type=range] { width: 110px; min-height: 44px; }
-#rn-lead-state { flex: 1 1 100%; padding: 8px 10px; border-radius: 6px; background: #e9ecef; min-height: 20px; overflow-wrap: anywhere; }
-#rn-lead-state.moves { background: #d3f9d8; }
-#rn-lead-state.limit { background: #fff3bf; }
-#rn-lead-state.bad { background: #ffe3e3; }
+#rn-lead-state { flex: 1 1 100%; padding: 8px 10px; border-radius: 6px; background: var(--rn-soft); min-height: 20px; overflow-wrap: anywhere; }
+#rn-lead-state.moves { background: var(--rn-good); }
+#rn-lead-state.limit { background: var(--rn-warn); }
+#rn-lead-state.bad { background: var(--rn-bad); }
 #rn-lead .middle { display: flex; gap: 16px; align-items: center; margin: 10px 0; }
 #rn-lead .sticks { display: flex; gap: 16px; flex: 1 1 auto; justify-content: space-around; align-items: flex-start; }
-#rn-lead .stickbox { text-align: center; font-size: 13px; color: #495057; }
-.rn-stick { position: relative; width: 128px; height: 128px; border-radius: 50%; background: #f1f3f5; border: 2px solid #868e96; touch-action: none;
+#rn-lead .stickbox { text-align: center; font-size: 13px; color: var(--rn-dim); }
+.rn-stick { position: relative; width: 128px; height: 128px; border-radius: 50%; background: var(--rn-well); border: 2px solid var(--rn-line); touch-action: none;
   margin: 0 auto 4px; cursor: grab; }
-.rn-stick::before, .rn-stick::after { content: ""; position: absolute; background: #ced4da; }
+.rn-stick::before, .rn-stick::after { content: ""; position: absolute; background: var(--rn-hair); }
 .rn-stick::before { left: 50%; top: 12px; bottom: 12px; width: 1px; }
 .rn-stick::after { top: 50%; left: 12px; right: 12px; height: 1px; }
-.rn-stick i { position: absolute; left: 50%; top: 50%; width: 48px; height: 48px; margin: -24px; border-radius: 50%; background: #1864ab; z-index: 1; }
-.rn-stick.held { border-color: #1864ab; cursor: grabbing; }
-#rn-lead.idle .rn-stick i { background: #868e96; }
-#rn-lead .hint { font-size: 13px; color: #495057; }
-#rn-lead kbd { border: 1px solid #adb5bd; border-radius: 3px; padding: 0 4px; font: inherit; font-size: 12px; }
+.rn-stick i { position: absolute; left: 50%; top: 50%; width: 48px; height: 48px; margin: -24px; border-radius: 50%; background: var(--rn-blue); z-index: 1; }
+.rn-stick.held { border-color: var(--rn-blue); cursor: grabbing; }
+#rn-lead.idle .rn-stick i { background: var(--rn-line); }
+#rn-lead .hint { font-size: 13px; color: var(--rn-dim); }
+#rn-lead kbd { border: 1px solid var(--rn-edge); border-radius: 3px; padding: 0 4px; font: inherit; font-size: 12px; }
 #rn-lead-numbers { font-variant-numeric: tabular-nums; white-space: nowrap; }
 @media (max-width: 1250px) { #rn-lead .middle { flex-direction: column; align-items: stretch; } }
 @media (max-width: 1100px) { #rn-lead { left: 12px; } }
 @media (max-width: 576px) {
   #rn-lead { left: 0; right: 0; bottom: 0; }
-  #rn-lead.there:not(.open) { top: calc(var(--rn-bar) + 8px); bottom: auto; left: auto; right: 8px; }
+  #rn-lead.there:not(.open, .labels) { top: calc(var(--rn-bar) + 8px); bottom: auto; left: auto; right: 8px; }
   #rn-lead .controls { display: flex; flex-wrap: wrap; gap: 8px 14px; }
   #rn-lead .controls .row { margin: 0; flex-wrap: nowrap; }
-  #rn-lead-box { border-radius: 12px 12px 0 0; padding: 10px; width: 100%; }
+  #rn-lead-box, #rn-label-box { border-radius: 12px 12px 0 0; padding: 10px; width: 100%; }
   #rn-lead .hint { display: none; }
   .rn-stick { width: 116px; height: 116px; }
 }
 """  # noqa: E501
 
 _BODY = """
-<section id="rn-lead" class="idle" aria-label="Lead the arm by hand">
- <button id="rn-lead-open" type="button" class="main">Lead by hand</button>
+<section id="rn-lead" class="idle" aria-label="By hand">
+ <button id="rn-lead-open" type="button" class="main">Lead by hand</button>LABEL_OPEN
  <div id="rn-lead-box">
   <div class="row">
    <button id="rn-lead-go" type="button" class="main">Lead the arm</button>
@@ -109,7 +111,7 @@ _BODY = """
   </div>
   <div class="row"><span class="hint">Hold a stick, or <kbd>Space</kbd> with <kbd>W</kbd><kbd>A</kbd><kbd>S</kbd><kbd>D</kbd> <kbd>R</kbd><kbd>F</kbd>, arrows and <kbd>Q</kbd><kbd>E</kbd> to turn, <kbd>O</kbd><kbd>C</kbd> gripper; a gamepad: hold a shoulder button.</span>
   </div>
- </div>
+ </div>LABEL_BODY
 </section>
 """  # noqa: E501
 
@@ -137,6 +139,8 @@ _SCRIPT = """
   const connect = () => {
     const place = el(CONFIG.key), found = place ? place.dataset.key : "";
     lead.classList.toggle("there", !!found || leads);
+    el("rn-label-open").hidden = !found || place.dataset.labels !== "1";
+    el("rn-lead-open").hidden = !!found && place.dataset.joints === "{}";
     if (!found || (found === key && socket && socket.readyState < 2)) return;
     if (socket) socket.close();
     key = found;
@@ -150,10 +154,12 @@ _SCRIPT = """
       if (own !== socket) return;
       if (leads) say("The connection is lost: the arm brakes. Start again once the page is connected.", "bad");
       leads = asking = false; socket = null; show();
+      dispatchEvent(new CustomEvent("rn-lost"));
     };
     show();
   };
   const hear = told => {
+    dispatchEvent(new CustomEvent("rn-told", {detail: told}));
     if (told.led !== undefined) {
       asking = false; leads = told.led; gripper = null;
       if (leads) say("You lead. Hold a stick, Space, or a shoulder button of a gamepad.");
@@ -263,25 +269,30 @@ _SCRIPT = """
   };
   setInterval(sample, 1000 / CONFIG.rate);
   setInterval(connect, 500);
-  window.rnLead = {delays: () => delays, flood: send};
+  window.rnLead = {delays: () => delays, send};
   show();
 })();
 """  # noqa: E501
 
 
-def key_html(key: str, joints: dict[str, float]) -> str:
-    """What tells the page that it may lead.
+def key_html(key: str, joints: dict[str, float], *, labels: bool) -> str:
+    """What tells the page that it may lead, and label recordings.
 
     Args:
         key: of its websocket.
-        joints: speed of each joint while its button is held [rad/s, m/s].
+        joints: speed of each joint while its button is held [rad/s, m/s]; empty for what cannot be
+            led.
+        labels: whether there are recordings to be labelled.
     """
     told = escape(json.dumps(joints), quote=True)
-    return f'<div id="{_KEY_ID}" data-key="{escape(key, quote=True)}" data-joints="{told}"></div>'
+    return (
+        f'<div id="{_KEY_ID}" data-key="{escape(key, quote=True)}" data-joints="{told}" '
+        f'data-labels="{int(labels)}"></div>'
+    )
 
 
 def with_lead(page: str) -> str:
-    """A page with the panel, which shows once the page may lead."""
+    """A page with both panels, which show once the page may lead or label."""
     config = {
         "key": _KEY_ID,
         "path": SOCKET_PATH,
@@ -290,5 +301,8 @@ def with_lead(page: str) -> str:
         "full": [FULL_M_S, FULL_RAD_S],
     }
     script = _SCRIPT.replace("(() => {", f"(() => {{ const CONFIG = {json.dumps(config)};", 1)
-    page = page.replace("</head>", f"<style>{_STYLE}</style></head>", 1)
-    return page.replace("</body>", f"{_BODY}<script>{script}</script></body>", 1)
+    style = f"<style>{_STYLE}{label_page.STYLE}</style>"
+    page = page.replace("</head>", f"{style}</head>", 1)
+    body = _BODY.replace("LABEL_OPEN", label_page.OPEN).replace("LABEL_BODY", label_page.BODY)
+    scripts = f"<script>{script}</script><script>{label_page.SCRIPT}</script>"
+    return page.replace("</body>", f"{body}{scripts}</body>", 1)

@@ -9,7 +9,7 @@ import math
 import secrets
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -25,6 +25,8 @@ from roboneuron import InvalidInputError, NotReadyError, RoboNeuronError
 log = logging.getLogger(__name__)
 Call = Callable[[str, dict[str, object]], "Future[str]"]
 """Calls a tool as whoever looks at the page; the text of its failure, empty for none."""
+Fetch = Callable[[str], "Future[Mapping[str, object]]"]
+"""Calls a tool that only reads, without arguments; what it says, empty when it fails."""
 _ECHO_S = 0.04
 _MOST_HZ = 6 * RATE_HZ
 """A page that sends more is none of ours."""
@@ -126,17 +128,18 @@ class LeadSeats:
         self._lock = threading.Lock()
         self._seats: dict[str, _Seat] = {}
 
-    def add(self, name: str, source: PageTeleoperator, call: Call) -> str:
+    def add(self, name: str, source: PageTeleoperator, call: Call, fetch: Fetch) -> str:
         """A page may lead; returns its key.
 
         Args:
             name: of its teleoperator.
             source: gets its samples.
             call: calls tools for it.
+            fetch: asks tools for it.
         """
         key = secrets.token_urlsafe(24)
         with self._lock:
-            self._seats[key] = _Seat(name, source, call)
+            self._seats[key] = _Seat(name, source, call, fetch)
         return key
 
     def remove(self, key: str) -> None:
@@ -166,10 +169,10 @@ class LeadSeats:
 class _Seat:
     """One page that may lead."""
 
-    def __init__(self, name: str, source: PageTeleoperator, call: Call) -> None:
+    def __init__(self, name: str, source: PageTeleoperator, call: Call, fetch: Fetch) -> None:
         self.source = source
         self.is_taken = False
-        self._name, self._call = name, call
+        self._name, self._call, self._fetch = name, call, fetch
         self._loop: asyncio.AbstractEventLoop | None = None
         self._out: asyncio.Queue[dict[str, object]] = asyncio.Queue()
         self._echo: dict[str, object] | None = None
@@ -212,6 +215,10 @@ class _Seat:
                 self._ask("hand_back", {})
             elif "operate" in told:
                 self._ask("take_over", {})
+            elif "recordings" in told:
+                self._list()
+            elif "label" in told:
+                self._label(told["label"])
             else:
                 self.source.put(told, now_s)
 
@@ -220,6 +227,25 @@ class _Seat:
         if isinstance(asked, dict):
             arguments |= {key: asked[key] for key in ("mode", "scale") if key in asked}
         self._ask("lead_arm", arguments)
+
+    def _list(self) -> None:
+        """Tell the page which recordings there are."""
+
+        def answered(future: Future[Mapping[str, object]]) -> None:
+            found = {} if future.exception() else future.result()
+            self._from_thread({"recordings": found.get("runs", [])})
+
+        self._fetch("list_recordings").add_done_callback(answered)
+
+    def _label(self, asked: object) -> None:
+        """Note what a person says of a recording; the tool judges what it is given."""
+        arguments = dict(asked) if isinstance(asked, dict) else {}
+
+        def answered(future: Future[str]) -> None:
+            failure = str(future.exception() or "") or future.result()
+            self._from_thread({"labelled": arguments.get("run", ""), "text": failure})
+
+        self._call("label_recording", arguments).add_done_callback(answered)
 
     def _ask(self, tool: str, arguments: dict[str, object]) -> None:
         def answered(future: Future[str]) -> None:

@@ -176,6 +176,18 @@ class LiveOperator:
             return failed
         return asyncio.run_coroutine_threadsafe(self._call(holder, tool, arguments), self.loop)
 
+    def fetch(self, holder: Holder, tool: str) -> Future[Mapping[str, object]]:
+        """See Operator."""
+        if self.loop is None:
+            nothing: Future[Mapping[str, object]] = Future()
+            nothing.set_result({})
+            return nothing
+        return asyncio.run_coroutine_threadsafe(self._fetch(holder, tool), self.loop)
+
+    def has(self, tool: str) -> bool:
+        """See Operator."""
+        return self._host.tools.get(tool) is not None
+
     def present(self, holder: Holder) -> AbstractContextManager[None]:
         """See Operator; an open page renews the lease as an open stream does."""
         return nullcontext() if self._lease is None else self._lease.present(holder.who)
@@ -199,6 +211,10 @@ class LiveOperator:
     async def _call(self, holder: Holder, tool: str, arguments: dict[str, object]) -> str:
         result = await self._host.tools.call(tool, arguments, _Context(holder))
         return failure_of(result.model_dump(mode="json", by_alias=True))
+
+    async def _fetch(self, holder: Holder, tool: str) -> Mapping[str, object]:
+        result = await self._host.tools.call(tool, {}, _Context(holder))
+        return result.structured_content or {}
 
 
 class _Context:

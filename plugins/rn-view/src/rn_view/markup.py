@@ -12,9 +12,13 @@ from rn_view.source import ModuleRow, PageState
 from roboneuron import RobotProfile
 from roboneuron.feature import EXPLANATIONS, FAULTS
 
-_GOOD, _IDLE, _BAD, _STARTING = "#237032", "#555c63", "#b01e1e", "#9c5200"
-"""Each has a contrast of more than 5 on white. Source: WCAG 2.2, success criterion 1.4.3 (AA: 4.5).
+_GOOD, _IDLE = "light-dark(#237032, #69db7c)", "light-dark(#555c63, #ced4da)"
+_BAD, _STARTING = "light-dark(#b01e1e, #ff8787)", "light-dark(#9c5200, #ffc078)"
+"""By day and by night. Each has a contrast of more than 5. Source: WCAG 2.2, success criterion
+1.4.3 (AA: 4.5).
 """
+_ALARM = "#b01e1e"
+"""Behind white."""
 _SMALL = "font-size:12px;line-height:1.35"
 STYLE = (
     '<style>@media (max-width: 36em) {div[style*="width: 20em"] {width: 100% !important}}</style>'
@@ -34,7 +38,7 @@ def stop_text(snapshot: PageState | None, label: str) -> str:
         return _line("", f"{escape(label)} &middot; emergency stop not pressed")
     cause = f": {escape(snapshot.cause)}" if snapshot.cause else ""
     return (
-        f'<div style="{_SMALL};padding:6px 14px;background:{_BAD};color:white"><b>EMERGENCY STOP '
+        f'<div style="{_SMALL};padding:6px 14px;background:{_ALARM};color:white"><b>EMERGENCY STOP '
         f"LATCHED</b>{cause}. "
         "Look at the robot; a person releases it with <code>roboneuron estop --reset</code>.</div>"
     )

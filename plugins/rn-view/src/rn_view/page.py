@@ -5,8 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
-from contextlib import AbstractContextManager, ExitStack
-from typing import Protocol
+from contextlib import ExitStack
 
 import numpy as np
 import viser
@@ -18,6 +17,7 @@ from rn_view.lead_page import FULL_SHARE, key_html
 from rn_view.lead_panel import LeadPanel
 from rn_view.lead_socket import LeadSeats, PageTeleoperator
 from rn_view.measured import MeasuredTopics
+from rn_view.operator_calls import Operator
 from rn_view.player import Player
 from rn_view.plots import History, Plots
 from rn_view.scene import PageScene
@@ -37,30 +37,6 @@ _BLANK_PX = 320
 _NOTICE_S = 8.0
 _TRIES = 5
 """Wrong tokens a page may give; it has to be loaded again then."""
-
-
-class Operator(Protocol):
-    """Calls tools for a page; the page of a view without one has no buttons but the stop."""
-
-    def call(self, holder: Holder, tool: str, arguments: dict[str, object]) -> Future[str]:
-        """Call a tool as `holder`; the text of its failure, empty when it did what it says. Returns
-        at once.
-        """
-        ...
-
-    def present(self, holder: Holder) -> AbstractContextManager[None]:
-        """A page of this holder is open within the block."""
-        ...
-
-    def leave(self, holder: Holder) -> None:
-        """The page of this holder was closed."""
-        ...
-
-    def lend(self, name: str, source: PageTeleoperator | None) -> bool:
-        """Offer a teleoperator under a name, or take it back with None; whether arms can be led
-        here.
-        """
-        ...
 
 
 class Page:
@@ -246,18 +222,22 @@ class Page:
         self._leave_robot()
 
     def _let_lead(self, profile: RobotProfile) -> None:
-        """Let whoever looks lead the arm by hand, where the server can."""
+        """Let whoever looks lead the arm by hand, and label recordings, where the server can."""
         operator, limits = self._operator, profile.limits
-        if operator is None or limits is None or not profile.arm_joints:
+        if operator is None:
             return
         name, source = f"page-{self.client.client_id}", PageTeleoperator()
-        if not operator.lend(name, source):
+        speeds: dict[str, float] = {}
+        if limits is not None and profile.arm_joints and operator.lend(name, source):
+            self._presence.callback(operator.lend, name, None)
+            shares = (FULL_SHARE * np.asarray(limits.velocity)).tolist()
+            speeds = dict(zip(profile.arm_joints, shares, strict=True))
+        labels = operator.has("label_recording")
+        if not speeds and not labels:
             return
-        self._presence.callback(operator.lend, name, None)
-        key = self._seats.add(name, source, self._start_call)
+        key = self._seats.add(name, source, self._start_call, self._fetch)
         self._presence.callback(self._seats.remove, key)
-        speeds = (FULL_SHARE * np.asarray(limits.velocity)).tolist()
-        html = key_html(key, dict(zip(profile.arm_joints, speeds, strict=True)))
+        html = key_html(key, speeds, labels=labels)
         place = self.client.gui.add_html(html)
         self._presence.callback(self._forget, place)
 
@@ -275,6 +255,12 @@ class Page:
         assert self._operator is not None
         assert self.holder is not None
         return self._operator.call(self.holder, tool, arguments)
+
+    def _fetch(self, tool: str) -> Future[Mapping[str, object]]:
+        """Ask a tool as whoever looks."""
+        assert self._operator is not None
+        assert self.holder is not None
+        return self._operator.fetch(self.holder, tool)
 
     def _call(self, tool: str, arguments: dict[str, object]) -> None:
 

@@ -22,18 +22,33 @@ TITLE = "RoboNeuron"
 _HEAD, _BODY = "<title>Viser</title>", '<div id="root"></div>'
 """What is replaced in viser's page."""
 
+DARK_COOKIE = "roboneuron_dark"
+_TELL_DARK = f"""document.cookie = "{DARK_COOKIE}=" +
+  Number(matchMedia("(prefers-color-scheme: dark)").matches) + "; path=/; SameSite=Strict";"""
+"""Before viser's program connects: it is the server that says whether its part is dark."""
 _STYLE = """
 :root { --rn-bar: 84px; }
+:root { --rn-paper: #fff; --rn-ink: #212529; --rn-dim: #495057; --rn-edge: #adb5bd; --rn-line: #868e96; --rn-soft: #e9ecef; --rn-blue: #1864ab;
+  --rn-on-blue: #fff; --rn-chosen: #d0ebff; --rn-good: #d3f9d8; --rn-warn: #fff3bf; --rn-bad: #ffe3e3; --rn-well: #f1f3f5; --rn-hair: #ced4da; }
+@media (prefers-color-scheme: dark) {
+  :root { --rn-paper: #25262b; --rn-ink: #e9ecef; --rn-dim: #ced4da; --rn-edge: #5c5f66; --rn-line: #868e96; --rn-soft: #373a40; --rn-blue: #74c0fc;
+    --rn-on-blue: #101113; --rn-chosen: #1c3d5a; --rn-good: #1e4620; --rn-warn: #5c4a00; --rn-bad: #5c1f1f; --rn-well: #2c2e33; --rn-hair: #5c5f66; }
+  #rn-bar, #rn-lead { color-scheme: dark; }
+}
 #root { position: fixed; top: var(--rn-bar); left: 0; right: 0; bottom: 0; transform: translateZ(0); }
 #root, body { --mantine-color-blue-filled: #1864ab; --mantine-color-blue-filled-hover: #0b4a86;
   --mantine-color-blue-outline: #1864ab; --mantine-color-blue-text: #1864ab; --mantine-color-dimmed: #555c63; }
+@media (prefers-color-scheme: dark) {
+  #root, body { --mantine-color-blue-outline: #74c0fc; --mantine-color-blue-text: #74c0fc; --mantine-color-dimmed: #ced4da; }
+  #root .mantine-Tabs-tab[data-active] { color: #74c0fc; }
+}
 #rn-bar { position: fixed; top: 0; left: 0; right: 0; height: var(--rn-bar); z-index: 2147483647; display: flex;
-  gap: 12px; align-items: stretch; padding: 8px; box-sizing: border-box; background: #fff;
-  border-bottom: 1px solid #adb5bd; font: 15px/1.3 system-ui, sans-serif; color: #212529; }
+  gap: 12px; align-items: stretch; padding: 8px; box-sizing: border-box; background: var(--rn-paper);
+  border-bottom: 1px solid var(--rn-edge); font: 15px/1.3 system-ui, sans-serif; color: var(--rn-ink); }
 #rn-bar button { border: 0; border-radius: 6px; background: #b01e1e; color: #fff; font: inherit; font-weight: 700;
   cursor: pointer; padding: 0 18px; min-width: 64px; min-height: 60px; }
 #rn-bar button:hover { background: #8f1515; }
-#rn-bar button:focus-visible { outline: 4px solid #1864ab; outline-offset: 2px; }
+#rn-bar button:focus-visible { outline: 4px solid var(--rn-blue); outline-offset: 2px; }
 #rn-bar button:active { background: #6b0f0f; }
 #rn-stop { flex: 1 1 60%; font-size: 24px !important; letter-spacing: 0.04em; }
 #rn-stop kbd { font: inherit; font-size: 14px; font-weight: 400; letter-spacing: 0; margin-left: 10px; padding: 2px 7px;
@@ -178,7 +193,8 @@ def page_with_bar(base: str, robots: Sequence[str]) -> str:
         "ready": f"Not pressed. {', '.join(robots)}".rstrip(". "),
     }
     script = _SCRIPT.replace("(() => {", f"(() => {{ const CONFIG = {_json(told)};", 1)
-    page = base.replace(_HEAD, f"<title>{escape(title)}</title><style>{_STYLE}</style>")
+    head = f"<title>{escape(title)}</title><style>{_STYLE}</style><script>{_TELL_DARK}</script>"
+    page = base.replace(_HEAD, head)
     return page.replace(_BODY, f"{bar}{_BODY}<script>{script}</script>")
 
 

@@ -20,8 +20,9 @@ from rn_view.access import ViewAccess
 from rn_view.lead import RENEWED_S, PageLead
 from rn_view.lead_socket import LeadSeats
 from rn_view.measured import MeasuredTopics
+from rn_view.operator_calls import Operator
 from rn_view.options import ViewOptions
-from rn_view.page import Operator, Page
+from rn_view.page import Page
 from rn_view.showing import Showing
 from rn_view.source import Source
 from rn_view.visitors import Visitors
@@ -125,9 +126,7 @@ class Viewer:
             self._server = _ViewServer(
                 host=self._options.host, port=self._options.port, label=TITLE, verbose=False
             )
-        self._server.gui.configure_theme(
-            show_logo=False, show_share_button=False, control_width="medium"
-        )
+        _set_theme(self._server.gui, is_dark=False)
         self._server.gui.main_panel.dock_right()
         self._server.gui.main_panel.set_width(_RIGHT_PX)
         self._server._websock_server.on_client_connect(self._check_connection)
@@ -208,6 +207,8 @@ class Viewer:
             self._seats,
         )
         page.holder = self._admission.visitor(client.client_id)
+        if self._visitors.wants_dark(client.client_id):
+            _set_theme(client.gui, is_dark=True)
         with self._lock:
             self._pages[client.client_id] = page
             self._shown[page] = page.robot
@@ -296,3 +297,10 @@ class Viewer:
         if page is not None and robot is not None:
             self._showings[robot].remove(page)
             page.leave()
+
+
+def _set_theme(gui: viser.GuiApi, *, is_dark: bool) -> None:
+    """Of every page, or of one."""
+    gui.configure_theme(
+        show_logo=False, show_share_button=False, control_width="medium", dark_mode=is_dark
+    )

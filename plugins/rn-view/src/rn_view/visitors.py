@@ -8,8 +8,12 @@ import threading
 from collections.abc import Mapping
 from typing import Protocol
 
+from rn_view.stop_bar import DARK_COOKIE
+
 _COOKIE = "roboneuron_view"
 _PATTERN = re.compile(rf"(?:^|;\s*){_COOKIE}=([\w-]{{10,80}})(?:;|$)")
+
+_DARK = re.compile(rf"(?:^|;\s*){DARK_COOKIE}=1(?:;|$)")
 
 
 class _PageRequest(Protocol):
@@ -27,6 +31,7 @@ class Visitors:
         self._lock = threading.Lock()
         self._cookies: dict[int, str] = {}
         self._names: dict[int, str] = {}
+        self._dark: set[int] = set()
 
     def cookie(self, request: _PageRequest) -> str:
         """The header that gives a browser its cookie, or the one it has once more."""
@@ -37,6 +42,13 @@ class Visitors:
         """A page's websocket was opened."""
         with self._lock:
             self._cookies[number] = _cookie_of(request)
+            if _DARK.search(request.headers.get("Cookie", "")):
+                self._dark.add(number)
+
+    def wants_dark(self, number: int) -> bool:
+        """Whether the browser of that page prefers dark colours."""
+        with self._lock:
+            return number in self._dark
 
     def name(self, number: int, who: str) -> None:
         """It is known who looks at that page."""
@@ -48,6 +60,7 @@ class Visitors:
         with self._lock:
             self._cookies.pop(number, None)
             self._names.pop(number, None)
+            self._dark.discard(number)
 
     def who(self, request: _PageRequest, address: str) -> str:
         """Who sends a request: whoever looks at the newest page of that browser."""

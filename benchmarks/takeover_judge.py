@@ -1,0 +1,285 @@
+"""A node that looks at an arm that is led, and judges what it has seen; it knows nothing of the
+page.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rn_standard.teleoperation.rows import Acting
+from roboneuron import JointLimits
+
+F64 = NDArray[np.float64]
+SPACING_S = 0.02
+"""Stamps that are nearer to one another make large differences of small errors."""
+WINDOW_S = 0.4
+"""About a hand-over, and of the policy alone that it is compared with."""
+STILL_RAD_S = 0.01
+TICK_S = 0.005
+JOINTS_S = 0.02
+"""Between two measurements of joints, at most."""
+HELD_UP_S = 0.03
+"""A machine that wakes a process so late judges itself: its trials are counted apart."""
+REST_S = 0.2
+WAYS = ("closed", "silent", "killed", "released")
+"""How a page is lost."""
+ROUNDING, MEASURED = 1.02, 1.5
+"""Shares of limits. An arm whose commands keep its acceleration is measured at up to 1.4 of it
+under the undisturbed policy: differences of velocities whose stamps are late by milliseconds.
+"""
+BORDER_S = 0.05
+"""Longest time from an action's being sent until control says that it acts."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Motion:
+    """Largest values of all joints in a span.
+
+    Attributes:
+        step_rad_s: change of velocity within 20 ms.
+        acceleration: as a share of the joint's limit.
+        jerk_rad_s3: of measured velocities, twice differenced over 20 ms.
+        velocity: as a share of the joint's limit.
+        outside_rad: how far beyond a position limit.
+    """
+
+    step_rad_s: float
+    acceleration: float
+    jerk_rad_s3: float
+    velocity: float
+    outside_rad: float
+
+
+class Onlooker:
+    """What was published; times are ns since 1970. Lists are read from any thread."""
+
+    def __init__(self, robot: str, limits: JointLimits, stack: ExitStack) -> None:
+        self._limits = limits
+        self.joints: list[tuple[int, F64, F64]] = []
+        self.acting: list[tuple[int, Acting]] = []
+        self.actions: list[int] = []
+        self.late: list[tuple[int, float]] = []
+        self._watch(robot, stack)
+        ended = threading.Event()
+        stack.callback(ended.set)
+        threading.Thread(target=self._tick, args=(ended,), daemon=True).start()
+
+    def moves(self, since_ns: int) -> bool:
+        """Whether a joint has moved since then."""
+        return any(
+            np.abs(v).max() > STILL_RAD_S for at, _, v in self.joints[-400:] if at > since_ns
+        )
+
+    def motion(self, begin_ns: int, end_ns: int) -> Motion | None:
+        """Largest values within a span; None for one that is too short or was not seen."""
+        rows = self.joints[self._first(begin_ns) :]
+        apart: list[tuple[int, F64, F64]] = []
+        for row in rows:
+            if row[0] > end_ns:
+                break
+            if not apart or row[0] - apart[-1][0] >= SPACING_S * 1e9:
+                apart.append(row)
+        if len(apart) < 4:
+            return None
+        times = np.array([row[0] for row in apart], dtype=np.float64) / 1e9
+        positions, velocities = (np.array([row[at] for row in apart]) for at in (1, 2))
+        limits, spans = self._limits, np.diff(times)[:, None]
+        steps = np.diff(velocities, axis=0)
+        accelerations = steps / spans
+        jerks = np.diff(accelerations, axis=0) / spans[1:]
+        outside = np.maximum(limits.lower - positions, positions - limits.upper)
+        return Motion(
+            step_rad_s=float(np.abs(steps * np.minimum(1.0, SPACING_S / spans)).max()),
+            acceleration=float((np.abs(accelerations) / limits.acceleration).max()),
+            jerk_rad_s3=float(np.abs(jerks).max()),
+            velocity=float((np.abs(velocities) / limits.velocity).max()),
+            outside_rad=max(0.0, float(outside.max())),
+        )
+
+    def windows(self, begin_ns: int, end_ns: int) -> list[Motion]:
+        """Each window of a span, one after another."""
+        length_ns = round(WINDOW_S * 1e9)
+        starts = range(begin_ns, end_ns - length_ns, length_ns)
+        found = [self.motion(start, start + length_ns) for start in starts]
+        return [motion for motion in found if motion is not None]
+
+    def rest_s(self, since_ns: int, until_ns: int) -> float:
+        """From `since_ns` to the last time at which a joint moved before `until_ns` [s]."""
+        rows = self.joints[self._first(since_ns) :]
+        moving = [
+            at for at, _, v in rows if at <= until_ns and float(np.abs(v).max()) > STILL_RAD_S
+        ]
+        return (moving[-1] - since_ns) / 1e9 if moving else 0.0
+
+    def who(self, begin_ns: int, end_ns: int) -> set[str]:
+        """Who has acted within a span."""
+        return {row.who for at, row in list(self.acting) if begin_ns <= at <= end_ns}
+
+    def held_up_s(self, begin_ns: int, end_ns: int) -> float:
+        """How late this process was woken at worst within a span, or the robot's measurements were
+        [s]: what the machine does to everybody.
+        """
+        late = [late_s for at, late_s in list(self.late) if begin_ns <= at <= end_ns]
+        stamps = [row[0] for row in self.joints[self._first(begin_ns) :] if row[0] <= end_ns]
+        gaps = [(after - before) / 1e9 - JOINTS_S for before, after in pairwise(stamps)]
+        return max([0.0, *late, *gaps])
+
+    def went_on_s(self, back_ns: int) -> tuple[float, float] | None:
+        """After a hand-back: until control executes an action of the policy, and how long before
+        that it was sent [s]. None while it has not. An action that was sent before the release does
+        not count: control says "policy" once at the release itself.
+        """
+        told = [at for at, row in list(self.acting) if at > back_ns and row.who == "policy"]
+        for at in told[1:]:
+            sent = [sent for sent in self.actions if sent <= at]
+            if sent and sent[-1] >= told[0]:
+                return (at - back_ns) / 1e9, (at - sent[-1]) / 1e9
+        return None
+
+    def _tick(self, ended: threading.Event) -> None:
+        due_s = time.monotonic() + TICK_S
+        while not ended.wait(max(0.0, due_s - time.monotonic())):
+            late_s = time.monotonic() - due_s
+            if late_s > TICK_S:
+                self.late.append((time.time_ns(), late_s))
+            due_s = time.monotonic() + TICK_S
+
+    def _first(self, at_ns: int) -> int:
+        low, high = 0, len(self.joints)
+        while low < high:
+            middle = (low + high) // 2
+            if self.joints[middle][0] < at_ns:
+                low = middle + 1
+            else:
+                high = middle
+        return low
+
+    def _watch(self, robot: str, stack: ExitStack) -> None:
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.qos import qos_profile_sensor_data
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Float64MultiArray
+
+        context = rclpy.Context()
+        context.init()
+        node = rclpy.create_node("onlooker", context=context)
+
+        def joints(message: JointState) -> None:
+            stamp = message.header.stamp
+            at_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
+            if not self.joints or at_ns > self.joints[-1][0]:
+                arm = len(self._limits.lower)
+                position, velocity = message.position[:arm], message.velocity[:arm]
+                self.joints.append((at_ns, np.array(position), np.array(velocity)))
+
+        def acting(message: Float64MultiArray, info: dict[str, Any]) -> None:
+            self.acting.append((int(info["source_timestamp"]), Acting.from_message(message)))
+
+        def action(_: Float64MultiArray, info: dict[str, Any]) -> None:
+            self.actions.append(int(info["source_timestamp"]))
+
+        for kind, topic, take in (
+            (JointState, "joint_states", joints),
+            (Float64MultiArray, "acting", acting),
+            (Float64MultiArray, "action", action),
+        ):
+            node.create_subscription(kind, f"/{robot}/{topic}", take, qos_profile_sensor_data)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(node)
+        threading.Thread(target=executor.spin, daemon=True).start()
+        stack.callback(context.shutdown)
+        stack.callback(executor.shutdown)
+
+
+def faults_of(row: dict[str, Any]) -> list[str]:
+    """What a trial has done that it must not. How soon and how smoothly is judged on a machine that
+    is not held up only.
+    """
+    whole, found = row["all"], list[str]()
+    is_timed = row["held_up_s"] <= HELD_UP_S
+    if whole is None:
+        return ["nothing was measured"]
+    if whole["outside_rad"] > 1e-3:
+        found.append(f"{whole['outside_rad']:.4f} rad beyond a position limit")
+    for name, most in (("velocity", ROUNDING), ("acceleration", MEASURED)) if is_timed else ():
+        if whole[name] > most:
+            found.append(f"{name} {whole[name]:.2f} of the limit")
+    if row["part"] == "lost":
+        if is_timed and row["rest_s"] > REST_S:
+            found.append(f"at rest after {row['rest_s']:.3f} s")
+        if row["way"] == "released" and not row["goes_on"]:
+            found.append("did not follow the switch again")
+        if row["way"] != "released" and "lead" not in row["needs_start"]:
+            found.append(f"needs no new start: {row['needs_start']!r}")
+        return found
+    if row["refused"]:
+        found.append(f"the hand-back was refused: {row['refused']}")
+    if row["mode"] == "person" and not set(row["who"]) <= {"person", "nobody"}:
+        found.append(f"the policy acted while a person led: {row['who']}")
+    if is_timed and row["mode"] == "blend" and "blend" not in row["who"]:
+        found.append(f"no correction acted: {row['who']}")
+    if row["went_on"] is None:
+        found.append("the policy did not go on")
+    elif is_timed and row["went_on"][1] > BORDER_S:
+        found.append(f"went on {row['went_on'][1] * 1e3:.0f} ms after its action was sent")
+    return found
+
+
+def spread(values: list[float], digits: int = 2) -> str:
+    """Median, 99th percentile and worst."""
+    if not values:
+        return "none"
+    at = np.percentile(values, (50, 99, 100))
+    return ", ".join(
+        f"{n} {v:.{digits}f}" for n, v in zip(("median", "p99", "worst"), at, strict=True)
+    )
+
+
+def report(rows: list[dict[str, Any]]) -> bool:
+    """Print what the ledger says; whether every trial was as it has to be."""
+    good = True
+    for part in ("takeovers", "lost"):
+        mine = [row for row in rows if row["part"] == part]
+        judged = [row for row in mine if "broken" not in row]
+        wrong = {row["seed"]: faults for row in judged if (faults := faults_of(row))}
+        good = good and not wrong
+        timed = [row for row in judged if row["held_up_s"] <= HELD_UP_S]
+        print(
+            f"{part}: {len(judged)} judged, {len(timed)} of them with a machine not held up; "
+            f"{len(mine) - len(judged)} broken, {len(wrong)} wrong"
+        )
+        for seed, faults in wrong.items():
+            print(f"  {seed}: {'; '.join(faults)}")
+        if part == "takeovers" and judged:
+            tell_motions([row for row in judged if row["all"]])
+        for way in WAYS if part == "lost" else ():
+            for what, found in (("all", judged), ("timed", timed)):
+                rests = [row["rest_s"] for row in found if row["way"] == way]
+                print(f"  {way}, {what}: n {len(rests)}, at rest after [s] {spread(rests, 3)}")
+    return good
+
+
+def tell_motions(rows: list[dict[str, Any]]) -> None:
+    """Print motions at hand-overs beside those of the policy alone."""
+    for name in ("step_rad_s", "acceleration", "jerk_rad_s3"):
+        alone = [window[name] for row in rows for window in row["alone"]]
+        print(f"  {name}, the policy alone ({len(alone)} windows): {spread(alone)}")
+        for mode in ("person", "blend"):
+            for span in ("taken", "back"):
+                found = [row[span][name] for row in rows if row["mode"] == mode and row[span]]
+                if found:
+                    print(f"    {mode}, {span} ({len(found)}): {spread(found)}")
+    velocity = [row["all"]["velocity"] for row in rows]
+    later = [row["went_on"][0] for row in rows if row["went_on"]]
+    if rows:
+        print(f"  velocity as a share of the limit: {spread(velocity)}")
+        print(f"  goes on after the hand-back was asked for [s]: {spread(later)}")
