@@ -243,7 +243,8 @@ class RobotModule(Module):
             self.status.set(note="holding: no command")
 
     def _publish_state(self, stop: threading.Event) -> None:
-        """Publish one state when it is due, on a fixed time grid, so that the mean rate is exact.
+        """Publish one state when it is due, on a fixed time grid, so that the mean rate is
+        right.
         """
         stop.wait(max(0.0, self._next_state_s - time.monotonic()))
         self._next_state_s = max(

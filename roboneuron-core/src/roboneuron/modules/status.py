@@ -209,8 +209,7 @@ class StatusWriter:
             self._work.pop(worker, None)
 
     def tick_loop(self) -> None:
-        """Record a tick of the executor; without the lock, because a float is replaced atomically.
-        """
+        """Record a tick of the executor; without the lock, because assigning a float is atomic."""
         self._loop_s = time.monotonic()
 
     def report(self) -> Report:
@@ -278,7 +277,8 @@ class StatusReporter(threading.Thread):
         self._end = threading.Event()
 
     def publish(self) -> None:
-        """Publish the report now; does nothing after ROS was shut down. Callable from any thread.
+        """Publish the report now; does nothing after ROS was shut down. Callable from any
+        thread.
         """
         message = DiagnosticArray(status=[self._status.to_message()])
         message.header.stamp = self._node.get_clock().now().to_msg()
