@@ -1,9 +1,9 @@
-"""The hooks. Each takes nothing, imports nothing heavy and returns a sequence of frozen
+"""The hooks. Each takes no arguments, imports nothing heavy and returns a sequence of frozen
 descriptors.
 
-A plugin is a distribution with an entry point in the group `roboneuron` that points at a module
-holding any of these functions, decorated with `hookimpl`. `HOOKS` are those of core; installed
-features may bring more.
+A plugin is a distribution with an entry point in the group `roboneuron`. The entry point names a
+module with any of these functions, decorated with `hookimpl`. `HOOKS` are those of core; installed
+features may add more.
 """
 
 from __future__ import annotations
@@ -94,10 +94,10 @@ def roboneuron_robots() -> Sequence[RobotSpec]:  # type: ignore[empty-body]
 
 @hookspec
 def roboneuron_features() -> Sequence[FeatureSpec]:  # type: ignore[empty-body]
-    """Offer what the server can do beyond starting, watching, limiting and stopping modules.
+    """Offer extensions of the server beyond starting, monitoring, limiting and stopping modules.
 
     `target` is a subclass of `roboneuron.server.feature.Feature`; it is built as `target(options)`
-    in the server's process, asked for its tools and resources before clients are served, and
+    in the server's process. Its tools and resources are collected before clients are served; it is
     started once the server has joined ROS. Every installed feature is used unless the configuration
     disables its distribution.
     """
@@ -116,15 +116,16 @@ def roboneuron_commands() -> Sequence[CommandSpec]:  # type: ignore[empty-body]
 HOOKS: Mapping[str, type[Spec]] = {
     f"{PROJECT}_{kind}s": spec for kind, spec in PLUGIN_KINDS.items()
 }
-"""Descriptor class by hook, of the hooks that core knows, in the order in which they are called."""
+"""Descriptor class by hook, for core's hooks, in the order of their calls."""
 
 
 def extended(hooks: Mapping[str, type[Spec]], offered: Iterable[Spec]) -> Mapping[str, type[Spec]]:
-    """`hooks` and those that the features and commands among these descriptors bring.
+    """Return `hooks` with those that these features and commands add.
 
     Raises:
-        PluginError, MissingDependencyError: what one `brings` cannot be imported, is no descriptor
-            class, has a kind that is there already, or no specification of its hook beside it.
+        PluginError, MissingDependencyError: the class named by `brings` cannot be imported, is not
+            a descriptor class, has an existing kind, or has no specification of its hook in its
+            module.
     """
     found = dict(hooks)
     for bringer in offered:
