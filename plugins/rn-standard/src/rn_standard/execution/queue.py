@@ -22,8 +22,8 @@ FADE_ROWS = 4
 smoother (simulated).
 """
 Outcome = Literal["accepted", "late", "unconditioned"]
-"""Result for an answer. `late`: more rows were sent since its image than it has. `unconditioned`:
-it continues rows that were not played as promised (trained prefixes).
+"""Result of an answer. `late`: more rows were sent since its image than it has. `unconditioned`: it
+continues rows that were not played as promised (trained prefixes).
 """
 _MEMORY = 512
 """Number of sent rows that are remembered; an older answer is dropped by its image's age long
