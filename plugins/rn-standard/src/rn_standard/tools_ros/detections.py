@@ -1,4 +1,6 @@
-"""get_<name> of vision_msgs detections: what a detector sees, in plain units, the surest first."""
+"""Tool get_<name> for vision_msgs detections: the output of a detector in plain units, in order of
+descending score.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from roboneuron import Result
 
 FLAT, SPATIAL = "vision_msgs/msg/Detection2DArray", "vision_msgs/msg/Detection3DArray"
 _LONGEST = 100
-"""Characters of a name that are told."""
+"""Longest name in a result [characters]."""
 
 
 class GetDetections(GetNewest):
@@ -28,7 +30,7 @@ class GetDetections(GetNewest):
 
 
 class Detection(Result):
-    """One thing that was detected."""
+    """One detected object."""
 
     class_id: str = Field(description="of the surest hypothesis")
     score: float | None = Field(description="how sure that is, 0 .. 1; null: not told")
@@ -41,7 +43,7 @@ class Detection(Result):
 
 
 class Detections(Result):
-    """What the newest message holds."""
+    """Content of the newest message."""
 
     robot: str
     unit: str = Field(description="of center and size: px or m")
@@ -53,13 +55,13 @@ class Detections(Result):
 
 
 def detections_of(robot: str, message: Any, arguments: GetDetections, age_s: float) -> Detections:
-    """A Detection2DArray or Detection3DArray in plain units.
+    """Convert a Detection2DArray or Detection3DArray to plain units.
 
     Args:
-        robot: whose it is.
-        message: as it came.
-        arguments: which of them.
-        age_s: since it came; told where the message has no stamp.
+        robot: name of the robot.
+        message: as received.
+        arguments: select the detections.
+        age_s: time since its arrival [s]; used if the message has no stamp.
     """
     is_flat = type(message).__name__ == "Detection2DArray"
     found = [_read(one, message.header.frame_id, is_flat) for one in message.detections]
@@ -85,7 +87,7 @@ def _fits(detection: Detection, arguments: GetDetections) -> bool:
 
 
 def _read(one: Any, frame: str, is_flat: bool) -> Detection | None:
-    """One detection; None for a damaged one."""
+    """Convert one detection; None for an invalid one."""
     if not one.results:
         return None
     best = max(one.results, key=lambda result: _rank(result.hypothesis.score)).hypothesis

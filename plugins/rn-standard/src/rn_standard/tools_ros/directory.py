@@ -1,6 +1,4 @@
-"""find_tools and call_endpoint: the way to derived tools when there are too many of them to be
-listed.
-"""
+"""Tools find_tools and call_endpoint: access to derived tools that are too many to be listed."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ class FindTools(Arguments):
 
 
 class FoundTool(Result):
-    """A tool that call_endpoint calls."""
+    """A tool that call_endpoint can call."""
 
     name: str
     title: str
@@ -35,7 +33,7 @@ class FoundTool(Result):
 
 
 class FoundTools(Result):
-    """The best ones first."""
+    """Tools found, best matches first."""
 
     tools: list[FoundTool]
     matching: int
@@ -52,7 +50,7 @@ class CallEndpoint(Arguments):
 
 
 class EndpointResult(Result):
-    """What the tool answered."""
+    """Answer of the called tool."""
 
     tool: str
     result: dict[str, object]
@@ -61,11 +59,11 @@ class EndpointResult(Result):
 def directory_tools(
     tools: Callable[[], Sequence[Tool[Any]]], tool_of: Callable[[str], Tool[Any] | None]
 ) -> list[Tool[Any]]:
-    """The pair, over what there is at the time of the call.
+    """Create both tools; they use the tools present at the time of the call.
 
     Args:
-        tools: all of them.
-        tool_of: one of them by name: a call does not look at all of a thousand.
+        tools: returns all of them.
+        tool_of: returns one by name, so that a call need not search a thousand.
     """
 
     async def find(arguments: FindTools, context: CallContext) -> FoundTools:
@@ -112,7 +110,7 @@ def directory_tools(
             result=EndpointResult,
             handler=call,
             open_world=True,
-            role=Role.VIEWER,  # what it calls has a role of its own
+            role=Role.VIEWER,  # the called tool has its own role
         ),
     ]
 
@@ -122,8 +120,8 @@ def _words(text: str) -> list[str]:
 
 
 def _rank(tools: Sequence[Tool[Any]], words: Sequence[str]) -> list[Tool[Any]]:
-    """Tools by how many words they hold, in the name before the description; all of them without
-    words.
+    """Sort tools by the number of matching words, in the name before the description; all of them
+    without words.
     """
     if not words:
         return list(tools)

@@ -1,5 +1,5 @@
-"""expose_endpoint and unexpose_endpoint: an admin changes what agents may reach while the server
-runs.
+"""Tools expose_endpoint and unexpose_endpoint: an admin changes the exposed endpoints at
+run time.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class UnexposeEndpoint(Arguments):
 
 
 class ExposureChange(Result):
-    """What became of the tools."""
+    """Effect on the tools."""
 
     added: list[str] = Field(description="tools that are new")
     removed: list[str] = Field(description="tools that are gone")
@@ -43,7 +43,9 @@ class ExposureChange(Result):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Admin:
-    """Who changes the exposure, for the audit; `tool` and `arguments` are of the call."""
+    """Client that changes the exposure, for the audit; `tool` and `arguments` are those of the
+    call.
+    """
 
     who: str
     role: str
@@ -52,7 +54,7 @@ class Admin:
 
 
 class Exposing(Protocol):
-    """What the two tools are made of; the direct path does it."""
+    """Interface behind the two tools, implemented by the feature."""
 
     def expose(self, entry: ExposeConfig, admin: Admin) -> ExposureChange: ...
 
@@ -62,13 +64,13 @@ class Exposing(Protocol):
 
 
 def exposing_tools(path: Exposing, local_may: bool) -> list[Tool[Any]]:
-    """Both tools.
+    """Create both tools.
 
     Args:
-        path: does it.
-        local_may: clients without a token (stdio, loopback) may too; otherwise an agent that was
-            merely started on this machine could reach whatever it wants, and the allow list would
-            be none.
+        path: performs the changes.
+        local_may: also permit clients without a token (stdio, loopback). Otherwise any agent
+            started on this machine could expose everything, which would make the allow list
+            useless.
     """
 
     def admin_of(context: CallContext, tool: str, arguments: Arguments) -> Admin:

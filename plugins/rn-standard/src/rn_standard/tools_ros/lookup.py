@@ -1,4 +1,4 @@
-"""lookup_<name>: where one frame is in another, from an exposed topic of transforms."""
+"""Tool lookup_<name>: the transform between two frames, from an exposed topic of transforms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""read_<name>: the next messages of a topic, decoded for agents; images come as images."""
+"""Tool read_<name>: the next messages of a topic, decoded for agents; images are sent as images."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Read(RobotCall):
 
 
 class Messages(Result):
-    """What came."""
+    """Received messages."""
 
     robot: str
     topic: str
@@ -45,7 +45,7 @@ class Messages(Result):
 
 
 def messages_model(targets: Targets) -> Derived[Messages]:
-    """The result, with the schema of the decoded messages."""
+    """Return the result model, with the schema of the decoded messages."""
     own: dict[str, dict[str, object]] = {name: {} for name in Messages.model_fields}
     return Derived(
         model=Messages,
@@ -102,9 +102,7 @@ class Reading:
 
 
 def newest(messages: Sequence[Mapping[str, Plain]]) -> list[dict[str, object]]:
-    """The last messages, at least one, of at most so many characters together as an agent can
-    read.
-    """
+    """Return the last messages, at least one, within the maximum length of an answer."""
     kept: list[dict[str, object]] = []
     room = _MOST_TEXT
     for message in reversed(messages):
@@ -116,7 +114,7 @@ def newest(messages: Sequence[Mapping[str, Plain]]) -> list[dict[str, object]]:
 
 
 def _pictures(exposed: ExposedEndpoint, messages: list[object]) -> tuple[tuple[Picture, ...], str]:
-    """Pictures of the newest messages; what cannot be shown is said in the note."""
+    """Pictures of the newest messages; the note names images that cannot be shown."""
     found: list[Picture] = []
     notes: list[str] = []
     for message in messages:

@@ -1,4 +1,4 @@
-"""publish_<name>_sequence: messages that follow each other, each with its duration."""
+"""Tool publish_<name>_sequence: consecutive messages, each with its duration."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MAX_STEPS = 500
 
 
 class SequenceStep(Arguments):
-    """One message, and how long it lasts."""
+    """One message and its duration."""
 
     message: Value = Field(default_factory=dict)
     duration_s: float | None = Field(
@@ -64,7 +64,7 @@ class Sequencing:
             )
         played = steps * times
         starts_s = [0.0, *itertools.accumulate(step.duration_s for step in played)][:-1]
-        joint_limited = exposed.endpoint.joint_limited  # then it matters where the step before ends
+        joint_limited = exposed.endpoint.joint_limited  # needs the end of the previous step
         request = gate_request(
             context,
             self._tool,

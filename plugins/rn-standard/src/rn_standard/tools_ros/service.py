@@ -1,4 +1,4 @@
-"""call_<name>: a ROS service as a tool."""
+"""Tool call_<name> for a ROS service."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class CallService(SendingCall):
 
 
 class ServiceAnswer(Judged):
-    """What the service answered; nothing in a dry run."""
+    """Answer of the service; empty in a dry run."""
 
     robot: str
     service: str
@@ -38,7 +38,7 @@ class ServiceAnswer(Judged):
 
 
 def served_model(targets: Targets) -> Derived[ServiceAnswer]:
-    """The result, with the schema of the response; a dry run has none."""
+    """Return the result model, with the schema of the response; a dry run has none."""
     interface = service_of(targets.first)
     own: dict[str, dict[str, object]] = {name: {} for name in ServiceAnswer.model_fields}
     required = [name for name in own if name != "response"]
