@@ -38,7 +38,7 @@ class MoveEndEffector(Arguments):
 
 
 class EndEffectorMove(Result):
-    """What the arm did, measured."""
+    """Measured motion of the arm."""
 
     robot: str
     arm: str = Field(default="", description="which of several arms")
