@@ -72,8 +72,8 @@ class ColourLifted:
     initial height.
 
     The initial height is that of the first observation at rest; a lift of 0.9 of `height_m` scores
-    0.9. An object that is already held is not at rest: then its height before the previous task
-    counts.
+    0.9. An object that is already held is not at rest: then the resting height observed in the
+    previous task counts.
     """
 
     def __init__(self, config: LiftedOptions | None) -> None:
