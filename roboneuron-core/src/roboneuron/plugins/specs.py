@@ -101,7 +101,7 @@ class BackendSpec(Spec):
         capabilities: words accelerations may require of it.
         conditions_on_rows: it continues `Observation.ahead.rows` (real-time chunking), and reports
             their number in `ActionChunk.conditioned_rows`.
-        max_committed_rows: longest prefix of its training; 0 for any length.
+        max_committed_rows: longest prefix that it was trained to keep; 0 for any length.
         takes_predicted_state: it was trained on states ahead of the image and reads TCP pose and
             gripper only (joints cannot be predicted from TCP deltas); they may be predicted for the
             end of the running chunk.
