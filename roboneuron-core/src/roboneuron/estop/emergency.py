@@ -84,7 +84,7 @@ class EmergencyStop:
         return ReleasePin(self.file.path.parent).is_set
 
     def is_latched(self) -> bool:
-        """True if the stop is latched: by the file, whoever wrote it, or in any module.
+        """True if the stop is latched: by the file, from any source, or in any module.
 
         A module may be latched without the file: by the topic, if the file cannot be written.
         """

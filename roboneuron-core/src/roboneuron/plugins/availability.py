@@ -12,7 +12,7 @@ from roboneuron.plugins.specs import Requirement
 
 
 def is_importable(module: str) -> bool:
-    """Whether the top-level `module` could be imported; the module is searched for, never executed.
+    """True if the top-level `module` could be imported; the module is searched for, never executed.
 
     Args:
         module: without a dot, because searching for a submodule would import its package.
@@ -27,7 +27,7 @@ def is_importable(module: str) -> bool:
 
 
 def present(requirement: Requirement) -> tuple[str, ...]:
-    """Those of its module and alternatives that can be found, in their order."""
+    """Names among its module and alternatives that can be found, in their order."""
     return tuple(
         module
         for module in (requirement.module, *requirement.alternatives)
@@ -36,7 +36,7 @@ def present(requirement: Requirement) -> tuple[str, ...]:
 
 
 def missing(requirements: Iterable[Requirement]) -> tuple[Requirement, ...]:
-    """Those of `requirements` without a module or alternative that can be found, in their order."""
+    """Requirements without a module or alternative that can be found, in their order."""
     return tuple(r for r in requirements if not present(r))
 
 

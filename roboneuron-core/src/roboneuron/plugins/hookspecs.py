@@ -41,7 +41,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:  # type: ignore[empty-body]
     """Offer policies: image and instruction to actions.
 
     `target` follows the protocol `Backend`; it is built as `target(config, runtime=...,
-    acceleration=...)` in the inference module, in a process of its own. The agent sees each as a
+    acceleration=...)` in the inference module, in a separate process. The agent sees each as a
     choice of `start_inference`.
     """
 
@@ -69,7 +69,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:  # type: ignore[empty-
     """Offer sources of camera frames.
 
     `target` follows the protocol `PerceptionSource`; it is built as `target(config, topics,
-    cameras)` in the perception module, in a process of its own.
+    cameras)` in the perception module, in a separate process.
     """
 
 
@@ -78,7 +78,7 @@ def roboneuron_controllers() -> Sequence[ControllerSpec]:  # type: ignore[empty-
     """Offer controllers from actions to joint commands.
 
     `target` follows the protocol `Controller`; it is built as `target(config, profile)` in the
-    control module, in a process of its own.
+    control module, in a separate process.
     """
 
 
@@ -88,7 +88,7 @@ def roboneuron_robots() -> Sequence[RobotSpec]:  # type: ignore[empty-body]
 
     `target` is a function without arguments that returns the `RobotProfile`; each driver's `target`
     follows the protocol `RobotDriver` and is built as `target(config, profile, topics)` in the
-    robot module, in a process of its own.
+    robot module, in a separate process.
     """
 
 

@@ -254,7 +254,7 @@ class RequestContext:
         watched = self._watched
         with nullcontext() if on_leave is None or watched is None else watched(on_leave):
             try:
-                # a thread of its own: a stop never waits for threads of other calls
+                # a separate thread: a stop never waits for threads of other calls
                 thread = anyio.CapacityLimiter(1)
                 return await to_thread.run_sync(
                     lambda: work(stage), abandon_on_cancel=True, limiter=thread

@@ -35,7 +35,7 @@ class Failure(Result):
 
 
 class ExitInfo(Result):
-    """How a module ended by itself."""
+    """End of a module that ended by itself."""
 
     pid: int
     code: int = Field(description="exit code; negative for the signal that ended it")
