@@ -99,7 +99,7 @@ class ControlModule(HoldingModule):
         self.status.set_value("controller", spec.name)
 
     def _report_collision_check(self) -> None:
-        """Report if commands are checked for collisions, which not every controller supports."""
+        """Report whether collisions are checked, which not every controller supports."""
         has_bodies = self.profile.collision is not None
         is_checked = has_bodies and isinstance(self.controller, PostureInspector)
         if has_bodies and not is_checked:

@@ -150,7 +150,7 @@ class MotionArbiter:
         hold_s: float = 2.0,
     ) -> None:
         """Args:
-        gate: checks if motion may continue.
+        gate: checks whether motion may continue.
         policy: returns a sentence on the policy that moves the endpoint's robot; empty without one.
         loop: its `starts` record the stops.
         is_followed: returns True if control still follows actions: it will hold, and the hold would

@@ -1,3 +1,3 @@
-"""`roboneuron doctor`: checks if this machine is ready. Each check is data (id, question) with one
-finding as its answer.
+"""`roboneuron doctor`: checks whether this machine is ready. Each check is data (id, question) with
+one finding as its answer.
 """

@@ -181,7 +181,7 @@ class SentRowQueue:
 
 
 def fade_rows_of(horizon: int, most: int = FADE_ROWS) -> int:
-    """Number of a chunk's rows that are cross-faded: `most`, but at most half of them.
+    """Number of a chunk's rows that are cross-faded: at most `most`, with at least `most` others.
 
     The motion of a faded row is older than its gripper value, so a short chunk that is faded
     completely would grasp too early.

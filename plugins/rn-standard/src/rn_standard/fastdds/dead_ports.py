@@ -65,9 +65,9 @@ def release_dead_locks(names: Iterable[str] | None = None, directory: Path = SHA
 class SilentPorts:
     """Ports of a dead process, made to discard messages without blocking the senders.
 
-    They must not stay in that state: a much later process that reuses such a port would never be
-    woken. `retire` marks them as broken for the processes that still have them open; by then no
-    process may write to them any more.
+    They must not stay in that state: senders would never check the listener of a much later process
+    that reuses such a port. `retire` marks them as broken for the processes that still have them
+    open; by then no process may write to them any more.
     """
 
     def __init__(self, names: Iterable[str], directory: Path = SHARED_MEMORY) -> None:

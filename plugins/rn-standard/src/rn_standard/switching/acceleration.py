@@ -42,7 +42,7 @@ class AccelerationChanger(Protocol):
 class AccelerationInForce:
     """The present and the requested preset.
 
-    The status shows if it can be changed (`acceleration_in_place`), and after each request
+    The status shows whether it can be changed (`acceleration_in_place`), and after each request
     `acceleration`, `acceleration_answers`, `acceleration_refused` (the reason, empty on success)
     and `acceleration_changed_ns`.
     """

@@ -48,8 +48,8 @@ answers too late.
 """
 _FIRST_S = 1.0
 _TOLD_S = 4.0
-"""Delay of the report that shows if the new module has acted by the moment: without CPU time, a
-process may act and report later.
+"""Delay of the report that shows whether the new module has acted by the moment: without CPU time,
+a process may act and report later.
 """
 _FIND_S = 25.0
 """A killed subscriber counts as alive until its lease on the ROS graph ends, after up to 20 s."""
