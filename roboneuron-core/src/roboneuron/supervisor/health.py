@@ -128,7 +128,7 @@ class Stopped(BaseModel):
     cancelled_start: bool = Field(default=False, description="it was still starting")
     pid: int | None = None
     exit_code: int | None = Field(default=None, description="negative for the signal that ended it")
-    killed: bool = Field(default=False, description="it did not leave by itself in time")
+    killed: bool = Field(default=False, description="it did not exit in time and was killed")
     took_s: float = 0.0
     report: SkipValidation[Report | None] = Field(default=None, exclude=True)
 

@@ -31,9 +31,9 @@ _LINE = 200
 class GetLogs(Arguments):
     """Arguments of get_logs."""
 
-    module: Source = Field(description="Whose log; server: the log of this server itself.")
-    entries: int = Field(default=50, ge=1, le=500, description="At most so many, the newest.")
-    level: Level = Field(default="debug", description="Leave out entries below this level.")
+    module: Source = Field(description="Module; server: the server's own log.")
+    entries: int = Field(default=50, ge=1, le=500, description="Maximum number; the newest.")
+    level: Level = Field(default="debug", description="Minimum level.")
     contains: str = Field(default="", max_length=200, description="Only entries with this text.")
 
 
@@ -63,10 +63,10 @@ class LogsResult(Result):
 class ListIncidents(Arguments):
     """Arguments of list_incidents."""
 
-    entries: int = Field(default=10, ge=1, le=100, description="At most so many, the newest.")
+    entries: int = Field(default=10, ge=1, le=100, description="Maximum number; the newest.")
     module: ModuleKind | None = Field(default=None, description="Only of this module.")
     id: str | None = Field(
-        default=None, max_length=200, description="This one alone, with status, log and actions."
+        default=None, max_length=200, description="Only this one, with status, log and actions."
     )
 
 
@@ -80,7 +80,7 @@ class Incident(Result):
     explanation: str = Field(
         default="", description="what that means, and the module's error if it had one"
     )
-    before: str = Field(default="", description="how it was before")
+    before: str = Field(default="", description="previous health")
     status: dict[str, object] = Field(
         default_factory=dict, description="the module's last status, as in get_status"
     )

@@ -44,7 +44,7 @@ rotation (3, 3) in the base frame.
 class MoveToArguments(Arguments):
     """Arguments of move_to."""
 
-    name: str = Field(description="Where to.")
+    name: str = Field(description="Target.")
 
 
 class MovedTo(Result):

@@ -63,8 +63,7 @@ class RunTask(Arguments):
     )
     until: dict[str, object] | None = Field(
         default=None,
-        description=f"What is true when it is done, a predicate P: {UNTIL}. Without it success "
-        "is not judged.",
+        description=f"Success condition, a predicate P: {UNTIL}. Without it success is not judged.",
     )
     max_s: float | None = Field(
         default=None, gt=0, le=86400, description="Longest time of one attempt [s]."
@@ -73,7 +72,7 @@ class RunTask(Arguments):
     on_end: str = Field(
         default=HOLD,
         max_length=64,
-        description="Then: hold, stop (the policy), or go to a name of move_to.",
+        description="At the end: hold, stop (the policy), or a name of move_to.",
     )
 
 
@@ -90,7 +89,7 @@ class FinalState(FinalArm):
 
     joints: dict[str, float] | None = Field(default=None, description="rad or m")
     arms: dict[str, FinalArm] = Field(default_factory=dict, description="of several, by name")
-    still_s: float | None = Field(default=None, description="for so long no joint has moved")
+    still_s: float | None = Field(default=None, description="time since a joint last moved")
 
 
 class TaskResult(Result):
@@ -106,7 +105,7 @@ class TaskResult(Result):
     )
     attempts: int = Field(description="0: it was done before anything moved")
     reason: str
-    images_before: int = Field(description="the first so many images are from before")
+    images_before: int = Field(description="number of images from before, which come first")
     images_after: int
     state: FinalState
     ended_with: str = Field(

@@ -19,7 +19,7 @@ class LeadArm(Arguments):
         default="person",
         description="The policy waits, or the person's correction is added to its actions.",
     )
-    scale: float = Field(default=1.0, gt=0, le=1, description="Of the speeds.")
+    scale: float = Field(default=1.0, gt=0, le=1, description="Factor of the speeds.")
 
 
 class LeadResult(Result):

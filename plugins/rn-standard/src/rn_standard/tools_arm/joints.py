@@ -52,10 +52,10 @@ class MoveJoints(Arguments):
     """Arguments of move_joints."""
 
     positions: dict[str, float] = Field(
-        min_length=1, description="Target by joint, rad or m; the others stay where they are."
+        min_length=1, description="Target by joint, rad or m; other joints stay in place."
     )
     duration_s: float | None = Field(
-        default=None, gt=0, description="Time for the move [s]; an easy pace when omitted."
+        default=None, gt=0, description="Duration [s]; at a moderate speed if omitted."
     )
     dry_run: bool = Field(default=False, description="Only say what would happen.")
 

@@ -44,7 +44,7 @@ _LONGEST_M = 0.5
 class PlaceArguments(Arguments):
     """Arguments of place."""
 
-    arm: str = Field(default="", description="Whose hand holds it.")
+    arm: str = Field(default="", description="Arm that holds it.")
     dx_m: float = Field(
         default=0.0, ge=-0.5, le=0.5, description="Forwards from where the hand is [m]."
     )

@@ -39,7 +39,7 @@ class GetCameraImage(Arguments):
         default=None, description="Which camera of the robot; the first one when omitted."
     )
     format: Format = Field(default="jpeg", description="jpeg is small, png is exact.")
-    timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait for it [s].")
+    timeout_s: float = Field(default=5.0, gt=0, le=60, description="Timeout [s].")
 
 
 class CameraImage(Result):

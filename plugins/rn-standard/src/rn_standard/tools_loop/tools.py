@@ -73,7 +73,7 @@ class SetInstruction(Arguments):
         description='What to do, for instance "pick up the red cube".',
     )
     timeout_s: float = Field(
-        default=30.0, gt=0, le=600, description="How long to wait for the first action, in seconds."
+        default=30.0, gt=0, le=600, description="Timeout of the first action [s]."
     )
 
 

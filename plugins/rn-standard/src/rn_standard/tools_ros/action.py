@@ -35,10 +35,10 @@ class SendGoal(SendingCall):
     timeout_s: float | None = Field(
         default=None,
         gt=0,
-        description="How long the goal may take, in seconds; then it is cancelled.",
+        description="Timeout of the goal [s]; then it is cancelled.",
     )
     server_timeout_s: float = Field(
-        default=2.0, ge=0, le=60, description="How long to wait for the action server, in seconds."
+        default=2.0, ge=0, le=60, description="Longest wait for the action server [s]."
     )
 
 
@@ -50,7 +50,7 @@ class GoalResult(Judged):
     type: str
     status: Literal["succeeded", ""] = Field(description="empty in a dry run")
     result: Value = Field(default_factory=dict)
-    feedbacks: int = Field(description="how many feedback messages came")
+    feedbacks: int = Field(description="number of feedback messages")
     took_s: float
 
 

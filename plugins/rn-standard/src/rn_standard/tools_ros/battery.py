@@ -28,7 +28,7 @@ class Battery(Result):
     charge_ah: float | None
     capacity_ah: float | None
     age_s: float = Field(description="since it arrived")
-    problems: list[str] = Field(description="values that cannot be right")
+    problems: list[str] = Field(description="implausible values")
 
 
 def battery_of(robot: str, message: Any, arguments: GetNewest, age_s: float) -> Battery:

@@ -25,20 +25,20 @@ class GetDetections(GetNewest):
     class_id: str = Field(
         default="", max_length=200, description="Only this class; all of them when empty."
     )
-    min_score: float = Field(default=0.0, ge=0, le=1, description="Only those as sure as that.")
-    entries: int = Field(default=20, ge=1, le=100, description="Most detections.")
+    min_score: float = Field(default=0.0, ge=0, le=1, description="Minimum score.")
+    entries: int = Field(default=20, ge=1, le=100, description="Maximum number.")
 
 
 class Detection(Result):
     """One detected object."""
 
-    class_id: str = Field(description="of the surest hypothesis")
-    score: float | None = Field(description="how sure that is, 0 .. 1; null: not told")
+    class_id: str = Field(description="of the hypothesis with the highest score")
+    score: float | None = Field(description="its score, 0 .. 1; null: not given")
     id: str
     center: list[float] = Field(description="of its box: x, y, in space also z")
     size: list[float] = Field(description="of its box along its own axes")
-    theta_rad: float | None = Field(description="turn of a box in an image; null in space")
-    quaternion_xyzw: list[float] | None = Field(description="turn of a box in space; else null")
+    theta_rad: float | None = Field(description="rotation of a box in an image; null in space")
+    quaternion_xyzw: list[float] | None = Field(description="rotation of a box in space; else null")
     frame: str
 
 
@@ -48,10 +48,10 @@ class Detections(Result):
     robot: str
     unit: str = Field(description="of center and size: px or m")
     frame: str = Field(description="of the message, for center")
-    detections: list[Detection] = Field(description="the surest first")
+    detections: list[Detection] = Field(description="in descending order of score")
     more: int = Field(description="that fit the call and are left out")
     damaged: int = Field(description="left out: numbers that are not finite, or no hypothesis")
-    age_s: float = Field(description="of the picture, by its stamp; else since it came")
+    age_s: float = Field(description="of the image, by its stamp; else since its arrival")
 
 
 def detections_of(robot: str, message: Any, arguments: GetDetections, age_s: float) -> Detections:

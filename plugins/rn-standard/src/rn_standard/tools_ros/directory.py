@@ -16,9 +16,11 @@ from roboneuron.feature import Role
 class FindTools(Arguments):
     """Arguments of find_tools."""
 
-    query: str = Field(default="", max_length=200, description="Words; all of them without any.")
+    query: str = Field(
+        default="", max_length=200, description="Search words; all tools without any."
+    )
     schemas: bool = Field(default=False, description="Give the input schemas too.")
-    limit: int = Field(default=10, ge=1, le=50, description="Most tools to return.")
+    limit: int = Field(default=10, ge=1, le=50, description="Maximum number of tools.")
 
 
 class FoundTool(Result):

@@ -24,7 +24,7 @@ class UnexposeEndpoint(Arguments):
 
     name: str = Field(max_length=64, description="the endpoint, as list_topics calls it")
     robot: str | None = Field(
-        default=None, max_length=64, description="whose it is; the configured robot when omitted"
+        default=None, max_length=64, description="robot; the configured one if omitted"
     )
     kind: Literal["publish", "read", "service", "action", "parameters"] | None = Field(
         default=None, description="which use of that name; all of them when omitted"
@@ -34,11 +34,9 @@ class UnexposeEndpoint(Arguments):
 class ExposureChange(Result):
     """Effect on the tools."""
 
-    added: list[str] = Field(description="tools that are new")
-    removed: list[str] = Field(description="tools that are gone")
-    changed: list[str] = Field(
-        description="tools that are there with other limits, robots or texts"
-    )
+    added: list[str] = Field(description="added tools")
+    removed: list[str] = Field(description="removed tools")
+    changed: list[str] = Field(description="tools with changed limits, robots or texts")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

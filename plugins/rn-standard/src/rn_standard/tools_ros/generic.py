@@ -78,7 +78,7 @@ class ListNames(Arguments):
     """Arguments of list_topics and list_nodes."""
 
     contains: str = Field(
-        default="", max_length=200, description="Only those whose name holds this text."
+        default="", max_length=200, description="Only names that contain this text."
     )
     entries: int = Field(default=50, ge=1, le=200, description="Most entries.")
 

@@ -19,7 +19,7 @@ from roboneuron import CallContext, Host, Result
 class GetNewest(RobotCall):
     """Arguments of a tool for the newest message."""
 
-    timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait [s].")
+    timeout_s: float = Field(default=5.0, gt=0, le=60, description="Timeout [s].")
 
 
 A = TypeVar("A", bound=GetNewest)

@@ -30,15 +30,13 @@ class ListParameters(Arguments):
     """Arguments of list_parameters."""
 
     node: str = Field(description="Which node.")
-    timeout_s: float = Field(
-        default=10.0, gt=0, le=300, description="How long to wait for the answer, in seconds."
-    )
+    timeout_s: float = Field(default=10.0, gt=0, le=300, description="Timeout of the answer [s].")
 
 
 class NamedParameters(ListParameters):
     """Arguments of describe_parameters and get_parameters."""
 
-    names: list[str] = Field(min_length=1, max_length=MOST, description="Which ones.")
+    names: list[str] = Field(min_length=1, max_length=MOST, description="Their names.")
 
 
 class SetParameters(ListParameters):

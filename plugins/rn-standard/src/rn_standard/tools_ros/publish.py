@@ -41,9 +41,9 @@ class Delivery(Judged):
     topic: str
     type: str
     sent: int = Field(description="messages, repetitions and the stop message included")
-    subscribers: int = Field(description="how many were matched when it was sent")
-    duration_s: float = Field(description="how long it took")
-    stopped: bool = Field(description="a message that stops was sent at the end")
+    subscribers: int = Field(description="number of matched subscribers")
+    duration_s: float = Field(description="duration")
+    stopped: bool = Field(description="a stop message was sent at the end")
     clamped: list[ClampedValue] = Field(description="values that were moved to their limit")
 
 
@@ -54,8 +54,7 @@ class Publish(PublishingCall):
     duration_s: float = Field(
         default=1.0,
         gt=0,
-        description="How long it lasts, in seconds; then it is stopped. Joints get there within "
-        "it.",
+        description="Duration [s]; then it is stopped. Joints reach their targets within it.",
     )
 
 

@@ -28,7 +28,7 @@ class Read(RobotCall):
     """Arguments of a read tool."""
 
     count: int = Field(default=1, ge=1, le=100, description="Messages to wait for.")
-    timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait [s].")
+    timeout_s: float = Field(default=5.0, gt=0, le=60, description="Timeout [s].")
 
 
 class Messages(Result):
@@ -38,8 +38,8 @@ class Messages(Result):
     topic: str
     type: str
     messages: list[Value] = Field(description="oldest first")
-    complete: bool = Field(description="as many came as were asked for")
-    publishers: int = Field(description="how many publish the topic")
+    complete: bool = Field(description="the requested number arrived")
+    publishers: int = Field(description="number of publishers")
     age_s: float = Field(description="since the last one arrived")
     note: str
 

@@ -24,18 +24,14 @@ class SequenceStep(Arguments):
     """One message and its duration."""
 
     message: Value = Field(default_factory=dict)
-    duration_s: float | None = Field(
-        default=None, gt=0, description="How long this step lasts, in seconds."
-    )
+    duration_s: float | None = Field(default=None, gt=0, description="Duration of this step [s].")
 
 
 class PublishSequence(PublishingCall):
     """Arguments of a sequence tool."""
 
     steps: Annotated[list[SequenceStep], Field(min_length=1, max_length=MAX_STEPS)]
-    times: int = Field(
-        default=1, ge=1, le=1000, description="How often the whole sequence is played."
-    )
+    times: int = Field(default=1, ge=1, le=1000, description="Repetitions of the whole sequence.")
 
 
 class Sequencing:

@@ -22,9 +22,7 @@ class CallService(SendingCall):
     """Arguments of a service tool."""
 
     request: Value = Field(default_factory=dict)
-    timeout_s: float = Field(
-        default=10.0, gt=0, le=300, description="How long to wait for the answer, in seconds."
-    )
+    timeout_s: float = Field(default=10.0, gt=0, le=300, description="Timeout of the answer [s].")
 
 
 class ServiceAnswer(Judged):
