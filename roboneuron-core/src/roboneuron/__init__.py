@@ -1,9 +1,9 @@
 """RoboNeuron: typed MCP tools and supervised closed loops between LLM agents, ROS 2 robots and VLA
 models.
 
-The public API, all that a plugin needs of core, is listed in `__init__.pyi`. A name is imported
-when it is first asked for, so that a plugin module, which imports descriptors only, stays light.
-CHANGELOG.md records every change to it.
+The public API, all that a plugin needs of core, is listed in `__init__.pyi`. A name is imported on
+first use, so that a plugin module, which imports descriptors only, stays light. CHANGELOG.md
+records every change to it.
 """
 
 import lazy_loader

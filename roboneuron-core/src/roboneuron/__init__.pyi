@@ -1,5 +1,5 @@
-"""The public API by the modules that define it; `__init__.py` reads this at run time, type checkers
-as a stub.
+"""The public API by defining module; read by `__init__.py` at run time, and by type checkers as a
+stub.
 """
 
 # ruff: noqa: I001

@@ -1,7 +1,7 @@
-"""What commands may use of the core, beside `roboneuron` itself: they are processes of their own,
-beside a server or without one.
+"""Names of the core that commands may use, in addition to `roboneuron`; commands are separate
+processes, with or without a server.
 
-See `roboneuron.feature` for how to use such a list.
+See `roboneuron.feature` for the use of such a list.
 """
 
 from collections.abc import Mapping
@@ -26,4 +26,4 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "topics": "ACTION DIAGNOSTICS JOINT_STATES",
     }.items()
 }
-"""What may be used of the modules among these names; a contract rule of packages checks it."""
+"""Public names of these modules; checked by a contract rule of packages."""

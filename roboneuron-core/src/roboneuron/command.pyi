@@ -1,4 +1,4 @@
-"""What commands may use of the core, by the modules that define it; `command.py` reads this at run
+"""Names of the core that commands may use, by defining module; `command.py` reads this file at run
 time.
 """
 

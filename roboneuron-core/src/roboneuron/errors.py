@@ -1,8 +1,7 @@
-"""Every exception RoboNeuron raises on purpose: a code, what happened, what to do.
+"""Deliberate exceptions of RoboNeuron: each has a code, a message and a hint.
 
-There is one class per reaction of the caller, not one per place: whoever catches an error wants to
-know whether to fix the configuration, install something, correct an argument, retry, stop the
-robot, or report a bug.
+There is one class per reaction of the caller, not one per place: fix the configuration, install
+something, correct an argument, retry, stop the robot, or report a bug.
 """
 
 from __future__ import annotations
@@ -13,15 +12,14 @@ from difflib import SequenceMatcher, get_close_matches
 from typing import ClassVar, Self
 
 _TYPING_ERROR = 0.8
-"""Likeness of names that differ by a letter or two."""
+"""Similarity of names that differ by a letter or two."""
 
 
 def nearest(name: str, known: Iterable[str], otherwise: str = "", *, likeness: float = 0.6) -> str:
-    """The question whether the known name that is most like `name` was meant; `otherwise` when none
-    is like it.
+    """Suggest the known name most similar to `name` as a question; `otherwise` if none is similar.
 
-    Shared letters alone do not make a typing error ("options" is not "python"): the first letter is
-    the same too, one name is a part of the other, or they differ by a letter or two.
+    Shared letters alone do not make a typing error ("options" is not "python"): the first letter
+    must be the same, one name be a part of the other, or they differ by a letter or two.
     """
     for close in get_close_matches(name, list(known), n=3, cutoff=likeness):
         is_similar = close[:1] == name[:1] or close in name or name in close
@@ -31,7 +29,7 @@ def nearest(name: str, known: Iterable[str], otherwise: str = "", *, likeness: f
 
 
 def shortened(value: object) -> str:
-    """A value that a caller sent, as it stands in messages."""
+    """Shorten a value from a caller for messages."""
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:77]}..."
 
@@ -41,8 +39,8 @@ class RoboNeuronError(Exception):
 
     Attributes:
         code: stable machine-readable word, the same for every instance of a class.
-        message: one sentence: which one, what came, what was expected.
-        hint: one sentence that says what to do; empty when the message already does.
+        message: one sentence: which one, got, expected.
+        hint: one sentence that says what to do; empty if the message already does.
     """
 
     code: ClassVar[str] = "error"
@@ -56,16 +54,14 @@ class RoboNeuronError(Exception):
         return f"{self.message} {self.hint}".strip() if self.hint else self.message
 
     def with_hint(self, more: str) -> Self:
-        """The same error that says `more` after its hint, to be raised from this one."""
+        """Copy of this error with `more` after its hint, to be raised from this one."""
         told = copy(self)
         told.hint = f"{self.hint} {more}".strip()
         return told
 
 
 class ConfigurationError(RoboNeuronError):
-    """The configuration or a command line names something that cannot be; fix it and start
-    again.
-    """
+    """The configuration or a command line names something invalid; fix it and start again."""
 
     code = "configuration"
 
@@ -79,15 +75,13 @@ class PlanningError(ConfigurationError):
 
 
 class CheckpointError(ConfigurationError):
-    """A model checkpoint is missing, truncated, of another family, or holds values that cannot be
-    used.
-    """
+    """A model checkpoint is missing, truncated, of another family, or contains unusable values."""
 
     code = "checkpoint"
 
 
 class MissingDependencyError(RoboNeuronError):
-    """Something must be installed; the hint holds the command."""
+    """Something must be installed; the hint contains the command."""
 
     code = "missing_dependency"
 
@@ -107,15 +101,15 @@ class InvalidInputError(RoboNeuronError):
 
     @classmethod
     def unknown_name(cls, where: str, name: object, valid: Sequence[str]) -> Self:
-        """The error for a name that `where` does not take, with the nearest one that it does."""
+        """Create the error for a name unknown to `where`, with the nearest known one."""
         text = str(name)[:60]
         hint = nearest(text, valid, f"Valid: {', '.join(valid) or 'none'}.")
         return cls(f"{where} has no argument {text!r}.", hint=hint, path=text)
 
     @classmethod
     def no_choice(cls, path: str, value: object, allowed: Sequence[str]) -> Self:
-        """The error for a value at `path` that is none of those allowed, with the nearest one
-        that is.
+        """Create the error for a value at `path` that is not allowed, with the nearest
+        allowed one.
         """
         listed = ", ".join(allowed[:20]) + (" ..." if len(allowed) > 20 else "")
         meant = nearest(str(value)[:60], allowed)
@@ -124,15 +118,15 @@ class InvalidInputError(RoboNeuronError):
 
 
 class StateError(RoboNeuronError):
-    """The call is valid but not now (a second start, a stop of what is not running); look at the
-    status first.
+    """The call is valid but not in this state (a second start, a stop of something not running);
+    check the status first.
     """
 
     code = "wrong_state"
 
 
 class NotReadyError(RoboNeuronError):
-    """Something did not become ready in time (no image, no joint state, no answer); mend what is
+    """Something did not become ready in time (no image, no joint state, no answer); fix what is
     named and retry.
     """
 
@@ -144,8 +138,8 @@ class RefusedError(RoboNeuronError):
     sent.
 
     Attributes:
-        rule: word for the rule that refused, as in the audit; callers find it beside the code. The
-            gate names it where it is empty.
+        rule: word for the rule that refused, as in the audit and beside the code in the answer. If
+            empty, the gate sets it.
     """
 
     code = "refused"
@@ -156,13 +150,13 @@ class RefusedError(RoboNeuronError):
 
 
 class UngroundedError(RoboNeuronError):
-    """A backend cannot act on what it sees or was told; no action is produced, the robot holds."""
+    """A backend cannot act on its image or instruction; no action is produced, the robot holds."""
 
     code = "ungrounded"
 
 
 class UnsafeError(RoboNeuronError):
-    """Going on could move the robot wrongly (non-finite values, a lost joint); stop the robot."""
+    """Continuing could move the robot wrongly (non-finite values, a lost joint); stop the robot."""
 
     code = "unsafe"
 

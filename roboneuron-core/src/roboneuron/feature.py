@@ -1,10 +1,9 @@
-"""What features may use of the core in the process of the server, beside `roboneuron` itself.
+"""Names of the core that features may use in the server's process, in addition to `roboneuron`.
 
 `feature.pyi` lists the names; some are modules (`topics`, `roles`, ...), of which the names in
-`GROUPS` may be used. A name is imported when it is first asked for. They change with minor
-releases: CHANGELOG.md records it. `roboneuron.command` and `roboneuron.node` are the lists for
-other processes; what none of the three lists is private. Plugins of devices, models and robots
-need `roboneuron` alone.
+`GROUPS` may be used. A name is imported on first use. They change with minor releases, recorded in
+CHANGELOG.md. `roboneuron.command` and `roboneuron.node` are the lists for other processes; names in
+none of the three lists are private. Plugins of devices, models and robots need `roboneuron` only.
 """
 
 from collections.abc import Mapping
@@ -27,4 +26,4 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "topics": "ACTION DIAGNOSTICS JOINT_STATES is_written_by_modules",
     }.items()
 }
-"""What may be used of the modules among these names; a contract rule of packages checks it."""
+"""Public names of these modules; checked by a contract rule of packages."""

@@ -1,4 +1,4 @@
-"""What features may use of the core, by the modules that define it; `feature.py` reads this at run
+"""Names of the core that features may use, by defining module; `feature.py` reads this file at run
 time.
 """
 

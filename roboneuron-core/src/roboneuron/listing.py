@@ -1,4 +1,4 @@
-"""Names that are listed in a stub beside a module, and imported when they are first asked for."""
+"""Lazy import of names that are listed in a module's stub."""
 
 import ast
 from collections.abc import Callable
@@ -10,16 +10,16 @@ from pathlib import Path
 def attach(
     package: str, file: str
 ) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
-    """`__getattr__`, `__dir__` and `__all__` of a module whose stub lists what it offers.
+    """Return `__getattr__`, `__dir__` and `__all__` for a module with a stub.
 
-    lazy_loader would keep each name in the package `roboneuron` too, where some mean something
-    else.
+    lazy_loader would also set each name in the package `roboneuron`, where some have another
+    meaning.
 
     Args:
         package: name of the module.
         file: its path; the stub has the same stem.
     """
-    # what a stub's dot means: the package itself, or that of a module
+    # meaning of a stub's dot: the package itself, or that of a module
     above = package if Path(file).stem == "__init__" else package.rpartition(".")[0]
     modules = {
         alias.name: f"{above}.{node.module}" if node.module else above
@@ -34,7 +34,7 @@ def attach(
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         module = import_module(modules[name])
-        if not hasattr(module, name):  # a module that nobody has imported yet
+        if not hasattr(module, name):  # a module that has not been imported yet
             import_module(f"{modules[name]}.{name}")
         return getattr(module, name)
 

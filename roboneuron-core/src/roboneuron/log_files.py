@@ -1,5 +1,5 @@
-"""Log files: who may read them, and nothing in them that acts on a terminal or passes for an entry
-of its own.
+"""Log files: their permissions, and escaping of text that could control a terminal or imitate an
+entry.
 """
 
 from __future__ import annotations
@@ -17,23 +17,25 @@ from pathlib import Path
 
 FORMAT = "%(asctime)s %(levelname)s %(name)s: %(message)s"
 FILE_MODE, DIRECTORY_MODE = 0o640, 0o750
-"""Logs hold instructions, paths and names: the owner writes them, the group reads them."""
+"""Logs contain instructions, paths and names: the owner writes them, the group reads them."""
 _RETRY_S = 0.005
 LOCK_S = 2.0
-"""Longest wait for a lock that is held for milliseconds: who keeps it longer is frozen."""
+"""Longest wait for a lock that is held for milliseconds; a process that keeps it longer is
+frozen.
+"""
 _RAW = re.compile(
     "[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2066-\u2069\ufeff\ud800-\udfff]"
 )
-"""Control characters but tab and newline, and what turns or hides text. Source: Unicode, categories
-Cc and Cf.
+"""Control characters except tab and newline, and characters that reverse or hide text. Source:
+Unicode, categories Cc and Cf.
 """
 
 
 def make_log_directory(path: Path) -> None:
-    """Have a directory; what of it is missing is made so that others can neither list nor enter it.
+    """Create a directory; its new parts can neither be listed nor entered by others.
 
     Raises:
-        OSError: it cannot be made.
+        OSError: it cannot be created.
     """
     for folder in reversed([path, *path.parents]):
         if not folder.exists():
@@ -41,7 +43,7 @@ def make_log_directory(path: Path) -> None:
 
 
 def opener(path: str, flags: int) -> int:
-    """For `open`: a file that is made, and the folders above it, are not readable by others."""
+    """For `open`: new files, and the folders above them, are not readable by others."""
     if flags & os.O_CREAT:
         make_log_directory(Path(path).parent)
     return os.open(path, flags | os.O_CLOEXEC, FILE_MODE)
@@ -49,11 +51,11 @@ def opener(path: str, flags: int) -> int:
 
 @contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold the lock `<path>.lock`, alone on this machine; the kernel releases that of a process
-    that dies.
+    """Hold the lock `<path>.lock` exclusively on this machine; the kernel releases that of a
+    process that dies.
 
     Raises:
-        OSError: it cannot be made, or another process keeps it for over `LOCK_S`.
+        OSError: it cannot be created, or another process keeps it for over `LOCK_S`.
     """
     with open(f"{path}.lock", "a", opener=opener) as file:
         _lock(file.fileno(), time.monotonic() + LOCK_S)
@@ -74,7 +76,7 @@ def _lock(descriptor: int, deadline_s: float) -> None:
 
 def escaped(text: str) -> str:
     """The text with control characters as \\x1b and the like; further lines are indented, so that
-    none looks like one of the log's own.
+    none looks like a log entry.
     """
     return _RAW.sub(lambda m: m.group().encode("unicode_escape").decode(), text).replace(
         "\n", "\n    "
@@ -82,7 +84,9 @@ def escaped(text: str) -> str:
 
 
 class PlainFormatter(logging.Formatter):
-    """FORMAT, `escaped`: what agents and plugins put into a message cannot forge an entry."""
+    """Formatter with FORMAT and `escaped`: text of agents and plugins in a message cannot forge an
+    entry.
+    """
 
     def __init__(self) -> None:
         super().__init__(FORMAT)
@@ -93,10 +97,10 @@ class PlainFormatter(logging.Formatter):
 
 
 def begin_logging(level: int | str) -> None:
-    """Log to stderr, once for the process: a second call changes nothing.
+    """Configure logging to stderr, once per process: a second call changes nothing.
 
     Args:
-        level: of what is logged, such as logging.INFO or "INFO".
+        level: level of the log, such as logging.INFO or "INFO".
     """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(PlainFormatter())

@@ -1,7 +1,7 @@
-"""What features may use of the core in the process of a module, beside `roboneuron` itself: in the
-classes of modules that they bring (`FeatureSpec.module`) and in what joins one (`on_join`).
+"""Names of the core that features may use in a module's process, in addition to `roboneuron`: in
+their module classes (`FeatureSpec.module`) and in functions called there (`on_join`).
 
-See `roboneuron.feature` for how to use such a list.
+See `roboneuron.feature` for the use of such a list.
 """
 
 from collections.abc import Mapping
@@ -22,4 +22,4 @@ GROUPS: Mapping[str, frozenset[str]] = {
         "topics": "ACTION EE_POSE JOINT_STATES PREDICTIONS camera_image camera_info",
     }.items()
 }
-"""What may be used of the modules among these names; a contract rule of packages checks it."""
+"""Public names of these modules; checked by a contract rule of packages."""

@@ -1,5 +1,5 @@
-"""What features may use of the core in a module's process, by the modules that define it; `node.py`
-reads this at run time.
+"""Names of the core that features may use in a module's process, by defining module; `node.py`
+reads this file at run time.
 """
 
 # ruff: noqa: I001

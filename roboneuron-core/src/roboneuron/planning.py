@@ -1,7 +1,7 @@
-"""Does a configured module fit? Answered from descriptors alone, in one sentence, before anything
-is started or anything heavy imported.
+"""Compatibility check of configured modules from descriptors alone, before anything is started or
+anything heavy imported.
 
-Core plans the module of the robot; the features that bring the others plan those.
+Core plans the robot module; the features that provide the other modules plan those.
 """
 
 from __future__ import annotations
@@ -36,17 +36,17 @@ from roboneuron.plugins.specs import DriverSpec, FeatureSpec, RobotSpec, Spec
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Plan:
-    """A module that fits, resolved to descriptors: what it is started with, or was. Features derive
-    their own.
+    """A checked module, resolved to descriptors, from which it is started. Features derive their
+    own plans.
 
     Attributes:
-        kind: of the module.
-        config: what its process is told.
-        robot, driver: what moves.
-        spec: of what the module runs, which reads the options.
-        names: what was chosen, for messages and the status: {"controller": "ik", ...}; the first is
+        kind: kind of the module.
+        config: configuration for its process.
+        robot, driver: descriptors of the robot and its driver.
+        spec: descriptor of the module's content, which reads the options.
+        names: chosen names, for messages and the status: {"controller": "ik", ...}; the first is
             the plugin whose options are read.
-        inputs: kinds of modules that it takes inputs from.
+        inputs: kinds of modules that provide its inputs.
     """
 
     kind: ModuleKind
@@ -64,36 +64,36 @@ class Plan:
 
     @property
     def options(self) -> Mapping[str, object]:
-        """Of that plugin."""
+        """Options of that plugin."""
         return self.config.options(self.plugin)
 
     @property
     def others(self) -> tuple[Spec, ...]:
-        """Descriptors of what it uses beside that plugin, each with options of its own."""
+        """Descriptors of the other plugins it uses, each with its own options."""
         return ()
 
     def checked(self, registry: Registry) -> Plan:
-        """The plan as it is started, with paths that are absolute. Raises RoboNeuronError for what
-        names alone do not tell, such as a missing file; called before each start.
+        """Return the plan for the start, with absolute paths; called before each start. Raises
+        RoboNeuronError for errors that names alone do not show, such as a missing file.
         """
         return self
 
     def check_beside(self, running: Mapping[ModuleKind, Config]) -> None:
-        """Raise RoboNeuronError when it does not go together with the modules that run.
+        """Raise RoboNeuronError if it is incompatible with the running modules.
 
         Args:
-            running: what each was started with; this one is among them.
+            running: configuration of each running module, this one included.
         """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class KindEntry:
-    """One kind of module. Its section of roboneuron.toml is called as the kind is.
+    """One kind of module. Its section of roboneuron.toml has the same name.
 
     Attributes:
-        kind: which one; what its process runs is chosen in `roboneuron.modules.module`.
-        noun: what such a module runs.
-        offer: kind of the plugins that offer it.
+        kind: the kind; `roboneuron.modules.module` chooses what its process runs.
+        noun: word for the content of such a module.
+        offer: kind of the plugins for it.
         section: model of its section.
         stop_text: effect of its stop tool.
     """
@@ -105,7 +105,7 @@ class KindEntry:
     stop_text: str
 
     def configured(self, config: Config, registry: Registry) -> ModuleSection:
-        """The section of this kind. Raises InvalidInputError when there is none."""
+        """Return the section of this kind. Raises InvalidInputError if it is missing."""
         section: ModuleSection | None = getattr(config, self.kind)
         if section is None:
             choices = ", ".join(registry.specs(registry.kinds[self.offer]))
@@ -119,13 +119,14 @@ class KindEntry:
         return section
 
     def plan(self, config: Config, registry: Registry) -> Plan:
-        """What is configured, found and compared.
+        """Plan the configured module and check that its parts are compatible.
 
         Raises:
-            InvalidInputError: something needed is not named.
-            ConfigurationError: a name is not installed or cannot be used, or no feature brings such
+            InvalidInputError: a required name is missing.
+            ConfigurationError: a name is not installed or unusable, or no feature provides such
                 modules.
-            PlanningError: the parts do not fit; the message says which two and what would.
+            PlanningError: the parts are incompatible; the message says which two and what would
+                fit.
         """
         self.configured(config, registry)
         if self.kind == "robot":
@@ -138,12 +139,12 @@ class KindEntry:
             return Plan(
                 kind=self.kind, config=config, robot=robot, driver=driver, spec=driver, names=names
             )
-        spec = registry.get(FeatureSpec, self.kind)  # it is called as the kind
+        spec = registry.get(FeatureSpec, self.kind)  # it has the name of the kind
         named = load_attribute(spec.module_plan or "", f"`module_plan` of {spec.name!r}")
         return cast("Callable[[Config, Registry], Plan]", named)(config, registry)
 
     def check(self, config: Config, registry: Registry) -> Plan:
-        """What is configured, as it can be started.
+        """Plan the configured module and check that it can be started.
 
         Raises:
             RoboNeuronError: as `plan` and `Plan.checked`.
@@ -194,17 +195,17 @@ KIND_ENTRIES: Mapping[ModuleKind, KindEntry] = {entry.kind: entry for entry in _
 def find_robot(
     registry: Registry, name: str, driver: str, *, is_elsewhere: bool = False
 ) -> tuple[RobotSpec, DriverSpec]:
-    """A robot and its driver.
+    """Return a robot and its driver.
 
     Args:
-        registry: what is installed.
-        name, driver: of the robot, and of what moves it.
+        registry: the installed plugins.
+        name, driver: names of the robot and of its driver.
         is_elsewhere: the driver runs under another interpreter: modules that it needs may be absent
             here.
 
     Raises:
-        ConfigurationError: the robot is not installed or cannot be used.
-        PlanningError: it has no such driver, or that cannot be used.
+        ConfigurationError: the robot is not installed or unusable.
+        PlanningError: it has no such driver, or the driver is unusable.
     """
     robot = registry.get(RobotSpec, name)
     found = robot.driver(driver)
@@ -225,8 +226,8 @@ def _check_options(
     python: str | None,
     section: str | None = None,
 ) -> None:
-    """Validate options here when the plugin can be imported here; a module with its own environment
-    does it itself.
+    """Validate options if the plugin can be imported here; a module with its own environment
+    validates its options itself.
     """
     absent = () if python is None else (MissingDependencyError,)
     with suppress(*absent):
@@ -234,11 +235,11 @@ def _check_options(
 
 
 def check_configuration(config: Config, registry: Registry) -> None:
-    """Refuse a configuration that names what is not installed or sets what is unknown, before the
+    """Refuse a configuration that names uninstalled plugins or sets unknown options, before the
     server starts.
 
     Raises:
-        ConfigurationError, PlanningError: as `KindEntry.check`; all that is wrong.
+        ConfigurationError, PlanningError: as `KindEntry.check`; lists all errors.
     """
     checks: list[Callable[[], None]] = [
         partial(_check_kind, kind, config, registry)
@@ -269,10 +270,10 @@ def _check_kind(kind: ModuleKind, config: Config, registry: Registry) -> None:
 
 
 def _check_section(name: str, options: Mapping[str, object], registry: Registry) -> None:
-    """Refuse `[plugins.<name>]` of what does not exist, with unknown options, or with values that
-    no plugin of that name takes.
+    """Refuse `[plugins.<name>]` for an unknown plugin, with unknown options, or with values that no
+    plugin of that name accepts.
 
-    Options that are missing are no error: an agent may give them, or never choose that plugin.
+    Missing options are no error: an agent may give them, or never choose that plugin.
     """
     registry.check_name(f"[plugins.{name}]", name)
     refused: list[ConfigurationError] = []
@@ -282,7 +283,7 @@ def _check_section(name: str, options: Mapping[str, object], registry: Registry)
         except ConfigurationError as error:
             refused.append(error)
         except (MissingDependencyError, PluginError):
-            return  # not to be judged here; told where it is chosen
+            return  # cannot be checked here; reported where it is chosen
         else:
             return
     if refused:

@@ -1,3 +1,3 @@
-"""Controller for any URDF arm: TCP deltas to joint positions by differential inverse kinematics, or
-a refusal.
+"""Controller for any URDF arm: converts TCP deltas to joint positions by differential inverse
+kinematics, or refuses.
 """

@@ -1,4 +1,4 @@
-"""One arm of the robot: its TCP for measured joints, and joints for where the TCP should be."""
+"""One arm of the robot: forward kinematics of measured joints, and joints for a TCP target."""
 
 from __future__ import annotations
 
@@ -26,27 +26,29 @@ from roboneuron import ArmProfile, Hold, JointSample, Pose, RobotProfile, Unsafe
 F64 = NDArray[np.float64]
 
 _STOP_FRACTION = 0.1
-"""The solver iterates to this share of the tolerances, so that small actions still move the arm."""
+"""Fraction of the tolerances at which the solver stops, so that small actions still move
+the arm.
+"""
 
 
 class ArmKinematics:
     """Kinematics and bounds of one arm; positions are float64 (n,) in the order of its chain.
 
-    Poses are TCP poses in the robot's base frame. `view` and `pose` use scratch memory of their
-    own, so that they may run beside `solve`.
+    Poses are TCP poses in the robot's base frame. `view` and `pose` use separate scratch memory, so
+    that they may run in parallel with `solve`.
 
     Attributes:
         name: as in the profile; "" for the only arm.
         gripper: None without one.
         model: chain and limits.
-        bounds: of each joint in one step.
-        solver: the one that solves.
+        bounds: bounds of each joint in one step.
+        solver: the inverse kinematics.
     """
 
     def __init__(
         self, options: UrdfControllerOptions, profile: RobotProfile, arm: ArmProfile
     ) -> None:
-        """Build the chain. Raises ConfigurationError when URDF, links, joints or limits do not make
+        """Build the chain. Raises ConfigurationError if URDF, links, joints or limits do not form
         an arm.
         """
         self.name, self.gripper = arm.name, arm.gripper
@@ -91,7 +93,7 @@ class ArmKinematics:
         return position
 
     def position(self, joints: JointSample) -> F64 | Hold:
-        """Measured arm joints, or why there are none."""
+        """Measured arm joints, or the reason why they are missing."""
         names, indices = self._order
         if names != joints.names:
             missing = [name for name in self.model.joints if name not in joints.names]
@@ -113,7 +115,7 @@ class ArmKinematics:
         return position
 
     def solve(self, start: F64, target: pinocchio.SE3) -> Solution:
-        """Joints near `start` for a pose of the TCP, or the best ones on the way."""
+        """Joints near `start` for a pose of the TCP, or the best intermediate solution."""
         options = self._options
         return self.solver.solve(
             np.minimum(np.maximum(start, self.model.lower), self.model.upper),
@@ -125,8 +127,8 @@ class ArmKinematics:
         )
 
     def solve_pose(self, values: Mapping[str, float], start: F64) -> Solution | Hold:
-        """Joints at an absolute pose of the TCP, x y z [m] and qx qy qz qw, seeded with those at
-        the start.
+        """Joints for an absolute pose of the TCP, x y z [m] and qx qy qz qw, seeded with the
+        initial joints.
         """
         here = self.solver.place(start)
         target = pinocchio.SE3(
@@ -144,9 +146,9 @@ class ArmKinematics:
         return check_solution(solution, self._options) or solution
 
     def check_target(self, here_m: F64, target_m: F64) -> Hold | None:
-        """OUTSIDE_WORKSPACE for a target (3,) [m]."""
+        """Return OUTSIDE_WORKSPACE for a forbidden target (3,) [m]."""
         return check_workspace(here_m, target_m, self._workspace)
 
     def told(self, refusal: Hold) -> Hold:
-        """The refusal with the name of the arm, where there are several."""
+        """Return the refusal with the name of the arm, if there are several."""
         return replace(refusal, reason=f"{self.name}: {refusal.reason}") if self.name else refusal

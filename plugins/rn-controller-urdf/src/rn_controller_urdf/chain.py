@@ -133,7 +133,7 @@ def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, .
 
     Raises:
         ConfigurationError: not a URDF, a link is missing, `base_link` is not above `tcp_link`, or a
-            joint on the way is of a type that this controller cannot move (floating, planar).
+            joint in between has a type that this controller cannot move (floating, planar).
     """
     try:
         root = ET.fromstring(urdf)
@@ -176,15 +176,13 @@ def parse_chain(urdf: str, base_link: str, tcp_link: str) -> tuple[ChainJoint, .
 
 
 def kinematic_urdf(chain: tuple[ChainJoint, ...]) -> str:
-    """Return a URDF that holds nothing but `chain`, rooted at its first link, with unbounded
-    joints.
-    """
+    """Return a URDF with only `chain`, rooted at its first link, with unbounded joints."""
     robot = ET.Element("robot", name="chain")
     for link in (chain[0].parent, *(joint.child for joint in chain)):
         ET.SubElement(robot, "link", name=link)
     for joint in chain:
-        # A continuous joint would get two coordinates (cosine, sine) in pinocchio; as a revolute
-        # one it has one.
+        # In pinocchio a continuous joint has two coordinates (cosine, sine), a revolute one has
+        # one.
         kind = "revolute" if joint.type == "continuous" else joint.type
         element = ET.SubElement(robot, "joint", name=joint.name, type=kind)
         ET.SubElement(element, "parent", link=joint.parent)

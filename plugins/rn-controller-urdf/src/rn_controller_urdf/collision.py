@@ -1,4 +1,4 @@
-"""Distances of a URDF robot's links to each other and to obstacles, by coal on the URDF's own
+"""Distances of a URDF robot's links to each other and to obstacles, computed by coal on the URDF's
 collision shapes.
 """
 
@@ -29,20 +29,19 @@ if TYPE_CHECKING:
 F64 = NDArray[np.float64]
 
 _TOUCH_M = 5e-4
-"""What tool links keep from obstacles: rounding, and what a path bends between two checked
-postures.
+"""Distance of tool links from obstacles, for rounding and the curvature of a path between two
+checked postures.
 """
 
 
 class CollisionModel:
-    """Tells which links are too near to each other or to an obstacle; used from one thread.
+    """Finds links that are too close to each other or to an obstacle; used from one thread.
 
-    One model holds all arms, so that arms keep their distance from each other as links do.
-    Links of one joint and links that a joint connects are not compared, nor fingers of one hand,
-    nor links that touch each other at the profile's home posture, nor a base that stands on an
-    obstacle: these overlap by construction. Only boxes, cylinders, spheres and capsules count:
-    meshes are refused. Joints that a sample does not name stay at zero, or at the limit next to it;
-    mimic joints follow.
+    One model contains all arms, so the distances between arms are checked like those between links.
+    Not compared, because they overlap by construction: links of one joint, links connected by a
+    joint, fingers of one hand, links that touch at the profile's home posture, and a base that
+    stands on an obstacle. Only boxes, cylinders, spheres and capsules are supported: meshes are
+    refused. Joints missing in a sample stay at zero, or at the nearest limit; mimic joints follow.
     """
 
     def __init__(self, profile: RobotProfile, collision: CollisionProfile) -> None:
@@ -105,13 +104,11 @@ class CollisionModel:
 
     @property
     def pairs(self) -> int:
-        """How many pairs of shapes are compared."""
+        """Number of compared pairs of shapes."""
         return len(self._shapes.collisionPairs)
 
     def near(self, joints: JointSample) -> tuple[Proximity, ...]:
-        """Every pair of bodies that is nearer than allowed, each once with its smallest
-        distance.
-        """
+        """Every pair of bodies closer than allowed, each once with its smallest distance."""
         full = self._full(joints)
         if not self._pin.computeCollisions(
             self._model, self._data, self._shapes, self._contacts, full, True
@@ -196,12 +193,12 @@ class CollisionModel:
                         or frozenset((self._links[first], self._links[second])) in neighbours
                     ):
                         continue
-                elif a == 0:  # what does not move cannot come near an obstacle
+                elif a == 0:  # fixed bodies cannot approach an obstacle
                     continue
                 self._shapes.addCollisionPair(self._pin.CollisionPair(first, second))
 
     def _prepare(self) -> None:
-        """Scratch memory, and the distance that each pair has to keep."""
+        """Create scratch memory, and the required distance of each pair."""
         self._contacts = self._shapes.createData()
         obstacles = {obstacle.name for obstacle in self._collision.obstacles}
         self._least: list[float] = []
@@ -218,8 +215,8 @@ class CollisionModel:
         self._pin.computeDistances(self._model, self._data, self._shapes, self._contacts, full)
 
     def _results(self) -> list[tuple[pinocchio.CollisionPair, float, float]]:
-        """Pair, least distance and distance [m] of the last `_measure`; copies, as removing one
-        moves others.
+        """Pair, required distance and distance [m] of the last `_measure`; copies, because removing
+        a pair moves others.
         """
         return [
             (self._pin.CollisionPair(pair.first, pair.second), least_m, float(result.min_distance))

@@ -1,5 +1,5 @@
-"""The controller "urdf": a row of any control space and measured joints to a joint command, or a
-refusal with the reason.
+"""The controller "urdf": converts a row of any control space and measured joints to a joint
+command, or refuses with the reason.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ from roboneuron import (
 F64 = NDArray[np.float64]
 
 _EXECUTED = ("ee_pose", "joint_position", "joint_velocity")
-"""Kinds of control spaces beside `ee_delta`."""
+"""Kinds of control spaces in addition to `ee_delta`."""
 
 
 def _joined(parts: list[JointCommand]) -> JointCommand:
-    """The commands of several arms as one, in the time of the slowest."""
+    """Combine the commands of several arms to one, with the duration of the slowest."""
     return JointCommand(
         names=tuple(name for part in parts for name in part.names),
         position=np.concatenate([part.position for part in parts]),
@@ -54,11 +54,11 @@ def _joined(parts: list[JointCommand]) -> JointCommand:
 
 class UrdfController:
     """Differential inverse kinematics on the URDF of `profile`; seeded with the measured joints,
-    without memory.
+    stateless.
 
-    A command whose joints would need more than their velocity limits over `step_s` is given more
-    time (`JointCommand.duration_s` >= step_s), never more speed. A robot with several arms gets one
-    command for all, or one refusal. Not thread-safe; `forward` may run beside `compute`.
+    A command that would exceed the joints' velocity limits over `step_s` gets more time
+    (`JointCommand.duration_s` >= step_s). A robot with several arms gets one command for all, or
+    one refusal. Not thread-safe; `forward` may run in parallel with `compute`.
     """
 
     def __init__(self, config: UrdfControllerOptions | None, profile: RobotProfile) -> None:
@@ -72,7 +72,7 @@ class UrdfController:
         """Parse the URDF and build the arms.
 
         Raises:
-            ConfigurationError: the profile's URDF, links, joints or limits do not make an arm.
+            ConfigurationError: the profile's URDF, links, joints or limits do not form an arm.
         """
         profile = self._profile
         self._arms = tuple(ArmKinematics(self._options, profile, arm) for arm in profile.each_arm)
@@ -93,8 +93,8 @@ class UrdfController:
         return tuple(arm.pose(joints) for arm in self._loaded())
 
     def inspect(self, joints: JointSample) -> Posture:
-        """TCP poses, smallest singular values and, where the profile asks, what is too near. Raises
-        as `forward`.
+        """TCP poses, smallest singular values and, if the profile requests it, bodies that are too
+        close. Raises as `forward`.
         """
         (pose, singular), *others = (arm.view(joints) for arm in self._loaded())
         return Posture(
@@ -113,12 +113,12 @@ class UrdfController:
         return () if self._collision is None else self._collision.distances(joints)
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
-        """Return joint positions that move the TCP by `action`, or why the robot should hold.
+        """Return joint positions that move the TCP by `action`, or the reason to hold.
 
         Args:
             action: TCP delta in the base frame and absolute gripper opening.
-            joints: measured joints; the gripper's and others may be among them.
-            step_s: time the action is meant for [s].
+            joints: measured joints; the gripper's and others may be included.
+            step_s: duration of the action [s].
 
         Raises:
             StateError: called before `load`; nothing else.
@@ -163,13 +163,13 @@ class UrdfController:
         self, space: ControlSpace, row: F64, joints: JointSample, step_s: float
     ) -> JointCommand | Hold:
         """Return joint positions for a row of `ee_pose`, `joint_position` or `joint_velocity`, or
-        why the robot should hold.
+        the reason to hold.
 
         Args:
             space: the robot's own space of that kind.
             row: float64 (n,), checked.
-            joints: where the command in progress ends, or the measured joints.
-            step_s: time the row is meant for [s].
+            joints: at the end of the command in progress, or measured.
+            step_s: duration of the row [s].
 
         Raises:
             StateError: called before `load`; nothing else.
@@ -199,7 +199,7 @@ class UrdfController:
         joints: JointSample,
         step_s: float,
     ) -> JointCommand | Hold:
-        """The command of one arm, for its channels by name."""
+        """Compute the command of one arm from its channels by name."""
         start = arm.position(joints)
         if isinstance(start, Hold):
             return start
@@ -232,14 +232,14 @@ class UrdfController:
         )
 
     def _keys(self, kind: str) -> tuple[str, ...]:
-        """Names of the channels of the robot's own space of that kind; none where it has none."""
+        """Channel names of the robot's own space of that kind; empty without one."""
         if kind not in self._channel_keys:
             is_ours = kind in _EXECUTED
             self._channel_keys[kind] = robot_space(kind, self._profile).keys if is_ours else ()
         return self._channel_keys[kind]
 
     def close(self) -> None:
-        """Forget the arms."""
+        """Release the arms."""
         self._arms, self._collision = (), None
 
     def _loaded(self) -> tuple[ArmKinematics, ...]:

@@ -19,26 +19,26 @@ if TYPE_CHECKING:
 F64 = NDArray[np.float64]
 
 _DAMPING = 1e-8
-"""Smallest squared damping: far below the squares of the singular values of a usable posture (about
-0.1 each).
+"""Smallest squared damping: far below the squared singular values of a usable posture (about 0.1
+each).
 """
 _DAMPING_BY_ERROR = 1e-2
-"""Squared damping per squared error: careful steps far away, undamped ones close by. Source:
-Sugihara 2011, eq. 22.
+"""Squared damping per squared error: careful steps far from the target, undamped ones close to it.
+Source: Sugihara 2011, eq. 22.
 """
 _FARTHEST_STEP = 0.5
-"""Longest change of one joint in one iteration [rad or m]: beyond it the linearisation says
-nothing.
+"""Longest change of one joint in one iteration [rad or m]: beyond it the linearisation is
+invalid.
 """
 
 
 class Solution(NamedTuple):
-    """Where the solver ended, converged or not.
+    """Result of the solver, converged or not.
 
     Attributes:
         position: float64 (n,), within the limits [rad or m].
-        residual_m, residual_rad: distance and angle that remain to the target.
-        iterations: steps taken to get there.
+        residual_m, residual_rad: remaining distance and angle to the target.
+        iterations: number of steps.
     """
 
     position: F64
@@ -48,7 +48,7 @@ class Solution(NamedTuple):
 
 
 class InverseKinematics:
-    """Solver of one arm; holds scratch memory, so one instance serves one thread.
+    """Solver of one arm; its scratch memory allows one thread per instance.
 
     Poses are `pinocchio.SE3`, TCP in the base frame.
     """
@@ -60,8 +60,8 @@ class InverseKinematics:
         self._pin: ModuleType = pinocchio
         self._model = model
         self._data = model.kinematics.createData()
-        # the matrix of the normal equations, its diagonal and factorization, by rows: kept, because
-        # an iteration spends more on making arrays than on their numbers
+        # the matrix of the normal equations, its diagonal and factorization, by rows: cached,
+        # because an iteration spends more time on creating arrays than on their numbers
         self._scratch = {}
         for rows in (3, 6):
             normal = np.empty((rows, rows))
@@ -81,8 +81,8 @@ class InverseKinematics:
         return values if values[3] >= 0.0 else -values
 
     def smallest_singular_value(self, position: F64, *, track_rotation: bool = True) -> float:
-        """Distance of a posture (n,) from a singularity: of the TCP's Jacobian, in m and rad per
-        joint unit.
+        """Distance of a posture (n,) from a singularity: smallest singular value of the TCP's
+        Jacobian, in m and rad per joint unit.
         """
         model, pin = self._model, self._pin
         pin.computeJointJacobians(model.kinematics, self._data, self._chain_positions(position))
@@ -97,7 +97,7 @@ class InverseKinematics:
         )
 
     def shift(self, pose: pinocchio.SE3, translation_m: F64, rotation_rad: F64) -> pinocchio.SE3:
-        """`pose` after a delta in the base frame: p' = p + d, R' = exp(r) R, as
+        """Pose after a delta in the base frame: p' = p + d, R' = exp(r) R, like
         `roboneuron.contract.apply_delta`.
         """
         return self._pin.SE3(
@@ -114,21 +114,21 @@ class InverseKinematics:
         max_iterations: int,
         track_rotation: bool = True,
     ) -> Solution:
-        """Return a posture near `start` that reaches `target`, or the best one on the way.
+        """Return a posture near `start` that reaches `target`, or the best intermediate one.
 
         Args:
             start: float64 (n,), within the limits.
             target: pose of the TCP in the base frame.
-            tolerance_m, tolerance_rad: where iterating stops.
-            max_iterations: where it gives up.
+            tolerance_m, tolerance_rad: tolerances at which the iteration stops.
+            max_iterations: maximum number of iterations.
             track_rotation: False solves for the position alone.
 
-        Source: Nakamura and Hanafusa 1986 (damped least squares); joints that meet a limit are
-        frozen and the step is taken again with the others.
+        Source: Nakamura and Hanafusa 1986 (damped least squares); joints at a limit are frozen and
+        the step is repeated with the others.
         """
         # As long as no score is a number, the caller sees infinite residuals and refuses.
         data, kinematics, frame = self._data, self._model.kinematics, self._model.tcp_frame
-        # looked up once: an iteration takes a few microseconds
+        # local variables: an iteration takes a few microseconds
         measure, update = self._pin.computeJointJacobians, self._pin.updateFramePlacement
         log6, hypot = self._pin.log6, math.hypot
         q, lowest = start, math.inf
@@ -162,7 +162,7 @@ class InverseKinematics:
         return chain
 
     def _jacobian(self, track_rotation: bool) -> F64:
-        """Jacobian (k, n) in axes of the TCP frame, of the posture that was measured last."""
+        """Jacobian (k, n) in axes of the TCP frame, of the posture evaluated last."""
         model = self._model
         jacobian: F64 = self._pin.getFrameJacobian(
             model.kinematics, self._data, model.tcp_frame, self._local
@@ -193,6 +193,8 @@ class InverseKinematics:
             jacobian = np.where(stuck, 0.0, jacobian)
 
     def _is_within(self, position: list[float]) -> bool:
-        """Whether all are numbers within the limits: of so few, lists are compared faster."""
+        """True if all are numbers within the limits; for so few values, comparing lists is
+        faster.
+        """
         lower, upper = self._bounds
         return all(map(le, lower, position)) and all(map(le, position, upper))

@@ -1,5 +1,5 @@
-"""The arm as the solver needs it: pinocchio model of the chain, limits, and the map from arm joints
-to chain joints.
+"""Arm model for the solver: pinocchio model of the chain, limits, and the map from arm joints to
+chain joints.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class ArmModel:
 
     Attributes:
         joints: arm joint names, base to tip.
-        prismatic: bool (n,), True where positions are metres.
+        prismatic: bool (n,), True for positions in metres.
         lower, upper, velocity: float64 (n,) [rad or m, per second for velocity].
         coupling: (gain, offset), float64 (m, n) and (m,): chain positions = gain @ arm positions +
             offset; None when no joint mimics another.
@@ -45,8 +45,8 @@ class ArmModel:
 
 
 def _arm_joints(profile: RobotProfile, moving: list[ChainJoint]) -> list[ChainJoint]:
-    """The joints that the profile commands, in chain order; every other moving joint must follow
-    one of them.
+    """Joints commanded by the profile, in chain order; every other moving joint must mimic one of
+    them.
     """
     arm = [joint for joint in moving if joint.name in profile.arm_joints]
     missing = set(profile.arm_joints) - {joint.name for joint in arm}
@@ -77,7 +77,7 @@ def _arm_joints(profile: RobotProfile, moving: list[ChainJoint]) -> list[ChainJo
 
 
 def _limits(profile: RobotProfile, arm: list[ChainJoint]) -> tuple[F64, F64, F64]:
-    """The profile's limits in chain order, or the URDF's when the profile has none."""
+    """The profile's limits in chain order, or the URDF's if the profile has none."""
     if profile.limits is None:
         lower = np.array([joint.lower for joint in arm])
         upper = np.array([joint.upper for joint in arm])
@@ -124,8 +124,8 @@ def build_arm_model(profile: RobotProfile) -> ArmModel:
     """Build the arm of `profile` from its URDF.
 
     Raises:
-        ConfigurationError: the URDF, the link names, the joint names or the limits do not make an
-            arm; says which.
+        ConfigurationError: the URDF, the link names, the joint names or the limits do not form an
+            arm; names which.
     """
     import pinocchio  # heavy
 

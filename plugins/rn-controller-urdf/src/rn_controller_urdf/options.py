@@ -1,6 +1,4 @@
-"""What a user may set under `[plugins.urdf]` of the controllers: bounds of one step and tolerances
-of the solution.
-"""
+"""Options under `[plugins.urdf]`: bounds of one step and tolerances of the solution."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What this package offers RoboNeuron: the controller "urdf"."""
+"""Descriptor of this package: the controller "urdf"."""
 
 from __future__ import annotations
 

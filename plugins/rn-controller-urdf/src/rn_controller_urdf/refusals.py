@@ -1,4 +1,4 @@
-"""Why a step is refused: pure checks that return a `Hold` with the numbers, or None."""
+"""Checks of a step: pure functions that return a `Hold` with the numbers, or None."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from roboneuron import GRIPPER, Action, ControlSpace, Hold, Workspace
 F64 = NDArray[np.float64]
 
 BAD_ACTION = "bad_action"
-"""The action is of a space that is not the robot's, not finite, its gripper not in [0, 1], or the
-step time is not a positive number.
+"""The action belongs to another space than the robot's, is not finite, its gripper is not in [0,
+1], or the step time is not a positive number.
 """
 ACTION_TOO_LARGE = "action_too_large"
-"""One action asks for a longer translation or a larger rotation than the options allow."""
+"""One action requests a longer translation or a larger rotation than the options allow."""
 UNKNOWN_JOINT = "unknown_joint"
-"""The measured joints lack one of the arm's."""
+"""The measured joints lack a joint of the arm."""
 BAD_STATE = "bad_state"
 """A measured joint is NaN or infinite, or names and positions differ in number."""
 OUTSIDE_LIMITS = "outside_limits"
 """The arm is measured outside its joint limits by more than the slack."""
 OUTSIDE_WORKSPACE = "outside_workspace"
-"""The target leaves the workspace box, or lies farther outside than the TCP already is."""
+"""The target leaves the workspace box, or lies farther outside than the present TCP."""
 NO_SOLUTION = "no_solution"
-"""The solver did not come within the tolerances; the reason holds the residual."""
+"""The solver did not reach the tolerances; the reason contains the residual."""
 JOINT_JUMP = "joint_jump"
 """A joint would move farther in one step than the options allow."""
 
@@ -44,15 +44,15 @@ HOLD_CODES = (
     NO_SOLUTION,
     JOINT_JUMP,
 )
-"""Every code this controller answers with."""
+"""All codes of this controller."""
 
 _SAME_DEPTH_M = 1e-6
-"""Rounding allowed when the depth outside the workspace is compared with the present one."""
+"""Rounding tolerance when the depth outside the workspace is compared with the present one."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JointBounds:
-    """What one joint may do, in radians for revolute joints and in metres for prismatic ones.
+    """Bounds of one joint, in radians for revolute joints and in metres for prismatic ones.
 
     Plain floats: for seven joints a loop over them is faster than the calls into numpy.
 
@@ -60,9 +60,9 @@ class JointBounds:
         name: joint name.
         unit: "rad" or "m".
         lower, upper: the joint's limits.
-        slack: how far outside of them it may be measured.
-        step: farthest it may go in one step.
-        velocity: the share of its velocity limit in use, per second.
+        slack: tolerance for a measured position outside of them.
+        step: largest displacement in one step.
+        velocity: the used fraction of its velocity limit, per second.
     """
 
     name: str
@@ -91,7 +91,7 @@ def joint_bounds(options: UrdfControllerOptions, model: ArmModel) -> tuple[Joint
 
 
 def check_action(action: Action, step_s: float, options: UrdfControllerOptions) -> Hold | None:
-    """BAD_ACTION or ACTION_TOO_LARGE."""
+    """Check an action: BAD_ACTION or ACTION_TOO_LARGE."""
     translation, rotation = np.asarray(action.translation_m), np.asarray(action.rotation_rad)
     if translation.shape != (3,) or rotation.shape != (3,):
         return Hold(
@@ -112,8 +112,8 @@ def check_action(action: Action, step_s: float, options: UrdfControllerOptions) 
 
 
 def check_row(space: ControlSpace, row: F64, expected: tuple[str, ...]) -> Hold | None:
-    """BAD_ACTION for a row of another space than one with the `expected` channels in order, or of
-    numbers that are none.
+    """Check a row: BAD_ACTION for a space without the `expected` channels in order, or for
+    non-finite numbers.
     """
     if space.keys != expected:
         return Hold(
@@ -137,7 +137,7 @@ def check_row(space: ControlSpace, row: F64, expected: tuple[str, ...]) -> Hold 
 
 
 def check_time(step_s: float) -> Hold | None:
-    """BAD_ACTION."""
+    """Check a step time: BAD_ACTION."""
     if math.isfinite(step_s) and step_s > 0:
         return None
     return Hold(
@@ -146,7 +146,7 @@ def check_time(step_s: float) -> Hold | None:
 
 
 def check_reach(length: float, angle: float, options: UrdfControllerOptions) -> Hold | None:
-    """ACTION_TOO_LARGE for a translation [m] and a rotation [rad] in one step."""
+    """Check a translation [m] and a rotation [rad] in one step: ACTION_TOO_LARGE."""
     if length > options.max_translation_m or angle > options.max_rotation_rad:
         return Hold(
             code=ACTION_TOO_LARGE,
@@ -157,7 +157,7 @@ def check_reach(length: float, angle: float, options: UrdfControllerOptions) -> 
 
 
 def check_start(position: list[float], bounds: tuple[JointBounds, ...]) -> Hold | None:
-    """BAD_STATE or OUTSIDE_LIMITS for measured arm joints [rad or m]."""
+    """Check measured arm joints [rad or m]: BAD_STATE or OUTSIDE_LIMITS."""
     for value, joint in zip(position, bounds, strict=True):
         if not joint.lower - joint.slack <= value <= joint.upper + joint.slack:
             if not math.isfinite(value):
@@ -172,9 +172,7 @@ def check_start(position: list[float], bounds: tuple[JointBounds, ...]) -> Hold 
 
 
 def check_workspace(here_m: F64, target_m: F64, workspace: Workspace | None) -> Hold | None:
-    """OUTSIDE_WORKSPACE for a target (3,) [m, base frame]; ways back in from outside are
-    allowed.
-    """
+    """Check a target (3,) [m, base frame]: OUTSIDE_WORKSPACE; returning from outside is allowed."""
     if (
         workspace is None
         or ((target_m >= workspace.lower_m) & (target_m <= workspace.upper_m)).all()
@@ -193,7 +191,7 @@ def check_workspace(here_m: F64, target_m: F64, workspace: Workspace | None) -> 
 
 
 def check_solution(solution: Solution, options: UrdfControllerOptions) -> Hold | None:
-    """NO_SOLUTION when the residual is over the tolerances."""
+    """Check the residual against the tolerances: NO_SOLUTION."""
     off_m, off_rad = solution.residual_m, solution.residual_rad
     if off_m <= options.position_tolerance_m and (
         off_rad <= options.rotation_tolerance_rad or options.track == "position"
@@ -210,7 +208,7 @@ def check_solution(solution: Solution, options: UrdfControllerOptions) -> Hold |
 
 
 def check_step(step: list[float], bounds: tuple[JointBounds, ...]) -> Hold | None:
-    """JOINT_JUMP for joint changes of either sign [rad or m]."""
+    """Check joint changes of either sign [rad or m]: JOINT_JUMP."""
     for change, joint in zip(step, bounds, strict=True):
         if not abs(change) <= joint.step:
             return Hold(
@@ -223,7 +221,7 @@ def check_step(step: list[float], bounds: tuple[JointBounds, ...]) -> Hold | Non
 
 
 def shortest_duration_s(step: list[float], bounds: tuple[JointBounds, ...]) -> float:
-    """Time [s] in which joint changes of either sign [rad or m] keep every joint within its
-    velocity.
+    """Shortest time [s] in which joint changes of either sign [rad or m] respect every joint's
+    velocity limit.
     """
     return max(abs(change) / joint.velocity for change, joint in zip(step, bounds, strict=True))

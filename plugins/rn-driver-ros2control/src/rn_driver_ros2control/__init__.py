@@ -1,1 +1,1 @@
-"""Driver `ros2-control`: any arm that a `joint_trajectory_controller` of ros2_control moves."""
+"""Driver `ros2-control` for any arm with a `joint_trajectory_controller` of ros2_control."""

@@ -1,4 +1,4 @@
-"""What a joint command has to be before it is sent. Pure computation."""
+"""Validation of joint commands before sending. Pure computation."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from roboneuron import InvalidInputError, JointCommand, RobotProfile
 
 
 def checked(command: JointCommand, profile: RobotProfile) -> dict[str, float]:
-    """Positions by joint.
+    """Return positions by joint.
 
     Raises:
-        InvalidInputError: unknown joints, one twice, none, unequal lengths, no duration, a value
-            that is not finite.
+        InvalidInputError: unknown joints, a duplicate, none, unequal lengths, no duration, a
+            non-finite value.
     """
     gripper = profile.gripper
     known = {*profile.arm_joints, *(() if gripper is None else (gripper.joint,))}

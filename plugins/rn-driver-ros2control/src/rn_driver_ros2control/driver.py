@@ -1,5 +1,5 @@
-"""The driver `ros2-control`: joint commands -> a joint_trajectory_controller, its states and faults
--> the robot's.
+"""The driver `ros2-control`: sends joint commands to a joint_trajectory_controller, and reports its
+states and faults as the robot's.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ from roboneuron import (
 
 F64 = NDArray[np.float64]
 _ROUNDING_S = 1e-6
-"""Of a horizon that is a whole number of targets."""
+"""Tolerance for a horizon that is a whole number of targets."""
 _SETTLE_S = 0.05
-"""Time from sending until the controller's reports are about what was sent."""
+"""Time from sending until the controller's reports refer to the new command."""
 
 
 class Ros2ControlDriver:
-    """Follows the protocols `RobotDriver` and `LookaheadDriver`, and may be asked to `recover`;
-    every method may be called from any thread.
+    """Implements `RobotDriver` and `LookaheadDriver`, and supports `recover`; every method may be
+    called from any thread.
 
-    The controller keeps the arm: it interpolates, holds its last point when commands cease or this
-    process dies, and checks its own tolerances. What it reports as a fault is kept here until the
-    robot is stopped and started again.
+    The controller keeps the arm in position: it interpolates, holds its last point when commands
+    cease or this process dies, and checks its own tolerances. A fault it reports is stored here
+    until the robot is stopped and started again.
     """
 
     def __init__(
         self, config: Ros2ControlOptions | None, profile: RobotProfile, topics: Topics
     ) -> None:
-        """Remember what to drive."""
+        """Store the configuration."""
         self._options = config or Ros2ControlOptions()
         self._profile = profile
         self._topics = topics
@@ -64,8 +64,8 @@ class Ros2ControlDriver:
         self._end: End | None = None
         self._own_cancel = False
         self._fault = ""
-        # where the newest command goes, and where the arm is to be and when [monotonic s] without
-        # another one: at the end of what was planned after it
+        # target of the newest command, and the final target and its time [monotonic s] without
+        # another command: the end of the planned commands
         self._place: F64 | None = None
         self._target: tuple[F64, float] | None = None
         self._sent_s = 0.0
@@ -76,10 +76,10 @@ class Ros2ControlDriver:
         """Find the controller, its states and the gripper; nothing moves.
 
         Raises:
-            ConfigurationError: the controller moves other joints, the profile is no arm, or another
-                node publishes the robot's own `joint_states`.
-            NotReadyError: controller, joint states or gripper are not there, or the controller is
-                not active.
+            ConfigurationError: the controller moves other joints, the profile is not an arm, or
+                another node publishes the robot's own `joint_states`.
+            NotReadyError: controller, joint states or gripper are missing, or the controller is not
+                active.
             MissingDependencyError: control_msgs is not installed.
             StateError: it is open already.
         """
@@ -104,7 +104,7 @@ class Ros2ControlDriver:
         self._fingers = GripperGoals(self._profile.gripper)
 
     def _connect(self) -> ControllerLink:
-        """The link to use; tests have others."""
+        """Create the link; tests override this."""
         try:
             from rn_driver_ros2control.ros_link import RosControllerLink  # heavy
         except ModuleNotFoundError as error:
@@ -120,8 +120,8 @@ class Ros2ControlDriver:
     def read(self) -> RobotState:
         """Return the newest measured state.
 
-        `detail` holds "controller" (active, inactive, absent, not watched), "mode", "goal" (how the
-        newest ended), "fault" (empty without), "following_error" (greatest, rad or m),
+        `detail` contains "controller" (active, inactive, absent, not watched), "mode", "goal"
+        (result of the newest), "fault" (empty for none), "following_error" (greatest, rad or m),
         "speed_scaling" and "gripper".
 
         Raises:
@@ -147,26 +147,25 @@ class Ros2ControlDriver:
         return self._watch.state(link, measured, told)
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Move towards `command`; it replaces the one before. Arm joints that it lacks stay where
-        they were sent.
+        """Move towards `command`; it replaces the previous one. Missing arm joints keep their
+        targets.
 
         Returns:
-            What was sent: positions within the limits, the duration that they allow, and no gripper
-                joint when the
-            options drive none.
+            The sent command: positions within the limits, the duration that they allow, and no
+            gripper joint if the options drive none.
 
         Raises:
             InvalidInputError: unknown joints, unequal lengths, no duration, a value that is not
                 finite, or a goal that the controller rejects; nothing moves.
             NotReadyError: states have ceased, or the controller is absent, inactive or does not
                 answer.
-            UnsafeError: a fault stands; see `recover`.
+            UnsafeError: there is a fault; see `recover`.
             StateError: not open.
         """
         return self.send_ahead(command, ())
 
     def send_ahead(self, command: JointCommand, planned: Sequence[JointCommand]) -> JointCommand:
-        """As `send`; in mode chunks the controller goes on with `planned`, within `horizon_s`.
+        """As `send`; in mode chunks the controller continues with `planned`, within `horizon_s`.
 
         The gripper moves when its command is due.
 
@@ -229,16 +228,16 @@ class Ros2ControlDriver:
         )
 
     def hold(self) -> None:
-        """Brake evenly to a standstill and stay there; the gripper keeps its grasp.
+        """Brake evenly to a standstill and hold; the gripper keeps its grasp.
 
-        The controller is sent one point: where the arm comes to rest with 80 % of its acceleration
-        limits. In mode action it is a goal that replaces the running one, which is cancelled when
-        the controller rejects it.
+        The controller gets one point: the posture at which the arm comes to rest with 80 % of its
+        acceleration limits. In mode action it is a goal that replaces the running one, which is
+        cancelled if the controller rejects it.
 
         Raises:
             StateError: not open.
-            NotReadyError: nobody tells where the arm is. The running goal is cancelled; what was
-                published before is executed to its end.
+            NotReadyError: the position of the arm is unknown. The running goal is cancelled;
+                published trajectories are executed to their end.
         """
         link = self._opened()
         with self._lock:
@@ -266,14 +265,14 @@ class Ros2ControlDriver:
             link.cancel_goals()
 
     def recover(self) -> str:
-        """Forget the fault because a person said so: commands are followed again.
+        """Clear the fault on a person's request: commands are executed again.
 
         Returns:
-            The fault that was forgotten.
+            The cleared fault.
 
         Raises:
             StateError: there is none, or it is not open.
-            RefusedError: joint states or controller are not there; says what to do.
+            RefusedError: joint states or controller are missing; names a remedy.
         """
         link = self._opened()
         if not self._fault:
@@ -307,7 +306,7 @@ class Ros2ControlDriver:
             link.close()
 
     def ended(self, goal: int, end: End, text: str) -> None:
-        """A goal is over; called by the link."""
+        """Handle the end of a goal; called by the link."""
         with self._lock:
             is_newest = goal == self._goal
             if not is_newest:
@@ -319,15 +318,15 @@ class Ros2ControlDriver:
                 self._fault = worded(end, text)
 
     def _judge(self, link: ControllerLink) -> None:
-        """Nobody but the action reports violated tolerances: in the other modes compare the
-        controller's own error with the options.
+        """Check tolerances: only the action reports violations, so in the other modes the
+        controller's own error is compared with the options.
         """
         report = link.report()
         if self._options.mode == "action" or report is None or self._fault:
             return
         with self._lock:
             if self._target is None or report.received_s < self._sent_s + _SETTLE_S:
-                return  # the report is about what was before the command
+                return  # the report is from before the command
             goal, due_s = self._target
             places = dict(zip(self._profile.arm_joints, goal.tolist(), strict=True))
             self._fault = violation(
@@ -338,8 +337,8 @@ class Ros2ControlDriver:
             self.hold()
 
     def _move(self, link: ControllerLink, rows: list[tuple[F64, float]]) -> tuple[float, int]:
-        """Send a target and those after it, each with its time; returns the duration that the
-        limits allow for the first, and the number of the goal.
+        """Send a target and the later ones, each with its time; return the duration that the limits
+        allow for the first, and the number of the goal.
         """
         cubic = self._options.interpolation == "cubic"
         joints = link.joints()
@@ -360,7 +359,7 @@ class Ros2ControlDriver:
         return duration_s, self._goal
 
     def _await_acceptance(self, link: ControllerLink, number: int) -> None:
-        """Without the lock: `hold` must not wait for it, and the link reports from its own
+        """Wait without the lock: `hold` must not wait for it, and the link reports from its own
         thread.
         """
         if link.wait_accepted(number, 2 * self._options.goal_timeout_s):

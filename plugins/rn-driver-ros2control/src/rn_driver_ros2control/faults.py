@@ -1,4 +1,4 @@
-"""What counts as a fault of the controller, in words. Pure computation."""
+"""Faults of the controller, as text. Pure computation."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from rn_driver_ros2control.link import ControllerReport, End, MeasuredJoint
 from rn_driver_ros2control.options import Ros2ControlOptions
 
 FAULTS = (End.PATH_TOLERANCE, End.GOAL_TOLERANCE, End.PREEMPTED, End.CANCELLED, End.ABORTED)
-"""Ends of a goal that somebody has to look at."""
+"""Ends of a goal that require attention."""
 
 
 def worded(end: End, text: str) -> str:
-    """The fault that the end of a goal is; `text` is what the controller said."""
+    """Text of the fault for the end of a goal; `text` is the controller's message."""
     said = f" ({text})" if text else ""
     if end is End.CANCELLED:
         return f"another client has cancelled the goal{said}"
@@ -31,13 +31,13 @@ def violation(
     late_s: float,
     options: Ros2ControlOptions,
 ) -> str:
-    """The fault when a tolerance of the options is violated; empty when none is.
+    """The fault if a tolerance of the options is violated; empty if none is.
 
     Args:
-        report: newest of the controller.
+        report: newest report of the controller.
         joints: measured.
-        goal: by joint, where it is to be [rad or m].
-        late_s: time since it was to be there [s].
+        goal: target by joint [rad or m].
+        late_s: time since the target was due [s].
         options: a tolerance of 0 is the controller's own.
     """
     fault = ""

@@ -1,5 +1,5 @@
-"""Goals for the gripper: a policy repeats its gripper value with every action, a goal each time
-would never end.
+"""Goals for the gripper: a policy repeats its gripper value with every action, and a new goal each
+time would never end.
 """
 
 from __future__ import annotations
@@ -8,16 +8,15 @@ from rn_driver_ros2control.link import ControllerLink
 from roboneuron import GripperProfile
 
 _SAME_OPENING = 0.02
-"""Share of the gripper's travel: a smaller change is no new command, unless it opens or closes
-fully.
+"""Fraction of the gripper's travel: a smaller change is not a new command, unless it opens or
+closes fully.
 """
 
 
 class GripperGoals:
     """Sends a goal when the wanted opening changes.
 
-    To be where the fingers are is no goal as long as there was none: it would end the force on what
-    they hold.
+    A first command to the present position sends no goal: it would end the force on a held object.
     """
 
     def __init__(self, profile: GripperProfile | None) -> None:
@@ -25,8 +24,8 @@ class GripperGoals:
         self._opening: float | None = None
 
     def move(self, link: ControllerLink, position: float, measured: float | None = None) -> None:
-        """Go to `position` of the gripper's joint [rad or m], unless it was sent there or never
-        left `measured`.
+        """Move to `position` of the gripper's joint [rad or m], unless it was already sent there or
+        never left `measured`.
         """
         if self._profile is None:
             return

@@ -1,4 +1,4 @@
-"""What lies between the driver and a controller: a small protocol, so that the driver's rules need
+"""Interface between the driver and a controller: a small protocol, so that the driver's rules need
 no ROS graph.
 """
 
@@ -18,12 +18,12 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MeasuredJoint:
-    """One joint as it was last reported.
+    """Last report of one joint.
 
     Attributes:
         position: [rad or m].
         velocity: [rad/s or m/s]; None when not reported.
-        stamp_ns: of the message, on the publisher's clock; 0 when it had none.
+        stamp_ns: stamp of the message, on the publisher's clock; 0 without one.
         received_s: monotonic time of its arrival.
     """
 
@@ -38,11 +38,11 @@ class ControllerReport:
     """One `controller_state` message.
 
     Attributes:
-        joints: what the controller moves.
-        reference: by joint, (position, velocity) that it wants now; the velocity is 0 when it tells
-            none.
+        joints: joints moved by the controller.
+        reference: by joint, the present reference (position, velocity); the velocity is 0 if not
+            reported.
         error: by joint, reference - measured [rad or m].
-        speed_scaling: 1 when the trajectory runs as planned.
+        speed_scaling: 1 if the trajectory runs as planned.
         received_s: monotonic time of its arrival.
     """
 
@@ -54,7 +54,7 @@ class ControllerReport:
 
 
 class End(Enum):
-    """How a goal ended."""
+    """Result of a goal."""
 
     SUCCEEDED = "succeeded"
     REJECTED = "rejected"
@@ -67,10 +67,10 @@ class End(Enum):
 
 
 class GoalObserver(Protocol):
-    """Told how a goal gets on; called from the link's thread."""
+    """Observer of goals; called from the link's thread."""
 
     def ended(self, goal: int, end: End, text: str) -> None:
-        """The goal of that number is over."""
+        """Handle the end of the goal of that number."""
         ...
 
 
@@ -78,7 +78,7 @@ class ControllerLink(Protocol):
     """The controller and its topics, connected; every method may be called from any thread."""
 
     def open(self, observer: GoalObserver) -> None:
-        """Join ROS and look for everything the options name. Raises NotReadyError,
+        """Join ROS and find everything named in the options. Raises NotReadyError,
         MissingDependencyError.
         """
         ...
@@ -92,34 +92,34 @@ class ControllerLink(Protocol):
         ...
 
     def is_present(self) -> bool:
-        """Somebody takes trajectories under the controller's name."""
+        """True if the controller's topics have a subscriber."""
         ...
 
     def publish(self, trajectory: JointTrajectory) -> None:
-        """Send on the topic."""
+        """Publish on the topic."""
         ...
 
     def send_goal(self, goal: int, trajectory: JointTrajectory) -> None:
         """Send as an action goal without waiting; `goal` is the caller's number for it.
 
-        The observer hears of its end, also when it is rejected or not answered in time.
+        The observer is notified of its end, also if it is rejected or not answered in time.
         """
         ...
 
     def wait_accepted(self, goal: int, timeout_s: float) -> bool:
-        """Wait until that goal is accepted; False when it was rejected or not answered."""
+        """Wait until that goal is accepted; return False if it was rejected or not answered."""
         ...
 
     def cancel_goals(self) -> None:
-        """Cancel whatever goal this link has running."""
+        """Cancel the running goals of this link."""
         ...
 
     def move_gripper(self, position: float) -> None:
-        """Send a gripper goal without waiting; it replaces the one before."""
+        """Send a gripper goal without waiting; it replaces the previous one."""
         ...
 
     def gripper_note(self) -> str:
-        """What became of the newest gripper goal, in words."""
+        """Result of the newest gripper goal, as text."""
         ...
 
     def close(self) -> None:

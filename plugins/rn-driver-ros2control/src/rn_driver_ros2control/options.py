@@ -10,7 +10,7 @@ TopicName = Annotated[str, Field(pattern=r"^/[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A
 
 
 class Ros2ControlOptions(BaseModel):
-    """What the driver talks to, and what counts as a fault."""
+    """Names of the controller's interfaces, and tolerances for faults."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -88,7 +88,7 @@ class Ros2ControlOptions(BaseModel):
 
     @model_validator(mode="after")
     def _check_interpolation(self) -> Self:
-        """A chunk goes through its targets."""
+        """Check that chunks are interpolated through their targets."""
         if self.mode == "chunks" and self.interpolation == "cubic":
             raise ValueError(
                 "mode = 'chunks' needs interpolation = 'linear'; cubic comes to rest at each target"

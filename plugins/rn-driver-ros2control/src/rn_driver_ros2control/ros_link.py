@@ -1,4 +1,4 @@
-"""The controller over ROS 2: a node of its own in this process, with its own executor thread."""
+"""The controller over ROS 2: a separate node in this process, with its own executor thread."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ _CODES = {
     FollowJointTrajectory.Result.GOAL_TOLERANCE_VIOLATED: End.GOAL_TOLERANCE,
 }
 _STATES = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-"""Matches reliable and best-effort publishers alike; only the newest value counts."""
+"""Matches reliable and best-effort publishers; only the newest value is kept."""
 
 
 class _TrajectoryGoal:
-    """One FollowJointTrajectory goal on its way."""
+    """One FollowJointTrajectory goal in progress."""
 
     def __init__(self, deadline_s: float) -> None:
         self.deadline_s = deadline_s
@@ -47,12 +47,12 @@ class _TrajectoryGoal:
 
 
 class RosControllerLink:
-    """Follows `ControllerLink`. Its ROS context is its own, so that it can be opened in any
+    """Implements `ControllerLink`. It has its own ROS context, so that it can be opened in any
     process.
     """
 
     def __init__(self, options: Ros2ControlOptions, joints: tuple[str, ...]) -> None:
-        """Remember what to talk to; `joints` are the arm's, which tolerances are asked for."""
+        """Store the options; `joints` are the arm's, for which tolerances are requested."""
         self._options = options
         self._arm = joints
         self._lock = threading.Lock()
@@ -63,7 +63,7 @@ class RosControllerLink:
         self._gripper_goals = 0
         self._observer: GoalObserver | None = None
         self._clients: list[ActionClient] = []
-        self._gripper: ActionClient = None  # until open, or none
+        self._gripper: ActionClient = None  # until open, or without one
         self._context: rclpy.Context | None = None
         self._thread: threading.Thread | None = None
 
@@ -173,16 +173,15 @@ class RosControllerLink:
             self._goals[goal] = state
 
         def send() -> None:
-            if goal in self._goals:  # one that has ended unanswered would be a surprise
+            if goal in self._goals:  # absent if it has ended without an answer
                 future = self._actions.send_goal_async(message)
                 future.add_done_callback(lambda done: self._on_answer(goal, state, done.result()))
 
         self._on_executor(send, lambda text: self._end(goal, End.UNANSWERED, text))
 
     def _on_executor(self, send: Callable[[], None], on_error: Callable[[str], None]) -> None:
-        """Send a goal from the executor's thread, without waiting for it: rclpy notes what it waits
-        for after it has sent, so that on another thread a quick answer comes in between, and is
-        lost.
+        """Send a goal from the executor's thread, without waiting for it: rclpy registers a request
+        after sending it, so on another thread a quick answer may arrive in between and be lost.
         """
 
         def task() -> None:

@@ -1,12 +1,11 @@
-"""The rules of ros2_control's joint_trajectory_controller, for tests and for trying things without
-a robot.
+"""Model of ros2_control's joint_trajectory_controller, for tests and experiments without a robot.
 
-Pure computation: time is an argument. Not the controller itself, and slower; what it keeps of it is
-listed in `docs/ros2-control.md`. Source of the rules: the documentation of
+Pure computation: time is an argument. It is not the controller itself, and slower; the modelled
+behaviour is listed in `docs/ros2-control.md`. Source of the rules: the documentation of
 joint_trajectory_controller (ros2_controllers, Jazzy: userdoc.rst, trajectory.rst, parameters) and
 of `control_msgs` JointTolerance; of `positions_upsampling` the descriptions of pull requests 2491
-and 2573; how it behaves where the documentation is silent (an empty trajectory is refused, who is
-told what) was read in its public source at ed360c9.
+and 2573; undocumented behaviour (an empty trajectory is refused, notifications) was read in its
+public source at ed360c9.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from rn_driver_ros2control.trajectory import to_duration
 
 F64 = NDArray[np.float64]
 ERASED = -1.0
-"""A tolerance in a goal that takes the default away."""
+"""Tolerance in a goal that removes the default."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -33,7 +32,7 @@ class Tolerances:
     Attributes:
         path: while moving, by joint [rad or m].
         goal: at the end, by joint.
-        goal_time_s: how long after the end the goal tolerance may be met; 0: for ever.
+        goal_time_s: time after the end within which the goal tolerance has to be met; 0: no limit.
     """
 
     path: Mapping[str, float] = field(default_factory=dict)
@@ -43,7 +42,7 @@ class Tolerances:
     def with_goal(
         self, path: Mapping[str, float], goal: Mapping[str, float], goal_time_s: float
     ) -> Tolerances:
-        """These, as an action goal changes them: 0 keeps, a positive value replaces, -1 erases."""
+        """Tolerances changed by an action goal: 0 keeps, a positive value replaces, -1 erases."""
 
         def resolve(default: float, asked: float) -> float:
             return asked if asked > 0.0 else 0.0 if asked == ERASED else default
@@ -57,7 +56,7 @@ class Tolerances:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TrajectoryEnd:
-    """How the active trajectory ended: a code of FollowJointTrajectory.Result and its text."""
+    """End of the active trajectory: a code of FollowJointTrajectory.Result and its text."""
 
     code: int
     text: str
@@ -80,7 +79,7 @@ class StandInController:
         from_desired: bool = False,
         policy_frequency_hz: float = 0.0,
     ) -> None:
-        """Stand at `start`; the options are the controller's parameters of like names and
+        """Start at `start`; the options are the controller's parameters of the same names and
         defaults. `policy_frequency_hz` above 0 enables `positions_upsampling`.
         """
         self.joints = tuple(joints)
@@ -103,11 +102,11 @@ class StandInController:
         self._now_s = 0.0
 
     def upsampled(self, trajectory: JointTrajectory) -> JointTrajectory:
-        """What the controller makes of a message on its topic with `positions_upsampling`.
+        """Result of `positions_upsampling` for a message on the controller's topic.
 
-        Positions alone get the velocities of a spline with continuous acceleration, from the
-        present velocity to rest; without times a point comes per period of the policy. Whatever
-        else stays as it is, also what will be refused.
+        Positions without velocities get those of a spline with continuous acceleration, from the
+        present velocity to rest; without times, one point per period of the policy is assumed.
+        Everything else stays unchanged, also if it will be refused.
         """
         names, points = list(trajectory.joint_names), list(trajectory.points)
         is_positions = bool(points) and all(
@@ -134,7 +133,9 @@ class StandInController:
         return filled
 
     def refusal(self, trajectory: JointTrajectory, now_s: float) -> str:
-        """Why the controller would not take this; empty when it would. `now_s` is ROS time."""
+        """Reason why the controller would refuse this; empty if it would not. `now_s` is
+        ROS time.
+        """
         names, points = list(trajectory.joint_names), list(trajectory.points)
         if not names:
             return "Empty joint names on incoming trajectory."
@@ -166,9 +167,7 @@ class StandInController:
     def take(
         self, trajectory: JointTrajectory, now_s: float, tolerances: Tolerances | None = None
     ) -> None:
-        """Follow a trajectory that `refusal` has nothing against; it replaces the one before at
-        once.
-        """
+        """Execute a trajectory that `refusal` accepts; it replaces the previous one at once."""
         stamp_s = trajectory.header.stamp.sec + trajectory.header.stamp.nanosec * 1e-9
         begin_s = stamp_s or now_s
         order = [
@@ -181,7 +180,7 @@ class StandInController:
         for point in trajectory.points:
             due_s = begin_s + _seconds(point)
             if due_s <= now_s and point is not trajectory.points[-1]:
-                continue  # the part that lies in the past is dropped
+                continue  # the past part is dropped
             position = np.array(
                 [point.positions[i] if i >= 0 else b for i, b in zip(order, base, strict=True)]
             )
@@ -193,12 +192,12 @@ class StandInController:
         self._is_done = False
 
     def hold(self) -> None:
-        """Stay at the measured position, at once."""
+        """Hold the measured position, at once."""
         self.reference, self.reference_velocity = self.measured.copy(), np.zeros_like(self.measured)
         self._points, self._is_done = [], True
 
     def update(self, now_s: float) -> TrajectoryEnd | None:
-        """One cycle at ROS time `now_s`; returns how the trajectory ended, once."""
+        """Run one cycle at ROS time `now_s`; return the end of the trajectory, once."""
         step_s, self._now_s = now_s - self._now_s, now_s
         if not self.active:
             self.measured_velocity = np.zeros_like(self.measured)
@@ -214,7 +213,9 @@ class StandInController:
         return None if self._is_done else self._judge(now_s)
 
     def _sample(self, now_s: float) -> tuple[F64, F64]:
-        """Linear between positions, a cubic where the end of a segment has velocities."""
+        """Sample linearly between positions, or by a cubic if the end of a segment has
+        velocities.
+        """
         for (from_s, p0, v0), (to_s, p1, v1) in zip(self._points, self._points[1:], strict=False):
             if now_s >= to_s or to_s <= from_s:
                 continue

@@ -1,9 +1,9 @@
 """`python -m rn_driver_ros2control.standin_node`: the stand-in as a ROS 2 node, with joint states
 and a gripper.
 
-Offers what a real controller does under its name (`joint_trajectory`, `follow_joint_trajectory`,
-`controller_state`), `/joint_states`, a gripper action, and two services for tests:
-`<controller>/activate` and `<controller>/block` (std_srvs/SetBool). It moves nothing.
+Offers the interfaces of a real controller under its name (`joint_trajectory`,
+`follow_joint_trajectory`, `controller_state`), `/joint_states`, a gripper action, and two services
+for tests: `<controller>/activate` and `<controller>/block` (std_srvs/SetBool). It moves nothing.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class StandInNode(Node):  # type: ignore[misc]
     """One controller and one gripper joint."""
 
     def __init__(self, options: argparse.Namespace) -> None:
-        """Create everything; the timer begins with the executor."""
+        """Create everything; the timer starts with the executor."""
         namespace, _, name = options.controller.rpartition("/")
         super().__init__(name, namespace=namespace or "/", start_parameter_services=False)
         joints = tuple(options.joints)
@@ -72,7 +72,7 @@ class StandInNode(Node):  # type: ignore[misc]
         self._finger_done: Future | None = None
         self._states = self.create_publisher(JointState, options.joint_states, 10)
         finger_states = options.gripper_joint_states or options.joint_states
-        self._finger_states: Publisher = None  # none: the fingers stand among the arm's joints
+        self._finger_states: Publisher = None  # None: fingers are among the arm's joints
         if finger_states != options.joint_states:
             self._finger_states = self.create_publisher(JointState, finger_states, 10)
         self._reports = self.create_publisher(
@@ -105,7 +105,7 @@ class StandInNode(Node):  # type: ignore[misc]
         if reason := self.controller.refusal(message, self._now_s()):
             self.get_logger().error(reason)
         elif self.controller.active:
-            self.controller.take(message, self._now_s())  # an active goal goes on, and is not told
+            self.controller.take(message, self._now_s())  # an active goal continues unnotified
 
     def _on_goal(self, goal: FollowJointTrajectory.Goal) -> GoalResponse:
         reason = self.controller.refusal(goal.trajectory, self._now_s())
@@ -149,7 +149,7 @@ class StandInNode(Node):  # type: ignore[misc]
         return FollowJointTrajectory.Result(error_code=int(verdict.code), error_string=verdict.text)
 
     def _finish(self, verdict: TrajectoryEnd) -> None:
-        """Tell the client of the active goal, if there is one."""
+        """Send the result to the client of the active goal, if there is one."""
         done, self._goal, self._done = self._done, None, None
         if done is not None and not done.done():
             done.set_result(verdict)
@@ -202,7 +202,7 @@ class StandInNode(Node):  # type: ignore[misc]
             self._finger_done.set_result(True)
 
     def _add_finger(self, state: JointState) -> None:
-        """Add the finger to `state`, or publish it on the topic of its own."""
+        """Add the finger to `state`, or publish it on its own topic."""
         own = state if self._finger_states is None else JointState(header=state.header)
         own.name = [*own.name, self._finger]
         own.position = [*own.position, float(self._finger_m)]
@@ -211,7 +211,7 @@ class StandInNode(Node):  # type: ignore[misc]
             self._finger_states.publish(own)
 
     def _feedback(self) -> FollowJointTrajectory.Feedback:
-        """Where the joints are to be, and where they are; told in each cycle."""
+        """Desired and actual joint positions, sent in each cycle."""
         controller = self.controller
         feedback = FollowJointTrajectory.Feedback(joint_names=list(controller.joints))
         feedback.header.stamp = self.get_clock().now().to_msg()

@@ -1,5 +1,5 @@
-"""Targets -> `JointTrajectory`: durations within the limits, and braking to a standstill. Pure
-computation.
+"""Conversion of targets to a `JointTrajectory`: durations within the limits, and braking to a
+standstill. Pure computation.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ F64 = NDArray[np.float64]
 _CUBIC_PEAK = 1.5
 """Peak velocity of a cubic from rest to rest, as a multiple of the mean."""
 _CUBIC_ACCELERATION = 6.0
-"""Its greatest acceleration is 6 distance / duration^2, at both ends."""
+"""Peak acceleration of a cubic is 6 distance / duration^2, at both ends."""
 _LEAST_S = 0.02
 _BRAKING_SHARE = 0.8
-"""Share of the acceleration limit that a stop uses: the measured velocity is not exact."""
+"""Fraction of the acceleration limit used by a stop: the measured velocity is not exact."""
 
 
 def to_duration(seconds: float) -> Duration:
@@ -30,7 +30,7 @@ def to_duration(seconds: float) -> Duration:
 
 
 def shortest_s(start: F64, goal: F64, limits: JointLimits, *, cubic: bool) -> float:
-    """Least duration of one segment from `start` to `goal`, float64 (n,), within velocity (and
+    """Shortest duration of one segment from `start` to `goal`, float64 (n,), within velocity (and
     acceleration) limits.
     """
     distance = np.abs(goal - start)
@@ -49,13 +49,13 @@ def rows_within(
     durations_s: Sequence[float],
     limits: JointLimits,
 ) -> list[tuple[F64, float]]:
-    """Where an arm goes on to after `goal`, and the time for each [s], until `left_s` are used up.
+    """Further targets after `goal`, with the time for each [s], until `left_s` is used up.
 
     Args:
-        left_s: time for all of them [s].
-        goal: where it goes on from, float64 (n,), in the order of `names`.
+        left_s: total time [s].
+        goal: starting position, float64 (n,), in the order of `names`.
         positions: targets by joint; a joint that is not named stays.
-        durations_s: asked for each; the limits may need longer.
+        durations_s: requested durations; the limits may require longer ones.
     """
     rows: list[tuple[F64, float]] = []
     for wanted, asked_s in zip(positions, durations_s, strict=True):
@@ -71,7 +71,7 @@ def rows_within(
 
 
 def stop_point(position: F64, velocity: F64, limits: JointLimits) -> tuple[F64, float]:
-    """Where and when to come to rest from `position` moving at `velocity`, each (n,).
+    """Position and time at which an arm comes to rest from `position` with `velocity`, each (n,).
 
     All joints brake evenly for the time T that the slowest needs. The cubic from there with
     velocity zero at the end is then exactly the parabola p + v t - v t^2 / (2 T): constant
@@ -86,8 +86,8 @@ def stop_point(position: F64, velocity: F64, limits: JointLimits) -> tuple[F64, 
 def to_message(
     names: Sequence[str], rows: Sequence[tuple[F64, float]], *, rest: bool
 ) -> JointTrajectory:
-    """A trajectory that begins when it arrives: each position (n,) and the time for getting there
-    from the one before [s]; with `rest`, at velocity zero at each.
+    """Create a trajectory that begins on arrival: each position (n,) with the time from the
+    previous one [s]; with `rest`, with zero velocity at each.
     """
     points: list[JointTrajectoryPoint] = []
     elapsed_s = 0.0

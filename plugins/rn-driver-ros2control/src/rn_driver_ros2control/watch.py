@@ -1,5 +1,5 @@
-"""Whether the controller and its joint states are there: asked at the start, and before everything
-that is sent.
+"""Availability checks of the controller and its joint states, at the start and before every
+command.
 """
 
 from __future__ import annotations
@@ -24,15 +24,17 @@ from roboneuron import (
 
 F64 = NDArray[np.float64]
 _MOST_CLOCK_ERROR_NS = 500_000_000
-"""A stamp farther than this from ROS time here is of another clock; then the time of arrival is
-used.
+"""Largest plausible difference of a stamp from local ROS time; beyond it the clock differs, and the
+time of arrival is used.
 """
 _LEAST_CLOSE = 0.1
-"""A reference farther than this [rad or m] from the measured joint is not where a stop begins."""
+"""Largest distance of a reference from the measured joint [rad or m] at which a stop may begin from
+it.
+"""
 
 
 class ControllerWatch:
-    """Judges a link by the options; usable from any thread."""
+    """Checks a link against the options; usable from any thread."""
 
     def __init__(self, options: Ros2ControlOptions, profile: RobotProfile, topics: Topics) -> None:
         self._options = options
@@ -67,8 +69,8 @@ class ControllerWatch:
             )
 
     def check_topics(self) -> None:
-        """Two publishers of one robot's joint states: this driver would read what its own module
-        repeats.
+        """Refuse two publishers of one robot's joint states: this driver would read what its own
+        module repeats.
         """
         if self._topics.publisher_types("joint_states"):
             raise ConfigurationError(
@@ -78,7 +80,7 @@ class ControllerWatch:
             )
 
     def check_fresh(self, joints: Mapping[str, MeasuredJoint]) -> None:
-        """Raise NotReadyError when the arm's joint states have ceased."""
+        """Raise NotReadyError if the arm's joint states have ceased."""
         oldest_s = min(
             (joints[n].received_s for n in self._profile.arm_joints if n in joints), default=0.0
         )
@@ -92,8 +94,8 @@ class ControllerWatch:
     def check_read(
         self, link: ControllerLink, joints: Mapping[str, MeasuredJoint], fault: str
     ) -> None:
-        """As `check_fresh`; the error also tells what else is known: no state can be read that
-        would.
+        """As `check_fresh`, but the error includes the other known facts, since no state can be
+        read.
         """
         try:
             self.check_fresh(joints)
@@ -115,7 +117,7 @@ class ControllerWatch:
         return f"last reported its state {time.monotonic() - report.received_s:.1f} s ago"
 
     def check_controller(self, link: ControllerLink) -> None:
-        """Raise NotReadyError when the controller is absent or not active."""
+        """Raise NotReadyError if the controller is absent or not active."""
         state = self.controller_state(link)
         if state == "absent":
             raise NotReadyError(
@@ -141,7 +143,7 @@ class ControllerWatch:
     def state(
         self, link: ControllerLink, measured: Mapping[str, MeasuredJoint], told: Mapping[str, str]
     ) -> RobotState:
-        """The arm as it was last measured, with what the driver tells of itself.
+        """Last measured state of the arm, with the driver's own facts.
 
         Raises:
             UnsafeError: a measured value is not finite.
@@ -178,11 +180,11 @@ class ControllerWatch:
         )
 
     def moving_from(self, link: ControllerLink, *, by_reference: bool) -> tuple[F64, F64] | None:
-        """Position and velocity (n,) where a stop begins; None when nobody tells.
+        """Position and velocity (n,) at which a stop begins; None if unknown.
 
-        The controller's reference where it is near the arm and asked for, otherwise the measured
-        joints: after a fault it is always these, for an arm that was blocked must not go on
-        pressing.
+        The controller's reference if requested and close to the arm, otherwise the measured joints.
+        After a fault it is always the measured joints, because a blocked arm must not continue to
+        press.
         """
         joints, report, names = link.joints(), link.report(), self._profile.arm_joints
         try:
@@ -198,8 +200,8 @@ class ControllerWatch:
         return position, np.where(np.isfinite(velocity), velocity, 0.0)
 
     def _stamp(self, joints: Sequence[MeasuredJoint]) -> int:
-        """When the oldest of `joints` was measured, in ROS time here; never before what was told
-        earlier.
+        """Measurement time of the oldest of `joints`, in local ROS time; never before an earlier
+        result.
         """
         now_ns, oldest = self._topics.now_ns(), min(joints, key=lambda joint: joint.received_s)
         stamp_ns = oldest.stamp_ns

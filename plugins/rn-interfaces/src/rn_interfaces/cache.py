@@ -1,5 +1,5 @@
-"""Classes made of learnt interfaces, each in a folder of the user's cache that is named by a digest
-of what it was made of. What is there is never changed, so that processes may share it.
+"""Cache of generated classes of learnt interfaces, each in a folder of the user's cache named by a
+digest of its sources. Existing entries are never changed, so that processes may share them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from roboneuron import ConfigurationError
 
 _TIMEOUT_S = 60.0
 _EACH_S = 5.0
-"""For each interface, which takes 0.1 s on a machine that does nothing else."""
+"""Time limit for each interface, which takes 0.1 s on an idle machine."""
 PACKAGES = "packages"
 _OF_PACKAGE = '"""Interfaces made at run time."""\n'
 _OF_KIND = f"""{_OF_PACKAGE}
@@ -39,7 +39,9 @@ def default_folder() -> Path:
 
 
 def packages(store: DefinitionStore, package: str) -> Path:
-    """Folder of a package's `__init__.py` and those of its kinds, for what looks at folders."""
+    """Folder of a package's `__init__.py` and those of its kinds, for code that searches
+    folders.
+    """
     folder = default_folder() / PACKAGES / package
     for kind in ("", *(kind for kind in KINDS if store.words(package, kind))):
         path = folder / kind / "__init__.py"
@@ -49,11 +51,11 @@ def packages(store: DefinitionStore, package: str) -> Path:
 
 
 def installed(package: str, besides: Path) -> Path | None:
-    """The folder of a package of the wheels or of another prefix, with `<kind>/<Name>.json`.
+    """Folder of a package in the wheels or another prefix, with `<kind>/<Name>.json`.
 
     Args:
-        package: that is looked for.
-        besides: a prefix that does not count, that of the store.
+        package: the package.
+        besides: a prefix to be ignored, that of the store.
     """
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     for prefix in (*prefixes, sys.prefix):
@@ -64,7 +66,7 @@ def installed(package: str, besides: Path) -> Path | None:
 
 
 class Cache:
-    """The cache of what is in a store."""
+    """Cache of a store's interfaces."""
 
     def __init__(self, store: DefinitionStore) -> None:
         self._store = store
@@ -133,7 +135,7 @@ class Cache:
 
 @cache
 def generators() -> str:
-    """Versions of what classes are made by."""
+    """Versions of the generators."""
     return " ".join(version(f"ros-rosidl-{name}") for name in ("generator-py", "parser"))
 
 

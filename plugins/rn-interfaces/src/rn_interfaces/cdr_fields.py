@@ -1,4 +1,4 @@
-"""Fields of a message class as CDR has them: what writing and reading share.
+"""CDR layout of a message class's fields, shared by writing and reading.
 
 Source: OMG DDS-XTypes 1.3, section 7.4 (XCDR1).
 """
@@ -18,7 +18,7 @@ from rosidl_parser.definition import (
     NamespacedType,
 )
 
-assert sys.byteorder == "little"  # as all platforms of the wheels are
+assert sys.byteorder == "little"  # as on all platforms of the wheels
 FORMATS = {
     "boolean": "?",
     "octet": "c",
@@ -37,15 +37,15 @@ FORMATS = {
 """By the IDL name: the format of `struct`, which is the type code of `array` and numpy too; octets
 are bytes of length 1."""
 WIDE = 4
-"""Bytes [B] of a UTF-16 unit of a wide text: Fast CDR writes a `wchar_t` each."""
+"""Size of a UTF-16 unit of a wide text [B]: Fast CDR writes a `wchar_t` each."""
 
 
 class CdrError(ValueError):
-    """Bytes that are no message of the type, or a message that its type has no bytes for."""
+    """Invalid bytes for the type, or a message that cannot be encoded."""
 
 
 class PackedNumbers:
-    """Numbers that follow each other, by the place modulo eight at which the first one starts."""
+    """Consecutive numbers, by the position modulo eight of the first one."""
 
     def __init__(self, formats: str) -> None:
         self.at = tuple(Struct(self._padded(formats, start)) for start in range(8))
@@ -63,7 +63,7 @@ class PackedNumbers:
 
 
 def type_of(owner: type, name: NamespacedType) -> type:
-    """Return the class of a field's type. Those of a service or action are in its own module."""
+    """Return the class of a field's type. Parts of a service or action are in its own module."""
     found = getattr(sys.modules[owner.__module__], name.name, None)
     if found is None or found.__module__.split(".")[:2] != list(name.namespaces):
         found = getattr(import_module(".".join(name.namespaces)), name.name)
@@ -85,19 +85,19 @@ def members_of(cls: type) -> list[tuple[str, object]]:
 
 
 def format_of(slot: BasicType) -> str:
-    """Format of a number for `struct`. Raises CdrError for one without."""
+    """Format of a number for `struct`. Raises CdrError for a type without one."""
     if slot.typename not in FORMATS:
         raise CdrError(f"fields of type {slot.typename} have no encoding here")
     return FORMATS[slot.typename]
 
 
 def number_size(slot: BasicType) -> int:
-    """Size of a number [B], which is its alignment too. Raises CdrError."""
+    """Size of a number [B], which is also its alignment. Raises CdrError."""
     return calcsize(f"<{format_of(slot)}")
 
 
 def length_check(slot: AbstractNestedType, name: str) -> Callable[[int], None]:
-    """A function that raises CdrError for a number of entries that a field cannot have."""
+    """Create a function that raises CdrError for an invalid number of entries."""
     if isinstance(slot, Array):
         exact = slot.size
 

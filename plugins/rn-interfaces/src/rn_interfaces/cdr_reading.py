@@ -1,6 +1,6 @@
-"""Reading a message class from CDR: a function for each class, put together from its `SLOT_TYPES`.
+"""CDR decoding of a message class: one function per class, assembled from its `SLOT_TYPES`.
 
-Fields of a fixed size that follow each other are unpacked together.
+Consecutive fields of a fixed size are unpacked together.
 """
 
 from __future__ import annotations
@@ -35,26 +35,28 @@ from rn_interfaces.cdr_fields import (
 )
 
 Bytes = bytes | bytearray | memoryview
-"""What is decoded; nothing that is decoded refers to it."""
+"""Input of decoding; decoded values do not refer to it."""
 Read = Callable[[Bytes, int, int], tuple[Any, int]]
-"""Of the bytes, a place and their end: a value, and the place after it."""
+"""Decodes a value from bytes, a position and their end; returns it with the position after it."""
 _CONTINUING = bytes(range(0x80, 0xC0))
-"""Bytes of UTF-8 that continue a character."""
+"""Continuation bytes of UTF-8."""
 
 
 def wide_text(data: bytes | bytearray) -> str:
-    """Raises OverflowError for a unit beyond UTF-16."""
+    """Decode UTF-16 units of four bytes each. Raises OverflowError for a unit beyond UTF-16."""
     units = array.array("H", array.array("I", data))
     return units.tobytes().decode("utf-16-le", "replace")
 
 
 Step = Callable[[object, Bytes, int, int], int]
-"""Of a message to fill, the bytes, a place and their end: the place after what it takes."""
+"""Fills a message from bytes, a position and their end; returns the position after the read
+part.
+"""
 
 
 @cache
 def reader(cls: type) -> Read:
-    """The function that reads a message of a class. Raises CdrError."""
+    """Create the function that reads a message of a class. Raises CdrError."""
     steps: list[Step] = []
     pending: list[tuple[str, str]] = []
     members = members_of(cls)
@@ -160,7 +162,7 @@ def _read_text(slot: AbstractGenericString) -> Read:
 
 
 Entries = Callable[[Bytes, int, int, int], tuple[Any, int]]
-"""As Read, with the count behind."""
+"""Like Read, with the count as the last argument."""
 
 
 def _read_entries(owner: type, name: str, slot: AbstractNestedType) -> Entries:

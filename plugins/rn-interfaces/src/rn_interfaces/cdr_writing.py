@@ -1,6 +1,6 @@
-"""Writing a message class as CDR: a function for each class, put together from its `SLOT_TYPES`.
+"""CDR encoding of a message class: one function per class, assembled from its `SLOT_TYPES`.
 
-Fields of a fixed size that follow each other are packed together, those of nested messages too.
+Consecutive fields of a fixed size are packed together, including those of nested messages.
 """
 
 from __future__ import annotations
@@ -37,21 +37,21 @@ from rn_interfaces.cdr_fields import (
 )
 
 LARGE = 65_536
-"""Size of an array [B] from which on it is not copied into what is encoded."""
+"""Size of an array [B] from which it is not copied into the encoded bytes."""
 
 
 class Parts(bytearray):
-    """What is encoded but for large arrays, which follow at some places.
+    """Encoded bytes without large arrays, which are inserted at some positions.
 
     Attributes:
-        blocks: place in these bytes, and what is to stand before it; its length is a multiple of
-            eight, so that these bytes alone tell the alignment.
+        blocks: position in these bytes, and the block to be inserted before it; its length is a
+            multiple of eight, so that these bytes alone determine the alignment.
     """
 
     blocks: tuple[tuple[int, memoryview], ...] = ()
 
     def leave_out(self, view: memoryview) -> memoryview:
-        """Note a large array; returns its last bytes, which are no multiple of eight."""
+        """Register a large array; return its last bytes, which are not a multiple of eight."""
         whole = len(view) & ~7
         self.blocks += ((len(self), view[:whole]),)
         return view[whole:]
@@ -67,7 +67,7 @@ class Parts(bytearray):
 
 
 WriteValue = Callable[[Any, bytearray], None]
-"""Appends a value of one type, which only its maker knows."""
+"""Appends a value of one type, known only to its creator."""
 Write = Callable[[object, bytearray], None]
 """Appends a message."""
 _PACK_COUNT = tuple(one.pack for one in COUNT)
@@ -81,7 +81,7 @@ def wide_bytes(text: str) -> bytes:
 
 @cache
 def writer(cls: type) -> Write:
-    """The function that appends a message of a class. Raises CdrError."""
+    """Create the function that appends a message of a class. Raises CdrError."""
     steps: list[Write] = []
     pending: list[tuple[str, str]] = []
     _add_writes(cls, "", steps, pending)
@@ -112,7 +112,7 @@ def _add_writes(cls: type, place: str, steps: list[Write], pending: list[tuple[s
 
 
 def _end_run(steps: list[Write], pending: list[tuple[str, str]]) -> None:
-    """Turn numbers that follow each other into one step."""
+    """Combine consecutive numbers into one step."""
     if not pending:
         return
     packs = [one.pack for one in PackedNumbers("".join(form for form, _ in pending)).at]
@@ -153,7 +153,7 @@ def _write_field(cls: type, path: str, slot: object) -> Write:
 
 
 def _write_array(get: Callable[[object], Any], form: str, write: WriteValue) -> Write:
-    """A step for what rosidl keeps in an `array.array`, with as few calls as possible."""
+    """Create a step for an `array.array` of rosidl, with as few calls as possible."""
     size = calcsize(f"<{form}")
     most = LARGE // size
     padded = [f"<{-place % 4}xI{-(place + -place % 4 + 4) % size}x" for place in range(8)]

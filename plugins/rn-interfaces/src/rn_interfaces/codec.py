@@ -18,15 +18,15 @@ from rn_interfaces.cdr_reading import Bytes, reader
 from rn_interfaces.cdr_writing import Parts, writer
 
 _UNFIT = (StructError, TypeError, AttributeError, ValueError, IndexError, OverflowError)
-"""What values of other types than a field's raise when they are encoded."""
+"""Exceptions of encoding values of another type than the field's."""
 
 
 class Codec(NamedTuple):
-    """The two directions of one class."""
+    """Encoder and decoder of one class."""
 
     encode: Callable[[object], bytes | Parts]
-    """Message -> CDR without the encapsulation header; in parts where there is a large array.
-    Raises CdrError.
+    """Message -> CDR without the encapsulation header; in parts if there is a large array. Raises
+    CdrError.
     """
     decode: Callable[[Bytes], object]
     """CDR without the encapsulation header -> message. Raises CdrError."""
@@ -55,7 +55,7 @@ def codec(cls: type) -> Codec:
 
     def decode(data: Bytes) -> object:
         try:
-            # What follows is padding: rmw_fastrtps takes a message for longer than it becomes.
+            # The rest is padding: rmw_fastrtps assumes a message to be longer than it is.
             message, _ = read(data, 0, len(data))
         except (StructError, ValueError, IndexError, OverflowError) as error:
             raise CdrError(f"{len(data)} bytes are no {name}: {error}") from error

@@ -1,4 +1,4 @@
-"""What a text of an interface says, as far as it has to be known before anything is made of it."""
+"""Analysis of an interface definition, before anything is generated from it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rn_interfaces.store import MOST_TEXT, Name
 from roboneuron import ConfigurationError
 
 MOST_ELEMENTS = 1_048_576
-"""Of an array of fixed length: a message has all of them from the beginning."""
+"""Maximum length of a fixed array: a message allocates all elements at creation."""
 _EVENT = Name("service_msgs", "msg", "ServiceEventInfo")
 _ADDED = {
     "msg": frozenset[Name](),
@@ -30,13 +30,13 @@ _ADDED = {
         }
     ),
 }
-"""What rosidl adds to the parts of services and actions."""
+"""Messages that rosidl adds to the parts of services and actions."""
 MOST_FIELDS = 2000
 _MALFORMED = (ValueError, TypeError, IndexError, KeyError, NameError, AssertionError, SyntaxError)
 
 
 def used_by(name: Name, text: str) -> frozenset[Name]:
-    """Return the messages that an interface and its parts hold, after a look at its text.
+    """Return the messages used by an interface and its parts, after checking its text.
 
     Raises
     ------
@@ -47,7 +47,7 @@ def used_by(name: Name, text: str) -> frozenset[Name]:
         raise ConfigurationError(f"{name} has more than {MOST_TEXT} bytes of text.")
     try:
         fields = _fields(name, text)
-    # of the parser: beside its own errors, what a malformed line makes its code raise
+    # of the parser: besides its own errors, those that a malformed line causes in its code
     except (InvalidSpecification, InvalidValue, *_MALFORMED) as error:
         what = " ".join(str(error).split()) or type(error).__name__
         raise ConfigurationError(f"{name} is no definition: {what[:200]}.") from error

@@ -1,5 +1,5 @@
-"""The description and hash of a type (REP 2016), as rosidl_generator_type_description writes
-them in a file, in the structures of rosidl.
+"""Description and hash of a type (REP 2016) in the structures of rosidl, from files written by
+rosidl_generator_type_description.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ HASH_PREFIX = "RIHS01_"
 
 
 class TypeSource(NamedTuple):
-    """The text from which a type was made."""
+    """Source text of a type."""
 
     name: str
     encoding: str
@@ -28,11 +28,11 @@ class TypeDescription:
     """Description, hash and sources of one type."""
 
     def __init__(self, facts: dict[str, Any], sources: Sequence[TypeSource]) -> None:
-        """Make it of what rosidl_generator_type_description writes.
+        """Create it from the output of rosidl_generator_type_description.
 
         Args:
-            facts: of its JSON file.
-            sources: of the type, and of all that it uses.
+            facts: content of its JSON file.
+            sources: those of the type, and of all types that it uses.
         """
         self._facts = facts
         self._sources = sources
@@ -46,7 +46,7 @@ class TypeDescription:
 
     @cached_property
     def addresses(self) -> tuple[int, int, int]:
-        """Of the structures of hash, description and sources."""
+        """Addresses of the structures of hash, description and sources."""
         value = bytes.fromhex(self.type_hash.removeprefix(HASH_PREFIX))
         described = self._facts["type_description_msg"]
         referenced = [_individual(one) for one in described["referenced_type_descriptions"]]

@@ -1,4 +1,4 @@
-"""The feature: it tells agents which types of the graph are unknown, and what to do about it."""
+"""The feature: reports unknown types in the graph to agents, with a remedy."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class UnknownType(BaseModel):
 
 
 class UnknownTypes(Result):
-    """What the graph speaks and this server does not."""
+    """Types in the graph that this server does not know."""
 
     unknown: list[UnknownType]
     more: int = Field(description="unknown types that are left out")
@@ -41,10 +41,10 @@ class UnknownTypes(Result):
 
 
 class Interfaces(Feature[None]):
-    """One tool; imports of learnt types work without it (`rn_interfaces.finder`)."""
+    """Adds one tool; imports of learnt types work without it (`rn_interfaces.finder`)."""
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """The tool."""
+        """Return the tool."""
 
         async def unknown(arguments: ListUnknownTypes, context: CallContext) -> UnknownTypes:
             return await context.run(lambda _: look(host, DefinitionStore(), arguments.entries))
@@ -66,7 +66,7 @@ class Interfaces(Feature[None]):
 
 
 def look(host: Host, store: DefinitionStore, entries: int) -> UnknownTypes:
-    """Compare the graph with what is compiled and learnt; nothing is imported for that."""
+    """Compare the graph with the compiled and learnt types, without importing any."""
     found = uses(host.graph)
     unknown = {name: topics for name, topics in found.items() if not is_known(store, name)}
     listed = [

@@ -1,7 +1,7 @@
 """Imports of learnt interfaces: `from weld_msgs.msg import Seam` in any process.
 
-The finder is the last of `sys.meta_path`, so a compiled package of the same name is used instead.
-An interface is made when its class is first asked for.
+The finder is the last of `sys.meta_path`, so a compiled package of the same name takes precedence.
+An interface is generated on the first use of its class.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from types import ModuleType
 from rn_interfaces.store import KINDS, DefinitionStore, Name
 
 _SUPPORT = "_s__rosidl_typesupport_c"
-"""Ending of the module that a compiled package has its type supports in."""
+"""Suffix of the module with a compiled package's type supports."""
 PREFIXES = "AMENT_PREFIX_PATH"
 
 
 def install(store: DefinitionStore | None = None) -> None:
-    """Let this process and its children find what is learnt; called again, it does nothing.
+    """Make learnt interfaces importable in this process and its children; idempotent.
 
     Args:
-        store: that of this user when None.
+        store: None for this user's store.
     """
     if any(isinstance(finder, InterfaceFinder) for finder in sys.meta_path):
         return
@@ -38,8 +38,8 @@ def install(store: DefinitionStore | None = None) -> None:
 
 
 def attach(module: str) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """Return `__getattr__` and `__dir__` of the package of a kind, such as `weld_msgs.msg`: a class
-    is imported when it is asked for.
+    """Return `__getattr__` and `__dir__` of a kind's package, such as `weld_msgs.msg`: a class is
+    imported on first use.
     """
     finder = next(one for one in sys.meta_path if isinstance(one, InterfaceFinder))
     package, _, kind = module.partition(".")
@@ -66,7 +66,7 @@ class InterfaceFinder(MetaPathFinder):
         path: Sequence[str] | None = None,
         target: ModuleType | None = None,
     ) -> ModuleSpec | None:
-        """As of importlib; everything that is not learnt is left to others."""
+        """See importlib; unknown names are left to other finders."""
         package, _, rest = fullname.partition(".")
         if not self.store.has_package(package):
             return None
@@ -87,7 +87,7 @@ class InterfaceFinder(MetaPathFinder):
         name = self._named(package, kind, module.removeprefix("_"))
         if name is None:
             return None
-        from rn_interfaces.cache import Cache  # its imports are those of rosidl
+        from rn_interfaces.cache import Cache  # it imports rosidl
 
         return spec_from_file_location(fullname, Cache(self.store).module(name))
 
@@ -99,14 +99,14 @@ class InterfaceFinder(MetaPathFinder):
 
 
 class SupportLoader(Loader):
-    """The module that a package's classes have their type supports from."""
+    """Loader of the module with a package's type supports."""
 
     def __init__(self, store: DefinitionStore, package: str) -> None:
         self._store = store
         self._package = package
 
     def exec_module(self, module: ModuleType) -> None:
-        """Make type supports on demand. Raises LayoutError, as `Supports`."""
+        """Create type supports on demand. Raises LayoutError, as `Supports`."""
         from rn_interfaces.cache import Cache
         from rn_interfaces.support import Supports
 

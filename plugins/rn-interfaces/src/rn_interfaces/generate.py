@@ -2,8 +2,8 @@
 
     python -m rn_interfaces.generate FOLDER < NAMES
 
-Run as a program where others share the process: the generators print and change global state.
-Nothing is compiled: the type supports are made at run time (`rn_interfaces.support`).
+To be run as a separate program: the generators print and change global state. Nothing is compiled:
+the type supports are created at run time (`rn_interfaces.support`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 
 
 class GenerationError(RuntimeError):
-    """The generators do not take a definition."""
+    """The generators refuse a definition."""
 
 
 def templates() -> Path:
@@ -63,7 +63,7 @@ def describe(
 
 
 def write_classes(package: str, names: Sequence[str], work: Path) -> None:
-    """Write `work/<package>/<kind>/_<name>.py` from the IDL that `describe` has written."""
+    """Write `work/<package>/<kind>/_<name>.py` from the IDL written by `describe`."""
     from rosidl_pycommon import generate_files  # type: ignore[import-untyped]
 
     generate_files(str(_arguments(package, names, work, {})), {"_idl.py.em": "_%s.py"})
@@ -94,7 +94,7 @@ def _arguments(
 
 
 def main() -> None:
-    """Write the classes of interfaces whose IDL is in the folder that is the argument; their full
+    """Write the classes of interfaces whose IDL is in the folder given as the argument; their full
     names are the lines of stdin.
     """
     work = Path(sys.argv[1])

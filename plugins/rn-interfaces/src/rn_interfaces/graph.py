@@ -1,4 +1,4 @@
-"""Which types the running graph speaks, and which of them are known here."""
+"""Types in the running graph, and those among them that are known here."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _PARTS = "_action/"
 
 
 class Graph(Protocol):
-    """What the server's `Host.graph` and `NodeGraph` have."""
+    """Common interface of the server's `Host.graph` and `NodeGraph`."""
 
     def topics(self) -> dict[str, list[str]]:
         """Types by absolute topic name."""
@@ -23,7 +23,7 @@ class Graph(Protocol):
 
 
 def is_known(store: DefinitionStore, name: Name) -> bool:
-    """Whether a type is compiled here or learnt."""
+    """True if a type is compiled here or learnt."""
     folder = installed(name.package, besides=store.prefix)
     if folder is not None:
         return (folder / name.kind / f"{name.word}.json").is_file()
@@ -31,19 +31,19 @@ def is_known(store: DefinitionStore, name: Name) -> bool:
 
 
 def hashes_here(store: DefinitionStore, name: Name) -> dict[str, str]:
-    """RIHS01 of a known type and of all that it consists of, by full name; empty when unknown."""
+    """RIHS01 hashes of a known type and of all its parts, by full name; empty if unknown."""
     folder = installed(name.package, besides=store.prefix) or store.share / name.package
     path = folder / name.kind / f"{name.word}.json"
     return described_hashes(path.read_text(encoding="utf-8")) if path.is_file() else {}
 
 
 def described_hashes(description: str) -> dict[str, str]:
-    """RIHS01 by full name, of the JSON text that rosidl writes about an interface."""
+    """RIHS01 by full name, from rosidl's JSON description of an interface."""
     return {one["type_name"]: one["hash_string"] for one in json.loads(description)["type_hashes"]}
 
 
 def interface_of(type_name: str) -> Name | None:
-    """The interface that a type of the graph is or is a part of; None where it has no such name."""
+    """Interface of a graph's type or of a part of one; None for other names."""
     try:
         name = parse_name(type_name.partition("_SendGoal")[0].partition("_GetResult")[0])
     except ConfigurationError:
@@ -55,7 +55,7 @@ def interface_of(type_name: str) -> Name | None:
 
 
 def uses(graph: Graph) -> dict[Name, list[str]]:
-    """Topics and services by the interface that they carry; an action is its own name alone."""
+    """Topics and services by interface; an action only appears under its own name."""
     found: dict[Name, set[str]] = {}
     for topic, types in {**graph.services(), **graph.topics()}.items():
         for name in filter(None, map(interface_of, types)):

@@ -1,4 +1,4 @@
-"""Values that C code has pointers to: they live as long as the process."""
+"""Values referenced by C code, kept alive as long as the process."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ _kept: list[object] = []
 
 
 def keep(value: Kept) -> Kept:
-    """Let a value live as long as the process."""
+    """Keep a value alive as long as the process."""
     _kept.append(value)
     return value
 
 
 def address_of(value: ctypes.Structure) -> int:
-    """Address of a structure, which then lives as long as the process."""
+    """Address of a structure, which is kept alive as long as the process."""
     return ctypes.addressof(keep(value))

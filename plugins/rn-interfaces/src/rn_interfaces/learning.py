@@ -1,5 +1,5 @@
-"""From texts to the store: what they use is looked up, rosidl translates and hashes them, and what
-does not hold is refused with a reason.
+"""Learning of interfaces from their texts: dependencies are looked up, rosidl translates and hashes
+them, and invalid ones are refused with a reason.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from roboneuron import ConfigurationError
 
 
 class FoundDefinition(NamedTuple):
-    """A definition that was found.
+    """A found definition.
 
     Attributes:
-        text: of the file.
-        source: where it was found.
-        hashes: RIHS01 that nodes announce, of the type or of parts such as
+        text: content of the file.
+        source: place of the definition.
+        hashes: RIHS01 announced by nodes, for the type or parts such as
             `weld_msgs/srv/Strike_Request`.
     """
 
@@ -39,13 +39,13 @@ class FoundDefinition(NamedTuple):
 
 @dataclass(kw_only=True, slots=True)
 class Learnt:
-    """What became of texts, by full name.
+    """Result of learning, by full name.
 
     Attributes:
-        added: with the hash, also of what was known and is replaced by another text.
-        known: equal texts were there already.
+        added: with the hash, also for replaced definitions.
+        known: already stored with the same text.
         compiled: packages that are installed, whose compiled types are used.
-        refused: why.
+        refused: with the reason.
     """
 
     added: dict[Name, str] = field(default_factory=dict)
@@ -90,7 +90,7 @@ class _Lesson:
             self._texts[name] = text
 
     def complete(self) -> None:
-        """Look up what is used, and refuse what uses something that nobody knows."""
+        """Look up dependencies, and refuse interfaces with an unknown one."""
         self._take_dependents()
         waiting = list(self._used)
         while waiting:
@@ -108,7 +108,7 @@ class _Lesson:
                 waiting.append(other)
 
     def _take_dependents(self) -> None:
-        """Learn again what is in the store and uses something whose text changes."""
+        """Learn stored interfaces again if they use one whose text changes."""
         changed = {
             name
             for name, text in self._texts.items()
@@ -141,7 +141,7 @@ class _Lesson:
             self._refuse(other, f"{other} uses {name}, which is refused")
 
     def made(self) -> dict[Name, Interface]:
-        """What is to be kept, with its IDL and description."""
+        """Interfaces to be stored, with their IDL and description."""
         with TemporaryDirectory() as scratch:
             texts, work = Path(scratch, "texts"), Path(scratch, "work")
             for name in self._used:
@@ -149,7 +149,7 @@ class _Lesson:
             work.mkdir()
             made: dict[Name, Interface] = {}
             for names in by_package(self._used):
-                # one by one only where a package has a definition that rosidl does not take
+                # one by one only if a package has a definition that rosidl refuses
                 self._describe(names, texts, work)
             for name in list(self._used):
                 self._keep(name, work, made)
@@ -176,7 +176,7 @@ class _Lesson:
         try:
             with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
                 describe(package, listed, texts, work, includes)
-        except Exception as error:  # of lark, empy and the generators, which have no base
+        except Exception as error:  # of lark, empy and the generators, which have no common base
             return " ".join(str(error).split())[:200] or type(error).__name__
         return None
 

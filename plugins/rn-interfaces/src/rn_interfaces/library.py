@@ -1,6 +1,6 @@
-"""The compiled library of native.c: that of the wheel, or one made once for the user of a checkout.
+"""The compiled library of native.c: that of the wheel, or one compiled once per user of a checkout.
 
-Needs the standard library only, because `hatch_build.py` compiles the wheel's library with it.
+It needs the standard library only, because `hatch_build.py` compiles the wheel's library with it.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from tempfile import TemporaryDirectory
 
 SOURCE = Path(__file__).with_name("native.c")
 SHIPPED = Path(__file__).with_name("_native.so")
-"""What a wheel holds."""
+"""Library in a wheel."""
 FLAGS = ("-std=c11", "-O2", "-shared", "-fPIC", "-Wall", "-Werror", "-fvisibility=hidden")
 GLIBC = (2, 17)
-"""The oldest that a wheel works with: manylinux2014, which pip knows since 2019."""
+"""Oldest supported glibc of a wheel: manylinux2014, which pip supports since 2019."""
 _TIMEOUT_S = 60.0
 _PRIVATE = 0o700
 _OPEN_TO_OTHERS = 0o077
@@ -28,7 +28,7 @@ _WRITABLE_BY_OTHERS = 0o022
 
 
 class LibraryError(RuntimeError):
-    """There is no library, and none can be made; the text says what to do."""
+    """There is no library, and none can be compiled; the message contains a remedy."""
 
 
 def find_library(source: Path = SOURCE, shipped: Path = SHIPPED) -> Path:
@@ -58,7 +58,7 @@ def find_library(source: Path = SOURCE, shipped: Path = SHIPPED) -> Path:
 
 
 def cached_library(source: Path = SOURCE) -> Path:
-    """Where the library of a source lies for this user, made for this processor or not yet."""
+    """Path of a source's library for this user and processor, whether compiled or not."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     made_of = (source.read_bytes(), " ".join(FLAGS).encode(), platform.machine().encode())
     digest = hashlib.sha256(b"\0".join(made_of)).hexdigest()
@@ -89,8 +89,8 @@ def compile_library(source: Path, to: Path) -> None:
 
 
 def wheel_platform(made: Path) -> str:
-    """Platform tag of the wheel that holds a library: manylinux, which package indexes ask for, if
-    no symbol of it is of a newer glibc; else that of this system.
+    """Platform tag of the wheel with a library: manylinux, which package indexes require, if it
+    needs no newer glibc; else that of this system.
     """
     versions = re.findall(rb"GLIBC_(\d+)\.(\d+)", made.read_bytes())
     newest = max(((int(major), int(minor)) for major, minor in versions), default=(0, 0))
@@ -100,7 +100,7 @@ def wheel_platform(made: Path) -> str:
 
 
 def _check_folder(folder: Path) -> None:
-    """Make a folder that is closed to others, or close it."""
+    """Create a folder that is closed to others, or close it."""
     folder.mkdir(mode=_PRIVATE, parents=True, exist_ok=True)
     facts = folder.stat()
     if facts.st_uid != os.geteuid():
@@ -110,7 +110,7 @@ def _check_folder(folder: Path) -> None:
 
 
 def _check_file(path: Path) -> None:
-    facts = path.lstat()  # all may write a link, as its mode has it
+    facts = path.lstat()  # the mode of a link permits writing to all
     if facts.st_uid != os.geteuid() or facts.st_mode & _WRITABLE_BY_OTHERS:
         raise _not_yours(path)
 

@@ -1,6 +1,6 @@
-"""The C functions that Fast DDS calls of a type support, and the structures that they work on.
+"""C functions of a type support for Fast DDS, and the structures that they use.
 
-Fast DDS calls them with locks of its own held, so none of them is Python; `native.c` says why.
+Fast DDS calls them while it holds locks, so none of them is Python; see `native.c`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ENTRIES = (
 
 
 class Functions(ctypes.Structure):
-    """Functions of others that those of native.c call."""
+    """External functions that native.c calls."""
 
     _fields_ = (
         ("write", ctypes.c_void_p),
@@ -35,13 +35,13 @@ class Functions(ctypes.Structure):
 
 
 class Part(ctypes.Structure):
-    """A piece of CDR."""
+    """A part of CDR."""
 
     _fields_ = (("data", ctypes.c_void_p), ("size", ctypes.c_size_t))
 
 
 class Block(ctypes.Structure):
-    """A ROS message as rclpy passes it around; its address is that of the message."""
+    """A ROS message in rclpy's representation; its address is that of the message."""
 
     _fields_ = (
         ("data", ctypes.c_char_p),
@@ -55,11 +55,11 @@ class Block(ctypes.Structure):
         ("functions", ctypes.c_void_p),
     )
     views: Sequence[object] = ()
-    """What the parts point into."""
+    """Memory that the parts point to."""
 
 
 class Facts(ctypes.Structure):
-    """What the functions of a handle return; its address stands right before the handle."""
+    """Results of the functions of a handle; stored right before the handle's address."""
 
     _fields_ = (
         ("names", ctypes.c_char_p * 2),
@@ -115,7 +115,7 @@ def entries() -> dict[str, int]:
 
 @cache
 def release() -> Callable[[int], None]:
-    """The function that frees what `deserialize` has allocated; it keeps the GIL."""
+    """The function that frees memory allocated by `deserialize`; it keeps the GIL."""
     free = ctypes.PyDLL(None).free
     free.argtypes = (ctypes.c_void_p,)
     free.restype = None
@@ -155,11 +155,11 @@ def check() -> None:
 
 
 _HEAD = 4
-"""Size of the encapsulation of CDR [B]."""
+"""Size of CDR's encapsulation [B]."""
 
 
 def _cdr(memory: ctypes.Array[ctypes.c_char]) -> int:
-    """Address of a Cdr that stands behind the head of some memory."""
+    """Address of a Cdr behind the head of some memory."""
     library = c.library("libfastcdr.so.2")
     buffer = keep(ctypes.create_string_buffer(_ROOM))
     cdr = keep(ctypes.create_string_buffer(_ROOM))
@@ -169,7 +169,7 @@ def _cdr(memory: ctypes.Array[ctypes.c_char]) -> int:
     new_buffer(buffer, memory, len(memory))
     new = library["_ZN8eprosima7fastcdr3CdrC1ERNS0_10FastBufferENS1_10EndiannessENS0_10CdrVersionE"]
     new.argtypes = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_int, ctypes.c_int)
-    new(cdr, buffer, 1, 1)  # little-endian, as DDS has it
+    new(cdr, buffer, 1, 1)  # little-endian, as in DDS
     read_head = library["_ZN8eprosima7fastcdr3Cdr18read_encapsulationEv"]
     read_head.argtypes = (ctypes.c_void_p,)
     read_head(cdr)
@@ -177,7 +177,7 @@ def _cdr(memory: ctypes.Array[ctypes.c_char]) -> int:
 
 
 _ROOM = 4096
-"""More than a Cdr or its buffer takes [B]."""
+"""Upper bound of the size of a Cdr or its buffer [B]."""
 
 
 def _address(function: object) -> int:

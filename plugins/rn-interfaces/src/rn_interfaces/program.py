@@ -1,4 +1,6 @@
-"""What native.c checks CDR by: the fields of a message class as operations with two operands."""
+"""Program with which native.c checks CDR: the fields of a message class as operations with two
+operands.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ from rn_interfaces.cdr_fields import WIDE, number_size, type_of
 
 END, NUMBERS, NUMBER_SEQUENCE, TEXT, ARRAY, SEQUENCE = range(6)
 ANY = (1 << 63) - 1
-"""For what has no bound."""
+"""Operand without a bound."""
 
 
 @cache

@@ -1,7 +1,7 @@
-"""Texts of learnt interfaces in the user's data directory, laid out as an ament prefix:
-`share/<package>/<kind>/<Name>.<kind>`, so that whatever reads definitions there finds them.
+"""Store of learnt interfaces in the user's data directory, laid out as an ament prefix:
+`share/<package>/<kind>/<Name>.<kind>`, so that other programs find the definitions.
 
-Standard library alone: every process imports this.
+It uses the standard library only, because every process imports it.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from roboneuron import ConfigurationError
 
 KINDS = ("msg", "srv", "action")
 MOST_INTERFACES = 5000
-"""In the whole store: an installation of ROS with everything has about 1,500."""
+"""Maximum number of interfaces in the store: a full installation of ROS has about 1,500."""
 MOST_TEXT = 262_144
-"""Length of one text [B]."""
+"""Maximum length of one text [B]."""
 _NAME = re.compile(r"([a-z][a-z0-9_]{0,99})/(msg|srv|action)/([A-Z][A-Za-z0-9]{0,99})")
 _INDEX = Path("ament_index", "resource_index", "rosidl_interfaces")
 _ORIGINS = "origins.json"
@@ -40,12 +40,12 @@ class Name(NamedTuple):
 
     @property
     def file(self) -> Path:
-        """Below `share`."""
+        """Path below `share`."""
         return Path(self.package, self.kind, f"{self.word}.{self.kind}")
 
 
 def parse_name(text: str) -> Name:
-    """Raises ConfigurationError for what is no full name of an interface."""
+    """Parse a full name of an interface. Raises ConfigurationError if it is invalid."""
     found = _NAME.fullmatch(text)
     if found is None:
         raise ConfigurationError(
@@ -56,11 +56,11 @@ def parse_name(text: str) -> Name:
 
 
 class Origin(NamedTuple):
-    """Where a text came from.
+    """Origin of a text.
 
     Attributes:
-        source: such as a path, or the node that was asked.
-        type_hash: RIHS01 that it has.
+        source: such as a path, or the queried node.
+        type_hash: its RIHS01.
     """
 
     source: str
@@ -68,13 +68,13 @@ class Origin(NamedTuple):
 
 
 class Interface(NamedTuple):
-    """What is learnt of one interface.
+    """Stored data of one interface.
 
     Attributes:
         text: its definition.
-        idl: what rosidl made of it.
+        idl: rosidl's translation of it.
         descriptions: JSON texts of it and of its parts, by name, such as `Strike_Request`.
-        origin: where the text is from.
+        origin: origin of the text.
     """
 
     text: str
@@ -90,7 +90,9 @@ def default_folder() -> Path:
 
 
 class DefinitionStore:
-    """Reads at every call, so that what another process has learnt is there at once."""
+    """Store that reads the disk at every call, so that changes by other processes are visible at
+    once.
+    """
 
     def __init__(self, prefix: Path | None = None) -> None:
         """`prefix` is `default_folder()` at the time of each call when None; it need not exist."""
@@ -98,7 +100,7 @@ class DefinitionStore:
 
     @property
     def prefix(self) -> Path:
-        """The ament prefix that the store is."""
+        """The ament prefix of the store."""
         return self._prefix or default_folder()
 
     @property
@@ -107,11 +109,11 @@ class DefinitionStore:
         return self.prefix / "share"
 
     def has_package(self, package: str) -> bool:
-        """Whether anything of a package is learnt."""
+        """True if any interface of a package is learnt."""
         return (self.share / _INDEX / package).is_file()
 
     def has(self, name: Name) -> bool:
-        """Whether an interface is learnt."""
+        """True if an interface is learnt."""
         return (self.share / name.file).is_file()
 
     def text(self, name: Name) -> str:
@@ -119,7 +121,7 @@ class DefinitionStore:
         return (self.share / name.file).read_text(encoding="utf-8")
 
     def description(self, name: Name) -> str:
-        """JSON text of what rosidl says about an interface. Raises FileNotFoundError."""
+        """rosidl's JSON description of an interface. Raises FileNotFoundError."""
         return (self.share / name.file).with_suffix(".json").read_text(encoding="utf-8")
 
     def words(self, package: str, kind: str) -> list[str]:
@@ -146,7 +148,7 @@ class DefinitionStore:
         return {name: Origin(*origin) for name, origin in facts.items()}
 
     def add(self, learnt: Mapping[Name, Interface]) -> None:
-        """Keep texts, instead of earlier ones of the same names; all files are replaced atomically.
+        """Store texts, replacing earlier ones of the same names; all files are replaced atomically.
 
         Raises:
             ConfigurationError: they are too many, or the folder cannot be written.
@@ -177,13 +179,13 @@ class DefinitionStore:
             write(path, text)
             origins[str(name)] = origin
         self._write_origins(origins)
-        # last, because a package is there once it is listed
+        # last, because a listed package must be complete
         for package in {name.package for name in learnt}:
             listed = [n.file.relative_to(package) for n in sorted(names) if n.package == package]
             write(self.share / _INDEX / package, "".join(f"{path}\n" for path in listed))
 
     def forget(self, package: str) -> int:
-        """Remove a package and return how many interfaces it had."""
+        """Remove a package and return the number of its interfaces."""
         if not self.prefix.is_dir():
             return 0
         with self._locked():
@@ -210,7 +212,7 @@ class DefinitionStore:
 
 
 def write(path: Path, text: str) -> None:
-    """Replace a file at once, so that nobody reads half of it."""
+    """Replace a file atomically, so that no reader sees a part of it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with NamedTemporaryFile(
         "w", dir=path.parent, prefix=".new-", delete=False, encoding="utf-8"

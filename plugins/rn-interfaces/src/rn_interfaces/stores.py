@@ -1,4 +1,4 @@
-"""Definitions that rosbags brings: the common interfaces of each distribution of ROS 2."""
+"""Definitions in rosbags: the common interfaces of each distribution of ROS 2."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 _RULE = "=" * 80
 _NEWEST = ("ROS2_JAZZY", "ROS2_LYRICAL", "ROS2_KILTED", "ROS2_IRON", "ROS2_HUMBLE")
-"""In the order in which they are asked: that of the wheels, then others, newest first."""
+"""Distributions in the order of the search: that of the wheels, then others, newest first."""
 
 
 def known_definition(name: Name) -> FoundDefinition | None:
-    """The definition of a message as the first distribution has it that has it; without comments.
+    """Return the definition of a message from the first distribution that has it; without comments.
 
-    Services and actions are in none.
+    Services and actions are not included.
     """
     from rn_interfaces.learning import FoundDefinition
 

@@ -1,5 +1,5 @@
-"""C structures of rosidl (Jazzy) that a type support consists of, and whether those of the
-installed wheels look like this.
+"""C structures of rosidl (Jazzy) in a type support, and a check of their layout in the installed
+wheels.
 
 Sources: rosidl_runtime_c/message_type_support_struct.h, service_type_support_struct.h,
 action_type_support_struct.h and type_description/*__struct.h; rosidl_typesupport_fastrtps_cpp/
@@ -30,7 +30,7 @@ class Text(ctypes.Structure):
 
 
 def text(value: str) -> Text:
-    """A structure whose characters live as long as it does."""
+    """Create a structure whose characters live as long as it does."""
     data = value.encode()
     return Text(data, len(data), len(data) + 1)
 
@@ -236,12 +236,12 @@ GET = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
 
 
 class LayoutError(RuntimeError):
-    """The installed wheels are not laid out as these structures are."""
+    """The installed wheels have another layout than these structures."""
 
 
 @cache
 def library(name: str) -> ctypes.CDLL:
-    """Load a library of the ROS that is used, whose symbols others then use too."""
+    """Load a library of the ROS installation in use, whose symbols are then available to others."""
     prefixes = [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
     places = [Path(prefix, "lib", name) for prefix in prefixes if prefix]
     place = next((place for place in places if place.exists()), places[-1])

@@ -1,1 +1,1 @@
-"""The command `roboneuron ros`, and the node with which it asks others."""
+"""The command `roboneuron ros`, and its node for queries."""

@@ -18,7 +18,7 @@ GRAPH = "graph"
 
 
 class Ros:
-    """Learn ROS interfaces from their definitions, and look at what is learnt."""
+    """Learn ROS interfaces from their definitions, and show learnt ones."""
 
     def configure(self, parser: ArgumentParser) -> None:
         """Arguments of `roboneuron ros`."""

@@ -1,4 +1,4 @@
-"""What the nodes of the running graph say about types that are unknown here."""
+"""Queries to the nodes of the running graph about unknown types."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from roboneuron.command import RosLink
 
 DISCOVERY_S, LONGEST_DISCOVERY_S = 2.0, 10.0
-"""Least and longest time until the graph counts as discovered."""
+"""Shortest and longest time until the graph counts as discovered."""
 SETTLED_S = 1.0
-"""For so long nothing new must have been seen."""
+"""Time without a change after which discovery counts as complete."""
 _LOOK_S = 0.1
 ANSWER_S = 5.0
 """Longest wait for a node's answer."""
@@ -42,11 +42,11 @@ class TopicEndpoint(Protocol):
 
 @dataclass(kw_only=True, slots=True)
 class Found:
-    """What the graph says about types that are unknown here.
+    """Result of the queries about unknown types.
 
     Attributes:
-        texts: definitions with the hash that their node has.
-        unanswered: why there is none, by type.
+        texts: definitions with their node's hash.
+        unanswered: reason for a missing one, by type.
     """
 
     texts: dict[Name, FoundDefinition] = field(default_factory=dict)
@@ -54,7 +54,7 @@ class Found:
 
 
 class NodeGraph:
-    """The graph as a command sees it, from a node of its own."""
+    """The graph as discovered by a command's own node."""
 
     def __init__(self, link: RosLink) -> None:
         self._link = link
@@ -68,7 +68,7 @@ class NodeGraph:
         return dict(self._link.node.get_service_names_and_types())
 
     def others(self) -> set[str]:
-        """Full names of all nodes but this one."""
+        """Full names of all nodes except this one."""
         node = self._link.node
         names = node.get_node_names_and_namespaces()
         return {f"{place.rstrip('/')}/{name}" for name, place in names if name != node.get_name()}
@@ -78,7 +78,7 @@ class NodeGraph:
         return self._endpoints(topic)
 
     def service_endpoints(self, service: str) -> tuple[list[TopicEndpoint], list[TopicEndpoint]]:
-        """Those of a service's requests, and those of its responses."""
+        """Endpoints of a service's requests, and those of its responses."""
         return (
             self._endpoints(f"rq{service}Request", no_mangle=True),
             self._endpoints(f"rr{service}Reply", no_mangle=True),
@@ -92,7 +92,9 @@ class NodeGraph:
         ]
 
     def ask(self, node: str, name: Name, type_hash: str) -> GetTypeDescription.Response | str:
-        """What a node answers about a type that it uses, or why it does not."""
+        """Query a node about a type that it uses; return its answer or the reason for a missing
+        one.
+        """
         from type_description_interfaces.srv import GetTypeDescription
 
         request = GetTypeDescription.Request(
@@ -119,13 +121,13 @@ def ask_nodes(
 ) -> Found:
     """Ask the nodes for definitions of the messages that they publish or subscribe to.
 
-    A node gives a definition for the hash of its type alone. Of a service or action, ROS 2
-    announces the hashes of parts only, so its definition is looked for where the processes of this
-    machine have their interfaces, and taken when it gives the hashes that are announced.
+    A node only answers for the hash of its type. For a service or action, ROS 2 announces the
+    hashes of its parts only. So its definition is searched in the ament prefixes of this machine's
+    processes, and accepted if it has the announced hashes.
 
     Args:
-        graph: that is asked.
-        store: of what is learnt already.
+        graph: the queried graph.
+        store: store of the learnt interfaces.
         prefixes: ament prefixes where definitions of services and actions may be.
     """
     found = Found()
@@ -151,7 +153,9 @@ def ask_nodes(
 
 
 def _part_hashes(graph: NodeGraph, name: Name, places: Iterable[str]) -> dict[str, set[str]]:
-    """What endpoints announce of the parts of a service or action, by full name of the part."""
+    """Hashes announced by endpoints for the parts of a service or action, by full name of
+    the part.
+    """
     found: dict[str, set[str]] = {}
 
     def note(part: str, infos: Iterable[TopicEndpoint]) -> None:
@@ -224,7 +228,7 @@ def _texts(
         try:
             name = parse_name(source.type_name)
         except ConfigurationError:
-            continue  # what is no name of a message cannot be used by one
+            continue  # an invalid message name cannot be used by one
         announced = {str(name): hashes[str(name)]} if str(name) in hashes else {}
         found[name] = FoundDefinition(source.raw_file_contents, f"node {node}", announced)
     return found
@@ -235,10 +239,10 @@ def wait_settled(
     now_s: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Wait until nothing new is seen for a while: a busy machine discovers slowly.
+    """Wait until the graph has not changed for a while: a busy machine discovers slowly.
 
     Raises:
-        NotReadyError: nobody else was seen in all that time.
+        NotReadyError: no other node was discovered in that time.
     """
     begun_s = changed_s = now_s()
     seen: object = None
@@ -260,7 +264,9 @@ def wait_settled(
 
 
 def with_graph(look: Callable[[NodeGraph], Found]) -> Found:
-    """Join ROS, wait until the graph is discovered, look, and leave. Raises as `wait_settled`."""
+    """Join ROS, wait until the graph is discovered, call `look`, and leave. Raises as
+    `wait_settled`.
+    """
     from roboneuron.command import RosLink, environment
 
     environment.prepare_environment()

@@ -1,4 +1,4 @@
-"""Definitions that the processes of this machine have where they are installed."""
+"""Definitions in the ament prefixes of this machine's processes."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ PROCESSES = Path("/proc")
 
 
 def prefixes_of_processes(processes: Path = PROCESSES) -> list[Path]:
-    """Ament prefixes in the environments of all processes that this user may look into."""
+    """Ament prefixes in the environments of all accessible processes."""
     found: dict[Path, None] = {}
     for path in processes.glob("[0-9]*/environ"):
         try:
             variables = path.read_bytes().split(b"\0")
-        except OSError:  # it is another user's, or has just ended
+        except OSError:  # of another user, or just ended
             continue
         for variable in variables:
             name, _, value = os.fsdecode(variable).partition("=")
@@ -34,13 +34,13 @@ def prefixes_of_processes(processes: Path = PROCESSES) -> list[Path]:
 def definition_of(
     name: Name, announced: Mapping[str, str], prefixes: Sequence[Path]
 ) -> dict[Name, FoundDefinition]:
-    """The definition of a service or action and of what it uses, from the first prefix whose
-    description has all hashes that are announced; empty when there is none.
+    """Definition of a service or action and of its dependencies, from the first prefix whose
+    description has all announced hashes; empty if there is none.
 
     Args:
-        name: of the service or action.
+        name: name of the service or action.
         announced: RIHS01 by full name of a part.
-        prefixes: that are looked at in turn.
+        prefixes: prefixes in the order of the search.
     """
     for prefix in prefixes:
         try:
@@ -49,7 +49,7 @@ def definition_of(
             if announced.items() <= hashes.items():
                 return dict(_texts(prefix, name, announced))
         except (OSError, ValueError, KeyError, TypeError, ConfigurationError):
-            continue  # it has none, or one that is damaged
+            continue  # it has none, or a damaged one
     return {}
 
 
@@ -61,7 +61,7 @@ def _texts(
     while waiting:
         one = waiting.pop()
         path = prefix / "share" / one.file
-        if one in done or (one != name and not path.is_file()):  # others are looked up as always
+        if one in done or (one != name and not path.is_file()):  # others are looked up as usual
             continue
         done.add(one)
         text = path.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The endpoint of a process: the metrics of its robots, each with the label `robot`."""
+"""Metrics endpoint of a process: the metrics of its robots, each with the label `robot`."""
 
 from __future__ import annotations
 
@@ -33,23 +33,23 @@ _BEGIN_S = 20.0
 _JOIN_S = 5.0
 _CONNECTIONS = 32
 _CLOSE = {"Connection": "close"}
-"""A scrape is one request; a connection that is kept would only take a place."""
+"""Headers of an answer: a scrape is one request, and a kept connection would only use a slot."""
 
 
 class Exposition:
     """Serves registries at an address from the first `join` to the last `leave`; callable from any
     thread.
 
-    The robots of a server share the address that their configuration shares: a port belongs to the
-    process, and so does the table of those in use. Source of the format: one family for each name
-    (Prometheus text format 0.0.4).
+    The robots of a server share the configured address, because a port belongs to the process, as
+    does the table of endpoints. Source of the format: one family for each name (Prometheus text
+    format 0.0.4).
     """
 
     _in_use: ClassVar[dict[tuple[str, int], Exposition]] = {}
     _lock: ClassVar[threading.Lock] = threading.Lock()
 
     def __init__(self, host: str, port: int, rules: HostRules, tokens: TokenTable) -> None:
-        """Listen. Raises ConfigurationError when the address cannot be used, NotReadyError when it
+        """Listen. Raises ConfigurationError if the address cannot be used, NotReadyError if it
         takes too long.
         """
         self._address = (host, port)
@@ -86,14 +86,14 @@ class Exposition:
         rules: HostRules,
         tokens: TokenTable,
     ) -> Exposition:
-        """Serve the metrics of a robot at an address, beside those of others there.
+        """Serve the metrics of a robot at an address, together with those of other robots.
 
         Args:
             host, port: as configured; robots with port 0 share a free one.
             robot: its namespace.
             registry: its metrics.
-            rules: hosts by which this machine may be called.
-            tokens: needed where the address is not loopback.
+            rules: permitted names of this machine.
+            tokens: required if the address is not loopback.
 
         Raises:
             ConfigurationError: the address cannot be used, or needs a token.
@@ -102,12 +102,12 @@ class Exposition:
             found = cls._in_use.get((host, port))
             if found is None:
                 found = cls._in_use[host, port] = cls(host, port, rules, tokens)
-            # a scrape may be reading the one before
+            # a scrape may be reading the previous one
             found._robots = {**found._robots, robot: registry}
             return found
 
     def leave(self, robot: str) -> None:
-        """Serve this robot no longer; the last one ends the endpoint."""
+        """Stop serving this robot; the last one ends the endpoint."""
         with self._lock:
             self._robots = {
                 name: registry for name, registry in self._robots.items() if name != robot
@@ -163,7 +163,7 @@ def _unauthorized(conn: HTTPConnection, error: AuthenticationError) -> Response:
 
 
 class _ExpositionServer(BoundedServer):
-    """Says when it serves."""
+    """Logs when it serves."""
 
     def __init__(self, app: ASGIApp, connections: ConnectionTable) -> None:
         super().__init__(app, connections)

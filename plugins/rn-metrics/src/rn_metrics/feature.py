@@ -1,4 +1,4 @@
-"""The feature: a Prometheus endpoint and spans, each when the configuration asks for it."""
+"""The feature: a Prometheus endpoint and spans, each if configured."""
 
 from __future__ import annotations
 
@@ -23,24 +23,22 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _LOOK_S = 0.1
-"""Modules report every 0.2 s."""
+"""Polling period; modules report every 0.2 s."""
 
 
 class MetricsFeature(Feature[MetricsOptions]):
-    """Counts, serves and sends; does nothing at all unless `[metrics]` asks for it."""
+    """Counts, serves and sends; does nothing unless `[metrics]` is configured."""
 
     meters: Meters | None = None
     spans: Spans | None = None
     port = 0
-    """Where metrics are served, once they are."""
+    """Port of the endpoint, once it serves."""
     _exposition: Exposition | None = None
     _robot = ""
     _looking: Periodic | None = None
 
     def check(self, config: Config) -> None:
-        """Check address and tokens when metrics are to be served, and the exporter when traces are
-        to be sent.
-        """
+        """Check address and tokens if metrics are served, and the exporter if traces are sent."""
         if self.options.prometheus:
             http = HttpOptions.of(config)
             host_rules(self.options.host, http)
@@ -51,7 +49,7 @@ class MetricsFeature(Feature[MetricsOptions]):
             otlp_exporter(self.options.otlp_endpoint).shutdown()
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """None; what happens is listened to from now on."""
+        """Return no tools; register the listeners."""
         if self.options.prometheus:
             from rn_metrics.meters import Meters  # heavy
 
@@ -59,7 +57,7 @@ class MetricsFeature(Feature[MetricsOptions]):
             host.events.health.listen(meters.on_health)
             host.events.fault.listen(meters.on_fault)
             host.events.decision.listen(meters.on_decision)
-            # not there before
+            # not available before
             host.events.open.listen(lambda: host.server.middleware.append(meters))
         if self.options.traces:
             from rn_metrics.spans import Spans, otlp_exporter  # heavy
@@ -73,8 +71,8 @@ class MetricsFeature(Feature[MetricsOptions]):
         """Serve the metrics, those of several robots at one address.
 
         Raises:
-            ConfigurationError: the address cannot be used, or can be reached from elsewhere without
-                a token.
+            ConfigurationError: the address cannot be used, or is reachable from other machines
+                without a token.
         """
         if self.meters is None:
             return
@@ -96,7 +94,7 @@ class MetricsFeature(Feature[MetricsOptions]):
         self._looking.start()
 
     def close(self) -> None:
-        """End everything, and send what is left."""
+        """End everything, and send the remaining spans."""
         if self._looking is not None:
             self._looking.close()
         exposition, self._exposition = self._exposition, None

@@ -1,6 +1,4 @@
-"""The metrics: counted as things happen, or read from the modules' newest reports when they are
-asked for.
-"""
+"""The metrics: counted at events, or read from the modules' newest reports on a scrape."""
 
 from __future__ import annotations
 
@@ -16,12 +14,10 @@ from roboneuron.feature import ERROR_META, EXPLANATIONS, FAULTS, AuditRecord, He
 
 OK = "ok"
 UNKNOWN = "unknown"
-"""Label of a tool that there is not: clients could make any number of labels otherwise."""
+"""Label of an unknown tool: clients could create any number of labels otherwise."""
 TASK_TOOL = "run_task"
 OUTCOMES = ("succeeded", "failed", "timed_out", "stopped", "unclear", "taken_over")
-"""Of rn-tasks. There is a counter for each from the beginning, so that a rate has something to
-begin from.
-"""
+"""Outcomes of tasks. Each has a counter from the beginning, so that a rate has a starting value."""
 _CALL_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 300.0)
 _TASK_BUCKETS_S = (1.0, 2.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 120.0, 300.0, 600.0)
 _MODULE_BUCKETS_S = (0.002, 0.005, 0.01, 0.02, 0.03, 0.05, 0.075, 0.1, 0.15, 0.25, 0.5, 1.0, 2.5)
@@ -34,7 +30,7 @@ _STATE_GAUGES = (
 
 
 class Meters:
-    """All metrics of one server, in a registry of their own; usable from any thread."""
+    """All metrics of one server, in a separate registry; usable from any thread."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -110,9 +106,7 @@ class Meters:
             self.verdicts.labels(record.endpoint, record.verdict, record.rule).inc()
 
     def look(self) -> None:
-        """Take the latency of each report that is new, and notice an emergency stop, whoever
-        pressed it.
-        """
+        """Record the latency of each new report, and detect an emergency stop from any source."""
         for view in self._host.modules.views():
             report = view.report
             if (
@@ -154,9 +148,7 @@ class Meters:
 
 
 def result_of(answer: object) -> str:
-    """`ok`, or the code of the error of a tool call; middleware gets answers as they go over the
-    wire.
-    """
+    """Return `ok`, or the error code of a tool call; middleware gets answers in wire format."""
     if not (isinstance(answer, Mapping) and answer.get("isError")):
         return OK
     details = (answer.get("_meta") or {}).get(ERROR_META, {})
@@ -164,7 +156,7 @@ def result_of(answer: object) -> str:
 
 
 def outcome_of(tool: str, answer: object) -> str:
-    """How the task of a call ended; empty for other calls, and for a task that was not begun."""
+    """Outcome of a call's task; empty for other calls, and for a task that was not begun."""
     if tool != TASK_TOOL or result_of(answer) != OK:
         return ""
     told = (
@@ -176,7 +168,7 @@ def outcome_of(tool: str, answer: object) -> str:
 
 
 class _Reports:
-    """What the modules report, read when Prometheus asks."""
+    """Reports of the modules, read on a scrape."""
 
     def __init__(self, host: Host) -> None:
         self._host = host

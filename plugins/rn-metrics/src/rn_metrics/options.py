@@ -10,7 +10,7 @@ from roboneuron import Section
 
 
 class MetricsOptions(Section):
-    """`[metrics]`: what programs that watch many robots read."""
+    """`[metrics]`: data for programs that monitor many robots."""
 
     prometheus: bool = Field(default=False, description="serve metrics; nothing listens without it")
     host: str = Field(

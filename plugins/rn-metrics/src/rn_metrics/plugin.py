@@ -1,4 +1,4 @@
-"""What this package offers; standard library and descriptors only."""
+"""Descriptors of this package; standard library only."""
 
 from roboneuron import FeatureSpec, hookimpl
 
@@ -9,7 +9,7 @@ FEATURE = FeatureSpec(
     config="rn_metrics.options:MetricsOptions",
     needs=("http",),
 )
-"""Descriptor of the feature; `http` holds the tokens and the rules for hosts."""
+"""Descriptor of the feature; `http` provides the tokens and the rules for hosts."""
 
 
 @hookimpl

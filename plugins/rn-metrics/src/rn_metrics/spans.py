@@ -1,9 +1,8 @@
-"""Spans of a tool call: the request, each decision of the gate on it, and each message that is
-published for it.
+"""Spans of a tool call: the request, each decision of the gate on it, and each message published
+for it.
 
-The MCP SDK makes the span of the request, the core that of a message; both do nothing until a
-tracer provider is set, which is done here. The gate's decision becomes a span when the audit has
-its record.
+The MCP SDK creates the span of the request, the core that of a message; both do nothing until this
+module sets a tracer provider. The gate's decision becomes a span when the audit has its record.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ class Spans:
     """Sends spans from `open` to `close`.
 
     Args:
-        exporter: where they go; by batches, on a thread of its own.
+        exporter: receives them in batches, on a separate thread.
     """
 
     def __init__(self, exporter: SpanExporter) -> None:
@@ -38,17 +37,17 @@ class Spans:
         self._tracer = self.provider.get_tracer("roboneuron")
 
     def open(self) -> None:
-        """Become the tracer provider of this process; the first one stays, as OpenTelemetry has
-        it.
-        """
+        """Become the tracer provider of this process; OpenTelemetry keeps the first one."""
         trace.set_tracer_provider(self.provider)
 
     def close(self) -> None:
-        """Send what is left, for at most the exporter's own time-out; idempotent."""
+        """Send the remaining spans, within the exporter's timeout; idempotent."""
         self.provider.shutdown()
 
     def on_decision(self, record: AuditRecord) -> None:
-        """Listener of `Events.decision`, on the thread of the call: its span is the present one."""
+        """Listener of `Events.decision`, on the thread of the call, whose span is the
+        present one.
+        """
         attributes = {
             "roboneuron.tool": record.tool,
             "roboneuron.endpoint": record.endpoint,
@@ -62,7 +61,7 @@ class Spans:
 
 
 def otlp_exporter(endpoint: str) -> SpanExporter:
-    """Sends spans to a collector over HTTP.
+    """Create an exporter that sends spans to a collector over HTTP.
 
     Raises:
         MissingDependencyError: the extra `otlp` of this package is not installed.

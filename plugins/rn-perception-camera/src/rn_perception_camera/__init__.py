@@ -1,1 +1,1 @@
-"""Real cameras: images that a driver publishes on ROS topics, USB cameras and video files."""
+"""Real cameras: images on ROS topics of a driver, USB cameras and video files."""

@@ -1,4 +1,4 @@
-"""What cameras deliver, between the threads that receive it and the one that reads it."""
+"""Buffer of camera images between the receiving threads and the reading one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 @dataclass(kw_only=True, slots=True)
 class _Slot(Generic[T]):
-    """One camera: what came last, and when its next turn is [s, monotonic]."""
+    """One camera: its newest item, and the time of its next turn [s, monotonic]."""
 
     period_s: float
     item: T | None = None
@@ -24,11 +24,11 @@ class _Slot(Generic[T]):
 
 
 class Arrivals(Generic[T]):
-    """The newest item of each camera, handed out in turns and no faster than asked; any thread may
-    call any method.
+    """The newest item of each camera, returned in turns and at a bounded rate; any thread may call
+    any method.
 
     Args:
-        periods_s: least time between two items by camera [s]; 0 for no bound.
+        periods_s: shortest time between two items by camera [s]; 0 for no bound.
     """
 
     def __init__(self, periods_s: Mapping[str, float]) -> None:
@@ -39,7 +39,7 @@ class Arrivals(Generic[T]):
         self._open = False
 
     def open(self) -> None:
-        """Forget what came before and let items in. Raises StateError when it is open already."""
+        """Discard old items and accept new ones. Raises StateError if it is already open."""
         with self._changed:
             if self._open:
                 raise StateError("The cameras are open already.")
@@ -48,7 +48,7 @@ class Arrivals(Generic[T]):
                 slot.item, slot.due_s = None, 0.0
 
     def close(self) -> bool:
-        """Let nothing more in and end a `take` in progress; returns whether it was open."""
+        """Accept no more items and end a `take` in progress; return True if it was open."""
         with self._changed:
             was_open, self._open = self._open, False
             for slot in self._slots.values():
@@ -57,19 +57,19 @@ class Arrivals(Generic[T]):
             return was_open
 
     def put(self, camera: str, item: T) -> None:
-        """The camera has delivered; what it delivered before and nobody took is dropped."""
+        """Store an item of a camera; its previous, unread one is dropped."""
         with self._changed:
             if self._open:
                 self._slots[camera].item = item
                 self._changed.notify_all()
 
     def is_held(self, camera: str) -> bool:
-        """Whether something waits for the camera's next turn."""
+        """True if an item waits for the camera's next turn."""
         with self._changed:
             return self._slots[camera].item is not None
 
     def take(self, deadline_s: float) -> tuple[str, T] | None:
-        """Camera and item, of the camera that was served least recently; None when nothing came by
+        """Return camera and item, from the camera served least recently; None if nothing came by
         then [monotonic].
 
         Raises:
@@ -91,7 +91,9 @@ class Arrivals(Generic[T]):
 
     @staticmethod
     def _hand_out(slot: _Slot[T], now_s: float) -> T:
-        """Keep the beat when this item is late by less than a period, otherwise start a new one."""
+        """Keep the time grid if this item is late by less than a period, otherwise start a
+        new one.
+        """
         item, slot.item, slot.taken_s = slot.item, None, now_s
         assert item is not None
         if now_s - slot.due_s > slot.period_s:

@@ -1,4 +1,4 @@
-"""The calibration that a camera driver publishes, judged before it is believed."""
+"""Validation of the calibration that a camera driver publishes."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CameraFacts:
-    """What a CameraInfo says, comparable.
+    """Content of a CameraInfo, comparable.
 
     Attributes:
         size: width and height of the images it describes [px].
         k, p: row by row, as in the message (pixel centres at integers).
         model, d: distortion.
-        binning, roi_offset: how a part of the sensor was read.
+        binning, roi_offset: the part of the sensor that was read.
     """
 
     size: Size
@@ -55,8 +55,8 @@ class CameraFacts:
 def read_optics(
     facts: CameraFacts, size: Size, distortion: Literal["refuse", "undistort", "rectified"]
 ) -> tuple[F64, Undistortion | None]:
-    """Intrinsics float64 (3, 3) [px, pixel centres at integers + 0.5] of images of `size`, and how
-    to undistort them.
+    """Intrinsics float64 (3, 3) [px, pixel centres at integers + 0.5] of images of `size`, and
+    their undistortion.
 
     Source: sensor_msgs/CameraInfo: K and D describe the raw image, P the rectified one; zero focal
     lengths mean that the camera was never calibrated.

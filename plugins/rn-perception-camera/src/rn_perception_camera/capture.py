@@ -14,26 +14,26 @@ from rn_perception_camera.options import VideoCameraOptions
 from roboneuron import ConfigurationError, NotReadyError
 
 HANG_LIMIT_S = 1
-"""How long OpenCV waits for an image of a V4L2 device that stays silent."""
+"""OpenCV's timeout for an image of a silent V4L2 device."""
 
 
 class Capture(Protocol):
-    """What is used of `cv2.VideoCapture`."""
+    """Used parts of `cv2.VideoCapture`."""
 
     def isOpened(self) -> bool:
-        """Whether it could be opened."""
+        """True if it could be opened."""
         ...
 
     def set(self, propId: int, value: float) -> bool:
-        """Ask for a property's value; the answer says little, `get` tells what came of it."""
+        """Request a property's value; check the effect with `get`, not with the result."""
         ...
 
     def grab(self) -> bool:
-        """Wait for the next image; False when there is none."""
+        """Wait for the next image; False if there is none."""
         ...
 
     def retrieve(self) -> tuple[bool, NDArray[np.uint8]]:
-        """Decode the grabbed image: uint8 (H, W, 3) in BGR order, in memory of its own."""
+        """Decode the grabbed image: uint8 (H, W, 3) in BGR order, in separate memory."""
         ...
 
     def get(self, propId: int) -> float:
@@ -46,12 +46,13 @@ class Capture(Protocol):
 
 
 def open_capture(options: VideoCameraOptions) -> tuple[Capture, float]:
-    """An open device or file, and the pace of its images [1/s], 0 for a device, which has its own.
+    """Open a device or file; return it with the rate of its images [1/s], 0 for a device, which has
+    its own.
 
     Raises:
-        NotReadyError: the device is absent, busy, or may not be opened.
-        ConfigurationError: the file is absent or no video, its pace is not known, or the device has
-            no such size.
+        NotReadyError: the device is absent, busy, or not accessible.
+        ConfigurationError: the file is absent or not a video, its rate is unknown, or the device
+            lacks the size.
     """
     os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(HANG_LIMIT_S))
     import cv2  # heavy

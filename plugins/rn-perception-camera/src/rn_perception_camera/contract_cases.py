@@ -1,4 +1,4 @@
-"""How the contract kit tries the sources of this package; loaded by the kit only."""
+"""Contract cases of this package's sources; loaded by the contract kit only."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _spec(name: str) -> PerceptionSpec:
 
 
 def _feed(source: object, topics: MemoryTopics) -> None:
-    """The driver of the front camera publishes a picture."""
+    """Publish an image as the driver of the front camera."""
     from sensor_msgs.msg import Image  # heavy
 
     sec, nanosec = divmod(topics.now_ns(), _NS_PER_S)
@@ -35,7 +35,7 @@ def _feed(source: object, topics: MemoryTopics) -> None:
 
 
 def ros_case() -> PerceptionCase:
-    """The fake robot's front camera, whose driver publishes when the kit says so."""
+    """Case of the fake robot's front camera, whose driver publishes when the kit requests it."""
     return PerceptionCase(
         spec=_spec("ros-camera"),
         options={"cameras": {"front": {"topic": "/driver/image_raw"}}},
@@ -45,8 +45,8 @@ def ros_case() -> PerceptionCase:
 
 
 def video_case() -> PerceptionCase:
-    """The fake robot's front camera, from a short video in a temporary directory that lasts as long
-    as the process.
+    """Case of the fake robot's front camera, from a short video in a temporary directory that lasts
+    as long as the process.
     """
     import cv2  # heavy
 

@@ -1,6 +1,4 @@
-"""Another size for an image, without changing its aspect ratio, and what that does to its
-intrinsics.
-"""
+"""Resizing of images with a constant aspect ratio, and of their intrinsics."""
 
 from __future__ import annotations
 
@@ -18,11 +16,11 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fit:
-    """A part of the source image, scaled and put somewhere in the target image; the rest is black.
+    """A part of the source image, scaled and placed in the target image; the rest is black.
 
     Attributes:
-        source: width and height of the images taken [px].
-        size: width and height of the images made [px].
+        source: width and height of the source images [px].
+        size: width and height of the target images [px].
         box: left, upper, right and lower edge of the part [px of the source, pixel centres at
             integers + 0.5].
         scaled: width and height of that part in the target [px].
@@ -39,7 +37,7 @@ class Fit:
         """uint8 (h, w, 3) of `source` size -> uint8 (H, W, 3) of `size`; bilinear with
         antialiasing.
 
-        The image itself when nothing changes.
+        Returns the image itself if nothing changes.
         """
         if self.source == self.size:
             return image
@@ -65,7 +63,7 @@ class Fit:
 
 
 def unchanged(source: Size) -> Fit:
-    """Images stay as they are."""
+    """Keep images unchanged."""
     return Fit(
         source=source,
         size=source,
@@ -76,8 +74,8 @@ def unchanged(source: Size) -> Fit:
 
 
 def fit(source: Size, size: Size, how: Literal["letterbox", "crop"]) -> Fit:
-    """All of the image with bars ("letterbox"), or as much of its middle as fills the target
-    ("crop").
+    """Fit the whole image with bars ("letterbox"), or the largest central part that fills the
+    target ("crop").
     """
     width, height = source
     across, down = size[0] / width, size[1] / height

@@ -1,4 +1,4 @@
-"""One thread per camera that grabs, and opens the camera again when it was unplugged."""
+"""One thread per camera that grabs images, and reopens the camera after it was unplugged."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Opener = Callable[[], tuple[Capture, float]]
 
 FIRST_RETRY_S = 0.5
 LAST_RETRY_S = 8.0
-"""A camera that is gone is tried again after 0.5 s, then each time twice as long, and at most this
-long, after.
+"""Longest interval of attempts to reopen a camera: they begin after 0.5 s, and the interval doubles
+each time.
 """
 log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Grabbed:
-    """An image as captured.
+    """A captured image.
 
     Attributes:
-        bgr: uint8 (H, W, 3) in BGR order, in memory of its own.
-        stamp_ns: ROS time when it was grabbed [ns].
+        bgr: uint8 (H, W, 3) in BGR order, in separate memory.
+        stamp_ns: ROS time of grabbing [ns].
     """
 
     bgr: NDArray[np.uint8]
@@ -42,10 +42,10 @@ class Grabber:
 
     Args:
         place: the device or file, for messages.
-        loop: None for a device; for a file whether it begins again at its end.
+        loop: None for a device; for a file, True to restart at its end.
         opener: opens the camera (again).
         now_ns: ROS time [ns].
-        deliver: takes each image.
+        deliver: receives each image.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Grabber:
 
     @property
     def problem(self) -> RoboNeuronError | None:
-        """Why it delivers nothing at the moment, or None."""
+        """Reason why it delivers nothing at the moment, or None."""
         if self._problem is None and self._thread is not None and not self._thread.is_alive():
             return InternalError(
                 f"The thread that grabs from {self._place} failed.", hint="See the module's log."
@@ -71,7 +71,7 @@ class Grabber:
         return self._problem
 
     def start(self) -> None:
-        """Open the camera here and grab on a thread; raises what `opener` raises."""
+        """Open the camera, and start grabbing on a thread; raises as `opener`."""
         capture, pace_hz = self._opener()
         self._thread = threading.Thread(
             target=self._run, args=(capture, pace_hz), name=f"grab {self._place}", daemon=True
@@ -79,11 +79,11 @@ class Grabber:
         self._thread.start()
 
     def ask_to_stop(self) -> None:
-        """Let the thread end after the image it waits for."""
+        """Request the end of the thread after the present image."""
         self._stop.set()
 
     def join(self, timeout_s: float) -> bool:
-        """Wait for the thread, which releases the camera; returns whether it has ended."""
+        """Wait for the thread, which releases the camera; return True if it has ended."""
         if self._thread is not None:
             self._thread.join(timeout_s)
         return self._thread is None or not self._thread.is_alive()
@@ -123,7 +123,7 @@ class Grabber:
             capture.release()
 
     def _follow(self, capture: Capture, pace_hz: float) -> bool:
-        """Deliver images until there are none; returns whether there was one."""
+        """Deliver images until there are none; return True if there was one."""
         delivered = False
         due_s = time.monotonic()
         while not self._stop.is_set():

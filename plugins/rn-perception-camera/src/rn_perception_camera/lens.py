@@ -1,4 +1,4 @@
-"""Lens distortion: which pixels of a camera's image an ideal pinhole camera would show where."""
+"""Lens distortion: mapping between a camera's image and that of an ideal pinhole camera."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ MODELS: dict[str, tuple[int, ...]] = {
 }
 """Numbers of coefficients by distortion model of sensor_msgs/CameraInfo."""
 CELL_PX = 16
-"""The map is exact at the corners of such cells and bilinear between; under 0.1 px off for a lens
-with k1 = -0.3.
+"""Cell size of the map, which is exact at the cells' corners and bilinear in between; the error is
+under 0.1 px for a lens with k1 = -0.3.
 """
 
 
 class Undistortion:
-    """Makes images of a pinhole camera with the same intrinsics; built once per image size.
+    """Converts to images of a pinhole camera with the same intrinsics; built once per image size.
 
     Args:
         intrinsics: float64 (3, 3) [px], pixel centres at integers + 0.5.
         model: one of MODELS.
-        coefficients: as many as the model has, as OpenCV and ROS order them.
-        width, height: of the images [px].
+        coefficients: as many as the model has, in the order of OpenCV and ROS.
+        width, height: size of the images [px].
 
     Raises:
         ConfigurationError: an unknown model, or another number of coefficients.
@@ -69,8 +69,8 @@ class Undistortion:
         ]
 
     def apply(self, image: U8) -> U8:
-        """uint8 (H, W, 3) as the lens shows it -> uint8 (H, W, 3) as a pinhole would; black where
-        it saw nothing.
+        """uint8 (H, W, 3) of the lens -> uint8 (H, W, 3) of a pinhole camera; black outside of the
+        lens' view.
         """
         picture = Image.fromarray(image)
         return np.asarray(
@@ -81,7 +81,7 @@ class Undistortion:
 
 
 def distort(x: F64, y: F64, model: str, coefficients: Sequence[float]) -> tuple[F64, F64]:
-    """Where a ray through (x, y, 1) appears in the normalised image plane of the distorted camera.
+    """Position of a ray through (x, y, 1) in the normalised image plane of the distorted camera.
 
     Source: OpenCV 4 documentation, "Camera Calibration and 3D Reconstruction" (radial, tangential
     and rational terms) and "Fisheye camera model" (equidistant); names of the models:

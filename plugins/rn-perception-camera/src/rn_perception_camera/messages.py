@@ -1,4 +1,4 @@
-"""Image messages of camera drivers as RGB pixels, and what is wrong with them."""
+"""Conversion of camera drivers' image messages to RGB pixels, with validation."""
 
 from __future__ import annotations
 

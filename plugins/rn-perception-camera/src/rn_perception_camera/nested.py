@@ -1,4 +1,4 @@
-"""The image inside a message of another type, by a path of its fields: `views[0].picture`."""
+"""Access to the image inside a message of another type, by a path of fields: `views[0].picture`."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from roboneuron import ConfigurationError, InvalidInputError
 TYPE_PATTERN = r"^[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*$"
 """A message's full name."""
 PATH_PATTERN = r"^[a-z][a-z0-9_]*(\[\d{1,4}\])?(\.[a-z][a-z0-9_]*(\[\d{1,4}\])?)*$"
-"""Names of fields, each with the index of an array's entry where it is one."""
+"""Names of fields, with the index for an entry of an array."""
 _STEP = re.compile(r"([a-z][a-z0-9_]*)(?:\[(\d+)\])?")
 _ARRAY = re.compile(r"sequence<([^,>]+)(?:, \d+)?>|(.+)\[\d+\]")
 
 
 def load_type(name: str) -> type:
-    """The class of a message's full name, such as `rig_msgs/msg/Views`.
+    """Import the class of a message by its full name, such as `rig_msgs/msg/Views`.
 
     Raises:
-        ConfigurationError: it is unknown here.
+        ConfigurationError: it is not installed.
     """
     package, _, word = name.partition("/msg/")
     try:
@@ -36,12 +36,12 @@ def load_type(name: str) -> type:
 
 
 def image_getter(name: str, path: str, image: str) -> Callable[[object], object]:
-    """A function that takes the image out of a message; it raises InvalidInputError for an entry
-    that the message does not have.
+    """Create a function that extracts the image from a message; it raises InvalidInputError for a
+    missing entry.
 
     Args:
         name: full name of the message.
-        path: that leads to the image.
+        path: path of the image.
         image: full name of the image's type.
 
     Raises:
@@ -69,7 +69,7 @@ def image_getter(name: str, path: str, image: str) -> Callable[[object], object]
 
 
 def _entry(values: object, index: int, what: str) -> object:
-    assert isinstance(values, list)  # as rclpy has arrays of messages
+    assert isinstance(values, list)  # as in rclpy's arrays of messages
     if index >= len(values):
         raise InvalidInputError(
             f"The field {what} has {len(values)} entries, none of them {index}."
@@ -79,7 +79,7 @@ def _entry(values: object, index: int, what: str) -> object:
 
 
 def _type_of(owner: str, field: str, is_entry: bool, what: str) -> str:
-    """Type of a field, or of an entry of it."""
+    """Type of a field, or of its entries."""
     if "/" not in owner:
         raise ConfigurationError(f"The field {what} goes on below a {owner}, which has no fields.")
     fields = load_type(owner).get_fields_and_field_types()  # type: ignore[attr-defined]

@@ -14,7 +14,7 @@ SIDE_PX = Annotated[int, Field(ge=1, le=8192)]
 
 
 class ResizeOptions(BaseModel):
-    """The size of the images that leave; how the aspect ratio is kept must be said."""
+    """Size of the output images, and the explicit treatment of the aspect ratio."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -27,7 +27,7 @@ class ResizeOptions(BaseModel):
 
 
 class _CameraOptions(BaseModel):
-    """What every camera may be told."""
+    """Options common to all cameras."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -43,12 +43,12 @@ class _CameraOptions(BaseModel):
 
     @property
     def period_s(self) -> float:
-        """Least time between two images [s]; 0 for no bound."""
+        """Shortest time between two images [s]; 0 for no bound."""
         return 0.0 if self.max_rate_hz is None else 1.0 / self.max_rate_hz
 
 
 class RosCameraOptions(_CameraOptions):
-    """Where one camera's images are published, and how they are taken."""
+    """Topics of one camera's images, and the processing of the images."""
 
     topic: Annotated[str, ConfigurationOnly()] = Field(
         min_length=1, description="topic of the images; absolute, or in the robot's namespace"
@@ -171,7 +171,7 @@ class VideoCameraOptions(_CameraOptions):
 
     @property
     def place(self) -> str:
-        """The device or file, as messages call it."""
+        """Name of the device or file in messages."""
         if self.path is not None:
             return self.path
         return f"/dev/video{self.device}" if isinstance(self.device, int) else str(self.device)

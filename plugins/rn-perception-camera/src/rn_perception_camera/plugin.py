@@ -1,4 +1,4 @@
-"""What this package offers: the perception sources "ros-camera" and "video-camera"."""
+"""Descriptors of this package: the perception sources "ros-camera" and "video-camera"."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""What is done to every image of one camera: undistorted, cropped, resized, and calibrated
-accordingly.
+"""Processing of every image of one camera: undistortion, crop, resize, and the matching
+calibration.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 
 HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
-"""Added to intrinsics of OpenCV and ROS: they put pixel centres at integers, the contract at
+"""Offset added to intrinsics of OpenCV and ROS: they put pixel centres at integers, the contract at
 integers + 0.5.
 """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Preparation:
-    """For images of one size.
+    """Processing of images of one size.
 
     Attributes:
-        fit: how they are cropped and resized.
-        undistortion: how they are undistorted before; None when they are not.
-        calibration: of the images made; None when nobody knows it.
+        fit: crop and resize.
+        undistortion: undistortion before it; None for none.
+        calibration: calibration of the output images; None if unknown.
     """
 
     fit: Fit
@@ -38,8 +38,8 @@ class Preparation:
     calibration: CameraCalibration | None
 
     def apply(self, image: U8) -> U8:
-        """uint8 (h, w, 3) RGB as captured -> uint8 (H, W, 3) RGB as wanted; the same array when
-        nothing is to do.
+        """uint8 (h, w, 3) RGB as captured -> uint8 (H, W, 3) RGB as configured; the same array if
+        nothing has to be done.
         """
         if self.undistortion is not None:
             image = self.undistortion.apply(image)
@@ -54,14 +54,14 @@ def prepare(
     intrinsics: F64 | None = None,
     undistortion: Undistortion | None = None,
 ) -> Preparation:
-    """The preparation of images of `size`.
+    """Create the processing of images of `size`.
 
     Args:
-        profile: tells where the camera is mounted and, when `intrinsics` is None, its calibration
-            at this size.
-        size: width and height of the images that come [px].
-        resize: None to leave it.
-        intrinsics: float64 (3, 3) [px] of the images that come (once undistorted), pixel centres at
+        profile: contains the camera's mounting and, if `intrinsics` is None, its calibration at
+            this size.
+        size: width and height of the input images [px].
+        resize: None to keep the size.
+        intrinsics: float64 (3, 3) [px] of the input images (after undistortion), pixel centres at
             integers + 0.5.
         undistortion: None for images that need none.
     """

@@ -1,4 +1,6 @@
-"""One camera's topics: what arrives on them, how it becomes frames, and why nothing comes."""
+"""Topics of one camera: arrival of messages, conversion to frames, and reasons for missing
+frames.
+"""
 
 from __future__ import annotations
 
@@ -26,24 +28,24 @@ RAW = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 INFO = "sensor_msgs/msg/CameraInfo"
 CLOCK_LIMIT_S = 10.0
-"""A stamp farther from ROS time than this is another clock's."""
+"""Largest plausible difference of a stamp from ROS time; beyond it the clock differs."""
 _NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Arrival:
-    """A message and the ROS time [ns] at which it came."""
+    """A message and its arrival time [ROS time, ns]."""
 
     message: object
     arrived_ns: int
 
 
 class CameraFeed:
-    """Subscribes to one camera's topics; messages are received on the host's thread and converted
-    on the reading one.
+    """Subscriptions to one camera's topics; messages are received on the host's thread and
+    converted on the reading thread.
 
     Args:
-        deliver: takes each image that can be converted.
+        deliver: receives each convertible image.
     """
 
     def __init__(
@@ -67,8 +69,8 @@ class CameraFeed:
         self._image_of: Callable[[object], object] = lambda message: message
 
     def check(self) -> None:
-        """Raises ConfigurationError when a topic is published with another type, the type or its
-        field with the image is unknown, or no mount is known.
+        """Raise ConfigurationError if a topic is published with another type, the type or its image
+        field is unknown, or no mount is known.
         """
         options = self._options
         if options.type is not None and options.field is not None:
@@ -89,7 +91,7 @@ class CameraFeed:
             self._check_type(options.camera_info, INFO)
 
     def subscribe(self) -> None:
-        """Listen until the host closes; called once, from `open`, after `check`."""
+        """Subscribe until the host closes; called once, from `open`, after `check`."""
         from sensor_msgs.msg import CameraInfo  # heavy
 
         options = self._options
@@ -101,7 +103,7 @@ class CameraFeed:
         self._topics.subscribe(self._options.topic, kind, self._take, best_effort=True)
 
     def to_frame(self, arrival: Arrival) -> Frame | None:
-        """The frame of an image; None for one that was not captured after the frame before it.
+        """Convert an image to a frame; None for one that was not captured after the previous frame.
 
         Raises:
             InvalidInputError: a damaged image, an unknown encoding, or a stamp that is unset or of
@@ -129,7 +131,7 @@ class CameraFeed:
         )
 
     def explain_silence(self, held: bool) -> str:
-        """Why no frame comes, in one sentence; `held` says that one waits for its turn.
+        """Explain in one sentence why no frame comes; `held`: one waits for its turn.
 
         Raises:
             ConfigurationError: a topic is published with another type.

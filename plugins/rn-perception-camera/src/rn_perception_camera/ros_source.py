@@ -1,4 +1,4 @@
-"""Cameras whose images a driver publishes on ROS topics, as a perception source."""
+"""Perception source for cameras whose driver publishes images on ROS topics."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from roboneuron import CameraProfile, Frame, NotReadyError, Topics
 
 
 class RosCameras:
-    """Takes the newest image of each camera's topic; follows the protocol `PerceptionSource`.
+    """Returns the newest image of each camera's topic; implements `PerceptionSource`.
 
-    Drivers may come and go, reliable or best effort; images keep their capture stamps.
+    Drivers may start and stop at any time, reliable or best effort; images keep their capture
+    stamps.
     """
 
     def __init__(
@@ -56,11 +57,11 @@ class RosCameras:
         """Return the next frame, of the cameras in turn.
 
         Raises:
-            NotReadyError: none came within `timeout_s`; says for each camera why.
+            NotReadyError: none came within `timeout_s`; names the reason for each camera.
             StateError: not open.
             InvalidInputError: a damaged image, an unknown encoding, a bad stamp, or a message
-                without the image that is to be in it; that message is dropped.
-            ConfigurationError: a topic carries another type, or a camera_info cannot be used.
+                without its image; that message is dropped.
+            ConfigurationError: a topic has another type, or a camera_info cannot be used.
         """
         deadline_s = time.monotonic() + timeout_s
         while (taken := self._arrivals.take(deadline_s)) is not None:
@@ -77,7 +78,7 @@ class RosCameras:
         )
 
     def close(self) -> None:
-        """Take nothing more; a `read` in progress ends with StateError. May be called twice."""
+        """Stop reading; a `read` in progress ends with StateError. May be called twice."""
         self._arrivals.close()
 
     def _delivery(self, name: str) -> Callable[[Arrival], None]:

@@ -1,4 +1,4 @@
-"""Which of the cameras asked for have options, and what to say when one has none."""
+"""Check that the requested cameras have options."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ O = TypeVar("O")  # noqa: E741
 
 
 def check_cameras(source: str, cameras: Sequence[CameraProfile], options: Mapping[str, O]) -> None:
-    """Raises ConfigurationError when there is no camera to serve, or one without options."""
+    """Raise ConfigurationError if there is no camera to serve, or one without options."""
     missing = [camera.name for camera in cameras if camera.name not in options]
     if not cameras:
         raise ConfigurationError(f"The source {source!r} was given no camera to serve.")

@@ -1,4 +1,4 @@
-"""USB cameras and video files as a perception source."""
+"""Perception source for USB cameras and video files."""
 
 from __future__ import annotations
 
@@ -24,11 +24,10 @@ _JOIN_S = HANG_LIMIT_S + 1.0
 
 
 class VideoCameras:
-    """Grabs on one thread per camera and keeps the newest image; follows the protocol
-    `PerceptionSource`.
+    """Grabs on one thread per camera and keeps the newest image; implements `PerceptionSource`.
 
-    A frame is stamped when its grabbing ends, which is after its exposure by what the camera and
-    the bus take.
+    A frame is stamped at the end of grabbing, which is later than its exposure by the latency of
+    the camera and the bus.
     """
 
     def __init__(
@@ -46,11 +45,11 @@ class VideoCameras:
         self._newest_ns: dict[str, int] = {}
 
     def open(self) -> None:
-        """Open every camera and begin to grab.
+        """Open every camera and start grabbing.
 
         Raises:
-            ConfigurationError: no camera, one without options, a file that is absent or no video,
-                or a size that the device does not have.
+            ConfigurationError: no camera, one without options, a file that is absent or not a
+                video, or a size that the device does not have.
             NotReadyError: a device is absent or busy.
             StateError: it is open already, or a camera still hangs since the last `close`.
         """
@@ -83,7 +82,7 @@ class VideoCameras:
         """Return the next frame, of the cameras in turn.
 
         Raises:
-            NotReadyError: none came within `timeout_s`; says for each camera why.
+            NotReadyError: none came within `timeout_s`; names the reason for each camera.
             StateError: not open.
         """
         deadline_s = time.monotonic() + timeout_s
@@ -165,9 +164,7 @@ class VideoCameras:
 def _read_optics(
     options: VideoCameraOptions, size: tuple[int, int]
 ) -> tuple[F64 | None, Undistortion | None]:
-    """Intrinsics [px, pixel centres at integers + 0.5] and undistortion as the options tell
-    them.
-    """
+    """Intrinsics [px, pixel centres at integers + 0.5] and undistortion from the options."""
     if options.intrinsics is None:
         return None, None
     fx, fy, cx, cy = options.intrinsics

@@ -1,1 +1,1 @@
-"""The feature `recorder`: starts, steers and watches the recorder's process."""
+"""The feature `recorder`: starts, controls and monitors the recorder's process."""

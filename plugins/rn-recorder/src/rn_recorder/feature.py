@@ -1,4 +1,4 @@
-"""The feature: tells the recorder's process what happens in the server, and offers its tools."""
+"""The feature: forwards events of the server to the recorder's process, and provides its tools."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from roboneuron.feature import (
 log = logging.getLogger(__name__)
 FOLDER = "runs"
 _ORDINARY = frozenset({"ungrounded"})
-"""An instruction that a backend cannot follow is an answer, not a fault."""
+"""Errors that are not faults: an instruction that a backend cannot follow is a regular answer."""
 _SECTIONS = ("robot", "perception", "inference", "control", "limits")
 _MOST_ARGUMENTS = 4096
 CONTRACT = {
@@ -59,11 +59,11 @@ CONTRACT = {
     "images": "rgb8, stamped with capture time",
     "time": "ns since 1970 (ROS clock)",
 }
-"""Units and frames of the contract's streams, as every file says them."""
+"""Units and frames of the contract's streams, stored in every file."""
 
 
 def runs_directory(options: RecorderOptions, state_directory: Path) -> Path:
-    """Where runs are kept."""
+    """Directory of the runs."""
     return Path(options.directory).expanduser() if options.directory else state_directory / FOLDER
 
 
@@ -85,7 +85,7 @@ class Recorder(Feature[RecorderOptions]):
             )
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """start_recording, stop_recording, label_recording and list_recordings."""
+        """Return start_recording, stop_recording and list_recordings."""
         self._host = host
         self._store = RunStore(runs_directory(self.options, host.state_directory))
         self._restarting = threading.Lock()
@@ -123,12 +123,12 @@ class Recorder(Feature[RecorderOptions]):
 
     @property
     def is_enabled(self) -> bool:
-        """Whether there is a recorder."""
+        """True if recording is enabled."""
         return self.options.enabled and os.environ.get(SWITCH, "").lower() not in ("off", PLAY)
 
     def _record(self, process: RecorderProcess) -> None:
-        """Begin a recording as soon as a recorder obeys; one that ends before it answers is
-        followed by another.
+        """Start a recording as soon as a recorder is ready; if that one ends without an answer, the
+        next one is used.
         """
         while process.wait_for_status():
             run = str(process.status.get("recording", ""))
@@ -216,7 +216,7 @@ class Recorder(Feature[RecorderOptions]):
         self._note("health", facts, f"{view.kind}-{health}" if is_fault else "")
 
     def _on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:
-        # those are recorded anyway
+        # these are recorded anyway
         plain = {key: value for key, value in facts.items() if key != "actions"}
         self._note("fault", {"module": module, "fault": what, **plain}, f"{module}-{what}")
 
@@ -248,7 +248,7 @@ class Recorder(Feature[RecorderOptions]):
         self._note("call", facts)
 
     def _restart(self) -> None:
-        """Another robot has other topics: begin anew."""
+        """Start a new recording, because another robot has other topics."""
         with self._restarting:
             assert self._process is not None
             if self._host.config.namespace == self._namespace:
@@ -259,7 +259,7 @@ class Recorder(Feature[RecorderOptions]):
 
 
 def _mounts(profile: RobotProfile) -> tuple[CameraMount, ...]:
-    """Where the cameras are whose mount is known."""
+    """Mounts of the cameras, if known."""
     links = {"base": profile.base_link, "tcp": profile.tcp_link}
     links |= {f"{arm.name}/tcp": arm.tcp_link for arm in profile.arms}
     found = []

@@ -10,7 +10,7 @@ from roboneuron import Section
 
 
 class RecorderOptions(Section):
-    """`[recorder]`: what is recorded, where, and how much is kept."""
+    """`[recorder]`: content, place and retention of recordings."""
 
     enabled: bool = Field(
         default=True, description="false: no recorder's process, no ring, no incidents"

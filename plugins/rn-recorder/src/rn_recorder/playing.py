@@ -1,5 +1,5 @@
-"""The tool play_recording: recorded actions, through the gate, to a simulated robot; in servers
-started for that.
+"""Tool play_recording: sends recorded actions through the gate to a simulated robot; only in
+servers started for that.
 """
 
 from __future__ import annotations
@@ -38,9 +38,13 @@ if TYPE_CHECKING:
 
 F64 = NDArray[np.float64]
 _MOST_GAP_S = 1.0
-"""A longer pause between two recorded actions is shortened to this: control holds meanwhile."""
+"""Longest pause between two recorded actions; a longer one is shortened to this, since control
+holds meanwhile.
+"""
 _RATE_MARGIN = 1.001
-"""Of the least time between two actions: the gate counts in windows, and times are rounded."""
+"""Factor on the shortest time between two actions: the gate counts in windows, and times are
+rounded.
+"""
 _READY_S = 10.0
 _SETTLE_S = 1.0
 
@@ -54,7 +58,7 @@ class PlayRecording(Arguments):
 
 
 class PlayedRecording(Result):
-    """How it went."""
+    """Result of playing a recording."""
 
     sent: int = Field(description="actions")
     duration_s: float
@@ -134,8 +138,8 @@ def _play(
 
 
 def check_playable(streams: Streams) -> None:
-    """Raises InvalidInputError when there is no action, or one of another control space than the
-    gate judges.
+    """Raise InvalidInputError if there is no action, or one of another control space than the gate
+    checks.
     """
     if not streams.actions:
         raise InvalidInputError("The run holds no actions.", path="files")
@@ -154,11 +158,10 @@ def _motions(
     context: CallContext,
     arguments: PlayRecording,
 ) -> list[GateRequest]:
-    """All actions as one motion, or as several where one would last too long; each was judged by
-    the gate.
+    """Split the actions into motions within the maximum duration; each was checked by the gate.
 
     Raises:
-        RefusedError: the gate would not let one of them pass.
+        RefusedError: the gate would refuse one of them.
     """
     messages = [action_message(action.values) for action in streams.actions]
     due_s = pace([action.sent_ns for action in streams.actions], exposed.endpoint.rate_hz)
@@ -186,7 +189,7 @@ def _motions(
 def _send(
     host: Host, exposed: ExposedEndpoint, requests: Sequence[GateRequest], halt: threading.Event
 ) -> int:
-    """Play the motions, one after the other; returns the number of actions."""
+    """Play the motions in sequence; return the number of actions."""
     sent = 0
     for request in requests:
         at_s = request.send_at_s
@@ -204,7 +207,7 @@ def _send(
 
 
 def pieces(due_s: Sequence[float], most_s: float) -> Iterator[range]:
-    """Indices of actions in motions of at most `most_s`, in order."""
+    """Indices of the actions in motions of at most `most_s`, in order."""
     first = 0
     for index in range(1, len(due_s) + 1):
         if index == len(due_s) or due_s[index] - due_s[first] > most_s:
@@ -213,8 +216,8 @@ def pieces(due_s: Sequence[float], most_s: float) -> Iterator[range]:
 
 
 def pace(sent_ns: Sequence[int], rate_hz: float) -> list[float]:
-    """When each action is sent [s]: as recorded, with pauses shortened, and no faster than the
-    endpoint takes them.
+    """Time of each action [s]: as recorded, with shortened pauses, and within the
+    endpoint's rate.
     """
     least_s = _RATE_MARGIN / rate_hz if rate_hz else 0.0
     due_s = [0.0]
@@ -224,7 +227,7 @@ def pace(sent_ns: Sequence[int], rate_hz: float) -> list[float]:
 
 
 def action_message(vector: F64) -> object:
-    """An action of the contract as its message."""
+    """Convert an action of the contract to its message."""
     from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout  # heavy
 
     dimension = MultiArrayDimension(label=ACTION_LABEL, size=ACTION_SIZE, stride=ACTION_SIZE)
@@ -251,7 +254,7 @@ def _compare(streams: Streams, measured: F64) -> tuple[float, float | None]:
 
 
 class _TcpTrack:
-    """The measured positions of the TCP in the base frame, from its making to `close`."""
+    """Measured positions of the TCP in the base frame, from its creation to `close`."""
 
     def __init__(self, host: Host, exposed: ExposedEndpoint) -> None:
         _ = host.graph  # first: two threads must not import rclpy at the same time
@@ -262,7 +265,7 @@ class _TcpTrack:
         self.close = host.subscribe(PoseStamped, f"/{exposed.namespace}/ee_pose", self._take)
 
     def wait(self) -> None:
-        """Wait for the first. Raises NotReadyError."""
+        """Wait for the first position. Raises NotReadyError."""
         if not self._came.wait(_READY_S):
             self.close()
             raise NotReadyError(
@@ -270,7 +273,7 @@ class _TcpTrack:
             )
 
     def positions(self) -> F64:
-        """Those that came, float64 (n, 3) [m]."""
+        """The received positions, float64 (n, 3) [m]."""
         return np.array(self._positions)
 
     def _take(self, message: PoseStamped) -> None:

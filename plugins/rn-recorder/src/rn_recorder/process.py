@@ -1,7 +1,7 @@
-"""The recorder's process as the server sees it: orders through a bounded queue, answers, restarts.
+"""The recorder's process, controlled by the server: orders through a bounded queue, answers,
+restarts.
 
-Nothing here waits for the recorder but the tools that ask it something, and those for a bounded
-time.
+Only the tools that query the recorder wait for it, and those for a bounded time.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from roboneuron import NotReadyError
 log = logging.getLogger(__name__)
 MOST_ORDERS = 2000
 STALLED_S = 10.0
-"""Without a status for so long (it comes every 0.5 s), the recorder is ended and started again."""
+"""Time without a status (it comes every 0.5 s) after which the recorder is restarted."""
 STARTING_S = 60.0
-"""So long it may take to its first status: it imports ROS and joins, on a machine that is busy with
+"""Time allowed until its first status: it imports ROS and joins, on a machine that is busy with
 other starts.
 """
 _LEAVE_S = 4.0
 _BACKOFF_S = (0.5, 2.0, 5.0, 15.0, 30.0)
 _STEADY_S = 60.0
-"""A recorder that has run for so long may be started again at once."""
+"""Run time after which a recorder may be restarted at once."""
 Spawn = Callable[[int, str, str], "subprocess.Popen[bytes]"]
 
 
 class RecorderProcess:
-    """Keeps one recorder alive until `close`. Every method may be called from any thread.
+    """Keeps one recorder running until `close`. Every method may be called from any thread.
 
     Args:
-        spawn: starts one, given how many there were before, and id and name of a recording to go on
-            with.
-        observe: told of a pid when it ended.
+        spawn: starts one; called with the number of earlier ones, and id and name of a recording to
+            continue.
+        observe: called with the pid of an ended one.
     """
 
     def __init__(self, spawn: Spawn, observe: Callable[[int], object] = lambda pid: None) -> None:
         self._spawn = spawn
         self._observe = observe
-        # bounded by `_put`, because `queue.Queue` takes locks of Python on the thread of calls
+        # bounded by `_put`, because `queue.Queue` takes Python locks on the calling thread
         self._orders: queue.SimpleQueue[dict[str, object]] = queue.SimpleQueue()
         self._answers: dict[int, dict[str, Any]] = {}
         self._changed = threading.Condition()
@@ -64,13 +64,13 @@ class RecorderProcess:
 
     @property
     def pid(self) -> int | None:
-        """Of the process that runs."""
+        """Pid of the running process."""
         child = self._child
         return child.pid if child is not None and child.poll() is None else None
 
     @property
     def state(self) -> str:
-        """One word: off, starting, ok, stalled, ended."""
+        """State as one word: off, starting, ok, stalled, ended."""
         if self._thread is None:
             return "off"
         if self.pid is None:
@@ -80,13 +80,13 @@ class RecorderProcess:
         return "stalled" if time.monotonic() - self._told_s > 2.0 else "ok"
 
     def start(self) -> None:
-        """Begin; does nothing the second time."""
+        """Start; does nothing the second time."""
         if self._thread is None and not self._closing.is_set():
             self._thread = threading.Thread(target=self._keep, name="recorder", daemon=True)
             self._thread.start()
 
     def note(self, what: str, facts: Mapping[str, object], incident: str = "") -> None:
-        """Tell it of an event; never waits: what does not fit into the queue is dropped and
+        """Send an event; never blocks: an event that does not fit into the queue is dropped and
         counted.
         """
         order = {
@@ -100,17 +100,19 @@ class RecorderProcess:
             self.dropped += 1
 
     def _put(self, order: dict[str, object]) -> bool:
-        """Queue an order unless there are too many; threads at once may exceed that by one each."""
+        """Queue an order unless there are too many; concurrent threads may exceed the bound by one
+        each.
+        """
         has_room = self._orders.qsize() < MOST_ORDERS
         if has_room:
             self._orders.put(order)
         return has_room
 
     def ask(self, order: Mapping[str, object], timeout_s: float) -> dict[str, Any]:
-        """Have it do something and return its answer.
+        """Send an order and return the answer.
 
         Raises:
-            NotReadyError: it does not run, ended meanwhile, or gave no answer in time.
+            NotReadyError: it does not run, ended meanwhile, or did not answer in time.
         """
         with self._changed:
             self._number += 1
@@ -135,7 +137,7 @@ class RecorderProcess:
             return self._answers.pop(number)
 
     def wait_for_status(self) -> bool:
-        """Wait for the next status of a recorder that runs; whether there was one before
+        """Wait for the next status of a running recorder; return True if there was one before
         `close`.
         """
         with self._changed:
@@ -146,11 +148,11 @@ class RecorderProcess:
         return not self._closing.is_set()
 
     def resume_with(self, run_id: str, name: str) -> None:
-        """What the next one goes on with, should this one die; empty for nothing."""
+        """Set the recording that the next process continues if this one dies; empty for none."""
         self._resume = (run_id, name)
 
     def close(self) -> None:
-        """Let it finish its files, for a bounded time; idempotent."""
+        """Wait a bounded time for it to finish its files; idempotent."""
         self._closing.set()
         with self._changed:
             self._changed.notify_all()
@@ -165,7 +167,7 @@ class RecorderProcess:
             thread.join(2.0)
 
     def _keep(self) -> None:
-        """Start it, and again whenever it ends."""
+        """Start the process, and restart it whenever it ends."""
         while not self._closing.is_set():
             begun_s = time.monotonic()
             try:
@@ -185,7 +187,7 @@ class RecorderProcess:
             self._closing.wait(delay_s)
 
     def _serve(self, child: subprocess.Popen[bytes]) -> None:
-        """Carry orders and answers until it ends."""
+        """Transfer orders and answers until it ends."""
         self._child, self._told_s, self.status = child, time.monotonic(), {}
         ended = threading.Event()
         threads = [

@@ -111,7 +111,7 @@ class RunEntry(Result):
 
 
 class Recordings(Result):
-    """What is there, newest first, and the recorder's state."""
+    """Recordings and incidents, newest first, and the recorder's state."""
 
     recorder: str = Field(description="ok, starting, stalled, ended, or off")
     recording: str = Field(description="id of the recording in progress; empty for none")
@@ -126,17 +126,15 @@ class Recordings(Result):
 
 
 class RecordingEnds:
-    """Ends a recording after its time, by a thread of its own; a newer recording or `close`
-    replaces the time.
-    """
+    """Timer that ends a recording; a newer recording or `close` replaces it."""
 
     def __init__(self) -> None:
         self.what: Callable[[str], object] = lambda run: None
-        """Called with the id of the recording whose time is over."""
+        """Called with the id of the recording to be ended."""
         self._timer: threading.Timer | None = None
 
     def after(self, duration_s: float | None, run: str) -> None:
-        """End the recording `run` after this time; None: not by time."""
+        """End the recording `run` after this time; None for no limit."""
         self.close()
         if duration_s is not None:
             self._timer = threading.Timer(duration_s, self._end, (run,))
@@ -144,7 +142,7 @@ class RecordingEnds:
             self._timer.start()
 
     def close(self) -> None:
-        """Forget the time; may be called twice."""
+        """Cancel the timer; may be called twice."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
@@ -162,7 +160,7 @@ def recording_tools(
     is_enabled: bool,
     ends: RecordingEnds,
 ) -> list[Tool]:
-    """start_recording, stop_recording, label_recording and list_recordings."""
+    """Create start_recording, stop_recording and list_recordings."""
     labelling = threading.Lock()  # two pages may label at once
 
     def recorder() -> RecorderProcess:
@@ -180,7 +178,7 @@ def recording_tools(
         return answer
 
     def end(run: str) -> None:
-        """The time of the recording is over; one that was stopped has taken its time back."""
+        """End a recording whose time is over; a stopped one has cancelled its timer."""
         recorder().resume_with("", "")
         ask({"do": "stop", "facts": {}})
 

@@ -1,1 +1,1 @@
-"""A deployed policy beside recorded actions: the command `roboneuron check-policy`."""
+"""Comparison of a deployed policy with recorded actions: the command `roboneuron check-policy`."""

@@ -1,4 +1,4 @@
-"""Frames of a demonstration, put to a deployed backend as the server would."""
+"""Evaluation of a deployed backend on the frames of a demonstration, as in the server."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from roboneuron import (
 
 F64 = NDArray[np.float64]
 LEAST_FRAMES = 10
-"""Fewer answers say nothing of scale and lag."""
+"""Minimum number of answers for a statement on scale and lag."""
 _NS = 1_000_000_000
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BackendQuery:
-    """What is asked.
+    """Parameters of the evaluation.
 
     Attributes:
-        mapping: of names.
-        feature: the feature that holds the actions.
-        cameras: feature with pictures by role of the backend, where the names differ.
-        frames: how many observations of the episode.
+        mapping: mapping of names.
+        feature: the feature with the actions.
+        cameras: image feature by role of the backend, if the names differ.
+        frames: number of observations of the episode.
         instruction: in place of the recorded one.
     """
 
@@ -53,11 +53,11 @@ class BackendQuery:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BackendReplies:
-    """The answers, and what was refused.
+    """Answers and refusals.
 
     Attributes:
-        refused: frames to which the backend gave no answer.
-        refusal: why, of the first of them.
+        refused: frames that the backend refused.
+        refusal: reason of the first refusal.
     """
 
     answers: Answers
@@ -68,8 +68,8 @@ class BackendReplies:
 def ask(
     deployed: DeployedBackend, demonstration: Demonstration, question: BackendQuery
 ) -> BackendReplies:
-    """Ask a loaded backend for frames at equal distances; it is reset before each one, so that an
-    answer depends on its frame alone.
+    """Evaluate a loaded backend on equidistant frames; it is reset before each one, so that an
+    answer depends on its frame only.
 
     Raises:
         InvalidInputError: names, cameras or instruction are missing; or too few answers came.
@@ -109,7 +109,7 @@ def ask(
     horizon = min(len(chunk.actions) for chunk in chunks)
     joints = np.full_like(recorded, np.nan)
     for place, channel in enumerate(space.channels):
-        # names of joints are those of one arm already
+        # names of joints already belong to one arm
         if channel.name in deployed.profile.arm_joints and channel.name in states.values:
             joints[:, place] = states.values[channel.name]
     orientations = states.stacked(QUATERNION)
@@ -131,7 +131,7 @@ def ask(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _ArmStates:
-    """What was recorded of one arm; None where something was not.
+    """Recorded state of one arm; None for missing parts.
 
     Attributes:
         positions_m, quaternions: of the TCP, base frame, float64 (n, 3) and (n, 4).
@@ -144,7 +144,7 @@ class _ArmStates:
 
     @classmethod
     def of(cls, arm: ArmProfile, states: RecordedStates) -> _ArmStates:
-        """Those of an arm, by the names of its channels."""
+        """State of an arm, by the names of its channels."""
 
         def stacked(names: Sequence[str]) -> F64 | None:
             return states.stacked([f"{arm.name}/{x}" if arm.name else x for x in names])
@@ -168,7 +168,7 @@ class _ArmStates:
 
 
 class _Observations:
-    """Observations of a demonstration, as the backend's descriptor asks for them."""
+    """Observations of a demonstration, with the inputs that the backend's descriptor requires."""
 
     def __init__(
         self,
@@ -190,7 +190,7 @@ class _Observations:
         for arm in profile.each_arm:
             openings = self._arms[arm.name].openings
             if self._joints is not None and arm.gripper is not None and openings is not None:
-                # the driver reports the gripper's joint beside the arm's
+                # the driver reports the gripper's joint with the arm's
                 fingers = [arm.gripper.to_position(float(opening)) for opening in openings]
                 self._joints = np.column_stack([self._joints, fingers])
                 self._names = (*self._names, arm.gripper.joint)
@@ -222,7 +222,7 @@ class _Observations:
         return found
 
     def read(self, rows: Sequence[int]) -> None:
-        """Decode the pictures of these rows. Raises InvalidInputError, MissingDependencyError."""
+        """Decode the images of these rows. Raises InvalidInputError, MissingDependencyError."""
         for role, key in self._sources.items():
             camera = self._deployed.cameras[role]
             images = self._demonstration.read_pictures(key, rows)
@@ -240,7 +240,7 @@ class _Observations:
         return round((1 + row / self._demonstration.fps) * _NS)
 
     def at(self, row: int) -> Observation:
-        """The observation of a row that was read."""
+        """The observation of a decoded row."""
         stamp_ns = self._stamp_ns(row)
         joints = None
         measured: dict[str, tuple[Pose | None, float | None]] = {}

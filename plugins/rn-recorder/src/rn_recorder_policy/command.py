@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 class CheckPolicy:
-    """Compare a policy's answers to recorded observations with the recorded actions, and say what
-    is probably wired wrong.
+    """Compare a policy's answers to recorded observations with the recorded actions, and report
+    probable configuration errors.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -73,7 +73,7 @@ class CheckPolicy:
         add("--json", action="store_true", help="for programs")
 
     def run(self, arguments: Namespace) -> int:
-        """Run `roboneuron check-policy`; status 1 when something is probably wired wrong."""
+        """Run `roboneuron check-policy`; status 1 if there is a probable error."""
         from rn_recorder_policy.report import show
 
         report = check_policy(arguments)
@@ -85,7 +85,7 @@ class CheckPolicy:
 
 
 def check_policy(arguments: Namespace) -> CheckReport:
-    """Read the episode, load the backend, ask and compare.
+    """Read the episode, load the backend, evaluate and compare.
 
     Raises:
         RoboNeuronError: something is missing, unknown, or does not fit.
@@ -131,11 +131,11 @@ def check_policy(arguments: Namespace) -> CheckReport:
 
 
 def read_demonstration(path: Path, episode: int) -> Demonstration:
-    """An episode of whatever is at that path.
+    """Read an episode of the data set or recording at that path.
 
     Raises:
         InvalidInputError: it is neither a data set nor a recording, or as their readers.
-        MissingDependencyError: what reads it is not installed.
+        MissingDependencyError: the package that reads it is not installed.
     """
     from rn_recorder_policy.lerobot_reading import INFO, read_lerobot
     from rn_recorder_policy.run_reading import read_run
@@ -153,7 +153,7 @@ def read_demonstration(path: Path, episode: int) -> Demonstration:
 
 
 def _build(settings: Config, arguments: Namespace) -> DeployedBackend:
-    """The backend that the arguments name, otherwise the configured one.
+    """Build the backend named in the arguments, otherwise the configured one.
 
     Raises:
         ConfigurationError: none is named, or it belongs to another interpreter.

@@ -1,4 +1,4 @@
-"""What is wrong with single channels: sign, unit, scale, offset, or an inverted gripper."""
+"""Errors of single channels: sign, unit, scale, offset, or an inverted gripper."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ _FACTORS = {
     "opening": (100.0, 0.01),
     "1": (),
 }
-"""Ratios of units that people confuse."""
+"""Ratios of commonly confused units."""
 _TOLERATED = (0.7, 1.4)
-"""Scales that a policy has which is too timid or too bold, wired rightly."""
+"""Scales of a correctly configured policy that is too cautious or too aggressive."""
 _LEAST_OFFSET = 0.2
-"""Smaller offsets, in shares of the spread, are a policy's own."""
+"""Smaller offsets, as fractions of the spread, are the policy's own."""
 _LARGEST_LOSS = 0.4
 _LEAST_RATIO = 4.0
-"""A correction has to reduce the loss to a fourth."""
+"""Minimum factor by which a correction has to reduce the loss."""
 _AS_GOOD = 0.5
-"""A simpler correction is taken when the best one gains no more than this, in logarithms."""
+"""A simpler correction is preferred if the best one is better by at most this, in logarithms."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelCorrection:
-    """What one channel's answers are of the expected ones: `scale * expected + offset`.
+    """Relation of one channel's answers to the expected ones: `scale * expected + offset`.
 
     Attributes:
         kind: "sign", "degrees", "scale", "offset", "gripper", "statistics" (scale and offset).
-        loss: what is left, in shares of the variance.
+        loss: the remaining loss, as a fraction of the variance.
     """
 
     kind: str
@@ -50,14 +50,14 @@ class ChannelCorrection:
 def correction_of(
     answers: Answers, expected: F64, channel: int, loss: float
 ) -> ChannelCorrection | None:
-    """The simplest correction that explains the answers of a channel; None when none is needed or
-    none does.
+    """The simplest correction that explains the answers of a channel; None if none is necessary or
+    sufficient.
 
     Args:
-        answers: of the backend.
+        answers: those of the backend.
         expected: float64 (N, K, C).
         channel: number of the channel.
-        loss: of the channel without correction.
+        loss: loss of the channel without correction.
     """
     size = answers.space.size
     least = float(answers.least_spreads(expected.reshape(-1, size))[channel])
@@ -82,12 +82,12 @@ def correction_of(
 def _candidates(
     p: F64, e: F64, least: float, unit: str, is_gripper: bool
 ) -> list[tuple[str, float, float]]:
-    """Kind, scale and offset of what may be, the simplest first."""
+    """Kind, scale and offset of possible corrections, simplest first."""
     spread = float(e.std())
     shift = float((p - e).mean())
     found: list[tuple[str, float, float]] = []
     if spread < least:
-        # it hardly moves: nothing can be said of sign and scale
+        # it hardly moves: sign and scale are undetermined
         if is_gripper and abs(float((p + e).mean()) - 1.0) < _LEAST_OFFSET:
             found.append(("gripper", -1.0, 1.0))
         elif abs(shift) > 2.0 * least:

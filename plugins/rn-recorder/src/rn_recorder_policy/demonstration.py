@@ -1,4 +1,4 @@
-"""One recorded episode, whichever files it comes from: columns of numbers, and pictures."""
+"""One recorded episode from any file format: columns of numbers, and images."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 ACTION, STATE = "action", "observation.state"
 INTERVENTION = "intervention"
-"""1 where a person acted, else 0."""
+"""Column that is 1 where a person acted, else 0."""
 IMAGES = "observation.images."
 
 
 class ReadPictures(Protocol):
-    """Reads pictures of one camera."""
+    """Reads images of one camera."""
 
     def __call__(self, camera: str, rows: Sequence[int]) -> list[U8]:
-        """The pictures of these rows, in rising order; uint8 (H, W, 3), RGB.
+        """Return the images of these rows, in ascending order; uint8 (H, W, 3), RGB.
 
         Raises:
             InvalidInputError: one is missing.
-            MissingDependencyError: what decodes them is not installed.
+            MissingDependencyError: the decoder is not installed.
         """
         ...
 
@@ -35,7 +35,7 @@ class Column:
     """Numbers of an episode.
 
     Attributes:
-        names: of the values; None where the files do not name them.
+        names: names of the values; None if missing in the files.
         values: float64 (n, k), as recorded.
     """
 
@@ -48,12 +48,12 @@ class Demonstration:
     """An episode of n rows.
 
     Attributes:
-        source: where it comes from, for messages.
+        source: its origin, for messages.
         fps: rows per second.
-        instruction: what was done; empty where the files do not say.
-        columns: by name of the feature; `ACTION`, `STATE`, `INTERVENTION` and others that
-            begin with "observation.".
-        cameras: names of the features with pictures.
+        instruction: the instruction; empty if missing in the files.
+        columns: by name of the feature; `ACTION`, `STATE`, `INTERVENTION` and others that begin
+            with "observation.".
+        cameras: names of the features with images.
         read_pictures: reads them.
     """
 
@@ -66,5 +66,5 @@ class Demonstration:
 
     @property
     def rows(self) -> int:
-        """How many."""
+        """Number of rows."""
         return len(next(iter(self.columns.values())).values)

@@ -1,4 +1,6 @@
-"""What is probably wired wrong: the simplest explanation of how answers differ from a recording."""
+"""Diagnosis of probable configuration errors: the simplest explanation for differences between
+answers and a recording.
+"""
 
 from __future__ import annotations
 
@@ -34,9 +36,9 @@ KINDS = (
 _COST = 0.08
 _STATISTICS_COST = 0.2
 _LEAST_GAIN = 0.1
-"""What an explanation has to gain beyond its cost."""
+"""Minimum gain of an explanation beyond its cost."""
 _MOST_CHANNELS = 0.6
-"""Share of the channels with scale or offset from which on the statistics of all are suspected."""
+"""Fraction of channels with scale or offset from which the statistics of all are suspected."""
 _FOLLOWS = 0.6
 """A moving channel with a larger loss does not follow the recording."""
 _ALIKE = 0.1
@@ -44,13 +46,13 @@ _ALIKE = 0.1
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class WiringFault:
-    """One thing that is probably wired wrong.
+    """One probable configuration error.
 
     Attributes:
         kind: one of `KINDS`.
-        channels: names of those that it touches.
-        text: what was found, as a sentence.
-        remedy: what to look at.
+        channels: names of the affected channels.
+        text: the finding, as a sentence.
+        remedy: what to check.
     """
 
     kind: str
@@ -61,12 +63,12 @@ class WiringFault:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Diagnosis:
-    """What was found.
+    """Result of the diagnosis.
 
     Attributes:
-        faults: empty when answers and recording agree.
+        faults: empty if answers and recording agree.
         before, after: loss by channel, without and with the explanation, float64 (C,), 0 .. 1.
-        expected: float64 (N, K, C), what a backend would answer that repeats the recording.
+        expected: float64 (N, K, C), answers of a backend that repeats the recording.
     """
 
     faults: tuple[WiringFault, ...]
@@ -84,7 +86,7 @@ class _Explanation:
 
 
 def diagnose(answers: Answers) -> Diagnosis:
-    """Compare answers with the recording, and explain what differs."""
+    """Compare answers with the recording, and explain the differences."""
     possible = list(structures(answers))
     same = possible[0]
     before = losses_of(answers, same.expected)
@@ -106,7 +108,7 @@ def diagnose(answers: Answers) -> Diagnosis:
 
 def _explain(answers: Answers, structure: Structure, before: F64) -> _Explanation:
     losses = losses_of(answers, structure.expected)
-    # what a structure does not tell stays as bad as it was
+    # channels that a structure does not determine keep their loss
     losses = np.where(np.isfinite(losses), losses, before)
     found = {}
     for channel, loss in enumerate(losses):
@@ -127,14 +129,14 @@ def _explain(answers: Answers, structure: Structure, before: F64) -> _Explanatio
 def _cost(kind: str, channels: Sequence[int]) -> float:
     if kind == "statistics":
         return _STATISTICS_COST
-    # signs are set one by one, units and scales for all alike
+    # signs are set individually, units and scales for all channels
     return _COST * (len(channels) if kind == "sign" else 1)
 
 
 def _groups(
     answers: Answers, corrections: Mapping[int, ChannelCorrection]
 ) -> list[tuple[str, tuple[int, ...]]]:
-    """Corrections that are one fault, by kind, with their channels."""
+    """Group corrections that are one fault, by kind, with their channels."""
     motion = np.flatnonzero(~answers.is_gripper)
     by_kind: dict[str, list[int]] = {}
     for channel, correction in corrections.items():
@@ -211,7 +213,7 @@ def _faults_of(answers: Answers, found: _Explanation) -> list[WiringFault]:
 
 
 def _told(kind: str, keys: Sequence[str], corrections: Sequence[ChannelCorrection]) -> str:
-    """What a group of corrections is, as a sentence."""
+    """Describe a group of corrections as a sentence."""
     names = ", ".join(keys)
     first = corrections[0]
     if kind == "sign":
@@ -235,7 +237,7 @@ def _told(kind: str, keys: Sequence[str], corrections: Sequence[ChannelCorrectio
 
 
 def _declared_rate(answers: Answers) -> list[WiringFault]:
-    """The rate that a backend says, where its answers cannot show another one."""
+    """Check the rate declared by a backend, if its answers cannot show another one."""
     if answers.horizon > 1 or answers.stretch == 1.0 or answers.space.kind == "ee_delta":
         return []
     return [
@@ -252,8 +254,8 @@ def _declared_rate(answers: Answers) -> list[WiringFault]:
 def _unexplained(
     answers: Answers, expected: F64, losses: F64, told: NDArray[np.bool_]
 ) -> list[WiringFault]:
-    """Channels that move and whose answers follow nothing that was looked for, but for those that
-    are `told` of already or cannot be judged, (C,).
+    """Moving channels without any explanation, except those already reported (`told`) or
+    undetermined, (C,).
     """
     size = answers.space.size
     flat = expected.reshape(-1, size)

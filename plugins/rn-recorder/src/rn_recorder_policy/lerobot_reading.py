@@ -1,7 +1,7 @@
 """One episode of a LeRobot data set, v2.0, v2.1 or v3.0, read without lerobot.
 
 Source of the layouts: lerobot 0.3.3 (v2.1) and 0.6.1 (v3.0), `datasets/utils.py`, and data sets
-that they wrote.
+written by them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class _Feature(TypedDict):
 
 
 class _Info(TypedDict):
-    """What is read of meta/info.json."""
+    """Used parts of meta/info.json."""
 
     codebase_version: NotRequired[str]
     fps: float
@@ -45,7 +45,7 @@ class _Info(TypedDict):
 
 
 def read_lerobot(directory: Path, episode: int) -> Demonstration:
-    """An episode of the data set in a folder.
+    """Read an episode of the data set in a folder.
 
     Raises:
         InvalidInputError: the version is another one, there is no such episode, or a file is
@@ -66,7 +66,7 @@ def read_lerobot(directory: Path, episode: int) -> Demonstration:
 
 
 def episode_count(directory: Path) -> int:
-    """How many episodes a data set has. Raises InvalidInputError when it is none."""
+    """Number of episodes of a data set. Raises InvalidInputError for another folder."""
     return int(_json(directory / INFO).get("total_episodes", 0))
 
 
@@ -91,7 +91,7 @@ class _Episode:
             raise InvalidInputError(f"{path} holds no rows of episode {number}.")
 
     def demonstration(self) -> Demonstration:
-        """What was read."""
+        """The read episode."""
         columns = {
             name: Column(names=_names(feature.get("names")), values=self._numbers(name))
             for name, feature in self._features.items()
@@ -110,7 +110,7 @@ class _Episode:
         )
 
     def read_pictures(self, camera: str, rows: Sequence[int]) -> list[U8]:
-        """As `ReadPictures`."""
+        """See `ReadPictures`."""
         if self._features[camera]["dtype"] == "image":
             cells = self._table.column(camera)
             return [self._image(cells[row].as_py(), camera) for row in rows]
@@ -132,7 +132,7 @@ class _Episode:
         raise InvalidInputError(f"An image of {place} is missing.")
 
     def _place(self, what: str) -> dict[str, int]:
-        """What the templates of paths ask for."""
+        """Values for the path templates."""
         if self._is_old:
             chunk = self._number // int(self._info.get("chunks_size", _CHUNK_SIZE))
             return {"episode_chunk": chunk, "episode_index": self._number}
@@ -147,7 +147,7 @@ class _Episode:
 
 
 def _names(names: object) -> tuple[str, ...] | None:
-    """Names as files of different age hold them: a list, or lists by group."""
+    """Names in the formats of files of different age: a list, or lists by group."""
     if isinstance(names, Mapping):
         return tuple(name for part in names.values() for name in _names(part) or ())
     if isinstance(names, str):
@@ -183,7 +183,7 @@ def _no_such(directory: Path, info: _Info, episode: int) -> InvalidInputError:
 
 
 def _read_table(path: Path, filters: list[tuple[str, str, int]]) -> Any:
-    """A table of pyarrow. Raises InvalidInputError, MissingDependencyError."""
+    """Read a table with pyarrow. Raises InvalidInputError, MissingDependencyError."""
     try:
         import pyarrow as pa  # heavy
         import pyarrow.parquet as pq

@@ -1,4 +1,6 @@
-"""How far answers are from what was expected, by channel, in shares of the expected movement."""
+"""Differences between answers and expected values by channel, as fractions of the expected
+movement.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +11,20 @@ from rn_recorder_policy.answers import Answers
 
 F64 = NDArray[np.float64]
 LEAST_PAIRS = 10
-"""Rows that have to be compared before anything is said of a channel."""
+"""Minimum number of compared rows for a statement on a channel."""
 FLOOR = 0.003
-"""Shares below this are equal: a policy never repeats its data to the last digit."""
+"""Losses below this count as equal: a policy never repeats its data exactly."""
 
 
 def pairs(predicted: F64, expected: F64) -> tuple[F64, F64]:
-    """Predicted and expected values of one channel where both are known, float64 (m,)."""
+    """Predicted and expected values of one channel, if both are known, float64 (m,)."""
     known = np.isfinite(predicted) & np.isfinite(expected)
     return predicted[known], expected[known]
 
 
 def loss_of(predicted: F64, expected: F64, least_spread: float) -> float:
-    """Mean squared error in shares of the variance of `expected`, 0 .. 1 (1: as bad as anything);
-    NaN when too few rows are known.
+    """Mean squared error as a fraction of the variance of `expected`, 0 .. 1 (1 is the maximum);
+    NaN if too few rows are known.
     """
     p, e = pairs(predicted, expected)
     if len(p) < LEAST_PAIRS:
@@ -44,5 +46,5 @@ def losses_of(answers: Answers, expected: F64) -> F64:
 
 
 def badness(losses: F64) -> float:
-    """Mean logarithm of losses: what is compared between explanations; the smaller the better."""
+    """Mean logarithm of losses, by which explanations are compared; smaller is better."""
     return float(np.log(losses + FLOOR).mean())

@@ -1,4 +1,6 @@
-"""The answers of each channel beside the recording: error, scale, offset, correlation, lag."""
+"""Measures of each channel's answers against the recording: error, scale, offset,
+correlation, lag.
+"""
 
 from __future__ import annotations
 
@@ -14,23 +16,23 @@ from rn_recorder_policy.structures import MOST_SHIFT
 
 F64 = NDArray[np.float64]
 _FOLLOWS = 0.3
-"""With a smaller correlation no lag can be told."""
+"""Correlation below which the lag is undetermined."""
 _LAG_GAIN = 0.01
-"""By so much the correlation has to be better at another lag."""
+"""Minimum improvement of the correlation at another lag."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ChannelMeasures:
-    """One channel. Answers are about `scale * recorded + offset`.
+    """Measures of one channel. Answers are about `scale * recorded + offset`.
 
     Attributes:
-        unit: of `rms_error`, `spread` and `offset`.
+        unit: unit of `rms_error`, `spread` and `offset`.
         rms_error: root of the mean squared difference between answers and recording.
         spread: standard deviation of the recording.
-        scale, offset, correlation: of the answers against the recording; None where the recording
-            does not move.
-        lag_rows: rows by which the answers come too late (negative: too early); None likewise, and
-            where they do not follow the recording.
+        scale, offset, correlation: of the answers against the recording; None if the recording does
+            not move.
+        lag_rows: rows by which the answers come too late (negative: too early); None if the
+            recording does not move or is not followed.
     """
 
     channel: str
@@ -43,7 +45,7 @@ class ChannelMeasures:
     lag_rows: int | None
 
     def to_dict(self) -> Mapping[str, object]:
-        """For JSON."""
+        """Convert to JSON values."""
         return asdict(self)
 
 

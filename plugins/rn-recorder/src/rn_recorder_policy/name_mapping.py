@@ -1,4 +1,4 @@
-"""Which value of a data set is which channel of the robot: by name, never by place unless asked."""
+"""Mapping of a data set's values to the robot's channels: by name, by position only on request."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ F64 = NDArray[np.float64]
 POSITION = ("x_m", "y_m", "z_m")
 QUATERNION = ("qx", "qy", "qz", "qw")
 _SUFFIXES = (".pos", ".vel")
-"""What lerobot's robots append to the names of motors."""
+"""Suffixes that lerobot's robots append to the names of motors."""
 _ANGLES = ("rad", "rad/s")
 _HINT = "Name them: --map NAME=CHANNEL, or --map FEATURE:NAME=CHANNEL; or say --in-order."
 
 
 @dataclass(frozen=True, kw_only=True)
 class NameMapping:
-    """How the names of a data set are read.
+    """Interpretation of a data set's names.
 
     Attributes:
         renamed: channel by name, or by "feature:name".
-        in_order: values are taken by their place, whatever their names.
+        in_order: values are mapped by position, whatever their names.
         in_degrees: recorded angles are degrees.
     """
 
@@ -44,7 +44,7 @@ class NameMapping:
     in_degrees: bool = False
 
     def actions(self, demonstration: Demonstration, feature: str, space: ControlSpace) -> F64:
-        """The recorded actions by channel, float64 (n, C).
+        """Return the recorded actions by channel, float64 (n, C).
 
         Raises:
             InvalidInputError: there is no such feature, or its names are not those of the space.
@@ -77,7 +77,7 @@ class NameMapping:
         return values
 
     def states(self, demonstration: Demonstration, profile: RobotProfile) -> RecordedStates:
-        """The recorded states that the names tell of."""
+        """Return the recorded states with known names."""
         found: dict[str, F64] = {}
         for feature, column in demonstration.columns.items():
             if feature.startswith("observation.") and not (self.in_order and feature == STATE):
@@ -93,7 +93,7 @@ class NameMapping:
         return RecordedStates(values=found)
 
     def check(self, demonstration: Demonstration) -> None:
-        """Raises ConfigurationError for a renamed value that the data set does not have."""
+        """Raise ConfigurationError for a renamed value that is missing in the data set."""
         known = {
             name
             for feature, column in demonstration.columns.items()
@@ -120,7 +120,7 @@ class NameMapping:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedStates:
-    """What was measured, by channel.
+    """Measured states by channel.
 
     Attributes:
         values: float64 (n,) by name of a joint, `GRIPPER`, or coordinate of the TCP.
@@ -129,15 +129,13 @@ class RecordedStates:
     values: Mapping[str, F64]
 
     def stacked(self, names: Sequence[str]) -> F64 | None:
-        """These channels side by side, float64 (n, k); None when one of them is missing."""
+        """These channels in columns, float64 (n, k); None if one of them is missing."""
         if not names or any(name not in self.values for name in names):
             return None
         return np.stack([self.values[name] for name in names], axis=1)
 
     def openings(self, arm: ArmProfile) -> F64 | None:
-        """The opening of an arm's gripper, 0 closed .. 1 open, float64 (n,); None when not
-        recorded.
-        """
+        """Opening of an arm's gripper, 0 closed .. 1 open, float64 (n,); None if not recorded."""
         key = f"{arm.name}/{GRIPPER}" if arm.name else GRIPPER
         if key in self.values:
             return self.values[key]
@@ -148,7 +146,7 @@ class RecordedStates:
 
 
 def parse_renamed(texts: Sequence[str]) -> dict[str, str]:
-    """`--map` as a table. Raises ConfigurationError for a text without "="."""
+    """Parse `--map` to a table. Raises ConfigurationError for a text without "="."""
     found = {}
     for text in texts:
         name, equals, channel = text.rpartition("=")

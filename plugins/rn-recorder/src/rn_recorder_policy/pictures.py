@@ -1,4 +1,4 @@
-"""Pictures of a data set: frames of a video by their times, and images inside of tables."""
+"""Images of a data set: frames of a video by their times, and images inside of tables."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ U8 = NDArray[np.uint8]
 
 
 def read_video_frames(path: Path, times_s: Sequence[float], fps: float) -> list[U8]:
-    """The frames of a video that are shown at these times, uint8 (H, W, 3), RGB.
+    """Read the frames of a video at these times, uint8 (H, W, 3), RGB.
 
     Args:
-        path: of the video.
-        times_s: in rising order, since the begin of the video [s].
-        fps: of the video; a frame counts when it is nearer than half a period.
+        path: path of the video.
+        times_s: in ascending order, since the beginning of the video [s].
+        fps: frame rate of the video; a frame matches within half a period.
 
     Raises:
         InvalidInputError: the file or a frame is missing, or it cannot be decoded.
@@ -57,7 +57,7 @@ def read_video_frames(path: Path, times_s: Sequence[float], fps: float) -> list[
 
 
 def decode_image(data: bytes, place: str) -> U8:
-    """A PNG or JPEG image as uint8 (H, W, 3), RGB; `place` says for messages where it was.
+    """Decode a PNG or JPEG image to uint8 (H, W, 3), RGB; `place` names it in messages.
 
     Raises:
         InvalidInputError: it cannot be decoded.

@@ -1,4 +1,4 @@
-"""What a check showed, for people and for programs."""
+"""Report of a check, for users and for programs."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ class CheckReport:
 
     @property
     def answers(self) -> Answers:
-        """What was compared."""
+        """The compared answers."""
         return self.asked.answers
 
     def measures(self) -> list[ChannelMeasures]:
-        """Of each channel."""
+        """Measures of each channel."""
         return measure(self.answers, self.diagnosis.expected)
 
     def to_dict(self) -> dict[str, object]:
-        """For JSON; numbers that are not known are null."""
+        """Convert to JSON values; unknown numbers are null."""
         answers = self.answers
         return {
             "source": self.source,
@@ -69,7 +69,7 @@ class CheckReport:
 
 
 def show(report: CheckReport) -> None:
-    """Print a table and what was found."""
+    """Print a table and the findings."""
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text

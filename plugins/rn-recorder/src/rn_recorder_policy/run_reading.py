@@ -1,4 +1,4 @@
-"""One episode of a recording of our own as a demonstration."""
+"""One episode of a RoboNeuron recording as a demonstration."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ U8 = NDArray[np.uint8]
 
 
 def read_run(files: Sequence[Path], episode: int) -> Demonstration:
-    """An episode of the run in these MCAP files, oldest first.
+    """Read an episode of the run in these MCAP files, oldest first.
 
     Raises:
-        InvalidInputError: it holds no such episode, or one without two actions.
+        InvalidInputError: there is no such episode, or it has fewer than two actions.
     """
     first = files[0]
     name = first.parent.name if first.stem.startswith("part-") else first.stem
@@ -70,7 +70,7 @@ class _RunPictures:
         self._files, self._episode = files, episode
 
     def read(self, camera: str, rows: Sequence[int]) -> list[U8]:
-        """As `ReadPictures`."""
+        """See `ReadPictures`."""
         name = camera.removeprefix(IMAGES)
         wanted = [self._episode.rows[row].images[name] for row in rows]
         found: dict[int, U8] = {}

@@ -1,5 +1,5 @@
-"""What a backend would answer if its answers were wired wrongly as a whole: shifted, at another
-rate, in another frame, relative or absolute, with channels in another order.
+"""Hypotheses on configuration errors of answers as a whole: shifted, at another rate, in another
+frame, relative or absolute, with another order of channels.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from rn_recorder_policy.losses import FLOOR, LEAST_PAIRS, loss_of
 
 F64 = NDArray[np.float64]
 MOST_SHIFT = 10
-"""Rows by which answers are looked for in the recording."""
+"""Largest shift in rows by which answers are searched in the recording."""
 _STRETCHES = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
 _LEAST_TURN_RAD = np.radians(10.0)
 _LARGEST_LOSS = 0.4
-"""A channel with a larger loss has not the values of the other one."""
+"""A channel with a larger loss does not contain the values of the other one."""
 _LEAST_GAIN = 0.5
-"""What an exchange of two channels has to gain in logarithms: still channels are all alike."""
+"""Minimum gain, in logarithms, of an exchange of two channels: still channels are all alike."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Structure:
-    """One way in which answers as a whole may differ from the recording.
+    """One possible difference between the answers as a whole and the recording.
 
     Attributes:
-        kind: of the fault; "" for none.
-        text: what it is, as a clause.
-        expected: float64 (N, K, C), what would be answered then; NaN where that is not known.
-        channels: numbers of those that it changes.
-        cost: what an explanation by it has to gain, in the mean logarithm of the losses.
+        kind: kind of the fault; "" for none.
+        text: description, as a clause.
+        expected: float64 (N, K, C), the answers in that case; NaN if unknown.
+        channels: numbers of the changed channels.
+        cost: minimum gain of an explanation by it, in the mean logarithm of the losses.
     """
 
     kind: str
@@ -44,7 +44,7 @@ class Structure:
 
 
 def structures(answers: Answers) -> Iterator[Structure]:
-    """Every structure that can be judged, the right wiring first."""
+    """Yield every structure that can be evaluated, the correct configuration first."""
     same = answers.expected()
     every = tuple(range(answers.space.size))
     yield Structure(kind="", text="", expected=same, channels=(), cost=0.0)
@@ -146,7 +146,7 @@ def _relative_poses(answers: Answers, same: F64) -> Iterator[Structure]:
     start[..., :3] = answers.positions_m[answers.frames][:, None, :]
     moved = (0, 1, 2)
     is_moved = np.isin(np.arange(answers.space.size), moved)
-    # how an absolute rotation would be written is not known
+    # the notation of an absolute rotation is unknown
     rest = np.where(motion, np.nan, same)
     for kind, text, expected in (
         (
@@ -170,11 +170,11 @@ def _relative_poses(answers: Answers, same: F64) -> Iterator[Structure]:
 
 
 def _frames(answers: Answers, same: F64) -> Iterator[Structure]:
-    """Displacements of the TCP in another frame than that of the recording."""
+    """Displacements of the TCP in another frame than the recording's."""
     motion = tuple(range(6))
 
     def turned(rotation: F64) -> F64:
-        """By (3, 3), or by (N, 1, 3, 3)."""
+        """Rotate by (3, 3), or by (N, 1, 3, 3)."""
         expected = same.copy()
         for part in (slice(0, 3), slice(3, 6)):
             expected[..., part] = (rotation @ same[..., part, None])[..., 0]
@@ -206,7 +206,7 @@ def _frames(answers: Answers, same: F64) -> Iterator[Structure]:
 
 
 def _rotation_between(answers: Answers, same: F64) -> tuple[F64, float]:
-    """The rotation that turns recorded displacements into answered ones best, and its angle.
+    """The rotation that best maps recorded displacements to answered ones, and its angle.
 
     Source: Kabsch, 1976: by the singular value decomposition of the covariance.
     """
@@ -224,7 +224,7 @@ def _rotation_between(answers: Answers, same: F64) -> tuple[F64, float]:
 
 
 def _swapped(answers: Answers, same: F64) -> Structure | None:
-    """The order of channels that explains the answers best; None when it is the right one."""
+    """The order of channels that explains the answers best; None if it is the correct one."""
     size = answers.space.size
     least = answers.least_spreads(same.reshape(-1, size))
     costs = np.array(
@@ -253,7 +253,7 @@ def _swapped(answers: Answers, same: F64) -> Structure | None:
 
 
 def _best_order(costs: F64) -> list[tuple[int, int]]:
-    """Pairs of row and column with a small sum of costs, by exchanges of two while they help."""
+    """Pairs of row and column with a small sum of costs, found by improving exchanges of two."""
     order = list(range(len(costs)))
     helps = True
     while helps:

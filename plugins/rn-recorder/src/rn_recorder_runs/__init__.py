@@ -1,1 +1,1 @@
-"""Runs on disk: the recorder's process, the files it writes, and what is made of them."""
+"""Runs on disk: the recorder's process, its files, and their uses."""

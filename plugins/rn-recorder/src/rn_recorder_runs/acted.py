@@ -1,5 +1,5 @@
-"""Who moved the arm in each row of a run, and what a person did in it, by what control has told on
-the topic `acting`.
+"""The source that moved the arm in each row of a run, and a person's actions, from control's topic
+`acting`.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
 F64 = NDArray[np.float64]
 
 POLICY, PERSON, BLEND, NOBODY = WHO = ("policy", "person", "blend", "nobody")
-"""Who moves the arm; the first where nothing else is told."""
+"""Sources that move the arm; the first if nothing else was reported."""
 LED = (PERSON, BLEND)
 _WORD = "acting"
 _MOVED = 6
 _TOLD_NS = 250_000_000
-"""What control tells later is of another action."""
+"""Time after which a report of control belongs to another action."""
 
 
 @dataclass(frozen=True, slots=True)
 class ActedRow:
-    """What control did with an action of the policy or a row of a person.
+    """Control's result for an action of the policy or a row of a person.
 
     Attributes:
-        at_ns: when it was told [ns].
+        at_ns: time of the report [ns].
         who: one of `WHO`.
         moved: float64 (6,), displacement of the TCP in the base that a person's row commanded: x y
-            z [m], rotation vector [rad]; (0,) where it is not told.
-        gripper_open: that the person asked for, 0 closed .. 1 open; None for none.
+            z [m], rotation vector [rad]; (0,) if not reported.
+        gripper_open: commanded by the person, 0 closed .. 1 open; None for none.
     """
 
     at_ns: int
@@ -59,12 +59,12 @@ class ActedRow:
 
 @dataclass(frozen=True, slots=True)
 class Deed:
-    """What happened in the time of one action of the policy.
+    """Executed action during one action of the policy.
 
     Attributes:
         who: one of `WHO`.
-        action: float64 (n,) that was executed, in the policy's space; (0,) where a person acted and
-            it cannot be told in that space.
+        action: float64 (n,) as executed, in the policy's space; (0,) if a person acted and it
+            cannot be expressed in that space.
     """
 
     who: str
@@ -72,7 +72,7 @@ class Deed:
 
 
 class Deeds:
-    """Goes through the actions of a run in their order.
+    """Iterates over the actions of a run in their order.
 
     Args:
         acted: in order of time.
@@ -84,16 +84,16 @@ class Deeds:
         self._opening: float | None = None
 
     def next(self, action: F64, label: str, sent_ns: int, until_ns: int) -> Deed:
-        """What was done from this action of the policy until the next one.
+        """Executed action from this action of the policy until the next one.
 
         Args:
-            action: float64 (n,) of the policy.
-            label: of its control space.
-            sent_ns: when it was sent [ns].
-            until_ns: when the next one was sent [ns].
+            action: float64 (n,), of the policy.
+            label: label of its control space.
+            sent_ns: time of sending [ns].
+            until_ns: time of sending of the next one [ns].
         """
         first = bisect_right(self._times, sent_ns)
-        # control tells it once it has executed the action, or a row of a person meanwhile
+        # control reports after executing the action, or a row of a person meanwhile
         is_told = first < len(self._acted) and self._times[first] - sent_ns < _TOLD_NS
         who = self._acted[first].who if is_told else POLICY
         is_delta = label == EE_DELTA.label
@@ -113,7 +113,7 @@ class Deeds:
 
 
 def composed(displacements: Sequence[F64]) -> F64:
-    """Displacements one after the other as one, float64 (6,); (0,) when one of them is not told.
+    """Compose consecutive displacements to one, float64 (6,); (0,) if one of them is unknown.
 
     Of none: zeros.
     """

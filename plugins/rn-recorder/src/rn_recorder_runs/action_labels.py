@@ -1,5 +1,5 @@
-"""Labels of recorded actions: which control space a serialized action names, and what its values
-are by it.
+"""Labels of recorded actions: the control space of a serialized action, and the meaning of its
+values.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _LONGEST = 10_000
 
 
 def is_action(topic: str, type_name: str) -> bool:
-    """Whether the messages of a topic are actions."""
+    """True if the messages of a topic are actions."""
     return topic.rpartition("/")[2] == "action" and type_name == ACTION_TYPE
 
 

@@ -1,4 +1,4 @@
-"""Recorded actions, played again into a simulation by a server of its own, through the gate and
+"""Playing of recorded actions in a simulation by a separate server, through the gate and
 control.
 """
 
@@ -27,11 +27,11 @@ _MOST_S = 24 * 3600.0
 
 @dataclass(frozen=True, slots=True)
 class PlayedRun:
-    """How it went.
+    """Result of playing.
 
     Attributes:
-        sent: actions.
-        dropped: what control did not act on, by reason.
+        sent: number of actions.
+        dropped: actions not executed by control, by reason.
         end_m: distance between the TCP's last recorded and last measured position, each from its
             own beginning [m].
         path_m: length of the recorded path [m].

@@ -1,6 +1,4 @@
-"""New lines of the audit, read from its file: verdicts of the gate, emergency stops, limits of
-control.
-"""
+"""New lines of the audit file: verdicts of the gate, emergency stops, limits of control."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ _MOST = 1 << 20
 
 
 class AuditTail:
-    """Follows the file from its present end, also when it is rotated. Used from one thread."""
+    """Follows the file from its present end, also across rotations. Used from one thread."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -24,7 +22,7 @@ class AuditTail:
         self._open(from_end=True)
 
     def lines(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        """Lines that came since the last call, with what they say."""
+        """Lines since the last call, with their parsed content."""
         yield from self._new()
         with suppress(OSError):
             there = os.stat(self._path)

@@ -36,7 +36,7 @@ def describe_channel(publishers: Sequence[TopicEndpointInfo]) -> dict[str, str]:
 
 
 def latched_channel() -> dict[str, str]:
-    """Metadata of a topic that the recorder itself makes up and that late readers need."""
+    """Metadata of a topic that the recorder itself creates and that late readers need."""
     return {
         "offered_qos_profiles": _yaml("keep_last", 1, "reliable", _TRANSIENT_LOCAL),
         LATCHED: "true",
@@ -44,7 +44,7 @@ def latched_channel() -> dict[str, str]:
 
 
 def plain_channel() -> dict[str, str]:
-    """Metadata of any other topic that the recorder makes up."""
+    """Metadata of any other topic that the recorder creates."""
     return {"offered_qos_profiles": _yaml("keep_last", 100, "reliable", "volatile")}
 
 

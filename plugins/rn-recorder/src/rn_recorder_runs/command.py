@@ -20,7 +20,7 @@ _SEVERAL = f'{_NEWEST}; "all" for all recordings'
 
 
 class Runs:
-    """List, show, export, replay and delete what the recorder has written."""
+    """List, show, export, replay and delete recorded runs."""
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron runs`."""
@@ -148,8 +148,8 @@ class Runs:
 
 
 def open_store(arguments: Namespace) -> RunStore:
-    """The directory that the arguments name. Raises ConfigurationError for a configuration that is
-    wrong.
+    """Open the directory named in the arguments. Raises ConfigurationError for an invalid
+    configuration.
     """
     from rn_recorder.feature import runs_directory
     from rn_recorder.options import RecorderOptions
@@ -168,7 +168,7 @@ def open_store(arguments: Namespace) -> RunStore:
 
 
 def find_run(store: RunStore, name: str) -> Run:
-    """The run of that id, or the MCAP files at that path. Raises InvalidInputError when there is
+    """Find the run of that id, or the MCAP files at that path. Raises InvalidInputError if there is
     none.
     """
     from rn_recorder_runs.files import read_about
@@ -183,7 +183,7 @@ def find_run(store: RunStore, name: str) -> Run:
 
 
 def find_runs(store: RunStore, name: str) -> list[Run]:
-    """As `find_run`; "all" stands for all recordings."""
+    """Like `find_run`; "all" stands for all recordings."""
     if name == "all":
         return [run for run in store.runs() if run.kind == "recording"]
     return [find_run(store, name)]
@@ -235,7 +235,7 @@ def _delete(store: RunStore, names: list[str], agreed: bool) -> int:
 
 
 def _replay(run: Run, arguments: Namespace) -> int:
-    """Status 1 when the backend diverges, or control refused an action."""
+    """Replay a run; status 1 if the backend diverges, or control refused an action."""
     if arguments.against == "robot":
         from rn_recorder_runs.against_robot import play
 
@@ -247,7 +247,7 @@ def _replay(run: Run, arguments: Namespace) -> int:
                 f"The TCP ended {played.end_m * 1e3:.1f} mm from where it was recorded; path "
                 f"{played.path_m:.3f} m."
             )
-        return int(bool(set(played.dropped) - {"holds"}))  # it holds when the actions have ended
+        return int(bool(set(played.dropped) - {"holds"}))  # it holds after the end of the actions
     from rn_recorder_runs.comparison import compare, describe, write_report
     from rn_recorder_runs.files import read_about
     from rn_recorder_runs.replay import replay
@@ -287,7 +287,7 @@ def _replay(run: Run, arguments: Namespace) -> int:
 
 
 def _export(store: RunStore, arguments: Namespace) -> int:
-    """Status 1 when something was left out."""
+    """Export runs; status 1 if something was left out."""
     from rn_recorder_runs.files import copy_records, read_about
 
     if arguments.interventions and arguments.lerobot is None:

@@ -1,4 +1,4 @@
-"""What a replay showed: differences by axis, the first divergence, a plot."""
+"""Result of a replay: differences by axis, the first divergence, a plot."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ AXES = ("dx [m]", "dy [m]", "dz [m]", "rx [rad]", "ry [rad]", "rz [rad]", "gripp
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Of all predictions of a replay.
+    """Comparison of all predictions of a replay.
 
     Attributes:
-        predictions: how many were compared.
-        diverging: how many differ by more than the tolerance.
+        predictions: number of compared ones.
+        diverging: number of those that differ by more than the tolerance.
         axes: names of the channels.
         largest, mean: |difference| by axis, float64 (n,).
-        first: number of the first one that diverges; None when none does.
+        first: number of the first diverging one; None for none.
         took_ms: median time of a replayed prediction.
-        gaps: what the run lacks.
+        gaps: missing messages of the run.
     """
 
     predictions: int
@@ -43,7 +43,7 @@ class Comparison:
     gaps: Gaps = field(default_factory=Gaps)
 
     def to_dict(self) -> dict[str, object]:
-        """For JSON."""
+        """Convert to JSON values."""
         return {
             "predictions": self.predictions,
             "diverging": self.diverging,
@@ -58,7 +58,7 @@ class Comparison:
 
 
 def compare(found: Sequence[Compared], tolerance: float, gaps: Gaps | None = None) -> Comparison:
-    """Summarize a replay of at least one prediction."""
+    """Summarise a replay of at least one prediction."""
     axes = axes_of(found[0].label)
     differences = [np.abs(one.difference) for one in found if one.difference.size]
     every = np.concatenate(differences) if differences else np.zeros((1, len(axes)))
@@ -77,12 +77,12 @@ def compare(found: Sequence[Compared], tolerance: float, gaps: Gaps | None = Non
 
 
 def axes_of(label: str) -> tuple[str, ...]:
-    """Names of the channels of a control space, for people."""
+    """Names of a control space's channels, for users."""
     return AXES if label == ACTION_LABEL else channel_keys(label)
 
 
 def describe(comparison: Comparison, found: Sequence[Compared]) -> str:
-    """For a terminal."""
+    """Format for a terminal."""
     axes = comparison.axes
     width = max(10, *map(len, axes))
     lines = [f"{'axis':<{width}} {'largest':>12} {'mean':>12}"]
@@ -116,7 +116,7 @@ def describe(comparison: Comparison, found: Sequence[Compared]) -> str:
 
 
 def _explain_gaps(comparison: Comparison, found: Sequence[Compared]) -> list[str]:
-    """What the run lacks, and what that means for what differs."""
+    """Missing messages of the run, and their effect on the differences."""
     gaps = comparison.gaps
     if gaps.first_ns is None:
         return []

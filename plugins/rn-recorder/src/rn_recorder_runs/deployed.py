@@ -1,4 +1,4 @@
-"""A backend as the server's inference module builds it, in this process and without ROS."""
+"""A backend built as in the server's inference module, in this process and without ROS."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class DeployedBackend:
-    """A backend that is built, and not loaded.
+    """A built backend that is not loaded.
 
     Attributes:
         spec: its descriptor.
         profile: of the robot.
-        cameras: camera by role, those that the robot has.
-        agreement: what becomes of its rows on their way to control.
+        cameras: the robot's cameras by role.
+        agreement: conversion of its rows for control.
     """
 
     backend: Backend
@@ -46,10 +46,10 @@ def build_backend(
     """Build a backend with its runtime and acceleration, and agree on its space.
 
     Args:
-        settings: options of plugins, cameras by role, and the controller are taken from it.
+        settings: provides options of plugins, cameras by role, and the controller.
         backend, robot, driver, runtime, acceleration: names.
-        checkpoint: folder of the model's files; None: what the options say.
-        options: by name of the plugin that takes them; they come before those of `settings`.
+        checkpoint: folder of the model's files; None for the options' value.
+        options: by plugin; they override those of `settings`.
 
     Raises:
         ConfigurationError: options of a plugin that is not used here.

@@ -1,8 +1,7 @@
-"""A recorded run, cut into episodes: rows of observation and action, without the pixels.
+"""Episodes of a recorded run: rows of observation and action, without pixels.
 
-An episode is what was done for one instruction. Each action that was sent is one row; its
-observation is the one that the backend saw, as far as `predictions` tells, otherwise the newest
-that had come when the action was sent.
+An episode covers one instruction. Each sent action is one row. Its observation is the backend's
+input, if `predictions` contains it, otherwise the newest one at the time of sending.
 """
 
 from __future__ import annotations
@@ -30,18 +29,18 @@ EPISODE_END = "episode_end"
 """Event that closes an episode: facts `outcome` and `reason`."""
 UNKNOWN = "unknown"
 _LAST_NS = 100_000_000
-"""Time of a run's last action, after which none tells how long it was."""
+"""Assumed duration of a run's last action, which is not recorded."""
 POSE_NAMES = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 
 @dataclass(frozen=True, slots=True)
 class RecordedAction:
-    """One action that was sent.
+    """One sent action.
 
     Attributes:
-        sent_ns: when [ns].
+        sent_ns: time of sending [ns].
         values: float64 (n,), contract units.
-        label: of its control space; `roboneuron.channel_keys` names the values by it.
+        label: label of its control space; `roboneuron.channel_keys` names the values by it.
     """
 
     sent_ns: int
@@ -51,19 +50,19 @@ class RecordedAction:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeRow:
-    """One action and what was seen before it.
+    """One action and the observation before it.
 
     Attributes:
-        action: float64 (n,) that was executed, contract units: what a person did where one acted,
-            otherwise the policy's; (0,) where a person acted and it is not told in that space.
-        policy_action: float64 (n,) of the policy, which is a shadow's where a person acted alone.
-        label: of their control space.
-        sent_ns: when the policy's was sent [ns].
+        action: float64 (n,), as executed, contract units: the person's where one acted, otherwise
+            the policy's; (0,) where a person acted and it is unknown in that space.
+        policy_action: float64 (n,), of the policy; not executed where a person acted alone.
+        label: label of their control space.
+        sent_ns: time of sending of the policy's action [ns].
         images: capture time [ns] by camera.
-        joints: float64 (n,), rad or m; empty when there were none.
+        joints: float64 (n,), rad or m; empty if there were none.
         ee_pose: float64 (7 n,), x y z [m] and quaternion x y z w of each arm, see
-            `Streams.pose_names`; empty when one of them was not measured.
-        who: who moved the arm then: "policy", "person" (the policy's action was not executed),
+            `Streams.pose_names`; empty if one of them was not measured.
+        who: source that moved the arm: "policy", "person" (the policy's action was not executed),
             "blend" (with a person's correction added) or "nobody" (it was held).
     """
 
@@ -79,7 +78,7 @@ class EpisodeRow:
 
 @dataclass(slots=True)
 class RecordedEpisode:
-    """What was done for one instruction."""
+    """One instruction of a run."""
 
     instruction: str
     outcome: str
@@ -89,8 +88,8 @@ class RecordedEpisode:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Control spaces of its actions, the first one first; more than one where the policy was
-        switched to another space.
+        """Control spaces of its actions, in the order of their occurrence; several if the policy
+        was switched to another space.
         """
         return tuple(dict.fromkeys(row.label for row in self.rows))
 
@@ -111,8 +110,8 @@ class Streams:
     """The numbers of a run, in order of time; images by their stamps.
 
     Predictions from images that came before the run began are left out. `poses` are those of the
-    first arm; `arm_poses` those of each of several arms by its name. `acting` says who moved the
-    arm, by control.
+    first arm; `arm_poses` those of each of several arms by its name. `acting` contains control's
+    reports of the source that moved the arm.
     """
 
     actions: list[RecordedAction] = field(default_factory=list)
@@ -139,13 +138,13 @@ class Streams:
 
 
 def stamp_of(data: bytes) -> int:
-    """The stamp of a CDR message that begins with a header [ns]."""
+    """Stamp of a CDR message that begins with a header [ns]."""
     sec, nanosec = struct.unpack_from("<iI", data, 4)
     return int(sec) * 1_000_000_000 + int(nanosec)
 
 
 def read_streams(files: Sequence[Path]) -> Streams:
-    """Read everything but pixels."""
+    """Read all streams except pixels."""
     found = Streams()
     names = ("action", "acting", "predictions", "joint_states", "ee_pose")
     poses: dict[str, list[tuple[int, F64]]] = {}
@@ -165,7 +164,7 @@ def read_streams(files: Sequence[Path]) -> Streams:
         elif name == "action":
             dims = message.layout.dim
             label = dims[0].label if dims else ACTION_LABEL
-            # rows that are planned after it may follow
+            # planned rows may follow
             data = message.data[: dims[0].size] if len(dims) > 1 else message.data
             # control refuses rows of another size as well
             if len(data) == len(channel_keys(label)):
@@ -203,10 +202,10 @@ def read_streams(files: Sequence[Path]) -> Streams:
 
 
 def _sort_poses(found: Streams, poses: dict[str, list[tuple[int, F64]]]) -> None:
-    """Tell the robot's own TCP from those of several arms.
+    """Separate the robot's own TCP from those of several arms.
 
     Args:
-        found: takes them.
+        found: receives them.
         poses: by topic: `/<robot>/ee_pose`, and `/<robot>/<arm>/ee_pose`.
     """
     own = min(poses, key=len, default="")
@@ -224,7 +223,7 @@ def read_episodes(
     """The episodes of a run, oldest first; those without an action are left out.
 
     Raises:
-        InvalidInputError: it holds no images, or no actions.
+        InvalidInputError: it contains no images, or no actions.
     """
     streams = read_streams(files)
     if not streams.actions or not streams.images:
@@ -255,7 +254,7 @@ def read_episodes(
 
 
 def _label(facts: Mapping[str, object], episode: int) -> dict[str, str]:
-    """What a person has said of an episode, or of its whole run; see `RunStore.label`."""
+    """Label given by a person to an episode, or to its whole run; see `RunStore.label`."""
     labels = facts.get(LABELS)
     if not isinstance(labels, Mapping):
         return {}
@@ -263,8 +262,8 @@ def _label(facts: Mapping[str, object], episode: int) -> dict[str, str]:
 
 
 def _cuts(streams: Streams, fallback: str) -> list[tuple[int, str]]:
-    """When each instruction began [ns]: by predictions, else by the calls that gave one, else one
-    for all.
+    """Start of each instruction [ns]: from predictions, else from calls that gave one, else one for
+    the whole run.
     """
     found: list[tuple[int, str]] = []
     for prediction in streams.predictions:
@@ -307,7 +306,7 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
         joints = _newest(streams.joints, joint_times, sent_ns)
         poses = {arm: _newest(seen, pose_times[arm], sent_ns) for arm, seen in pose_streams.items()}
         latest = bisect_right(predicted, sent_ns) - 1
-        if latest > used:  # the first action of a chunk: what the backend saw is told
+        if latest > used:  # the first action of a chunk: the backend's input is known
             used = latest
             facts = streams.predictions[latest].facts
             for frame in facts.get("frames", {}).values():
@@ -337,7 +336,7 @@ def _rows(streams: Streams, begin_ns: int, end_ns: int) -> list[EpisodeRow]:
 
 
 def _seen_poses(facts: dict[str, Any]) -> dict[str, F64]:
-    """The TCP poses that a backend saw, by arm."""
+    """TCP poses in the backend's input, by arm."""
     told = dict(facts.get("arms", {}))
     if "ee_pose" in facts:
         told[""] = facts["ee_pose"]

@@ -1,7 +1,7 @@
-"""MCAP files with the profile "ros2": written so that a killed writer loses at most half a second,
-read when cut short.
+"""MCAP files with the profile "ros2": a killed writer loses at most half a second, and truncated
+files are readable.
 
-Every file stands for itself: it holds the message definitions, what was configured, and units and
+Every file is self-contained: it includes the message definitions, the configuration, and units and
 frames.
 """
 
@@ -30,13 +30,13 @@ from roboneuron.command import log_files
 
 CHUNK_BYTES = 1 << 20
 FLUSH_S = 0.5
-"""A chunk is written at the latest after this time: what a killed recorder loses."""
+"""Maximum time before a chunk is written, which is the loss of a killed recorder."""
 METADATA = "roboneuron"
-"""Name of the metadata record that says what the file holds, and by what configuration."""
+"""Name of the metadata record with the file's content and configuration."""
 LATCHED = "roboneuron.latched"
 """Key of a channel's metadata: every file begins with the newest messages of its topic."""
 DAMAGE = (McapError, ZstdError, ZlibError, struct.error, ValueError, EOFError, UnicodeDecodeError)
-"""What a reader raises at the end of a file that was cut short."""
+"""Exceptions of a reader at the end of a truncated file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +60,8 @@ class Record:
 
 
 class _Unbuffered:
-    """What the MCAP writer writes to: each chunk goes to the operating system at once, whole or not
-    at all counted.
+    """Output of the MCAP writer: each chunk goes to the operating system at once, and counts only
+    if complete.
     """
 
     def __init__(self, path: Path) -> None:
@@ -80,7 +80,7 @@ class _Unbuffered:
         return self._size
 
     def flush(self) -> None:
-        """Nothing waits."""
+        """No effect: nothing is buffered."""
 
     def close(self) -> None:
         if self._descriptor >= 0:
@@ -92,11 +92,10 @@ class RunFile:
     """Writes one MCAP file. Used from one thread. Every method may raise OSError.
 
     Args:
-        path: must not exist yet; others cannot read what is made.
+        path: must not exist yet; created without access for others.
         about: strings for the metadata record at the beginning.
-        definitions: definition by type, of those that are not installed here (copied from another
-            file).
-        channels: metadata by topic, such as its quality of service; asked when the topic first
+        definitions: definition by type, for those not installed here (copied from another file).
+        channels: metadata by topic, such as its quality of service; read when the topic first
             occurs.
     """
 
@@ -110,7 +109,7 @@ class RunFile:
         self.path = path
         self.messages = 0
         self.unwritten = 0
-        """Messages in the chunk in progress: not handed to the operating system yet."""
+        """Number of messages in the chunk in progress, not yet handed to the operating system."""
         self.first_ns = 0
         self.last_ns = 0
         self._definitions = {} if definitions is None else definitions
@@ -133,11 +132,11 @@ class RunFile:
 
     @property
     def size_bytes(self) -> int:
-        """What was handed to the operating system."""
+        """Size handed to the operating system."""
         return self._file.tell()
 
     def write(self, record: Record) -> None:
-        """Add a message. Raises FileNotFoundError when the definition of its type is not known."""
+        """Add a message. Raises FileNotFoundError if the definition of its type is unknown."""
         # a channel for each control space: its metadata names the values
         label = label_of(record.data) if is_action(record.topic, record.type) else ""
         key = (record.topic, record.type, label)
@@ -163,7 +162,7 @@ class RunFile:
         self._writer.add_attachment(at_ns, at_ns, name, media_type, data)
 
     def finish(self) -> None:
-        """Write the index and close; the file is closed also when that fails."""
+        """Write the index and close; the file is closed even if that fails."""
         try:
             self.flush()
             self._writer.finish()  # type: ignore[no-untyped-call]
@@ -171,7 +170,7 @@ class RunFile:
             self._file.close()
 
     def abandon(self) -> None:
-        """Close without an index; what was flushed can be read."""
+        """Close without an index; flushed data can be read."""
         with suppress(OSError):
             self._file.close()
 
@@ -187,7 +186,7 @@ class RunFile:
 
 
 def is_finished(path: Path) -> bool:
-    """Whether the file ends as a complete MCAP file does."""
+    """True if the file ends as a complete MCAP file does."""
     try:
         with path.open("rb") as file:
             file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
@@ -197,11 +196,11 @@ def is_finished(path: Path) -> bool:
 
 
 def whole_records(file: IO[bytes], *, emit_chunks: bool = False) -> Iterator[McapRecord]:
-    """The records of an MCAP file, from its beginning to its end or to the first damage.
+    """Yield the records of an MCAP file up to its end or the first damage.
 
     Args:
         file: open for reading.
-        emit_chunks: chunks come as they are, otherwise the records in them do.
+        emit_chunks: yield chunks; otherwise the records in them.
     """
     with suppress(*DAMAGE):
         yield from StreamReader(file, emit_chunks=emit_chunks).records
@@ -212,8 +211,7 @@ def read_records(
     definitions: dict[str, str] | None = None,
     metadata: dict[str, dict[str, str]] | None = None,
 ) -> Iterator[Record]:
-    """The messages of a file in the order in which they were written; what is cut off at its end is
-    left out.
+    """Yield the messages of a file in the order of writing; a truncated end is left out.
 
     Args:
         path: finished or not.
@@ -249,7 +247,7 @@ def read_records(
 
 
 def read_about(path: Path) -> dict[str, str]:
-    """What the file says of itself; empty when its beginning is damaged."""
+    """Metadata of the file; empty if its beginning is damaged."""
     with path.open("rb") as file:
         for entry in whole_records(file):
             if isinstance(entry, Metadata) and entry.name == METADATA:
@@ -260,7 +258,7 @@ def read_about(path: Path) -> dict[str, str]:
 
 
 def read_statistics(path: Path) -> tuple[Statistics | None, dict[int, str]]:
-    """Statistics of a finished file from its index, and topic by channel; None for one without."""
+    """Statistics of a finished file from its index, and topic by channel; None without an index."""
     with path.open("rb") as file, suppress(*DAMAGE):
         summary = make_reader(file).get_summary()
         if summary is not None and summary.statistics is not None:
@@ -287,15 +285,14 @@ def copy_records(
     attachments: Mapping[str, object] | None = None,
     again_ns: int | None = None,
 ) -> int:
-    """Write one finished file of what several hold, oldest first, and return the number of
-    messages.
+    """Merge several files, oldest first, into one finished file; return the number of messages.
 
-    A message that several files hold, as each holds the newest of latched topics, is written once.
-    Latched ones are written whenever they came. `again_ns`: what came before that time [ns] is in
+    A message in several files is written once; each file contains the newest of latched topics.
+    Latched ones are written whatever their time. `again_ns`: messages before that time [ns] are in
     the first source; later ones may be in several.
 
     Raises:
-        OSError: it cannot be written; nothing is left of it then.
+        OSError: it cannot be written; the partial file is removed.
     """
     part = target.with_name(f".{target.name}.part")
     part.unlink(missing_ok=True)
@@ -306,7 +303,7 @@ def copy_records(
     try:
         for number, source in enumerate(sources):
             from_ns = since_ns if again_ns is None or not number else again_ns
-            with suppress(FileNotFoundError):  # the ring goes on meanwhile
+            with suppress(FileNotFoundError):  # the ring continues meanwhile
                 for record in read_records(source, definitions, metadata):
                     is_latched = LATCHED in metadata.get(record.topic, {})
                     if until_ns is not None and record.log_ns > until_ns:
@@ -342,7 +339,7 @@ def copy_records(
 
 
 def repair(path: Path) -> bool:
-    """Give a file that was cut short an index; returns whether it needed one.
+    """Add an index to a truncated file; return True if it needed one.
 
     Raises:
         OSError: it cannot be written.
@@ -354,7 +351,7 @@ def repair(path: Path) -> bool:
 
 
 def write_json(path: Path, value: Mapping[str, object]) -> None:
-    """Write a small file at once or not at all."""
+    """Write a small file atomically."""
     temporary = path.with_name(f".{path.name}.part")
     with open(temporary, "w", encoding="utf-8", opener=log_files.opener) as file:
         json.dump(value, file, indent=1)

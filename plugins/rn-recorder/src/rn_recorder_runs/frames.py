@@ -1,5 +1,5 @@
-"""Transforms and robot description among the recorded messages, unless somebody publishes them
-himself.
+"""Transforms and robot description among the recorded messages, unless another node
+publishes them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from rn_recorder_runs.transforms import DESCRIPTION, TF, TF_STATIC, RobotTransfo
 
 log = logging.getLogger(__name__)
 _PERIOD_NS = 30_000_000
-"""Between two messages on /tf: joint states come four times as often, and nobody looks so closely.
+"""Period of messages on /tf, lower than the rate of joint states by a factor of four, which
+suffices for viewing.
 """
 _JOINT_STATE = "sensor_msgs/msg/JointState"
 
@@ -33,7 +34,7 @@ class Frames:
         self._last_ns = 0
 
     def begin(self) -> None:
-        """Put what stands still among the latched messages; nothing for a robot without frames."""
+        """Add the static transforms to the latched messages; none for a robot without frames."""
         if not (self._settings.urdf or self._settings.mounts):
             return
         try:
@@ -53,9 +54,7 @@ class Frames:
             self._recording.take(self._robot.description(topic, now_ns))
 
     def follow(self, record: Record) -> None:
-        """Add the transforms of joint states; once somebody else publishes on /tf, no more of
-        them.
-        """
+        """Add the transforms of joint states; stops once another node publishes on /tf."""
         if record.topic == TF:
             self._robot = None
         if self._robot is None or record.topic != self._joints_topic or record.type != _JOINT_STATE:

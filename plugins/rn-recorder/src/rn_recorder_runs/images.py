@@ -1,5 +1,5 @@
-"""Raw `sensor_msgs/Image` messages to `sensor_msgs/CompressedImage`, both as CDR, without ROS; and
-back to pixels.
+"""Conversion of raw `sensor_msgs/Image` messages to `sensor_msgs/CompressedImage`, both as CDR,
+without ROS, and to pixels.
 
 Source: OMG CDR (little endian, members aligned to their size from the end of the 4-byte
 encapsulation header) and the definitions of the two types; the field `format` is written as by
@@ -26,7 +26,7 @@ class MessageError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class RawImage:
-    """An image message, taken apart; `data` shares the message's memory.
+    """A parsed image message; `data` shares the message's memory.
 
     Attributes:
         sec, nanosec: stamp.
@@ -66,7 +66,7 @@ class _Reader:
 
 
 def parse_image(message: bytes) -> RawImage:
-    """Take a little-endian CDR `sensor_msgs/Image` apart.
+    """Parse a little-endian CDR `sensor_msgs/Image`.
 
     Raises:
         MessageError: it is damaged or big endian.
@@ -88,7 +88,7 @@ def parse_image(message: bytes) -> RawImage:
 
 
 def to_jpeg(message: bytes, quality: int) -> bytes | None:
-    """A CDR `Image` as a CDR `CompressedImage`; None when its encoding (depth, float) has no JPEG.
+    """A CDR `Image` as a CDR `CompressedImage`; None if its encoding (depth, float) has no JPEG.
 
     Raises:
         MessageError: it is damaged.

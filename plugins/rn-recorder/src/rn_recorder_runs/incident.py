@@ -1,4 +1,4 @@
-"""Incidents: what was in the ring around a fault, as one file of its own."""
+"""Incidents: the ring's content around a fault, in a separate file."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from rn_recorder_runs.store import RunStore
 
 log = logging.getLogger(__name__)
 LATE_NS = 5_000_000_000
-"""A message may wait so long before it is written: it then is in the ring behind what the incident
-has already.
+"""Maximum delay before a message is written: it is then in the ring behind the part that the
+incident already has.
 """
 
 
 @dataclass(slots=True)
 class OpenIncident:
-    """An incident whose time after the fault has not passed yet."""
+    """An incident whose time after the fault is not over yet."""
 
     id: str
     at_ns: int
     until_ns: int
     facts: list[dict[str, object]] = field(default_factory=list)
     kept_ns: int = 0
-    """Its file holds everything up to then; 0 before there is one."""
+    """Time up to which its file is complete; 0 before there is one."""
 
     def begin_ns(self, ring_s: float) -> int:
-        """From when on the ring is still needed."""
+        """Start of the required part of the ring."""
         return self.kept_ns - LATE_NS if self.kept_ns else self.at_ns - round(ring_s * 1e9)
 
     def due_ns(self, ring_s: float, after_s: float) -> int:
-        """When it is to be written: soon for the first time, and then only once all has been quiet
-        for a while.
+        """Time at which it has to be written: soon the first time, afterwards only after a quiet
+        period.
         """
         if not self.kept_ns:
             return self.at_ns + round(after_s * 1e9)
@@ -48,7 +48,7 @@ def cut(
     ring_s: float,
     about: Mapping[str, str],
 ) -> bool:
-    """Write the file, or what came after its end to it; returns whether that was possible.
+    """Write the file, or append newer messages to it; return True on success.
 
     Args:
         segments: files of the ring, oldest first.

@@ -1,4 +1,4 @@
-"""Spans of a run in which a person moved the arm: listed, and cut out as episodes."""
+"""Parts of a run in which a person moved the arm: listed, or extracted as episodes."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from rn_recorder_runs.store import Run
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Intervention:
-    """A person moved the arm in rows that follow each other.
+    """Consecutive rows in which a person moved the arm.
 
     Attributes:
-        run, instruction: where.
+        run, instruction: those of the episode.
         episode: number in its run, from 0.
-        first, rows: first row in the episode, and how many.
+        first, rows: first row in the episode, and number of rows.
         who: "person", "blend", or both with a comma between.
-        begun_ns: when its first action was sent [ns].
+        begun_ns: time of its first action [ns].
         duration_s: to the last one.
-        outcome: of the episode.
+        outcome: outcome of the episode.
     """
 
     run: str
@@ -50,7 +50,7 @@ def spans(episode: RecordedEpisode) -> list[range]:
 
 
 def cut(episodes: Sequence[RecordedEpisode]) -> list[RecordedEpisode]:
-    """Each span as an episode of its own."""
+    """Extract each span as a separate episode."""
     return [
         replace(episode, rows=episode.rows[span.start : span.stop])
         for episode in episodes
@@ -59,7 +59,7 @@ def cut(episodes: Sequence[RecordedEpisode]) -> list[RecordedEpisode]:
 
 
 def interventions(run: Run) -> list[Intervention]:
-    """All of a run. Raises InvalidInputError for one without images or actions."""
+    """All interventions of a run. Raises InvalidInputError for one without images or actions."""
     found = []
     episodes, _ = read_episodes(run.id, run.files, run.facts)
     for number, episode in enumerate(episodes):
@@ -83,7 +83,7 @@ def interventions(run: Run) -> list[Intervention]:
 
 
 def to_text(found: Sequence[Intervention], as_json: bool) -> str:
-    """For people, or for programs."""
+    """Format for users, or for programs."""
     if as_json:
         names = Intervention.__slots__
         return json.dumps([{name: getattr(one, name) for name in names} for one in found], indent=1)

@@ -1,7 +1,7 @@
-"""Episodes as a LeRobotDataset v3: parquet, one video for each camera, statistics, tasks.
+"""Export of episodes as a LeRobotDataset v3: parquet, one video for each camera, statistics, tasks.
 
 Source of the layout: lerobot 0.6.1, `datasets/utils.py`, `datasets/dataset_writer.py` and a data
-set it wrote.
+set written by it.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _FILE = "chunk-000/file-000"
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """What was exported.
+    """Result of an export.
 
     Attributes:
-        skipped: what was left out: run, instruction ("" for a whole run), and why.
+        skipped: omitted parts: run, instruction ("" for a whole run), and the reason.
     """
 
     episodes: int
@@ -57,28 +57,28 @@ def export(
     with_lerobot: Path | None = None,
     only_interventions: bool = False,
 ) -> Written:
-    """Write the episodes of these runs; those that lack something are left out and named in the
-    result.
+    """Write the episodes of these runs; incomplete ones are left out and listed in the result.
 
-    The directory appears when all is in it: until then everything is in a hidden one beside it,
-    which is deleted when the export fails.
+    The directory appears when it is complete. Until then everything is in a hidden directory next
+    to it, which is deleted if the export fails.
 
     Args:
         runs: in this order.
         directory: must not exist yet.
-        outcome: only episodes that ended so.
+        outcome: only episodes with this outcome.
         fps: rows per second; by default the rate at which actions were sent.
-        codec: of the videos.
-        with_lerobot: an interpreter that has lerobot, whose own writer then writes; by default the
-            files are written here, without lerobot.
+        codec: codec of the videos.
+        with_lerobot: an interpreter with lerobot, whose own writer is then used; by default the
+            files are written without lerobot.
         only_interventions: each span in which a person moved the arm is an episode; the others are
             left out.
 
     Raises:
         ConfigurationError: the directory exists, or there is no such interpreter.
-        InvalidInputError: there is nothing to export, or nothing that is whole; says why of each.
+        InvalidInputError: there is nothing to export, or nothing complete; names the reason for
+            each.
         StateError: the directory cannot be written, or lerobot has failed.
-        MissingDependencyError: pyarrow or PyAV is not installed, or lerobot is not there.
+        MissingDependencyError: pyarrow or PyAV is not installed, or lerobot is missing.
     """
     if with_lerobot is None and find_spec("pyarrow") is None:
         raise MissingDependencyError(
@@ -234,7 +234,7 @@ def _write_videos(
     pictures: Iterator[dict[str, NDArray[np.uint8]]],
     videos: Mapping[str, CameraVideo],
 ) -> dict[str, tuple[NDArray[np.float64], int]]:
-    """Add the images of an episode, and return drawn pixels by camera."""
+    """Add the images of an episode, and return sampled pixels by camera."""
     for images in islice(pictures, rows):
         for camera, video in videos.items():
             video.add(images[camera], 1, sample_every(rows))
@@ -242,7 +242,7 @@ def _write_videos(
 
 
 def _values(episode: RecordedEpisode) -> dict[str, list[object]]:
-    """What was recorded, one value for each row, in the types of `meta.row_features`."""
+    """The recorded values, one for each row, in the types of `meta.row_features`."""
     rows = episode.rows
     leading = next(iter(rows[0].images))
     columns: dict[str, list[object]] = {}
@@ -263,7 +263,7 @@ def _values(episode: RecordedEpisode) -> dict[str, list[object]]:
 def _counters(
     episode: RecordedEpisode, index: int, begin: int, task: int, fps: int
 ) -> dict[str, list[object]]:
-    """Where the rows are in the data set."""
+    """Indices of the rows in the data set."""
     count = len(episode.rows)
     return {
         "timestamp": [np.float32(number / fps) for number in range(count)],

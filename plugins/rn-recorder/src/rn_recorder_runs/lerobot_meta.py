@@ -1,4 +1,4 @@
-"""Metadata of a LeRobotDataset v3: features, tasks, info, and where the episodes come from."""
+"""Metadata of a LeRobotDataset v3: features, tasks, info, and the origin of the episodes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class ExportSource:
     """A run and its episodes.
 
     Attributes:
-        shapes: (H, W, 3) of the images by camera; empty until its episodes are chosen.
+        shapes: (H, W, 3) of the images by camera; empty until its episodes are selected.
     """
 
     run: Run
@@ -40,14 +40,14 @@ class ExportSource:
 
     @property
     def robot_type(self) -> str | None:
-        """The name of the robot, as its files tell it."""
+        """Name of the robot from its files."""
         return read_about(self.run.files[0]).get("robot")
 
 
 def features(
     source: ExportSource, shapes: Mapping[str, tuple[int, ...]], fps: int, codec: Codec
 ) -> ColumnFeatures:
-    """What the columns are, by name; `shapes` are those of the images by camera."""
+    """Features of the columns, by name; `shapes` are those of the images by camera."""
     features = row_features(source, shapes)
     for camera, (height, width, _) in shapes.items():
         features[f"observation.images.{camera}"]["info"] = {
@@ -67,7 +67,7 @@ def features(
 
 
 def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) -> ColumnFeatures:
-    """Those that RoboNeuron gives a value; every data set has others besides."""
+    """Features with values from RoboNeuron; every data set has additional ones."""
     features: ColumnFeatures = {}
     if source.episodes[0].rows[0].joints.size:
         features["observation.state"] = _feature("float32", source.joint_names)
@@ -84,7 +84,7 @@ def row_features(source: ExportSource, shapes: Mapping[str, tuple[int, ...]]) ->
             "names": ["height", "width", "channels"],
         }
     features["intervention"] = {"dtype": "bool", "shape": [1], "names": None}
-    # none has "image" in its name, because lerobot takes such a feature for a camera's
+    # none has "image" in its name, because lerobot treats such a feature as a camera's
     for name in ("roboneuron.who", "roboneuron.sent_ns", "roboneuron.seen_ns"):
         features[name] = _COUNTER
     return features
@@ -95,7 +95,7 @@ def _feature(dtype: str, names: Sequence[str]) -> dict[str, object]:
 
 
 def array(pa: ModuleType, values: list[Any], feature: Mapping[str, Any]) -> Any:
-    """A column of a table of pyarrow, `pa`."""
+    """Create a column of a pyarrow table, `pa`."""
     kinds = {
         "float32": pa.float32(),
         "float64": pa.float64(),
@@ -110,7 +110,7 @@ def array(pa: ModuleType, values: list[Any], feature: Mapping[str, Any]) -> Any:
 
 
 def tasks(pa: ModuleType, tasks: Sequence[str]) -> object:
-    """With the tasks as pandas' index, which lerobot reads them by."""
+    """Table of the tasks as pandas' index, by which lerobot reads them."""
     table = pa.table(
         {
             "task_index": pa.array(range(len(tasks)), pa.int64()),
@@ -143,7 +143,7 @@ def info(
     tasks: Sequence[str],
     fps: int,
 ) -> dict[str, object]:
-    """What meta/info.json says."""
+    """Content of meta/info.json."""
     return {
         "codebase_version": VERSION,
         "fps": fps,
@@ -164,7 +164,7 @@ def info(
 def origin(
     sources: Sequence[ExportSource], episodes: Sequence[RecordedEpisode]
 ) -> dict[str, object]:
-    """Units, frames and where each episode comes from."""
+    """Units, frames and the origin of each episode."""
     about = read_about(sources[0].run.files[0])
     contract = json.loads(about.get("contract", "{}"))
     return {

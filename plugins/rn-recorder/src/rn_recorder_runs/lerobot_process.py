@@ -1,4 +1,4 @@
-"""A data set written by lerobot's own writer, in an interpreter of its own."""
+"""A data set written by lerobot's own writer, in a separate interpreter."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SHOWN = 300
 
 
 class LerobotWriter:
-    """Takes the rows of a data set, an episode after the other."""
+    """Receives the rows of a data set, one episode after the other."""
 
     def __init__(self, stream: IO[bytes], features: Sequence[str]) -> None:
         self._stream = stream
@@ -56,14 +56,13 @@ def lerobot_writer(
 
     Args:
         python: an interpreter with lerobot.
-        features: that rows have, in this order: those that lerobot adds by itself are not among
-            them.
+        features: features of the rows, in this order, without those that lerobot adds itself.
         codec: "av1" or "h264".
 
     Raises:
         ConfigurationError: there is no such interpreter.
         MissingDependencyError: it has no lerobot, or another release.
-        StateError: lerobot has failed; says how.
+        StateError: lerobot has failed; contains its output.
     """
     about = {
         "root": str(root.absolute()),
@@ -85,7 +84,7 @@ def lerobot_writer(
         assert process.stdin is not None
         is_told = False
         try:
-            with suppress(BrokenPipeError):  # its exit status and its last words tell why
+            with suppress(BrokenPipeError):  # exit status and last output contain the reason
                 process.stdin.write(json.dumps(about).encode() + b"\n")
                 yield LerobotWriter(process.stdin, list(features))
                 process.stdin.close()

@@ -1,9 +1,9 @@
-"""Writes a data set with lerobot's own writer, for an interpreter that has lerobot and neither ROS
-nor RoboNeuron.
+"""Program that writes a data set with lerobot's own writer, for an interpreter with lerobot but
+without ROS and RoboNeuron.
 
-On stdin comes one line of JSON with `root`, `fps`, `features`, `robot_type` and `codec`; then for
+Stdin contains one line of JSON with `root`, `fps`, `features`, `robot_type` and `codec`; then for
 each episode `T` and a line with its instruction, for each row `F` and the bytes of its features in
-their order, and `E`. Exits with 3 when there is no lerobot that it knows.
+their order, and `E`. Exits with 3 without a supported lerobot.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 VERSION = "0.6."
-"""Of lerobot: this one's writer is called here, and was tried."""
+"""Supported version of lerobot, whose writer was tested."""
 
 
 def read_row(stream: BinaryIO, features: dict[str, dict[str, Any]]) -> dict[str, object]:
@@ -30,7 +30,7 @@ def read_row(stream: BinaryIO, features: dict[str, dict[str, Any]]) -> dict[str,
 
 
 def main(stream: BinaryIO) -> None:
-    """Write what comes on the stream."""
+    """Write the rows from the stream."""
     try:
         import lerobot
         from lerobot.configs import RGBEncoderConfig

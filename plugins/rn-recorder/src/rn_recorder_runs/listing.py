@@ -1,4 +1,4 @@
-"""What `roboneuron runs list` and `runs show` print."""
+"""Output of `roboneuron runs list` and `runs show`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rn_recorder_runs.store import Run, RunStore
 
 
 def list_runs(store: RunStore, as_json: bool) -> int:
-    """Print every run of a directory, oldest first; repairs what was cut short."""
+    """Print every run of a directory, oldest first; repairs truncated ones."""
     for path in store.repair():
         print(f"Repaired: {path}", file=sys.stderr)
     rows: list[dict[str, Any]] = []
@@ -50,7 +50,7 @@ def list_runs(store: RunStore, as_json: bool) -> int:
 
 
 def show_run(run: Run, as_json: bool) -> int:
-    """Print what is in a run."""
+    """Print the content of a run."""
     topics = count_topics(run.files)
     about = read_about(run.files[0]) if run.files else {}
     events = []

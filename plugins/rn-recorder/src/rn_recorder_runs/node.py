@@ -1,9 +1,9 @@
-"""The recorder's process: `python -m rn_recorder_runs.node`, started by the feature;
-settings and orders come on stdin.
+"""The recorder's process: `python -m rn_recorder_runs.node`, started by the feature; settings and
+orders arrive on stdin.
 
-Three threads: one takes serialized messages off ROS into a bounded queue; one reads stdin; one
-encodes and writes what was taken, at once, so that all is done between two images. It lives in a
-process of its own and publishes nothing, so whatever happens to it is no other process's affair.
+It has three threads: one receives serialized messages from ROS into a bounded queue; one reads
+stdin; one encodes and writes messages at once, so that the work is done between two images. It is a
+separate process and publishes nothing, so its failures do not affect other processes.
 """
 
 from __future__ import annotations
@@ -35,19 +35,19 @@ log = logging.getLogger("recorder")
 EVENTS_TOPIC, AUDIT_TOPIC = "/roboneuron/events", "/roboneuron/audit"
 STRING = "std_msgs/msg/String"
 MOST_BYTES = 128_000_000
-"""Of messages that wait to be encoded and written."""
+"""Maximum size of messages that wait to be encoded and written."""
 _TURN_S, _STATUS_S = 0.1, 0.5
-"""Without messages one turn lasts so long; the tap's own turns are shorter, and each begins one
-here.
+"""Duration of a cycle without messages; the tap's own cycles are shorter, and each starts
+one here.
 """
 _PREDECESSOR_S = 15.0
 _LEAVE_S = 5.0
-"""Longest time that leaving ROS may take."""
+"""Longest time for leaving ROS."""
 _LATCHED = "latched"
 
 
 class Backlog:
-    """Messages between the threads; what does not fit is dropped and counted."""
+    """Message queue between the threads; messages that do not fit are dropped and counted."""
 
     def __init__(self, most_bytes: int = MOST_BYTES) -> None:
         self._records: deque[Record] = deque()
@@ -57,7 +57,7 @@ class Backlog:
         self.dropped = 0
 
     def put(self, record: Record) -> None:
-        """Add one; never waits."""
+        """Add one message; never blocks."""
         with self._lock:
             if self._bytes + len(record.data) > self._most_bytes:
                 self.dropped += 1
@@ -66,7 +66,7 @@ class Backlog:
             self._records.append(record)
 
     def get(self) -> Record | None:
-        """The oldest one."""
+        """Take the oldest message."""
         with self._lock:
             if not self._records:
                 return None
@@ -76,7 +76,7 @@ class Backlog:
 
 
 class RecorderWorker:
-    """Everything but ROS: orders, encoding, writing, status."""
+    """All work except ROS: orders, encoding, writing, status."""
 
     def __init__(self, settings: RecorderSettings) -> None:
         self._settings = settings
@@ -84,7 +84,7 @@ class RecorderWorker:
         self._orders: deque[dict[str, object]] = deque()
         self._stop = threading.Event()
         self.wake = threading.Event()
-        """To be set when messages were put."""
+        """Set when messages were added."""
         self._was_dismissed = False
         self._holds_directory = False
         self._undecodable = 0
@@ -100,11 +100,11 @@ class RecorderWorker:
         self.put = self._backlog.put
 
     def begin(self) -> None:
-        """Take over what is there; a directory that cannot be written is tried again with each
+        """Adopt the existing files; a directory that cannot be written is tried again with each
         message.
 
         Raises:
-            StateError: another recorder works there and does not end.
+            StateError: another recorder uses the directory and does not end.
         """
         try:
             self.recording.store.make()
@@ -119,8 +119,8 @@ class RecorderWorker:
         threading.Thread(target=self._listen, name="orders", daemon=True).start()
 
     def _hold(self) -> None:
-        """Hold the directory as long as this process lives; one that ends just now finishes its
-        files first.
+        """Lock the directory for the life of this process; a recorder that is just ending finishes
+        its files first.
         """
         until_s = time.monotonic() + _PREDECESSOR_S
         while self.recording.store.lock() is None:
@@ -130,7 +130,7 @@ class RecorderWorker:
         self._holds_directory = True
 
     def run(self, signals: Signals) -> None:
-        """Encode and write until the server ends or says so."""
+        """Encode and write until the server ends or requests the end."""
         told_s = 0.0
         while not (signals.is_leaving or self._stop.is_set()):
             self._turn()
@@ -162,12 +162,12 @@ class RecorderWorker:
             self._write(record)
         if record is not None:
             self._write(record)
-        while self._orders:  # a recording that ends now has what came before
+        while self._orders:  # a recording that ends now includes earlier messages
             self._obey(self._orders.popleft())
         self.recording.tick()
 
     def describe(self, topic: str, metadata: Mapping[str, str]) -> None:
-        """Keep a topic's metadata for the files that begin later; its images may be recorded under
+        """Store a topic's metadata for later files; its images may be recorded under
         another name.
         """
         channels = self.recording.latched.channels
@@ -208,7 +208,7 @@ class RecorderWorker:
         self._tell(answer)
 
     def _missed(self) -> int:
-        """Messages that came too fast for this process, since it began."""
+        """Number of messages that came too fast for this process, since its start."""
         gaps: Mapping[str, int] = self.counts().get("gaps", {})
         return self._backlog.dropped + sum(gaps.values())
 
@@ -233,7 +233,7 @@ class RecorderWorker:
         }
 
     def _tell(self, answer: Mapping[str, object]) -> None:
-        with suppress(OSError):  # a server that does not read, or is gone
+        with suppress(OSError):  # the server does not read, or has ended
             os.write(1, json.dumps(answer).encode() + b"\n")
 
     def _listen(self) -> None:
@@ -274,7 +274,7 @@ def main() -> None:
     signals = Signals()
     signals.listen()
     environment.prepare_environment(settings.state_directory / "log" / "ros")
-    discover()  # because features may bring message types
+    discover()  # because features may provide message types
     import rclpy  # heavy
     from rclpy.node import Node
     from rclpy.parameter import Parameter
@@ -312,11 +312,11 @@ def main() -> None:
     taking = threading.Thread(target=take, name="ros", daemon=True)
     taking.start()
     try:
-        process.run(signals)  # on the main thread, where signals are heard
+        process.run(signals)  # on the main thread, which handles signals
     finally:
-        # The files are closed. destroy_node has been seen not to return: whoever sends to a process
-        # that was killed while it took a message may do so for ever (Fast DDS 2.14, issue 6484).
-        # SIGALRM ends the process then.
+        # The files are closed. destroy_node has been observed to hang: a sender to a process that
+        # was killed while receiving a message may block for ever (Fast DDS 2.14, issue 6484).
+        # SIGALRM then ends the process.
         signal.setitimer(signal.ITIMER_REAL, _LEAVE_S)
         leaving.set()
         taking.join()

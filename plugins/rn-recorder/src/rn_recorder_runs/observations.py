@@ -1,4 +1,4 @@
-"""What a backend was asked in a run, put together from the streams that the run holds."""
+"""A backend's inputs in a run, reconstructed from the run's streams."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from roboneuron import (
 )
 
 _RECENT = 90
-"""Images of each camera that are kept undecoded."""
+"""Number of undecoded images kept per camera."""
 
 
 class _Pose(TypedDict):
-    """A pose, as `predictions` writes it."""
+    """A pose, as written by `predictions`."""
 
     position_m: list[float]
     quaternion_xyzw: list[float]
@@ -42,7 +42,7 @@ class _Pose(TypedDict):
 
 
 class _Ahead(TypedDict):
-    """What was being played, as `predictions` writes it."""
+    """The rows being played, as written by `predictions`."""
 
     rows: list[list[float]]
     committed_rows: int
@@ -53,15 +53,12 @@ class _Ahead(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class Gaps:
-    """What a run lacks of what the backend was asked: messages that were lost while it was
-    recorded.
+    """Missing parts of the backend's inputs in a run: messages lost during the recording.
 
     Attributes:
-        predictions: so many are missing by the publisher's count; what the backend answered then is
-            not known.
-        without_image: predictions that are there, but an image that the backend saw is not: they
-            are not compared.
-        first_ns: when the first of both was [ns]; None for none.
+        predictions: number of missing ones by the publisher's count; their answers are unknown.
+        without_image: predictions with a missing input image, which are not compared.
+        first_ns: time of the first of both [ns]; None for none.
     """
 
     predictions: int = 0
@@ -73,13 +70,13 @@ class Observations:
     """The observations of a run, in the order of its predictions.
 
     Args:
-        files: of the run.
-        cameras: camera by role, as the backend needs them.
+        files: files of the run.
+        cameras: camera by role, as required by the backend.
         optional: roles that may be missing.
-        profile: of the robot; says how cameras are mounted and how the gripper opens.
+        profile: profile of the robot, with the cameras' mounts and the gripper.
 
     Raises:
-        InvalidInputError: the run holds no predictions.
+        InvalidInputError: the run contains no predictions.
     """
 
     def __init__(
@@ -107,12 +104,12 @@ class Observations:
         self._used = {
             f["camera"] for prediction in predictions for f in prediction.facts["frames"].values()
         }
-        """Cameras of the recorded backend: what it did without is left out."""
+        """Cameras of the recorded backend; its unused ones are left out."""
         self._there = {
             camera: {stamp for _, stamp in seen} for camera, seen in self._streams.images.items()
         }
         self.gaps = self._find_gaps()
-        """What the run lacks."""
+        """Missing messages of the run."""
         self.labels = tuple(
             dict.fromkeys(label_of(one.facts) for one in predictions if "rows" in one.facts)
         )
@@ -139,8 +136,8 @@ class Observations:
         return Gaps(lost, incomplete, min(at_ns, default=None))
 
     def __iter__(self) -> Iterator[tuple[RecordedPrediction, Observation]]:
-        """Each recorded prediction with the observation it was made of, rebuilt; those of which an
-        image is lost are left out (see `gaps`).
+        """Yield each recorded prediction with its reconstructed observation; those with a lost
+        image are left out (see `gaps`).
 
         Raises:
             InvalidInputError: every prediction lacks an image, or images come in another order than
@@ -285,7 +282,7 @@ def _ahead(told: _Ahead) -> Ahead:
 
 
 def to_rows(told: Sequence[Sequence[float]], size: int) -> F64:
-    """Rows as JSON has them, float64 (H, n); `size` is n where there are none."""
+    """Parse rows from JSON to float64 (H, n); `size` is n if there are none."""
     return np.array(told, dtype=np.float64) if told else np.zeros((0, size))
 
 

@@ -1,6 +1,4 @@
-"""What a backend was asked and what it answered, as one line of JSON: by it a recording is replayed
-exactly.
-"""
+"""Input and answer of a backend as one line of JSON, from which a recording is replayed exactly."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ _MOST_KEPT = 20
 
 
 def join(host: ModuleHost) -> None:
-    """Have the inference module publish its predictions; called in every module process, see
+    """Make the inference module publish its predictions; called in every module process, see
     `FeatureSpec.on_join`.
     """
     if host.settings.kind == "inference":
@@ -44,11 +42,10 @@ def _extend(module: Module) -> None:
 
 
 class PredictionRecords:
-    """Records of the predictions that somebody hears of, and of those since the last reset, if it
-    was not long ago.
+    """Records of the predictions that have a subscriber, and of those since a recent reset.
 
-    A recorder finds the topic a moment after the first predictions, and without them a backend that
-    remembers what it saw cannot be replayed.
+    A recorder discovers the topic shortly after the first predictions. Without these, a stateful
+    backend cannot be replayed.
     """
 
     def __init__(self) -> None:
@@ -78,17 +75,17 @@ class PredictionRecords:
 def prediction_record(
     observation: Observation, mode: str, resets: bool, answer: ActionChunk | Exception
 ) -> str:
-    """One prediction.
+    """Format one prediction.
 
-    Observations are named by their stamps [ns]; state and rows are given as they are, in the
-    contract's units (numbers in JSON keep every bit of a float64). `space` is the label of the
-    rows' control space. `ahead` says what ran meanwhile, without the backend's own context.
+    Observations are identified by their stamps [ns]; state and rows are included, in the contract's
+    units (numbers in JSON keep every bit of a float64). `space` is the label of the rows' control
+    space. `ahead` contains the rows played meanwhile, without the backend's own context.
 
     Args:
-        observation: what the backend got.
-        mode: how its answer is executed.
+        observation: input of the backend.
+        mode: execution mode of its answer.
         resets: the backend was reset just before.
-        answer: the chunk, or why there is none.
+        answer: the chunk, or the error.
     """
     joints, pose, ahead = observation.joints, observation.ee_pose, observation.ahead
     record: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""The recorder's place behind the control loop, when both want the same core."""
+"""Scheduling priority of the recorder below the control loop."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import struct
 import sys
 
 _NICENESS = 10
-"""On a busy machine this still leaves a tenth of each core, about what two cameras need. SCHED_IDLE
-would leave nothing, and a process without privileges cannot leave that policy again.
+"""Niceness that still leaves a tenth of each core on a busy machine, about what two cameras need.
+SCHED_IDLE would leave nothing, and an unprivileged process cannot leave that policy again.
 """
 _SLICE_NS = 100_000_000
 _SCHED_ATTR = struct.Struct("=IIQiIQQQ")
@@ -19,15 +19,16 @@ _SYS_SCHED_SETATTR = {"x86_64": 314, "aarch64": 274, "riscv64": 274}
 
 
 def give_way() -> None:
-    """Let the threads of other processes go first; threads that are started later inherit it.
+    """Lower the priority of this process's threads below those of other processes; later threads
+    inherit it.
 
-    An image wakes the model's process and the recorder at once. With SCHED_BATCH a recorder's
-    thread that wakes up does not interrupt one that runs; with a slice longer than everybody's, it
-    is interrupted by any thread that wakes up (Linux 6.12; since 6.6 it would go on until its slice
-    or the timer's tick ends, which takes up to 4 ms).
+    An image wakes the model's process and the recorder at the same time. With SCHED_BATCH a
+    recorder's thread that wakes up does not preempt a running one. With a slice longer than all
+    others, it is preempted by any thread that wakes up (Linux 6.12; since 6.6 it would run until
+    its slice or the timer's tick ends, which takes up to 4 ms).
 
-    No privilege is needed. Where a container or an older kernel refuses one of them, the rest
-    holds.
+    No privilege is needed. If a container or an older kernel refuses one of them, the others still
+    apply.
 
     Source: sched(7), sched_setattr(2); PREEMPT_SHORT in kernel/sched/features.h of Linux 6.12.
     """

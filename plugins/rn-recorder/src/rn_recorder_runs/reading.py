@@ -18,7 +18,7 @@ CAMERA = "camera"
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """A message and its fields; `record` holds times and topic."""
+    """A message and its fields; `record` contains times and topic."""
 
     record: Record
     message: Any
@@ -26,11 +26,11 @@ class Decoded:
 
 @dataclass(frozen=True, slots=True)
 class TopicCounts:
-    """What a run holds of one topic.
+    """Content of one topic in a run.
 
     Attributes:
-        lost: messages that the publisher counted and the file lacks; None when several published,
-            or nobody counts.
+        lost: messages missing by the publisher's count; None for several publishers, or without a
+            count.
     """
 
     type: str
@@ -42,14 +42,14 @@ class TopicCounts:
 
 
 class RecordDecoder:
-    """Decodes records by the definitions that their file holds."""
+    """Decodes records with the definitions in their file."""
 
     def __init__(self) -> None:
         self.definitions: dict[str, str] = {}
         self._decoders: dict[str, Callable[[bytes], object]] = {}
 
     def decode(self, record: Record) -> Any:
-        """The message of a record. Raises ValueError when its definition cannot be read."""
+        """Decode the message of a record. Raises ValueError if its definition cannot be read."""
         decoder = self._decoders.get(record.type)
         if decoder is None:
             schema = Schema(
@@ -68,7 +68,7 @@ class RecordDecoder:
 def iterate(
     files: Sequence[Path], wanted: Callable[[str], bool], decode: bool = True
 ) -> Iterator[Decoded]:
-    """The messages of those topics, file after file, in the order in which they were written."""
+    """Yield the messages of those topics, file after file, in the order of writing."""
     decoder = RecordDecoder()
     for path in files:
         for record in read_records(path, decoder.definitions):
@@ -77,7 +77,7 @@ def iterate(
 
 
 def count_topics(files: Sequence[Path]) -> dict[str, TopicCounts]:
-    """Messages by topic, and how many are missing by the publishers' own counts."""
+    """Number of messages by topic, and of missing ones by the publishers' own counts."""
     messages: Counter[str] = Counter()
     sizes: Counter[str] = Counter()
     missing: Counter[str] = Counter()
@@ -96,7 +96,7 @@ def count_topics(files: Sequence[Path]) -> dict[str, TopicCounts]:
             before = newest.get(topic)
             newest[topic] = sequence
             if sequence == 0 or (before is not None and 1 < sequence <= before):
-                uncounted.add(topic)  # several publishers count for themselves
+                uncounted.add(topic)  # several publishers count separately
             elif before is not None and sequence > before:
                 missing[topic] += sequence - before - 1
     return {
@@ -112,13 +112,13 @@ def count_topics(files: Sequence[Path]) -> dict[str, TopicCounts]:
 
 
 def camera_of(topic: str) -> str:
-    """The camera whose images a topic carries ("/ns/camera/<name>/image" or its ".../compressed");
-    empty for others.
+    """Camera of an image topic ("/ns/camera/<name>/image" or its ".../compressed"); empty for
+    others.
     """
     parts = topic.removesuffix("/compressed").split("/")
     return parts[-2] if len(parts) >= 3 and parts[-1] == "image" and parts[-3] == CAMERA else ""
 
 
 def ends_with(topic: str, names: Collection[str]) -> bool:
-    """Whether the topic's last name is one of these."""
+    """True if the topic's last name is one of these."""
     return topic.rpartition("/")[2] in names

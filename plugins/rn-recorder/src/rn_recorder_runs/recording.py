@@ -1,9 +1,8 @@
-"""What the recorder keeps of the stream of messages: a ring of the last seconds, recordings, and
-incidents.
+"""Storage of recorded messages: a ring of the last seconds, recordings, and incidents.
 
-Nothing here knows ROS. Everything is called from one thread, except that incidents are cut out of
-the ring by a thread of their own. A disk that cannot be written costs messages, which are counted;
-it is tried again every two seconds.
+It is independent of ROS. Everything is called from one thread, except that a separate thread
+extracts incidents from the ring. If the disk cannot be written, messages are lost and counted; it
+is tried again every two seconds.
 """
 
 from __future__ import annotations
@@ -34,16 +33,16 @@ _CHECK_S = 1.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rules:
-    """What `[recorder]` says of files.
+    """Settings of `[recorder]` for files.
 
     Attributes:
-        ring_s: the ring reaches back so far [s]; 0 for no ring and no incidents.
-        after_s: an incident goes on for so long [s].
-        part_bytes, part_s: a part of a recording is at most so large and so long.
-        quota_bytes: all files together.
-        keep_s: files that were last written so long ago are deleted [s]; 0 for never.
-        incident_s: an incident that goes on becomes at most so long; then another one begins [s].
-        min_free_bytes: less free space on the disk ends writing.
+        ring_s: length of the ring [s]; 0 for no ring and no incidents.
+        after_s: time of an incident after the fault [s].
+        part_bytes, part_s: maximum size and duration of a part of a recording.
+        quota_bytes: maximum size of all files together.
+        keep_s: age of the last write after which files are deleted [s]; 0 for never.
+        incident_s: maximum duration of a continuing incident, after which another one begins [s].
+        min_free_bytes: free space on the disk below which writing ends.
     """
 
     ring_s: float = 30.0
@@ -71,11 +70,11 @@ class Recording:
     """Ring, recordings and incidents of one recorder.
 
     Args:
-        store: its directory is made when the first message comes.
+        store: its directory is created with the first message.
         rules: sizes and times.
-        about: for the metadata of every file.
+        about: metadata of every file.
         clock_ns: wall clock [ns].
-        monotonic: for what is due [s].
+        monotonic: monotonic time [s].
     """
 
     def __init__(
@@ -95,12 +94,12 @@ class Recording:
         self._ring: deque[Path] = deque()
         self._segment = 0
         self.latched = Latched()
-        """Metadata of topics and messages of latched ones, for every file that begins."""
+        """Metadata of topics and messages of latched ones, for every new file."""
         self._ring_sink = Sink("ring", self._next_segment, self._about, self.latched)
         self._active: _Active | None = None
         self._incident: OpenIncident | None = None
         self._former: OpenIncident | None = None
-        """The newest incident that was written: a fault soon after it belongs to it."""
+        """The newest written incident, to which a fault soon after it belongs."""
         self._cutting: threading.Thread | None = None
         self._checked_s = 0.0
         self._space = ""
@@ -108,13 +107,11 @@ class Recording:
 
     @property
     def active_id(self) -> str:
-        """The recording in progress; empty for none."""
+        """Id of the recording in progress; empty for none."""
         return self._active.id if self._active is not None else ""
 
     def adopt(self) -> None:
-        """Take over what a recorder that died has left: index its files, write its incident. Raises
-        OSError.
-        """
+        """Adopt the files of a dead recorder: index them, write its incident. Raises OSError."""
         self.store.make()
         left = sorted(self.store.ring.glob("*.mcap"))
         for path in self.store.ring.glob("*.json"):
@@ -135,7 +132,7 @@ class Recording:
             path.unlink(missing_ok=True)
 
     def take(self, record: Record) -> None:
-        """Keep a message."""
+        """Store a message."""
         now_s = self._monotonic()
         self.latched.note(record)
         if self._space:
@@ -147,7 +144,7 @@ class Recording:
             self._active.sink.write(record, now_s)
 
     def tick(self) -> None:
-        """Flush, rotate, delete what is too old, finish incidents; to be called several times a
+        """Flush, rotate, delete old files, finish incidents; to be called several times a
         second.
         """
         now_s, now_ns = self._monotonic(), self._clock_ns()
@@ -172,7 +169,7 @@ class Recording:
             self._check_space()
 
     def start(self, name: str, facts: Mapping[str, object], *, resumed: str = "") -> str:
-        """Begin a recording and return its id; `resumed`: go on with that one.
+        """Start a recording and return its id; `resumed`: continue that one.
 
         Raises:
             StateError: another one is in progress, or the directory cannot be written.
@@ -212,9 +209,7 @@ class Recording:
         return run_id
 
     def stop(self, facts: Mapping[str, object], state: str = "finished") -> dict[str, object]:
-        """End the recording and return what is known of it. Raises StateError when there is
-        none.
-        """
+        """End the recording and return its facts. Raises StateError without one."""
         active, self._active = self._active, None
         if active is None:
             raise StateError("No recording is in progress.", hint="start_recording begins one.")
@@ -239,10 +234,10 @@ class Recording:
         }
 
     def incident(self, word: str, facts: Mapping[str, object]) -> str:
-        """A fault: keep the ring's time before it and some time after it.
+        """Handle a fault: keep the ring's time before it and some time after it.
 
-        Another fault before that time is over, or so soon after it that the ring reaches back to
-        it, joins the incident: what goes on for minutes is one file.
+        Another fault within that time, or so soon after it that the ring reaches back to it, joins
+        the incident: a long series of faults is one file.
         """
         if self.rules.ring_s <= 0:
             return ""
@@ -258,7 +253,7 @@ class Recording:
         pending = self._incident
         pending.until_ns = min(until_ns, pending.at_ns + most_ns)
         pending.facts.append({"at_ns": now_ns, "what": word, **facts})
-        with suppress(OSError):  # for the next recorder, should this one die before it is written
+        with suppress(OSError):  # for the next recorder, in case this one dies before it is written
             self.store.make()
             kept = {
                 name: getattr(pending, name)
@@ -268,9 +263,7 @@ class Recording:
         return pending.id
 
     def _reopened(self, now_ns: int) -> OpenIncident | None:
-        """The newest incident that was written, if this fault follows it soon and it is not too
-        long yet.
-        """
+        """The newest written incident, if this fault follows soon and it is not too long yet."""
         former, self._former = self._former, None
         if former is None or now_ns > former.until_ns + round(
             (self.rules.ring_s - self.rules.after_s) * 1e9
@@ -284,7 +277,7 @@ class Recording:
         return former
 
     def close(self, state: str = "finished") -> None:
-        """End everything: the recording, an incident that is due, the ring."""
+        """End the recording, a pending incident, and the ring."""
         if self._active is not None:
             self.stop({}, state)
         if self._incident is not None:
@@ -294,7 +287,7 @@ class Recording:
         self._ring_sink.finish()
 
     def state(self) -> dict[str, object]:
-        """What list_recordings and the log tell of it."""
+        """State for list_recordings and the log."""
         active = self._active
         problem = (
             self._space
@@ -335,8 +328,8 @@ class Recording:
             self._ring.popleft().unlink(missing_ok=True)
 
     def _finish_incident(self) -> None:
-        """Cut it out of the ring on a thread of its own, so that recording goes on; one that goes
-        on stays open.
+        """Extract the incident from the ring on another thread, so that recording continues; a
+        continuing one stays open.
         """
         incident, self._incident = self._incident, None
         assert incident is not None
@@ -363,7 +356,7 @@ class Recording:
             self.incidents_written.append(incident.id)
 
     def _check_space(self) -> None:
-        """End the parts in time before the disk is full, so that they have an index."""
+        """End the parts before the disk is full, so that they have an index."""
         try:
             free = shutil.disk_usage(self.store.directory).free
         except OSError:
@@ -390,6 +383,6 @@ class Recording:
 
 
 def _stamp(at_ns: int) -> str:
-    """A time that sorts, for names."""
+    """Format a sortable time, for names."""
     at = datetime.fromtimestamp(at_ns / 1e9, UTC)
     return f"{at:%Y%m%dT%H%M%S}.{at.microsecond // 1000:03d}Z"

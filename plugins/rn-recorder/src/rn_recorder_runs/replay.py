@@ -1,5 +1,5 @@
-"""Replay: recorded observations into a backend, without a robot, and its answers beside the
-recorded ones.
+"""Replay of recorded observations with a backend, without a robot, and comparison with the recorded
+answers.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ EXACT = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """One prediction, as recorded and as replayed.
+    """One prediction, recorded and replayed.
 
     Attributes:
-        at_ns: when it was recorded [ns].
-        label: of the control space of both.
-        recorded, replayed: float64 (H, n), contract units; empty where the backend refused.
-        error: why the replayed backend refused; empty when it answered.
-        took_s: of the replayed prediction.
+        at_ns: time of the recording [ns].
+        label: label of the control space of both.
+        recorded, replayed: float64 (H, n), contract units; empty if the backend refused.
+        error: reason of the replayed backend's refusal; empty if it answered.
+        took_s: duration of the replayed prediction.
     """
 
     at_ns: int
@@ -47,13 +47,13 @@ class Compared:
 
     @property
     def difference(self) -> F64:
-        """Replayed less recorded, float64 (rows that both have, n)."""
+        """Replayed minus recorded, float64 (common rows, n)."""
         rows = min(len(self.recorded), len(self.replayed))
         difference: F64 = self.replayed[:rows] - self.recorded[:rows]
         return difference
 
     def diverges(self, tolerance: float) -> bool:
-        """Whether they differ by more than that, in the number of rows, or in refusing."""
+        """True if they differ by more than the tolerance, in the number of rows, or in refusing."""
         if self.recorded.shape != self.replayed.shape:
             return True
         return bool(self.recorded.size and np.abs(self.difference).max() > tolerance)
@@ -62,8 +62,8 @@ class Compared:
 def replay(
     observations: Observations, backend: Backend, agreement: SpaceAgreement
 ) -> Iterator[Compared]:
-    """Ask a loaded backend everything that was asked, resetting it where the recorded one was
-    reset. `agreement` makes of its answers what control would get.
+    """Run a loaded backend on all recorded inputs, reset as in the recording. `agreement` converts
+    its answers as for control.
     """
     size, label = agreement.executed.size, agreement.executed.label
     backend.reset()

@@ -1,4 +1,4 @@
-"""A run that is to be replayed, and the backend that is to answer it."""
+"""A run to be replayed, with its backend."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ def load_replayed(
     acceleration: str | None,
     options: Mapping[str, Mapping[str, object]],
 ) -> tuple[Observations, DeployedBackend]:
-    """The run's observations, and the backend, loaded, for the robot that the run is of.
+    """Return the run's observations, and the loaded backend for the run's robot.
 
     Args:
-        options: by name of the plugin that takes them.
+        options: options by plugin.
 
     Raises:
         InvalidInputError: the run's answers are of another control space than the backend's.
@@ -58,8 +58,8 @@ def load_replayed(
 
 
 def check_labels(observations: Observations, agreement: SpaceAgreement) -> None:
-    """Raises InvalidInputError when recorded answers are of another control space than those of
-    the backend, so that nothing can be compared.
+    """Raise InvalidInputError if recorded answers are of another control space than the backend's,
+    so that they cannot be compared.
     """
     expected = agreement.executed.label
     if others := [label for label in observations.labels if label != expected]:

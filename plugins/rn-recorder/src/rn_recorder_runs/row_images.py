@@ -1,4 +1,4 @@
-"""The images of a run's rows, in the order of the rows."""
+"""Images of a run's rows, in the order of the rows."""
 
 from __future__ import annotations
 
@@ -16,10 +16,9 @@ from rn_recorder_runs.reading import RecordDecoder, camera_of
 
 
 def row_images(source: ExportSource) -> Iterator[dict[str, NDArray[np.uint8]]]:
-    """For each row of each episode its images by camera, uint8 (H, W, 3) RGB.
+    """Yield the images by camera for each row of each episode, uint8 (H, W, 3) RGB.
 
-    One pass through the files; an image is kept undecoded from when it comes until no row needs it
-    any more.
+    One pass through the files; an image is kept undecoded until the last row that needs it.
     """
     rows = deque(
         {camera: row.images[camera] for camera in source.cameras}

@@ -1,4 +1,4 @@
-"""Message definitions of ROS 2 types, as an MCAP file with the profile "ros2" holds them.
+"""Message definitions of ROS 2 types, in the format of MCAP files with the profile "ros2".
 
 Source of the format: MCAP well-known schema encodings, "ros2msg": the definition, then that of each
 type it uses, each after a line of 80 "=" and a line "MSG: package/Name".
@@ -21,7 +21,7 @@ _FIELD = re.compile(r"\s*([A-Za-z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s+[A-Za-z]\w*
 
 
 _OWN = {("tf2_msgs", "TFMessage"): "geometry_msgs/TransformStamped[] transforms\n"}
-"""Types that the recorder itself makes up, whose package need not be installed."""
+"""Types of messages that the recorder itself creates, whose package need not be installed."""
 
 
 @cache
@@ -29,7 +29,7 @@ def definition(type_name: str) -> str:
     """The concatenated definition of a message type such as "sensor_msgs/msg/Image".
 
     Raises:
-        FileNotFoundError: no installed package holds it, or a type that it uses.
+        FileNotFoundError: it, or a type that it uses, is not installed.
     """
     package, _, name = type_name.partition("/msg/")
     parts = [_read(package, name)]
@@ -56,7 +56,7 @@ def _read(package: str, name: str) -> str:
 
 
 def _used(package: str, text: str) -> list[tuple[str, str]]:
-    """Types that the fields of a definition have, without the built-in ones."""
+    """Types of the fields of a definition, without the built-in ones."""
     found = []
     for line in text.splitlines():
         match = _FIELD.match(line.split("#", 1)[0])

@@ -1,4 +1,4 @@
-"""What the server tells the recorder's process when it starts it: one line of JSON on stdin."""
+"""Settings of the recorder's process, sent by the server as one line of JSON on stdin."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from pydantic import BaseModel, ConfigDict
 from roboneuron.command import environment, log_files
 
 SWITCH, PLAY = "ROBONEURON_RECORDER", "play"
-"""Environment variable of a server: with "off" nothing is recorded (tests, small machines); with
-PLAY neither, but the server offers play_recording.
+"""Environment variable of a server: "off" disables recording (tests, small machines); PLAY too, but
+the server then offers play_recording.
 """
 _SLOT = 14
-"""Ports of the first recorder: those that modules use last, see `port_offset`."""
+"""Port slot of the first recorder: those that modules use last, see `port_offset`."""
 
 
 class CameraMount(BaseModel):
-    """Where a camera's optical frame is, as the profile has it: position [m] and quaternion x y z w
-    in `parent`.
+    """Mount of a camera's optical frame from the profile: position [m] and quaternion x y z w in
+    `parent`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -35,7 +35,7 @@ class CameraMount(BaseModel):
 
 
 class RulesSettings(BaseModel):
-    """As `rn_recorder_runs.recording.Rules`."""
+    """Settings of `rn_recorder_runs.recording.Rules`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -50,17 +50,17 @@ class RulesSettings(BaseModel):
 
 
 class RecorderSettings(BaseModel):
-    """Everything the recorder's process knows.
+    """All settings of the recorder's process.
 
     Attributes:
-        namespace: of the robot, without slashes around it.
-        state_directory: where the audit is.
-        directory: of the runs.
-        topics, exclude: patterns; those without a slash in front are under the namespace.
+        namespace: namespace of the robot, without leading and trailing slashes.
+        state_directory: directory of the audit.
+        directory: directory of the runs.
+        topics, exclude: patterns; those without a leading slash are under the namespace.
         images: "jpeg" or "lossless".
-        about: for the metadata of every file.
+        about: metadata of every file.
         urdf, mounts: of the robot, for `robot_description` and transforms; empty for none.
-        resume, resume_name: a recording that a recorder before this one was writing.
+        resume, resume_name: a recording to be continued from a previous recorder.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -83,20 +83,20 @@ class RecorderSettings(BaseModel):
 def spawn_recorder(
     settings: RecorderSettings, log_path: Path, start: int, secrets: Collection[str]
 ) -> subprocess.Popen[bytes]:
-    """Start the recorder's process, in a group of its own within this session (the kernel then
-    wakes it, should it be stopped when the server dies); stdin and stdout are pipes.
+    """Start the recorder's process, in a separate group within this session (so the kernel resumes
+    a stopped one when the server dies); stdin and stdout are pipes.
 
     Args:
         settings: its first line.
-        log_path: gets its stderr.
-        start: how many recorders this server started before.
-        secrets: environment variables that it does not get.
+        log_path: file of its stderr.
+        start: number of recorders that this server started before.
+        secrets: environment variables that are withheld from it.
 
     Raises:
         OSError: it cannot be started.
     """
     with open(log_path, "ab", opener=log_files.opener) as output:
-        child = subprocess.Popen(  # its owner is RecorderProcess
+        child = subprocess.Popen(  # owned by RecorderProcess
             [sys.executable, "-m", "rn_recorder_runs.node"],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -112,6 +112,6 @@ def spawn_recorder(
     try:
         child.stdin.write(settings.model_dump_json().encode() + b"\n")
         child.stdin.flush()
-    except BrokenPipeError:  # it ended already; its owner sees that
+    except BrokenPipeError:  # it ended already; its owner detects that
         pass
     return child

@@ -1,6 +1,4 @@
-"""Files that messages are written to, one after the other; a disk that cannot be written costs
-messages only.
-"""
+"""Consecutive files for messages; if the disk cannot be written, only messages are lost."""
 
 from __future__ import annotations
 
@@ -16,16 +14,15 @@ from rn_recorder_runs.files import FLUSH_S, LATCHED, Record, RunFile
 log = logging.getLogger(__name__)
 RETRY_S = 2.0
 _MOST_LATCHED = 8
-"""Messages kept of a latched topic: several nodes may publish on /tf_static."""
+"""Messages kept per latched topic: several nodes may publish on /tf_static."""
 
 
 class Latched:
-    """What every file needs however late it begins: metadata of topics, and the newest messages of
-    latched ones.
+    """Data required by every file: metadata of topics, and the newest messages of latched ones.
 
     Attributes:
         channels: metadata by topic.
-        definitions: definition by type, of those that no installed package holds.
+        definitions: definition by type, for types that are not installed.
     """
 
     def __init__(self) -> None:
@@ -34,9 +31,7 @@ class Latched:
         self._held: dict[tuple[str, bytes], Record] = {}
 
     def note(self, record: Record) -> None:
-        """Keep a message if its topic is latched: of equal length and content once, at most a few
-        of a topic.
-        """
+        """Store a message if its topic is latched: equal messages once, at most a few per topic."""
         if LATCHED not in self.channels.get(record.topic, {}):
             return
         self._held.pop((record.topic, record.data), None)
@@ -46,8 +41,8 @@ class Latched:
             del self._held[key]
 
     def records(self, before_ns: int) -> list[Record]:
-        """The newest messages that came before that time [ns], as of that time: a file's span is
-        not theirs.
+        """The newest messages before that time [ns], stamped with that time, so that they do not
+        extend a file's span.
         """
         return [
             replace(record, log_ns=before_ns)
@@ -61,7 +56,7 @@ class Sink:
 
     Attributes:
         lost: messages that could not be written.
-        problem: why nothing is written now; empty when all is well.
+        problem: reason why nothing is written now; empty for none.
     """
 
     def __init__(
@@ -102,7 +97,7 @@ class Sink:
             self.fail(error, now_s)
 
     def flush(self, now_s: float) -> None:
-        """Write what is buffered, if it is due."""
+        """Write buffered messages, if due."""
         if self.file is None or now_s - self._flushed_s < FLUSH_S:
             return
         self._flushed_s = now_s

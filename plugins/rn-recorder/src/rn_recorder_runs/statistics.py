@@ -1,5 +1,4 @@
-"""Statistics of a data set's features, as LeRobotDataset v3 keeps them for each episode and for
-all.
+"""Statistics of a data set's features in LeRobotDataset v3, for each episode and for all.
 
 Source: lerobot 0.6.1, `datasets/compute_stats.py`: keys, and images as fractions of 255 over a
 sample of pixels, in the shape (3, 1, 1).
@@ -19,7 +18,7 @@ QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
 
 @dataclass(frozen=True, slots=True)
 class Stats:
-    """Of one feature; arrays have its shape."""
+    """Statistics of one feature; arrays have its shape."""
 
     min: F64
     max: F64
@@ -29,14 +28,14 @@ class Stats:
     count: int
 
     def to_lists(self) -> dict[str, list[object]]:
-        """As the files hold them."""
+        """Convert to the files' format."""
         named = {"min": self.min, "max": self.max, "mean": self.mean, "std": self.std}
         named |= {f"q{round(q * 100):02d}": self.quantiles[i] for i, q in enumerate(QUANTILES)}
         return {**{name: value.tolist() for name, value in named.items()}, "count": [self.count]}
 
 
 def stats_of(values: F64, count: int | None = None) -> Stats:
-    """Of rows (N, ...)."""
+    """Statistics of rows (N, ...)."""
     return Stats(
         values.min(axis=0),
         values.max(axis=0),
@@ -48,7 +47,7 @@ def stats_of(values: F64, count: int | None = None) -> Stats:
 
 
 def image_stats(pixels: F64, frames: int) -> Stats:
-    """Of pixels (N, 3) in 0 .. 1 that were drawn from that many frames."""
+    """Statistics of pixels (N, 3) in 0 .. 1, sampled from that many frames."""
     flat = stats_of(pixels, frames)
     shape = (3, 1, 1)
     return Stats(
@@ -62,7 +61,7 @@ def image_stats(pixels: F64, frames: int) -> Stats:
 
 
 def merge(parts: Sequence[Stats]) -> Stats:
-    """Of all episodes together; quantiles are their weighted mean, as lerobot merges them."""
+    """Merge the statistics of all episodes; quantiles are their weighted mean, as in lerobot."""
     weights = np.array([part.count for part in parts], dtype=np.float64)
     weights /= weights.sum()
 

@@ -1,8 +1,7 @@
-"""Where runs are kept: recordings of several parts, incidents of one file, and the ring; listing,
+"""Directory of runs: recordings of several parts, incidents of one file, and the ring; listing,
 quota, deletion.
 
-<directory>/recordings/<id>/part-0001.mcap ... run.json
-<directory>/incidents/<id>.mcap
+<directory>/recordings/<id>/part-0001.mcap ... run.json <directory>/incidents/<id>.mcap
 <directory>/ring/<number>.mcap
 """
 
@@ -24,9 +23,9 @@ from roboneuron import InvalidInputError, StateError
 log = logging.getLogger(__name__)
 RUN_FILE = "run.json"
 LABELS, WHOLE_RUN = "labels", "all"
-"""Key of `Run.facts` for what people have said of it, by episode, or of all of it."""
+"""Key of `Run.facts` for labels given by people, by episode, or for the whole run."""
 LOCK = "recorder.lock"
-"""Held by a recorder that works in the directory."""
+"""Lock file of a recorder that uses the directory."""
 Kind = Literal["recording", "incident"]
 
 
@@ -47,7 +46,7 @@ class Run:
 
     @property
     def size_bytes(self) -> int:
-        """Of all its files."""
+        """Size of all its files."""
         sizes = 0
         for path in self.files:
             with suppress(OSError):
@@ -56,14 +55,14 @@ class Run:
 
     @property
     def told(self) -> dict[str, str]:
-        """Outcome and comment of the whole run, as people have said it; else as it was recorded."""
+        """Outcome and comment of the whole run, as labelled by people; else as recorded."""
         label: dict[str, str] = self.facts.get(LABELS, {}).get(WHOLE_RUN, {})
         comment = str(self.facts.get("note") or self.facts.get("incident") or "")
         return {"outcome": str(self.facts.get("outcome", "")), "comment": comment, **label}
 
     @property
     def is_complete(self) -> bool:
-        """Whether every file of it has an index."""
+        """True if every file of it has an index."""
         from rn_recorder_runs.files import is_finished  # heavy
 
         return all(is_finished(path) for path in self.files)
@@ -84,7 +83,7 @@ class Run:
 
 
 class RunStore:
-    """The directory of runs. Nothing is made before `make`."""
+    """The directory of runs. Nothing is created before `make`."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
@@ -93,13 +92,13 @@ class RunStore:
         self.ring = directory / "ring"
 
     def make(self) -> None:
-        """Have the folders. Raises OSError."""
+        """Create the folders. Raises OSError."""
         for folder in (self.directory, self.recordings, self.incidents, self.ring):
             folder.mkdir(mode=0o750, parents=True, exist_ok=True)
 
     def lock(self) -> int | None:
-        """A descriptor that holds the directory for one recorder; None while another one works.
-        Raises OSError.
+        """Lock the directory for one recorder and return the descriptor; None while another one
+        uses it. Raises OSError.
         """
         descriptor = os.open(self.directory / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o640)
         try:
@@ -117,7 +116,7 @@ class RunStore:
         """The run of that id, or the newest for "latest".
 
         Raises:
-            InvalidInputError: there is none, or several begin so.
+            InvalidInputError: there is none, or several begin with the name.
         """
         runs = self.runs()
         if name == "latest" and runs:
@@ -136,7 +135,7 @@ class RunStore:
         return found[0]
 
     def repair(self) -> list[Path]:
-        """Give every file that was cut short an index, unless a recorder works here; returns those
+        """Add an index to every truncated file, unless a recorder is running here; return those
         that needed it.
         """
         from rn_recorder_runs.files import repair  # heavy
@@ -179,17 +178,17 @@ class RunStore:
     def label(
         self, run: Run, *, outcome: str | None, comment: str | None, episode: int | None = None
     ) -> dict[str, str]:
-        """Note what a person says of a recording, or of one episode of it; it counts more than what
-        was told before. Returns the whole label.
+        """Store a person's label of a recording, or of one episode; it overrides earlier ones.
+        Returns the whole label.
 
         Args:
-            run: of this directory.
+            run: a run of this directory.
             outcome: "success", "failure" or "unknown"; None leaves it as it is.
             comment: any text; None leaves it as it is.
             episode: its number, from 0; None for the whole run.
 
         Raises:
-            InvalidInputError: it is no recording of this directory.
+            InvalidInputError: it is not a recording of this directory.
             StateError: it is being written, or cannot be.
         """
         from rn_recorder_runs.files import write_json  # heavy
@@ -221,7 +220,7 @@ class RunStore:
         return labels[key]
 
     def is_in_use(self) -> bool:
-        """Whether a recorder works in the directory."""
+        """True if a recorder uses the directory."""
         try:
             held = self.lock()
         except OSError:
@@ -231,8 +230,8 @@ class RunStore:
         return held is None
 
     def keep_below(self, quota_bytes: int, open_files: set[Path]) -> list[Path]:
-        """Delete the oldest finished files, recordings before incidents, until all fit; returns
-        what was deleted.
+        """Delete the oldest finished files, recordings before incidents, until the quota is met;
+        return the deleted ones.
 
         The newest incident and `open_files` are kept.
         """
@@ -254,8 +253,8 @@ class RunStore:
         return deleted
 
     def keep_younger(self, since_s: float, open_files: set[Path]) -> list[Path]:
-        """Delete finished files that were last written before that time [s since 1970]; returns
-        what was deleted.
+        """Delete finished files that were last written before that time [s since 1970]; return the
+        deleted ones.
         """
         deleted: list[Path] = []
         for path in [

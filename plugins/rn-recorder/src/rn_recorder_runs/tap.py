@@ -1,9 +1,9 @@
-"""Subscriptions of the recorder: every topic that a pattern names, as serialized messages, taken in
-turns.
+"""Subscriptions of the recorder: every topic that matches a pattern, as serialized messages, taken
+in cycles.
 
-There is no executor: it would take each message when it comes, and so at the moment when an image
-is on its way to an action. A turn waits for an image, lets the control loop have it first, and then
-takes what has come on all topics.
+There is no executor: it would take each message on arrival, just when an image is being processed
+into an action. A cycle waits for an image, gives the control loop a head start, and then takes the
+messages of all topics.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from importlib import import_module
 
-# as rclpy.wait_for_message does
+# like rclpy.wait_for_message
 from rclpy.impl.implementation_singleton import rclpy_implementation as ros
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
@@ -31,25 +31,25 @@ from roboneuron.command import qos as core_qos
 log = logging.getLogger(__name__)
 LOOK_S = 0.1
 _IMAGES, _OTHERS = 30, 200
-"""Messages that may wait in the middleware while this process does not get on: about a second of
+"""Queue lengths in the middleware while this process is delayed: about a second of messages
 each.
 """
 GIVE_WAY_S = 0.008
 """Head start of the control loop with an image: copying and encoding two of 640x480 take 8 ms of a
-core, and a loop at 30 Hz has both cores of a small machine for itself in the meantime.
+core, and a loop at 30 Hz has both cores of a small machine meanwhile.
 """
 _TURN_S = 0.03
 
 
 class TopicTap:
-    """Subscribes to what appears on the graph, and counts gaps in the publishers' own counts.
+    """Subscribes to new topics on the graph, and counts gaps in the publishers' sequence numbers.
 
     Args:
-        node: of this process.
-        topics, exclude: absolute patterns as of `fnmatch`; hidden topics are left out.
-        take: gets every message, in the order in which they came, on the thread of `run`.
-        describe: gets what the publishers of a topic offer, before its messages and again when that
-            changes.
+        node: node of this process.
+        topics, exclude: absolute patterns as for `fnmatch`; hidden topics are left out.
+        take: called with every message, in the order of arrival, on the thread of `run`.
+        describe: called with the publishers' QoS of a topic, before its messages and after each
+            change.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class TopicTap:
 
     def run(self, leaving: threading.Event, taken: Callable[[], object]) -> None:
         """Follow the graph and take messages until `leaving` is set; `taken` is called after each
-        turn.
+        cycle.
         """
         looked_s = 0.0
         while not leaving.is_set():
@@ -86,8 +86,8 @@ class TopicTap:
             taken()
 
     def _wait(self, leaving: threading.Event) -> None:
-        """Until an image has come and the control loop has had its head start; for a turn without
-        one.
+        """Wait until an image has come and the control loop has had its head start, or for one
+        cycle without an image.
         """
         images = [
             subscription for qos, subscription in self._found.values() if qos.depth == _IMAGES
@@ -104,8 +104,8 @@ class TopicTap:
             leaving.wait(GIVE_WAY_S)
 
     def _turn(self) -> None:
-        """Hand on what came before this turn; what comes during it waits for the next one, for the
-        order of topics.
+        """Pass on the messages that arrived before this cycle; later ones wait for the next, to
+        keep the order of topics.
         """
         begun_ns = time.time_ns()
         records, self._early = self._early, []
@@ -120,7 +120,7 @@ class TopicTap:
             self._take(record)
 
     def look(self) -> None:
-        """Follow the graph: new topics, and publishers that came with another reliability."""
+        """Follow the graph: new topics, and publishers with a changed reliability."""
         for topic, types in self._node.get_topic_names_and_types():
             if topic in self._unusable or not self._is_wanted(topic):
                 continue
@@ -153,7 +153,7 @@ class TopicTap:
             return
 
         def ignore(_: bytes) -> None:
-            """What comes is taken in turns."""
+            """No effect: messages are taken in cycles."""
 
         self._found[topic] = (
             qos,
@@ -163,9 +163,7 @@ class TopicTap:
         log.info("Recording %s (%s).", topic, type_name)
 
     def _record(self, topic: str, data: bytes, info: Mapping[str, int]) -> Record:
-        """A message that was taken; counts it and what its publisher sent before and did not
-        come.
-        """
+        """Create the record of a message; counts it and the missing ones before it."""
         came_ns = int(info.get("received_timestamp") or time.time_ns())
         sequence = int(info.get("publication_sequence_number") or 0)
         self.received[topic] += 1

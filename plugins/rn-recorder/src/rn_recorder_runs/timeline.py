@@ -1,8 +1,8 @@
-"""A run in order of time: what was there at one moment, read from its files when it is asked for.
+"""Access to a run by time: messages are read from its files on demand.
 
-Small messages are kept in memory. Large ones, such as pictures, stay in the files: a chunk is read
-again when one of its messages is asked for. Files without an index, such as those being written
-now, are read as well.
+Small messages are kept in memory. Large ones, such as images, stay in the files: a chunk is read
+again when one of its messages is needed. Files without an index, such as those being written now,
+are read as well.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from rn_recorder_runs.reading import RecordDecoder
 from roboneuron import InvalidInputError
 
 _LARGE_BYTES = 8192
-"""Messages from this size on stay on disk: pictures do, and an hour of everything else fits into
+"""Size from which messages stay on disk: images do, and an hour of everything else fits into
 memory.
 """
 _CHUNKS = 8
-"""Chunks that are kept unpacked, of about a megabyte each: playing goes through them in order."""
+"""Number of unpacked chunks in memory, of about a megabyte each: playing reads them in order."""
 _Place = tuple[Path, int, int]
-"""File, position of the record that holds the message, and which message of it."""
+"""File, position of the record with the message, and its index in the record."""
 
 
 class _TopicTrack:
@@ -53,7 +53,7 @@ class Timeline:
         files: MCAP files of one run.
 
     Attributes:
-        about: what the first file says of the run.
+        about: metadata of the run from the first file.
         begin_ns, end_ns: times of the first and the last message [ns].
 
     Raises:
@@ -79,17 +79,13 @@ class Timeline:
         return {topic: track.type for topic, track in self._tracks.items()}
 
     def newest(self, topic: str, at_ns: int) -> Record | None:
-        """The newest message of a topic that was recorded until then; None when there was none
-        yet.
-        """
+        """The newest message of a topic recorded until then; None if there was none yet."""
         track = self._tracks.get(topic)
         index = bisect_right(track.times_ns, at_ns) if track is not None else 0
         return self._record(topic, index - 1) if index else None
 
     def between(self, topic: str, after_ns: int, until_ns: int) -> Iterator[Record]:
-        """The messages of a topic that were recorded after one time and until another, oldest
-        first.
-        """
+        """Messages of a topic recorded after one time and until another, oldest first."""
         track = self._tracks.get(topic)
         if track is not None:
             first = bisect_right(track.times_ns, after_ns)
@@ -97,7 +93,7 @@ class Timeline:
                 yield self._record(topic, index)
 
     def decode(self, record: Record) -> Any:
-        """The message of a record. Raises ValueError when its definition cannot be read."""
+        """Decode the message of a record. Raises ValueError if its definition cannot be read."""
         return self._decoder.decode(record)
 
     def _record(self, topic: str, index: int) -> Record:
@@ -109,7 +105,7 @@ class Timeline:
         return Record(topic, track.type, track.times_ns[index], publish_ns, sequence, data)
 
     def _messages(self, path: Path, position: int) -> list[Message]:
-        """The messages of the record at a position of a file, kept for the next ones who ask."""
+        """The messages of the record at a position of a file, cached."""
         found = self._unpacked.get((path, position))
         if found is None:
             with path.open("rb") as file:
@@ -143,9 +139,7 @@ class Timeline:
         schemas: dict[int, str],
         channels: dict[int, Channel],
     ) -> None:
-        """Add the messages among the records that stand at one place, and remember what describes
-        them.
-        """
+        """Add the messages among the records at one position, with their schemas and channels."""
         number = 0
         for part in parts:
             if isinstance(part, Schema):

@@ -1,9 +1,9 @@
 """Transforms and robot description for a recording: from the robot's URDF, its cameras and its
 joint states.
 
-RoboNeuron's own processes publish none, and a file is to show the robot wherever it is opened.
-Nothing here knows ROS. Source: REP 105 and the URDF specification (a joint's origin is rpy about
-fixed axes; a joint's axis defaults to x).
+RoboNeuron's own processes publish none, but a file has to show the robot in any viewer. It is
+independent of ROS. Source: REP 105 and the URDF specification (a joint's origin is rpy about fixed
+axes; a joint's axis defaults to x).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class _Joint:
     mimic: tuple[str, float, float] | None
 
     def at(self, position: float) -> FramePose:
-        """With the joint at that position [rad or m]."""
+        """The transform with the joint at that position [rad or m]."""
         place, rotation = self.position_m, self.rotation
         if self.kind == "prismatic":
             place = place + rotation @ (self.axis * position)
@@ -84,7 +84,7 @@ class RobotTransforms:
 
     @property
     def has_fixed(self) -> bool:
-        """Whether any frame stands still in another one."""
+        """True if there are static frames."""
         return bool(self._fixed)
 
     def static(self, at_ns: int) -> Record:
@@ -98,7 +98,7 @@ class RobotTransforms:
     def moving(
         self, names: Sequence[str], positions: Sequence[float], stamp_ns: int, at_ns: int
     ) -> Record | None:
-        """The message for /tf of joint states; None when they name none of the robot's joints."""
+        """The message for /tf from joint states; None if they name none of the robot's joints."""
         there = dict(zip(names, positions, strict=False))
         found = []
         for joint in self._moving:
@@ -126,7 +126,7 @@ def to_tf_message(transforms: Sequence[FramePose], stamp_ns: int) -> bytes:
 
 
 def _joints(urdf: str) -> list[_Joint]:
-    """Every joint of a URDF. Raises ValueError when it cannot be read."""
+    """Every joint of a URDF. Raises ValueError if it cannot be read."""
     try:
         root = ET.fromstring(urdf)
     except ET.ParseError as error:

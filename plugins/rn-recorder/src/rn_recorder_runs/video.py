@@ -1,6 +1,4 @@
-"""Videos of a data set: one file for each camera, in which the episodes stand one after the
-other.
-"""
+"""Videos of a data set: one file for each camera, with consecutive episodes."""
 
 from __future__ import annotations
 
@@ -26,7 +24,7 @@ _SAMPLED_FRAMES, _SAMPLED_PIXELS = 50, 400
 
 
 def load_av() -> ModuleType:
-    """PyAV. Raises MissingDependencyError."""
+    """Import PyAV. Raises MissingDependencyError."""
     try:
         import av  # heavy
     except ImportError as error:
@@ -39,10 +37,10 @@ def load_av() -> ModuleType:
 
 
 class CameraVideo:
-    """Writes one video and draws pixels for the statistics. Used from one thread.
+    """Writes one video and samples pixels for the statistics. Used from one thread.
 
     Args:
-        path: of the file; its folder is made.
+        path: path of the file; its folder is created.
         fps: frames per second.
     """
 
@@ -65,11 +63,11 @@ class CameraVideo:
         return self._shape
 
     def add(self, image: NDArray[np.uint8], times: int, every: int) -> None:
-        """Add an image that is shown for so many rows; every `every`-th row is drawn for the
+        """Add an image that is shown for `times` rows; every `every`-th row is sampled for the
         statistics.
 
         Raises:
-            InvalidInputError: its size is not that of the first one, or odd.
+            InvalidInputError: its size differs from that of the first one, or is odd.
         """
         if not self._shape:
             if image.shape[0] % 2 or image.shape[1] % 2:
@@ -93,7 +91,9 @@ class CameraVideo:
             self._in_episode += 1
 
     def take_sample(self) -> tuple[NDArray[np.float64], int]:
-        """Pixels (N, 3) in 0 .. 1 of the episode that ends now, and of how many frames they are."""
+        """Sampled pixels (N, 3) in 0 .. 1 of the episode that ends now, and their number of
+        frames.
+        """
         sampled, self._sampled, self._in_episode = self._sampled, [], 0
         return np.concatenate(sampled), len(sampled)
 
@@ -104,5 +104,5 @@ class CameraVideo:
 
 
 def sample_every(rows: int) -> int:
-    """Of so many rows each such one is drawn."""
+    """Interval of the sampled rows for that many rows."""
     return max(1, rows // _SAMPLED_FRAMES)

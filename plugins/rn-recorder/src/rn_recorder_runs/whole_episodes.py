@@ -1,4 +1,4 @@
-"""Which episodes of recorded runs can become rows of one data set, and why the others cannot."""
+"""Selection of episodes of recorded runs for one data set, with reasons for omissions."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from rn_recorder_runs.store import Run
 from roboneuron import InvalidInputError
 
 Sizes = dict[str, dict[int, tuple[int, ...]]]
-"""Size (H, W) of each image that episodes need and that can be decoded, by camera and stamp [ns].
-"""
+"""Size (H, W) of each required and decodable image, by camera and stamp [ns]."""
 Kind = tuple[str, tuple[str, ...], tuple[tuple[str, tuple[int, ...]], ...], tuple[int, int]]
 """Label of the actions' control space; joint names; size of images (H, W) by camera; values of
 joints and pose in a row.
@@ -25,7 +24,7 @@ joints and pose in a row.
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """An episode, or a run, that is not in the data set."""
+    """An omitted episode or run."""
 
     run: str
     instruction: str
@@ -40,11 +39,10 @@ class Skipped:
 def whole_sources(
     runs: Sequence[Run], outcome: str | None
 ) -> tuple[list[ExportSource], list[Skipped]]:
-    """Runs with the episodes that can be written, and what is left out.
+    """Runs with the episodes that can be written, and the omitted ones.
 
-    What most episodes have decides which joints, cameras and sizes of images the data set has:
-        files of LeRobot hold
-    one kind of row.
+    The majority of the episodes determines the joints, cameras and image sizes of the data set,
+    because LeRobot's files contain one kind of row.
     """
     read: list[tuple[ExportSource, Sizes]] = []
     skipped: list[Skipped] = []
@@ -88,7 +86,9 @@ def whole_sources(
 
 
 def _kind(source: ExportSource, episode: RecordedEpisode, sizes: Sizes) -> Kind | str:
-    """What decides whether episodes fit together, or why this one cannot be written."""
+    """Properties in which the episodes of a data set must agree, or the reason why this one cannot
+    be written.
+    """
     shapes: dict[str, tuple[int, ...]] = {}
     for camera in source.cameras:
         for row in episode.rows:
@@ -127,7 +127,7 @@ def _kind(source: ExportSource, episode: RecordedEpisode, sizes: Sizes) -> Kind 
 
 
 def _differences(kind: Kind, wanted: Kind) -> str:
-    """What an episode has other than the data set."""
+    """Differences between an episode and the data set."""
     words = ("control spaces", "joints", "cameras or sizes of images", "states")
     return "it has other " + ", ".join(
         f"{word} ({got}, not {expected})"
@@ -144,7 +144,7 @@ def _read(run: Run, outcome: str | None) -> ExportSource:
 
 
 def _sizes(run: Run, source: ExportSource) -> Sizes:
-    """Decode what the episodes need: an image that is there may still be damaged."""
+    """Decode the images needed by the episodes: a present image may still be damaged."""
     needed = {
         camera: {row.images[camera] for episode in source.episodes for row in episode.rows}
         for camera in source.cameras

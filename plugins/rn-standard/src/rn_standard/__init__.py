@@ -1,1 +1,1 @@
-"""The standard features and commands, each a plugin in a package of its own."""
+"""The standard features and commands, each a plugin in a separate package."""

@@ -1,7 +1,7 @@
-"""`roboneuron`: the commands of core and those that plugins offer; runs one, and shows deliberate
-errors in one sentence.
+"""The `roboneuron` command: runs one command of core or of a plugin, and shows deliberate errors in
+one sentence.
 
-A command called `plugins-list` is used as `roboneuron plugins list`: its group, then its action.
+A command named `plugins-list` is used as `roboneuron plugins list`: its group, then its action.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from roboneuron.ros.installation import keep_apart
 
 
 class Command(NamedTuple):
-    """Where a command of core lives and what it does in one line."""
+    """Module of a core command and its one-line summary."""
 
     module: str
     summary: str
 
 
 class CommandModule(Protocol):
-    """What the module of a command of core holds, and what a plugin's command is an instance of."""
+    """Interface of a core command's module, and of a plugin's command object."""
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the command's arguments to its parser."""
 
     def run(self, arguments: Namespace) -> int:
-        """Do it and return the exit status; a RoboNeuronError is shown by `main` and ends with
+        """Run the command and return the exit status; `main` shows a RoboNeuronError and ends with
         status 2.
         """
 
@@ -58,16 +58,16 @@ COMMANDS: dict[str, Command] = {
 }
 """Command by name, in the order of `roboneuron --help`."""
 GROUPS = ("config", "plugins")
-"""Words that stand before the actions of several commands."""
+"""Words before the actions of several commands."""
 
 
 def spoken(name: str) -> str:
-    """A command's name as it is written on the command line."""
+    """A command's name on the command line."""
     return name.replace("-", " ", 1) if name.partition("-")[0] in GROUPS else name
 
 
 def named_command(words: Sequence[str]) -> tuple[str, list[str]]:
-    """The name of the command that a command line means, and the words that are the command's own.
+    """Split a command line into the name of its command and the remaining words.
 
     Options may stand between a group and its action: `plugins --config FILE list`.
     """
@@ -83,8 +83,8 @@ def named_command(words: Sequence[str]) -> tuple[str, list[str]]:
 
 
 def installed_commands(registry: Registry) -> dict[str, str]:
-    """Summary by name of the commands that plugins offer and that can be used; one of core's name
-    is left out.
+    """Summary by name of the usable commands of plugins; one with the name of a core command is
+    left out.
     """
     return {
         offer.spec.name: offer.spec.summary
@@ -103,11 +103,12 @@ def load_command(name: str, registry: Registry | None = None) -> CommandModule:
     """Import a command, one of the core or of a plugin.
 
     Args:
-        name: as in `COMMANDS`, or of a plugin's offer.
-        registry: what is installed; None for a command of core.
+        name: as in `COMMANDS`, or offered by a plugin.
+        registry: the installed plugins; None for a core command.
 
     Raises:
-        ConfigurationError: no installed plugin offers it, or the plugin cannot be used; says why.
+        ConfigurationError: no installed plugin offers it, or the plugin is unusable, with the
+            reason.
         PluginError, MissingDependencyError: it cannot be loaded.
     """
     if registry is None or name in COMMANDS:
@@ -126,19 +127,18 @@ def load_command(name: str, registry: Registry | None = None) -> CommandModule:
 
 
 def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
-    """Parse the words after `prog` as the command says, run it and return its exit status.
+    """Parse the words after `prog`, run the command and return its exit status.
 
     Args:
         command: configures the parser, and runs.
-        prog: how the command is called, for its help.
-        words: of the command line, without that.
+        prog: name of the command in its help.
+        words: the remaining words of the command line.
     """
     parser = ArgumentParser(prog=prog, description=command.__doc__)
     command.configure(parser)
     add_verbosity(parser)
     add_installed = getattr(command, "add_installed_flags", None)
-    # Discovery imports every plugin, so it waits until somebody asks for more than core's own
-    # flags.
+    # Discovery imports every plugin, so it is done only for more than core's own flags.
     if add_installed is not None and (
         {"-h", "--help"} & set(words) or parser.parse_known_args(words)[1]
     ):
@@ -149,11 +149,11 @@ def run_command(command: CommandModule, prog: str, words: Sequence[str]) -> int:
 
 
 def build_parser(registry: Registry, group: str = "") -> ArgumentParser:
-    """The parser of `roboneuron` itself, or of a group of its commands; they are listed, not
+    """Create the parser of `roboneuron`, or of a group of its commands; commands are listed, not
     imported.
 
     Args:
-        registry: what is installed.
+        registry: the installed plugins.
         group: one of `GROUPS`, or empty for all commands.
     """
     listed = {
@@ -202,13 +202,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"roboneuron: There is no command {spoken(name)!r}. {meant}", file=sys.stderr)
         return EXIT_USAGE
     try:
-        if argv is None and name != "estop":  # that has to work whatever else is wrong
+        if argv is None and name != "estop":  # must work whatever else is wrong
             keep_apart(own)
         return run_command(load_command(name, registry), f"roboneuron {spoken(name)}", own)
-    except BrokenPipeError:  # the reader of our output went away, as `| head` does
+    except BrokenPipeError:  # the reader of the output has closed it, as `| head` does
         sys.stderr.close()
         return os.EX_OK
-    # the border to whoever typed the command
+    # the border to the user of the command
     except (Exception, KeyboardInterrupt, BaseExceptionGroup) as error:
         return show_error(error)
 

@@ -1,5 +1,5 @@
-"""Serve MCP tools for a robot: on stdin and stdout for the agent that starts this, or over HTTP for
-several.
+"""Serve MCP tools for a robot: on stdin and stdout for the agent that starts this process, or over
+HTTP for several.
 """
 
 from __future__ import annotations
@@ -44,9 +44,11 @@ def configure(parser: ArgumentParser) -> None:
 
 
 def add_installed_flags(parser: ArgumentParser) -> None:
-    """Add a flag for each feature of an installed plugin that the command line can switch on.
+    """Add a flag for each feature of an installed plugin that can be switched on from the command
+    line.
 
-    A feature that is known and not installed has a hidden flag, which says what to install.
+    A known feature that is not installed gets a hidden flag, whose error names the package to
+    install.
     """
     with redirect_stdout(sys.stderr):  # stdout may be the wire of an agent, and plugins may print
         features = discover().specs(FeatureSpec).values()
@@ -57,34 +59,35 @@ def add_installed_flags(parser: ArgumentParser) -> None:
             f"{spec.switch} = true in [{spec.keys[0]}]: "
             f"{spec.summary[:1].lower()}{spec.summary[1:]}"
         )
-        with suppress(ArgumentError):  # a feature called as one of the options above has no flag
+        with suppress(ArgumentError):  # a feature named like one of the options above has no flag
             parser.add_argument(
                 f"--{spec.name}", dest="switches", action="append_const", const=spec, help=told
             )
     for name in known_names("switch"):
-        with suppress(ArgumentError):  # it is there
+        with suppress(ArgumentError):  # the flag exists already
             parser.add_argument(f"--{name}", action=_Absent, nargs=0, help=SUPPRESS)
 
 
 class _Absent(Action):
-    """The flag of a feature that is known and cannot be used here."""
+    """The flag of a known feature that is unusable."""
 
     def __call__(self, *_: object) -> None:
-        """Raise ConfigurationError: says why, and what to install."""
+        """Raise ConfigurationError with the reason and the package to install."""
         discover().get(FeatureSpec, self.dest)
 
 
 def run(arguments: Namespace) -> int:
     """Run `roboneuron serve`.
 
-    Imports stand below, in the order in which they are needed: a client waits for the first answer.
+    Imports are below, in the order of use, because a client waits for the first answer.
 
     Raises:
         ConfigurationError, PlanningError: as `load_config`, `choose` and `serve`.
     """
     wire = divert_standard_streams()
     begin_logging(arguments.log_level.upper())
-    # what a start makes stays, and to look for garbage in it takes 0.1 s; see `shorten_pauses`
+    # objects of the start live until the end, and searching them for garbage takes 0.1 s; see
+    # `shorten_pauses`
     gc.disable()
     from roboneuron.config import load_config
 
@@ -98,10 +101,10 @@ def run(arguments: Namespace) -> int:
 
 def divert_standard_streams() -> tuple[int, int]:
     """Move stdin and stdout to private descriptors, which children do not inherit (PEP 446); call
-    it first of all.
+    it first.
 
-    Nothing else gets onto the wire then: fd 1 is stderr and fd 0 the null device, also for child
-    processes and C++ libraries, and before anything is imported that might print.
+    Afterwards nothing else is written to the wire: fd 1 is stderr and fd 0 the null device, also
+    for child processes and C++ libraries, and before any import that might print.
     """
     wire = os.dup(0), os.dup(1)
     null = os.open(os.devnull, os.O_RDONLY)

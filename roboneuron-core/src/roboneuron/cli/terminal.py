@@ -1,4 +1,4 @@
-"""What a person sees of a command's end: one line for an error, on any terminal."""
+"""Terminal output at the end of a command: one line for an error, on any terminal."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from roboneuron.errors import RoboNeuronError
 from roboneuron.log_files import begin_logging
 
 TRACEBACK_VARIABLE = "ROBONEURON_TRACEBACK"
-"""Environment variable: when set, an unexpected error is shown with its traceback."""
+"""Environment variable that makes unexpected errors show their traceback."""
 EXIT_USAGE = 2
 """The command could not run: wrong arguments, a wrong configuration, something not installed."""
 EXIT_INTERRUPTED = 130
-"""As shells report a command that Ctrl-C has ended: 128 + SIGINT."""
+"""Exit status after Ctrl-C, as shells report it: 128 + SIGINT."""
 EXIT_INTERNAL = os.EX_SOFTWARE
 """A defect of RoboNeuron."""
 LOG_LEVELS = ("debug", "info", "warning", "error")
@@ -37,11 +37,13 @@ _PLAIN = {
     "°": "deg",
     "µ": "u",
 }
-"""What stands for a letter that the terminal's encoding lacks; a question mark for all others."""
+"""Replacements for characters that the terminal's encoding lacks; a question mark for all
+others.
+"""
 
 
 def accept_any_text() -> None:
-    """Let standard output and error show what their encoding lacks by something similar, instead of
+    """Make standard output and error replace characters that their encoding lacks, instead of
     failing.
     """
     codecs.register_error("roboneuron", _replace)
@@ -51,7 +53,7 @@ def accept_any_text() -> None:
 
 
 def _replace(error: UnicodeError) -> tuple[str, int]:
-    """What stands for the letters that cannot be encoded, and where to go on; see `codecs`."""
+    """Return the replacement and the position to continue at; see `codecs`."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     return "".join(
@@ -64,8 +66,8 @@ def add_verbosity(parser: ArgumentParser, default: object = 0) -> None:
     itself win.
 
     Args:
-        parser: of the command.
-        default: count without any of them.
+        parser: parser of the command.
+        default: count without these options.
     """
     for short, name, meaning in (("-v", "--verbose", "more"), ("-q", "--quiet", "less")):
         with suppress(ArgumentError):
@@ -79,29 +81,31 @@ def add_verbosity(parser: ArgumentParser, default: object = 0) -> None:
     for action in parser._actions:
         if isinstance(action, _SubParsersAction):
             for subparser in action.choices.values():
-                # with a default it would undo what stands before the subcommand
+                # a default would overwrite the options before the subcommand
                 add_verbosity(subparser, SUPPRESS)
 
 
 def with_verbosity_behind(words: Sequence[str]) -> list[str]:
-    """The command line with -v and -q that stand before the command's name behind it."""
+    """Move -v and -q from before the command's name to behind it."""
     first = next((i for i, word in enumerate(words) if not _QUIETNESS.fullmatch(word)), 0)
     return [*words[first : first + 1], *words[:first], *words[first + 1 :]]
 
 
 def log_level(arguments: Namespace, level: str = "warning") -> str:
-    """The level of the log that a command line asks for.
+    """The log level that a command line requests.
 
     Args:
         arguments: with the counts of -v and -q.
-        level: made lower by each -v and higher by each -q, within `LOG_LEVELS`.
+        level: lowered by each -v and raised by each -q, within `LOG_LEVELS`.
     """
     steps = _count(arguments, "quiet") - _count(arguments, "verbose")
     return LOG_LEVELS[min(max(LOG_LEVELS.index(level) + steps, 0), len(LOG_LEVELS) - 1)]
 
 
 def apply_verbosity(arguments: Namespace) -> None:
-    """Log to standard error as -v and -q say; a command with --log-level begins its log itself."""
+    """Configure logging to standard error by -v and -q; a command with --log-level configures its
+    log itself.
+    """
     if isinstance(level := getattr(arguments, "log_level", None), str):
         arguments.log_level = log_level(arguments, level)
     elif _count(arguments, "quiet") or _count(arguments, "verbose"):
@@ -115,13 +119,13 @@ def _count(arguments: Namespace, name: str) -> int:
 
 
 def show_error(error: BaseException) -> int:
-    """Print why a command ended, in one line, and return its exit status.
+    """Print the cause of a command's end in one line, and return its exit status.
 
-    Of a group of exceptions a deliberate one counts: task groups wrap whatever is raised inside of
-    them.
+    In a group of exceptions a deliberate one takes precedence: task groups wrap every exception
+    raised inside them.
 
     Args:
-        error: what has ended the command.
+        error: the exception that ended the command.
     """
     if os.environ.get(TRACEBACK_VARIABLE):
         import traceback
@@ -148,7 +152,7 @@ def show_error(error: BaseException) -> int:
 
 
 def _leaves(error: BaseException) -> list[BaseException]:
-    """The exceptions in a group and its groups; of another exception itself."""
+    """The exceptions in a group and its subgroups; for another exception itself."""
     if isinstance(error, BaseExceptionGroup):
         return [leaf for part in error.exceptions for leaf in _leaves(part)]
     return [error]

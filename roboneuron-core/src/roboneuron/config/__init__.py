@@ -1,4 +1,4 @@
-"""roboneuron.toml, read once at the border into frozen models."""
+"""The file roboneuron.toml, parsed once into frozen models."""
 
 from roboneuron.config.models import (
     Config,

@@ -1,5 +1,5 @@
-"""roboneuron.toml as frozen models: the sections of core, the whole, and what one module process is
-told of it.
+"""Frozen models of roboneuron.toml: core's sections, the whole file, and the settings of one module
+process.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ Seconds = Annotated[float, Field(gt=0, le=3600)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Point = Annotated[list[Annotated[float, Field(ge=-100, le=100)]], Field(min_length=3, max_length=3)]
 Reaction = Literal["hold", "scale", "refuse"]
-"""At a limit: stop where the arm is measured, shorten the command, or send nothing and let the last
-command end.
+"""Reaction to a limit: hold at the measured posture, shorten the command, or send nothing and let
+the last command end.
 """
 ModuleKind = Literal["robot", "perception", "inference", "control"]
 FIRST_STEP_S = 0.1
-"""Time that control gives the arm for the first action after a pause [s]."""
+"""Time that control allows the arm for the first action after a pause [s]."""
 
 
 class Section(BaseModel):
@@ -33,7 +33,7 @@ class Section(BaseModel):
 
 
 class ModuleSection(Section):
-    """A table of one kind of module."""
+    """Section of one kind of module."""
 
     start_timeout_s: Seconds | None = Field(
         default=None,
@@ -45,7 +45,7 @@ class ModuleSection(Section):
 
 
 class RobotConfig(ModuleSection):
-    """`[robot]`: which robot, moved how."""
+    """`[robot]`: the robot and its driver."""
 
     name: Name = Field(description="a robot offered by an installed plugin")
     driver: Name = Field(default="simulated", description="one of the robot's drivers")
@@ -64,7 +64,7 @@ class RobotConfig(ModuleSection):
 
 
 class PerceptionConfig(ModuleSection):
-    """`[perception]`: where images come from."""
+    """`[perception]`: source of the images."""
 
     source: Name = Field(description="a perception source offered by an installed plugin")
     cameras: tuple[CameraName, ...] = Field(
@@ -75,7 +75,7 @@ class PerceptionConfig(ModuleSection):
 
 
 class InferenceConfig(ModuleSection):
-    """`[inference]`: which policy runs, and how."""
+    """`[inference]`: the policy and its execution."""
 
     backend: Name = Field(description="a backend offered by an installed plugin")
     checkpoint: str | None = Field(default=None, description="directory of the model's files")
@@ -116,7 +116,7 @@ class InferenceConfig(ModuleSection):
 
 
 class ControlConfig(ModuleSection):
-    """`[control]`: how actions become joint commands."""
+    """`[control]`: conversion of actions to joint commands."""
 
     controller: Name = Field(description="a controller offered by an installed plugin")
     action_timeout_s: Seconds = Field(
@@ -141,7 +141,7 @@ class ControlConfig(ModuleSection):
 
     @model_validator(mode="after")
     def _check_horizon(self) -> Self:
-        """What is sent ahead has ended when control holds because actions have ceased."""
+        """Check that commands sent ahead end before control holds for lack of actions."""
         if self.horizon_s > self.hold_after_s:
             raise ValueError(
                 f"horizon_s is {self.horizon_s:g}, at most {self.hold_after_s:g} (3/4 of "
@@ -155,16 +155,16 @@ class ControlConfig(ModuleSection):
 
     @property
     def hold_after_s(self) -> float:
-        """Time after the last action at which control holds [s]: early enough for the arm to stand
-        within `action_timeout_s`.
+        """Time after the last action at which control holds [s], early enough for the arm to stand
+        still within `action_timeout_s`.
         """
         return 0.75 * self.action_timeout_s
 
     def step_s(self, since_s: float) -> float:
-        """Time that control gives the arm for an action [s].
+        """Time that control allows the arm for an action [s].
 
         Args:
-            since_s: time since the action before [s]; after a pause it says nothing.
+            since_s: time since the previous action [s]; ignored after a pause.
         """
         return max(since_s, 0.02) if since_s < self.action_timeout_s else FIRST_STEP_S
 
@@ -192,7 +192,7 @@ class ZoneConfig(Section):
 
 
 class LimitsConfig(Section):
-    """`[limits]`: what may be sent to the arm, by actions or by joint commands; see
+    """`[limits]`: bounds on commands to the arm, by actions or joint commands; see
     docs/safety.md.
     """
 
@@ -260,7 +260,7 @@ class LimitsConfig(Section):
 
 
 class ServerConfig(Section):
-    """`[server]`: how agents connect."""
+    """`[server]`: connection of agents."""
 
     name: str = Field(default="roboneuron", description="server name that MCP clients see")
     transport: Name = Field(
@@ -277,7 +277,7 @@ class ServerConfig(Section):
 
 
 class RosConfig(Section):
-    """`[ros]`: which ROS 2 is used; `roboneuron doctor` says which, and why."""
+    """`[ros]`: choice of the ROS 2 installation; `roboneuron doctor` shows it, with the reason."""
 
     installation: Literal["auto", "wheels", "sourced"] = Field(
         default="auto",
@@ -309,10 +309,10 @@ class Config(Section):
         default_factory=dict, description="options by plugin name"
     )
     sections: dict[str, Any] = Field(default_factory=dict, exclude=True)
-    """Sections of features by top-level key, as in the file; modules are not told them."""
+    """Sections of features by top-level key, as in the file; not passed to modules."""
     robots: dict[str, Config] = Field(default_factory=dict, exclude=True)
-    """Of a file with `[robots.<name>]`: the whole configuration of each by its name; the rest is
-    what all share.
+    """Complete configuration of each robot by name, for a file with `[robots.<name>]`; the other
+    fields are shared.
     """
 
     @property
@@ -321,7 +321,7 @@ class Config(Section):
         return self.robot.namespace or self.robot.name.replace("-", "_")
 
     def options(self, name: str) -> Mapping[str, object]:
-        """Options of the backend, source, controller, driver ... called `name`; empty when the user
+        """Options of the backend, source, controller, driver ... called `name`; empty if the user
         set none.
         """
         return self.plugins.get(name, {})
@@ -330,7 +330,7 @@ class Config(Section):
         """Longest start of a module [s]: its own section's, or the supervisor's.
 
         Args:
-            kind: of the module, as its section is called.
+            kind: kind of the module, which is the name of its section.
         """
         section: ModuleSection | None = getattr(self, kind)
         own_s = None if section is None else section.start_timeout_s
@@ -341,17 +341,17 @@ class ModuleSettings(BaseModel):
     """One line of JSON on the stdin of a module process.
 
     Attributes:
-        kind: which module to run.
-        node_name: name of its ROS node under the robot's namespace; the kind unless several run
-            side by side.
+        kind: kind of the module.
+        node_name: name of its ROS node under the robot's namespace; the kind unless several run in
+            parallel.
         config: the effective configuration, overrides of the start call included.
         state_directory: where the emergency-stop latch is kept.
-        needs_start: why a module that moves the robot obeys nothing until somebody asks for motion;
-            empty for nothing.
-        on_join: "module:attribute" of functions that features want called with the module's node
+        needs_start: reason for which a module that moves the robot refuses commands until motion is
+            requested; empty for none.
+        on_join: "module:attribute" of functions of features, called with the module's node
             (`ModuleHost`).
-        tightened: limits that hold instead of the configured ones, none of them wider.
-        shadow: work on live inputs without publishing until the handover, see `Handover`.
+        tightened: limits that replace the configured ones, none of them wider.
+        shadow: process live inputs without publishing until the handover, see `Handover`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

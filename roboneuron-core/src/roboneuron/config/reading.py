@@ -1,7 +1,7 @@
-"""Text to `Config`: what is wrong is named with the file, the key and the nearest valid key.
+"""Parser from text to `Config`; errors name the file, the key and the nearest valid key.
 
-Sections that core does not know belong to features; they are checked against the models of what is
-installed.
+Sections unknown to core belong to features; they are checked against the models of the installed
+ones.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from roboneuron.plugins.registry import Registry
 from roboneuron.plugins.specs import FeatureSpec
 
 EMBEDDED_DEFAULT = "the embedded default"
-"""How messages call the configuration that is used when the user gives none."""
+"""Name, in messages, of the configuration that is used without a file."""
 _STDIO = "stdio"
-"""The transport that has no address."""
+"""The transport without an address."""
 M = TypeVar("M", bound=BaseModel)
 _PLUGIN_OPTIONS = "Options of a plugin stand under [plugins.<name>]."
 KEYS = frozenset(name for name, field in Config.model_fields.items() if not field.exclude)
-"""Top-level keys of core, but for `robots`."""
+"""Top-level keys of core, except `robots`."""
 
 
 def parse_config(
@@ -50,8 +50,8 @@ def parse_config(
     Args:
         text: TOML.
         source: file name for messages.
-        registry: what is installed; discovered when there are sections that core does not know.
-        arguments: of `roboneuron serve`, which come before the text.
+        registry: the installed plugins; discovered if there are sections unknown to core.
+        arguments: arguments of `roboneuron serve`, which override the text.
 
     Raises:
         ConfigurationError: not TOML, or a key or value is not valid; names file, key and the
@@ -66,7 +66,9 @@ def parse_config(
 
 
 def _parse_toml(text: str, source: str) -> dict[str, Any]:
-    """The tables of a text. Raises ConfigurationError when it is not TOML; names the file."""
+    """Parse the tables of a text. Raises ConfigurationError, which names the file, if it is not
+    TOML.
+    """
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -74,7 +76,8 @@ def _parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def parse_tables(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
-    """The tables of one robot: core's own become models, those of features are checked and kept.
+    """Parse the tables of one robot: core's own become models, those of features are checked and
+    kept.
 
     Args:
         raw: the tables.
@@ -94,9 +97,9 @@ def parse_tables(raw: Mapping[str, Any], source: str, registry: Registry | None)
 
 
 def _read_robots(raw: Mapping[str, Any], source: str, registry: Registry | None) -> Config:
-    """A file with `[robots.<name>]`, which the feature reads that serves several robots.
+    """Read a file with `[robots.<name>]`, with the feature that serves several robots.
 
-    Only `disabled_plugins` is looked at here, to know which feature that is; it checks the rest.
+    Only `disabled_plugins` is read here, to find that feature; the feature checks the rest.
     """
     disabled = raw.get("disabled_plugins")
     registry = registry or discover(tuple(disabled) if isinstance(disabled, list) else ())
@@ -106,18 +109,18 @@ def _read_robots(raw: Mapping[str, Any], source: str, registry: Registry | None)
 
 
 def fleet_feature(registry: Registry) -> FeatureSpec:
-    """The feature that serves several robots. Raises ConfigurationError when there is none."""
+    """Return the feature that serves several robots. Raises ConfigurationError if there is none."""
     specs = registry.specs(FeatureSpec).values()
     found = next((spec for spec in specs if spec.fleet is not None), None)
     return found or _named_feature("[robots.<name>]", "fleet", registry)
 
 
 def robot_folder(state_directory: Path, name: str = "*") -> Path:
-    """Where the logs, the latch and the audit of one of several robots are.
+    """Folder of one robot among several, with its logs, latch and audit.
 
     Args:
-        state_directory: of the server.
-        name: of the robot; a pattern for all by default.
+        state_directory: state directory of the server.
+        name: name of the robot; by default a pattern for all.
     """
     return state_directory / "robots" / name
 
@@ -135,7 +138,7 @@ def load_config(
     """Read `path`, or the embedded default when None; `registry` as in `parse_config`.
 
     Args:
-        arguments: of `roboneuron serve`, which come before the file.
+        arguments: arguments of `roboneuron serve`, which override the file.
 
     Raises:
         ConfigurationError: the file cannot be read or is not valid, or the arguments are not.
@@ -146,13 +149,13 @@ def load_config(
 
 
 def read_state_directory(path: Path) -> str | None:
-    """`supervisor.state_directory` of a file, None when it names none; for what has to work
-    whatever else is wrong.
+    """Read `supervisor.state_directory` of a file, None if it sets none; for commands that must
+    work despite other errors in the file.
 
-    No plugin is looked for, and nothing else in the file is checked.
+    No plugin is discovered, and nothing else in the file is checked.
 
     Raises:
-        ConfigurationError: the file cannot be read, is not TOML, or the value is no text.
+        ConfigurationError: the file cannot be read, is not TOML, or the value is not text.
     """
     section = _parse_toml(_read_text(path), str(path)).get("supervisor")
     found = section.get("state_directory") if isinstance(section, dict) else None
@@ -164,7 +167,7 @@ def read_state_directory(path: Path) -> str | None:
 
 
 def _read_text(path: Path) -> str:
-    """A file's text. Raises ConfigurationError with what to do when it cannot be read."""
+    """Read a file's text. Raises ConfigurationError with a remedy if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError as error:
@@ -175,16 +178,16 @@ def _read_text(path: Path) -> str:
 
 
 def check_sections(config: Config, registry: Registry, source: str = "roboneuron.toml") -> None:
-    """Check the sections of all features, and that there is a feature for each.
+    """Check the sections of all features, and that each section has a feature.
 
     Args:
-        config: whose sections are checked.
-        registry: what is installed.
+        config: configuration with the sections.
+        registry: the installed plugins.
         source: file name for messages.
 
     Raises:
-        ConfigurationError: a key that nothing installed knows, a value that is not valid, or a
-            section of a feature that cannot be used; says why.
+        ConfigurationError: an unknown key, an invalid value, or a section of a feature that cannot
+            be used, with the reason.
     """
     owners = {
         key: offer.spec.name
@@ -207,7 +210,7 @@ def check_sections(config: Config, registry: Registry, source: str = "roboneuron
 
 
 def _named_feature(place: str, name: str, registry: Registry) -> FeatureSpec:
-    """The feature that something at `place` asks for. Raises ConfigurationError: says why it cannot
+    """Return the feature named at `place`. Raises ConfigurationError with the reason if it cannot
     be used.
     """
     try:
@@ -222,8 +225,8 @@ def feature_options(
     """The options of a feature: its sections of the configuration, or their defaults.
 
     Args:
-        spec: of the feature.
-        config: whose sections are read.
+        spec: descriptor of the feature.
+        config: configuration with the sections.
         source: file name for messages.
 
     Returns:
@@ -236,7 +239,7 @@ def feature_options(
     model = load_options_model(spec)
     if model is None:
         return None
-    # several sections make one model, with a field for each; a single one is the model itself
+    # several sections form one model, with a field for each; a single one is the model itself
     if not spec.sections:
         key = spec.keys[0]
         return _checked(model, config.sections.get(key, {}), source, key)
@@ -245,8 +248,8 @@ def feature_options(
 
 
 def _checked(model: type[M], values: object, source: str, place: str = "") -> M:
-    """A table of a file as its model; `place` is its key. Raises ConfigurationError: every line
-    names the file.
+    """Parse a table of a file as its model; `place` is its key. Raises ConfigurationError; every
+    line names the file.
     """
     made, problems = read_table(model, values, place)
     if made is None:
@@ -256,17 +259,17 @@ def _checked(model: type[M], values: object, source: str, place: str = "") -> M:
 
 
 def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
-    """The feature that serves a transport.
+    """Return the feature that serves a transport.
 
     Raises:
-        ConfigurationError: there is none; says which package brings it.
+        ConfigurationError: there is none; names the package that provides it.
     """
     served = {
         name: spec for spec in registry.specs(FeatureSpec).values() for name in spec.transports
     }
     if transport in served:
         return served[transport]
-    # by convention it is called as the transport: says why it is not there
+    # by convention it has the transport's name: the error explains its absence
     _named_feature(f"transport = {transport!r}", transport, registry)
     choices = ", ".join(served) or "none"
     raise ConfigurationError(
@@ -275,14 +278,14 @@ def transport_feature(transport: str, registry: Registry) -> FeatureSpec:
 
 
 def _server_changes(raw: Mapping[str, Any], arguments: Namespace) -> dict[str, dict[str, Any]]:
-    """What the command line says about the server, by section.
+    """Server settings from the command line, by section.
 
     Args:
         raw: tables of the file.
-        arguments: of `roboneuron serve`; what is None leaves the file's value.
+        arguments: of `roboneuron serve`; None keeps the file's value.
 
     Raises:
-        ConfigurationError: there is an address for stdio.
+        ConfigurationError: an address was given for stdio.
     """
     changes: dict[str, dict[str, Any]] = {
         spec.keys[0]: {spec.switch: True} for spec in getattr(arguments, "switches", None) or ()
@@ -298,11 +301,11 @@ def _server_changes(raw: Mapping[str, Any], arguments: Namespace) -> dict[str, d
             raise ConfigurationError(
                 "--host and --port are for http.", hint="Add --transport http."
             )
-        changes[transport] = given  # a transport and its section are called alike
+        changes[transport] = given  # a transport and its section have the same name
     return changes
 
 
 def _table(raw: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """A table of the file; empty where that has none."""
+    """Return a table of the file; empty if it is missing."""
     found = raw.get(key, {})
     return found if isinstance(found, dict) else {}

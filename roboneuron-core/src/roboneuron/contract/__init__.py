@@ -1,7 +1,7 @@
-"""The fixed image -> action contract: the only types that cross between models, perception, control
+"""The fixed image -> action contract: the only types exchanged between models, perception, control
 and robots.
 
-numpy only. Nothing here knows ROS, MCP, torch or a plugin.
+It uses numpy only, and is independent of ROS, MCP, torch and plugins.
 """
 
 from roboneuron.listing import attach

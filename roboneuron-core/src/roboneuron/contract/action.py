@@ -1,8 +1,8 @@
-"""The action: a 7-vector that means the same whichever model produced it, and chunks of actions.
+"""The action, a 7-vector with the same meaning for every model, and chunks of actions.
 
 dx dy dz [m] and rx ry rz [rad, rotation vector] move the TCP in the robot's base frame (p' = p + d,
-R' = exp(r) R); the last value is the absolute gripper opening, 0 closed .. 1 open. A chunk may hold
-rows of another space instead, which it names (see `roboneuron.contract.space`).
+R' = exp(r) R); the last value is the absolute gripper opening, 0 closed .. 1 open. A chunk may
+contain rows of another, named space instead (see `roboneuron.contract.space`).
 """
 
 from __future__ import annotations
@@ -56,20 +56,19 @@ class Action(ReadOnly):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ActionChunk:
-    """What one inference yields: H actions, played out one per `step_s`, the first at once.
+    """Result of one inference: H actions, executed one per `step_s`, the first at once.
 
     Attributes:
         actions: float64 (H, n), H >= 1, n = 7 in the default space, finite, gripper in [0, 1];
             checked at construction, kept as a read-only copy.
         step_s: time between two actions [s], > 0.
-        metrics: numbers worth watching (for instance "tokens_kept"); they go to /diagnostics and
-            get_status.
+        metrics: numbers for /diagnostics and get_status (for instance "tokens_kept").
         note: one short sentence on what the backend is doing, shown to the agent; may be empty.
-        context: the backend's own form of the chunk (pi0: normalised actions); handed back to it in
-            `Ahead.context`, in the same process, never looked into.
-        conditioned_rows: so many rows from row 0 on continue `Observation.ahead.rows`, 0 .. H. When
-            it is not 0, the seam is not cross-faded.
-        space: what the values of a row are. It is the one that the backend's descriptor declares.
+        context: the backend's own form of the chunk (pi0: normalised actions); returned to it in
+            `Ahead.context`, in the same process, never inspected.
+        conditioned_rows: number of rows, from row 0 on, that continue `Observation.ahead.rows`, 0
+            .. H. If it is not 0, there is no cross-fade.
+        space: meaning of a row's values; the one that the backend's descriptor declares.
 
     Raises:
         InvalidInputError, UnsafeError: as `ControlSpace.check`, or when the shape is not (H, n).

@@ -1,5 +1,5 @@
-"""Read-only arrays of contract values: a buffer that a plugin uses again cannot change what it has
-handed over.
+"""Read-only arrays of contract values: a plugin that reuses a buffer cannot change values it has
+passed on.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ def freeze(value: object, *names: str, dtype: DTypeLike | None = np.float64) -> 
     """Replace the named array fields of a frozen dataclass by read-only copies; called from
     `__post_init__`.
 
-    Fields that are None stay None; with `dtype` None an array keeps its own. An array that is
+    Fields that are None stay None; with `dtype` None an array keeps its dtype. An array that is
     read-only already and owns its memory is not copied again, so that `dataclasses.replace` copies
     only what it changes.
     """
@@ -40,8 +40,8 @@ class ReadOnly:
 
 
 def read_only_view(array: NDArray[Any]) -> NDArray[Any]:
-    """A view that cannot be written through; no pixel is copied, so the owner must leave the memory
-    alone.
+    """Return a view that cannot be written through. No pixel is copied, so the owner must not
+    modify the memory.
     """
     view = array.view()
     view.flags.writeable = False

@@ -1,6 +1,4 @@
-"""Images as the contract uses them: uint8 (H, W, 3), RGB. Conversions from raw buffers live here,
-without ROS.
-"""
+"""Images of the contract: uint8 (H, W, 3), RGB; conversions from raw buffers, without ROS."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from roboneuron.errors import InvalidInputError
 U8 = NDArray[np.uint8]
 
 MAX_SIDE_PX = 8192
-"""A declared width or height over this is refused as damaged."""
+"""Largest accepted width or height; larger values count as corrupt."""
 
 
 def check_rgb8(image: NDArray[Any]) -> U8:
@@ -38,7 +36,7 @@ _ENCODINGS: dict[str, tuple[int, Callable[[U8], U8] | None]] = {
     "bgra8": (4, lambda pixels: pixels[:, :, 2::-1]),
     "mono8": (1, lambda pixels: np.repeat(pixels, 3, axis=2)),
 }
-"""Channels, and how they become RGB."""
+"""Number of channels, and the conversion to RGB."""
 
 
 def frame_from_buffer(data: Any, *, width: int, height: int, step: int, encoding: str) -> U8:

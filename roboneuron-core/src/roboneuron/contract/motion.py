@@ -1,4 +1,4 @@
-"""What travels between controller and robot driver: measured state, joint commands, reasons to
+"""Values exchanged between controller and robot driver: measured state, joint commands, reasons to
 hold.
 
 Arrays are kept as read-only copies.
@@ -13,7 +13,7 @@ from roboneuron.contract.arrays import F64, ReadOnly
 from roboneuron.contract.observation import JointSample, Pose
 
 STATE_STEP_S = 0.1
-"""Time to reach positions that come without one, as in a JointState."""
+"""Time to reach positions without a time of their own, as in a JointState."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -23,9 +23,8 @@ class JointCommand(ReadOnly):
     Attributes:
         names: joint names, in the order of `position`; the gripper's joint may be among them.
         position: float64 (n,), rad or m.
-        duration_s: time to get there from now [s], > 0.
-        residual_m, residual_rad: how far the position and rotation of the target remain from what
-            was asked.
+        duration_s: time to reach them from now [s], > 0.
+        residual_m, residual_rad: remaining error of the target's position and rotation.
     """
 
     names: tuple[str, ...]
@@ -37,7 +36,7 @@ class JointCommand(ReadOnly):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Hold:
-    """A controller's refusal: the robot is to hold its position.
+    """A controller's refusal: the robot has to hold its position.
 
     Attributes:
         code: stable word, counted in /diagnostics ("no_solution", "joint_jump", "unknown_joint"
@@ -51,12 +50,12 @@ class Hold:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Proximity:
-    """Two bodies that are nearer to each other than they may be.
+    """Two bodies that are closer than allowed.
 
     Attributes:
         first, second: names of links or obstacles.
-        distance_m: between their shapes; negative when they overlap.
-        least_m: what has to stay between them.
+        distance_m: between their shapes; negative if they overlap.
+        least_m: the required distance.
     """
 
     first: str
@@ -67,14 +66,14 @@ class Proximity:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Posture:
-    """What a posture of the arm amounts to, as far as its controller can tell.
+    """Properties of a posture of the arm, as far as its controller can compute them.
 
     Attributes:
-        pose: of the TCP in the base frame.
+        pose: pose of the TCP in the base frame.
         smallest_singular_value: of the TCP's Jacobian in m and rad per joint unit; 0 in a
-            singularity, None unknown.
-        near: every pair nearer than the profile's `collision` allows, once, links of all arms
-            included; None when that is not checked.
+            singularity, None if unknown.
+        near: every pair closer than the profile's `collision` allows, once, links of all arms
+            included; None if not checked.
         others: TCP and singular value of the arms after the first, in the order of the profile's
             `arms`; () for one arm.
     """
@@ -86,20 +85,20 @@ class Posture:
 
     @property
     def arms(self) -> tuple[Posture, ...]:
-        """The posture of each arm; `near` is told with the first."""
+        """The posture of each arm; `near` is part of the first."""
         return (self, *self.others)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RobotState:
-    """What a driver measured.
+    """Measurement of a driver.
 
     Attributes:
         joints: all joints the driver reports, the gripper's included.
         gripper_open: 0 closed .. 1 open; None without a gripper.
-        detail: facts worth showing in get_status, as text (for a simulation: where the objects
-            are). "fault" says what has stopped the robot by itself; once it has been there, nothing
-            moves before somebody asks for it anew.
+        detail: facts for get_status, as text (for a simulation: the positions of objects). "fault"
+            is the reason for which the robot has stopped by itself; after a fault, motion has to be
+            requested anew.
     """
 
     joints: JointSample

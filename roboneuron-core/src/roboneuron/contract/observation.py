@@ -1,7 +1,7 @@
-"""What a backend sees: images, the instruction, proprioception, each with its own time, and what is
-played meanwhile.
+"""Input of a backend: images, the instruction, proprioception, each with its own time, and the
+actions already planned.
 
-Arrays are kept as read-only copies. An image is too large to copy at every hop: a frame keeps a
+Arrays are kept as read-only copies. An image is too large for a copy at every step: a frame keeps a
 read-only view of it.
 """
 
@@ -21,7 +21,7 @@ from roboneuron.errors import InvalidInputError
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CameraCalibration(ReadOnly):
-    """A pinhole camera and where it is mounted.
+    """A pinhole camera and its mounting.
 
     Attributes:
         intrinsics: float64 (3, 3) in pixels; u to the right, v down, pixel centres at integers +
@@ -48,8 +48,8 @@ class Frame:
 
     Attributes:
         camera: the camera's name on the robot ("front", "wrist").
-        image: uint8 (H, W, 3), RGB, row 0 on top; a read-only view, whose memory its source does
-            not write to again.
+        image: uint8 (H, W, 3), RGB, row 0 on top; a read-only view; its source must not modify the
+            memory.
         stamp_ns: capture time, ROS clock [ns].
         frame_id: optical frame's name, never empty.
         calibration: None when the robot's profile has none for this camera.
@@ -102,10 +102,10 @@ class JointSample(ReadOnly):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ArmState:
-    """One of several arms, as measured.
+    """Measured state of one of several arms.
 
     Attributes:
-        ee_pose: of its TCP in the base frame.
+        ee_pose: pose of its TCP in the base frame.
         gripper_open: 0 closed .. 1 open; None without a gripper.
     """
 
@@ -115,25 +115,25 @@ class ArmState:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ahead:
-    """Actions between the capture of an observation and the end of what is already planned. A
-    read-only copy.
+    """Actions from the capture of an observation until the end of the present plan. A read-only
+    copy.
 
-    Row 0 is the first one sent after the capture, so it is meant for the same moment as row 0 of
-    the new chunk. Some of the rows may have been sent when the backend sees them.
+    Row 0 is the first one sent after the capture, at the time of row 0 of the new chunk. Some rows
+    may already have been sent when the backend gets them.
 
     Attributes:
         rows: float64 (N, n), N >= 0, contract units, oldest first, in the space that control gets
             (n = 7 in the default space).
-        committed_rows: so many of them will be played whatever the backend answers, 0 .. N.
+        committed_rows: number of rows that will be executed whatever the backend answers, 0 .. N.
         step_s: their period [s], > 0.
-        context: what the running chunk carried as `ActionChunk.context`; None when it carried
-            nothing, or when rows of another instruction lie between.
-        context_row: row of the running chunk that `rows[0]` is.
+        context: `ActionChunk.context` of the running chunk; None if it had none, or if rows of
+            another instruction lie between.
+        context_row: index of `rows[0]` in the running chunk.
         state_ahead_s: `ee_pose` and `gripper_open` of the observation are predicted for this long
             after the capture [s]; 0 when they are measured.
 
     Raises:
-        InvalidInputError: a shape or number is outside of what is said here.
+        InvalidInputError: a shape or number is out of range.
     """
 
     rows: F64
@@ -163,19 +163,19 @@ class Ahead:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Observation:
-    """Everything a backend may use for one prediction.
+    """All inputs of one prediction.
 
     Attributes:
         frames: newest frame by *role* ("primary", "wrist"), exactly the roles that the backend's
             descriptor names.
-        instruction: what to do, as the agent gave it; never empty.
+        instruction: the agent's instruction; never empty.
         joints: measured joints, or None when the backend's descriptor does not ask for state.
-        ee_pose: measured TCP pose in the base frame, or None likewise.
-        gripper_open: measured opening, 0 closed .. 1 open, or None likewise.
-        arms: state of each arm by name, of a robot that has several; the two above are those of the
-            first. Empty for one arm, and for a backend that does not ask for state.
+        ee_pose: measured TCP pose in the base frame, or None for the same reason.
+        gripper_open: measured opening, 0 closed .. 1 open, or None for the same reason.
+        arms: state of each arm by name, on a robot with several; the two fields above are those of
+            the first. Empty for one arm, and for a backend that does not ask for state.
         stamp_ns: capture time of the oldest frame, ROS clock [ns].
-        ahead: what is played meanwhile, for backends that declare `conditions_on_rows` or
+        ahead: planned actions, for backends that declare `conditions_on_rows` or
             `takes_predicted_state`; None for others, and when nothing is planned.
     """
 

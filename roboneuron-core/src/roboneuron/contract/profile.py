@@ -1,5 +1,5 @@
-"""What is true of a robot whichever driver moves it: joints, limits, TCP, gripper, cameras, exposed
-endpoints.
+"""Facts of a robot that are independent of its driver: joints, limits, TCP, gripper, cameras,
+exposed endpoints.
 
 Arrays are kept as read-only copies.
 """
@@ -19,12 +19,12 @@ from roboneuron.contract.observation import CameraCalibration
 from roboneuron.errors import InvalidInputError
 
 ARRIVED_RAD, ARRIVED_M = 0.01, 0.001
-"""Distance from its target at which a revolute and a prismatic joint count as there."""
+"""Distance from its target within which a revolute and a prismatic joint count as arrived."""
 
 
 @functools.lru_cache(maxsize=16)
 def urdf_joints(urdf: str) -> tuple[ET.Element, ...]:
-    """The joints of a URDF, not to be changed; none of what is no URDF."""
+    """The joints of a URDF, not to be modified; empty for an invalid URDF."""
     try:
         return tuple(ET.fromstring(urdf).findall("joint"))
     except ET.ParseError:
@@ -33,7 +33,7 @@ def urdf_joints(urdf: str) -> tuple[ET.Element, ...]:
 
 @functools.lru_cache(maxsize=16)
 def prismatic_joints(urdf: str) -> frozenset[str]:
-    """Names of the joints of a URDF whose positions are metres; empty for what is no URDF."""
+    """Names of the joints of a URDF whose positions are in metres; empty for an invalid URDF."""
     slides = (joint for joint in urdf_joints(urdf) if joint.get("type") == "prismatic")
     return frozenset(joint.get("name", "") for joint in slides)
 
@@ -49,10 +49,9 @@ class JointLimits(ReadOnly):
         acceleration: [rad/s^2 or m/s^2].
         effort: [Nm or N].
         braking_offset, braking_deceleration: [rad/s], [rad/s^2] (or m) of robots that slow down
-            near a position limit: towards it, velocity is at most -offset + sqrt(2 * deceleration *
-            distance to the
-                limit), and never
-            negative. None where velocity does not depend on position.
+            near a position limit: the velocity towards it is at most -offset + sqrt(2 *
+            deceleration * distance to the limit), and never negative. None if the velocity limit
+            does not depend on position.
     """
 
     lower: F64
@@ -94,7 +93,7 @@ class ArmProfile:
     Attributes:
         name: "left", "right"; "" for the only arm of a robot.
         joints: names of its joints, base to tip.
-        base_link: link in the URDF that it stands on.
+        base_link: link in the URDF on which it is mounted.
         tcp_link: link in the URDF that its actions move; z points out of the gripper.
         gripper: None without one.
     """
@@ -108,11 +107,11 @@ class ArmProfile:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CameraProfile:
-    """A camera that the robot carries or looks at.
+    """A camera on or near the robot.
 
     Attributes:
         name: as in the topic `camera/<name>/image`.
-        role: what a backend calls it: "primary", "wrist".
+        role: its name for backends: "primary", "wrist".
         frame_id: name of the optical frame.
         width, height: nominal size [px].
         calibration: None when it was never calibrated.
@@ -154,14 +153,14 @@ class Obstacle(ReadOnly):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CollisionProfile:
-    """What the arm must not touch; its own shapes are the collision elements of the URDF.
+    """Bodies that the arm must not touch; its own shapes are the collision elements of the URDF.
 
     Attributes:
         min_distance_m: least distance between links that do not share a joint, and between links
             and obstacles.
-        obstacles: what stands around the arm and does not move.
-        tool_links: links that work close to obstacles, such as fingers: they only must not touch
-            them.
+        obstacles: fixed bodies around the arm.
+        tool_links: links that work close to obstacles, such as fingers: they may approach
+            obstacles, but not touch them.
     """
 
     min_distance_m: float = 0.01
@@ -180,9 +179,7 @@ TOPIC_RULE = (
 
 
 def check_topic(name: str) -> None:
-    """Raise InvalidInputError unless this may be the name of a topic, absolute or in a
-    namespace.
-    """
+    """Raise InvalidInputError unless this is a valid topic name, absolute or in a namespace."""
     if len(name) > _LONGEST_TOPIC or not _TOPIC.fullmatch(name):
         raise InvalidInputError(
             f"{name[:80]!a} is not a topic name.", hint=TOPIC_RULE, path="topic"
@@ -196,7 +193,7 @@ class Endpoint:
     Attributes:
         name: short snake_case noun; tools are called `publish_<name>`, `read_<name>`, `call_<name>`
             ...
-        kind: "publish", "read", "service" or "action": what the agent may do.
+        kind: "publish", "read", "service" or "action": the permitted use.
         topic: relative to the robot's namespace, or absolute.
         type: "package/msg/Name", "package/srv/Name" or "package/action/Name".
         summary: one line for the agent.
@@ -205,12 +202,12 @@ class Endpoint:
         stop_message: field path -> value that ends a motion ("" for no stop message, "zero" for all
             zeros).
         joint_limited: check positions and velocities against the profile's joint limits.
-        min_turning_radius_m: of a base that steers like a car; its twists are no sharper. 0: it
+        min_turning_radius_m: of a base with car-like steering, as a bound on its twists. 0: it
             turns on the spot.
-        frame: places in what is sent (`PoseStamped` ...) have to be in this frame; empty: in any.
-        zones: boxes in that frame that no place may be in.
-        repeat_hz: a value that is to last is sent again this often, because the robot stops when
-            messages cease; repetitions do not count against `rate_hz`. 0: it is sent once.
+        frame: required frame of places in sent messages (`PoseStamped` ...); empty: any.
+        zones: boxes in that frame that must not contain a place.
+        repeat_hz: rate at which a lasting value is repeated, because the robot stops when messages
+            cease; repetitions do not count against `rate_hz`. 0: it is sent once.
     """
 
     name: str
@@ -242,15 +239,15 @@ class RobotProfile:
         limits: None for robots without arm joints.
         home_rad: float64 (n,), a posture that is safe to start from; None likewise.
         gripper: None without one.
-        cameras: what the robot sees with.
-        workspace: None when nothing but the joint limits bounds the TCP.
+        cameras: cameras of the robot.
+        workspace: None if only the joint limits bound the TCP.
         collision: None when links and obstacles are not checked by default.
-        endpoints: what the agent may use on the direct path.
-        arms: of a robot that has several. Then `tcp_link` and `gripper` are those of the first,
-            `base_link` is a link that carries them all, and poses, workspace, zones and obstacles
-            are in its frame, for each arm. () for a robot with one arm: see `each_arm`.
-        own_topics: topics in its namespace that its drivers and simulations write, besides those of
-            the contract and those of `endpoints` that are read: nobody else is let publish them.
+        endpoints: endpoints that the agent may use on the direct path.
+        arms: the arms of a robot with several. Then `tcp_link` and `gripper` are those of the
+            first, `base_link` is a link that carries them all, and poses, workspace, zones and
+            obstacles of each arm are in its frame. () for a robot with one arm: see `each_arm`.
+        own_topics: topics in its namespace that its drivers and simulations publish, besides those
+            of the contract and the read `endpoints`; agents may not publish them.
     """
 
     name: str
@@ -278,7 +275,7 @@ class RobotProfile:
 
     @property
     def each_arm(self) -> tuple[ArmProfile, ...]:
-        """The arms; of a robot that names none the one that its own fields describe."""
+        """The arms; without `arms`, the one that the profile's own fields describe."""
         return self.arms or (
             ArmProfile(
                 name="",
@@ -295,8 +292,8 @@ class RobotProfile:
         return tuple(arm.gripper for arm in self.each_arm if arm.gripper is not None)
 
     def of_arm(self, arm: ArmProfile) -> RobotProfile:
-        """The robot as if `arm` were its only one, its TCP in the same base frame; itself when it
-        names no arms.
+        """The robot as if `arm` were its only one, with its TCP in the same base frame; itself
+        without `arms`.
         """
         if not self.arms:
             return self
@@ -316,7 +313,7 @@ class RobotProfile:
         )
 
     def tolerance(self, joint: str) -> float:
-        """How near a joint has to be to count as there: 0.01 rad or 1 mm, and at most 1/40 of a
+        """Distance within which a joint counts as arrived: 0.01 rad or 1 mm, and at most 1/40 of a
         gripper's travel.
         """
         arrived = ARRIVED_M if joint in prismatic_joints(self.urdf) else ARRIVED_RAD

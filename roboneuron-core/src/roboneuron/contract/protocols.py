@@ -1,9 +1,9 @@
-"""How plugins behave: small protocols, pure constructors, `load`/`open` do the work, `close` is
-idempotent.
+"""Protocols of plugin classes: small interfaces, pure constructors; `load`/`open` do the work,
+`close` is idempotent.
 
-Each class named by a descriptor's `target` is called as `target(config, ...)` with the arguments
-its protocol names; `config` is an instance of the pydantic model that the descriptor's `config`
-names (or None when it names none).
+The class named by a descriptor's `target` is called as `target(config, ...)` with the arguments
+that its protocol names. `config` is an instance of the pydantic model that the descriptor's
+`config` names, or None without one.
 """
 
 from __future__ import annotations
@@ -19,24 +19,23 @@ from roboneuron.contract.space import ControlSpace
 
 M = TypeVar("M")
 Model = TypeVar("Model", contravariant=True)
-"""What a model family's backends give to `Runtime.load`."""
+"""Type that the backends of a model family pass to `Runtime.load`."""
 Request = TypeVar("Request", contravariant=True)
-"""What they give to `Runtime.run`."""
+"""Type that they pass to `Runtime.run`."""
 Answer = TypeVar("Answer", covariant=True)
-"""What `Runtime.run` returns."""
+"""Type that `Runtime.run` returns."""
 Decoder = TypeVar("Decoder", covariant=True)
-"""What a runtime gives to `Acceleration.apply`."""
+"""Type that a runtime passes to `Acceleration.apply`."""
 Accelerated = TypeVar("Accelerated", contravariant=True)
-"""What an acceleration takes there: the same type, or a part of it."""
+"""Type that an acceleration accepts there: the same one, or a part of it."""
 
 
 class Topics(Protocol):
-    """What the host process lends a plugin of the ROS graph: nothing but topics under the robot's
-    namespace.
+    """Access of a plugin to the ROS graph: only topics under the robot's namespace.
 
-    Handed to perception sources and robot drivers. Message classes are ordinary rosidl classes;
+    Passed to perception sources and robot drivers. Message classes are ordinary rosidl classes;
     callbacks run on the host's executor thread and must return quickly. A name that begins with a
-    slash is taken as it is.
+    slash is absolute.
     """
 
     def subscribe(
@@ -47,12 +46,11 @@ class Topics(Protocol):
         *,
         best_effort: bool = False,
     ) -> None:
-        """Call `callback` with every message (reliable, depth 1: the newest wins) until the host
-        closes.
+        """Call `callback` with every message (reliable, depth 1: only the newest is kept) until the
+        host closes.
 
-        With `best_effort` it hears publishers that are best effort too, as many camera drivers are,
-        and stays reliable towards those that are not. Called from `open`, on the host's executor
-        thread.
+        With `best_effort` it also matches best-effort publishers, as many camera drivers are, and
+        stays reliable towards the others. Called from `open`, on the host's executor thread.
         """
 
     def advertise(self, topic: str, message_type: type[M]) -> Callable[[M], None]:
@@ -71,35 +69,37 @@ class Topics(Protocol):
 
 @runtime_checkable
 class Backend(Protocol):
-    """Image -> action. Built as `target(config, runtime=..., acceleration=...)`; used from one
-    worker thread.
+    """Policy from images to actions. Built as `target(config, runtime=..., acceleration=...)`; used
+    from one worker thread.
 
-    `runtime` and `acceleration` are None unless the descriptor declares that it takes them.
+    `runtime` and `acceleration` are None unless the descriptor declares them.
     """
 
     def load(self) -> None:
         """Read weights, warm up. Called once, during `configure`, before the first `predict`.
 
         Raises:
-            CheckpointError, ConfigurationError, MissingDependencyError: the process reports it and
-                stays unconfigured.
+            CheckpointError, ConfigurationError, MissingDependencyError: the process reports the
+                error and stays unconfigured.
         """
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """Return what to do next, already in the contract's units and frame.
+        """Return the next actions in the contract's units and frame.
 
         Raises:
-            UngroundedError: cannot act on this observation; nothing is published and the status
-                says why.
-            UnsafeError: the model produced non-finite values, or the observation holds some;
+            UngroundedError: it cannot act on this observation; nothing is published and the status
+                contains the reason.
+            UnsafeError: the model produced non-finite values, or the observation contains some;
                 nothing is published.
             InvalidInputError: a frame or a part of the state that the descriptor declares is
-                absent.
+                missing.
             StateError: before `load` or after `close`.
         """
 
     def reset(self) -> None:
-        """Forget the episode: called on activate and whenever the instruction changes."""
+        """Discard the state of the episode; called on activate and whenever the instruction
+        changes.
+        """
 
     def close(self) -> None:
         """Release everything; may be called twice and before `load`."""
@@ -107,17 +107,17 @@ class Backend(Protocol):
 
 @runtime_checkable
 class Runtime(Protocol[Model, Request, Answer, Decoder]):
-    """Executes a model family's decoder for a backend, in process or served. Built as
+    """Executes a model family's decoder for a backend, in the same process or on a server. Built as
     `target(config)`.
 
-    What `load` takes and what requests look like is agreed per model family between the packages
-    concerned, in types that a package of the family binds here (`Runtime[MyModel, MyRequest,
-    MyAnswer, MyDecoder]`); the descriptor's `families` names them and planning matches them.
+    The types of models and requests are agreed between the packages of a model family, which bind
+    them here (`Runtime[MyModel, MyRequest, MyAnswer, MyDecoder]`); the descriptor's `families`
+    names them and planning matches them.
     """
 
     def load(self, model: Model, acceleration: Acceleration[Decoder] | None = None) -> None:
-        """Take the model (in process: read its weights; served: reach the server and check what it
-        serves).
+        """Load the model (in process: read its weights; served: connect to the server and check its
+        model).
         """
 
     def run(self, request: Request) -> Answer:
@@ -128,7 +128,7 @@ class Runtime(Protocol[Model, Request, Answer, Decoder]):
         """
 
     def abort(self) -> None:
-        """Give up a `run` in progress, from another thread; harmless when there is none."""
+        """Cancel a `run` in progress, from another thread; no effect without one."""
 
     def close(self) -> None:
         """Release everything; may be called twice and before `load`."""
@@ -148,24 +148,22 @@ class Acceleration(Protocol[Accelerated]):
 
 
 AnyRuntime: TypeAlias = Runtime[Never, Never, object, object]
-"""A runtime of a family that is not known here: it can be handed on, aborted and closed, but not
-used.
-"""
+"""A runtime of an unknown family: it can be passed on, aborted and closed, but not used."""
 AnyAcceleration: TypeAlias = Acceleration[Never]
-"""Likewise an acceleration."""
+"""An acceleration of an unknown family."""
 
 
 @runtime_checkable
 class PerceptionSource(Protocol):
     """Produces camera frames. Built as `target(config, topics, cameras)`: `cameras` are the
-    profiles to serve.
+    profiles of the cameras to serve.
     """
 
     def open(self) -> None:
         """Acquire the device. Raises NotReadyError or ConfigurationError with what to do."""
 
     def read(self, timeout_s: float) -> Frame:
-        """Return the next frame, of any of the cameras; its image is not written to afterwards.
+        """Return the next frame, of any of the cameras; its image must not be modified afterwards.
 
         Raises:
             NotReadyError: none came within `timeout_s`.
@@ -191,8 +189,8 @@ class Controller(Protocol):
         """
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
-        """Return where to go within `step_s`, or why the robot should hold. Never raises for bad
-        numbers.
+        """Return the command to execute within `step_s`, or the reason to hold. Never raises for
+        invalid numbers.
         """
 
     def close(self) -> None:
@@ -201,51 +199,50 @@ class Controller(Protocol):
 
 @runtime_checkable
 class SpaceController(Protocol):
-    """What a controller offers beside `Controller` when its descriptor names other `spaces` than
+    """Additional interface of a controller whose descriptor names `spaces` other than
     `ee_delta`.
     """
 
     def execute(
         self, space: ControlSpace, row: F64, joints: JointSample, step_s: float
     ) -> JointCommand | Hold:
-        """Return where to go within `step_s`, or why the robot should hold. Never raises for bad
-        numbers.
+        """Return the command to execute within `step_s`, or the reason to hold. Never raises for
+        invalid numbers.
 
         Args:
             space: the robot's own space of that kind, see `robot_space`; never `joint_delta`.
             row: float64 (n,), checked by `ControlSpace.check`.
-            joints: where the command in progress ends, so that velocities add up without loss;
-                the measured joints where none is in progress.
+            joints: at the end of the command in progress, so that velocities add up without loss;
+                the measured joints without one.
             step_s: time the row is meant for [s].
         """
 
 
 @runtime_checkable
 class SeveralArms(Protocol):
-    """What a controller offers beside `Controller` for robots whose profile names `arms`."""
+    """Additional interface of a controller for robots whose profile names `arms`."""
 
     def poses(self, joints: JointSample) -> tuple[Pose, ...]:
         """TCP pose of each arm in the base frame, in the order of the profile's `arms`.
 
-        `Controller.forward` tells the first of them. Raises UnsafeError as it does.
+        The first is the result of `Controller.forward`. Raises UnsafeError likewise.
         """
 
 
 @runtime_checkable
 class PostureInspector(Protocol):
-    """What a controller may offer beside `Controller`, so that singularities and collisions can be
-    limited.
+    """Optional interface of a controller, needed for limits on singularities and collisions.
 
-    The control module asks it about every command; the server asks an instance of its own about
-    joint motions.
+    The control module calls it for every command; the server calls another instance for joint
+    motions.
     """
 
     def inspect(self, joints: JointSample) -> Posture:
-        """Return what holds in a posture, measured or planned, by the `collision` of the profile it
-        was built with.
+        """Return the properties of a measured or planned posture, using the `collision` of the
+        profile it was built with.
 
-        Joints beside the arm's (a gripper's) count where `joints` names them. Raises UnsafeError as
-        `Controller.forward`.
+        Joints other than the arm's (a gripper's) are used if `joints` names them. Raises
+        UnsafeError as `Controller.forward`.
         """
 
 
@@ -264,12 +261,12 @@ class RobotDriver(Protocol):
         """
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Start moving; returns what was really sent after the driver's own limits. Raises
+        """Start moving; return the command as sent after the driver's own limits. Raises
         InvalidInputError.
         """
 
     def hold(self) -> None:
-        """Stop where the robot is and stay there."""
+        """Stop the robot at its present posture."""
 
     def close(self) -> None:
         """Stop and disconnect; may be called twice and before `open`."""
@@ -277,21 +274,21 @@ class RobotDriver(Protocol):
 
 @runtime_checkable
 class LookaheadDriver(Protocol):
-    """What a driver offers beside `RobotDriver` when it can give its robot commands before their
-    time, as trajectory controllers take them.
+    """Additional interface of a driver whose robot accepts commands ahead of time, as trajectory
+    controllers do.
     """
 
     def send_ahead(self, command: JointCommand, planned: Sequence[JointCommand]) -> JointCommand:
-        """Start moving as `send`; the robot goes on with `planned` by itself unless it is told
-        otherwise.
+        """Start moving as `send`; the robot continues with `planned` unless another call replaces
+        it.
 
-        Any later `send`, `send_ahead` or `hold` replaces all that is left. The driver bounds how
-        long the robot moves by itself, and may leave out the rest.
+        Any later `send`, `send_ahead` or `hold` replaces the rest. The driver bounds how long the
+        robot moves by itself, and may leave out the rest.
 
         Args:
-            command: to start with.
-            planned: within the limits; each begins where and when the one before ends.
+            command: the first command.
+            planned: within the limits; each begins at the end of the previous one.
 
         Returns:
-            What was really sent of `command`. Raises as `send`.
+            `command` as sent. Raises as `send`.
         """

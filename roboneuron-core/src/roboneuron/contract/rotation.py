@@ -1,5 +1,5 @@
-"""Rotations as the contract uses them: rotation vectors [rad], 3x3 matrices, unit quaternions in x
-y z w order.
+"""Rotations in the contract: rotation vectors [rad], 3x3 matrices, unit quaternions in x y z w
+order.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import numpy as np
 from roboneuron.contract.arrays import F64
 
 _SMALL_ANGLE_RAD = 1e-8
-"""Below it, what the linear terms leave out (its square) is less than what a float64 rounds."""
+"""Angle below which the error of the linear terms (its square) is below float64 rounding."""
 
 
 def matrix_from_rotvec(rotvec_rad: F64) -> F64:
@@ -35,8 +35,8 @@ def matrix_from_rotvec(rotvec_rad: F64) -> F64:
 def rotvec_from_matrix(matrix: F64) -> F64:
     """Logarithmic map: rotation matrix (3, 3) -> rotation vector (3,) [rad], angle in [0, pi].
 
-    By the quaternion (sin(a/2) axis, cos(a/2)): unlike the trace of the matrix, it tells small
-    angles and those close to pi as well as all others.
+    Computed from the quaternion (sin(a/2) axis, cos(a/2)), which, unlike the trace of the matrix,
+    is accurate for small angles and those close to pi.
     """
     *axis, w = quaternion_from_matrix(matrix).tolist()
     sine = math.hypot(*axis)

@@ -1,7 +1,7 @@
-"""Control spaces: what the numbers of one action are, as named channels with unit, frame and arm.
+"""Control spaces: the meaning of an action's numbers, as named channels with unit, frame and arm.
 
-The default is `EE_DELTA`, the contract's 7-vector. A backend may declare another space instead; its
-label travels with each action, so that nothing is mapped by place.
+The default is `EE_DELTA`, the contract's 7-vector. A backend may declare another space instead. Its
+label is sent with each action, so that values are mapped by name, not by position.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from roboneuron.errors import InvalidInputError, UnsafeError
 ACTION_LABEL = "ee_delta_base"
 """`layout.dim[0].label` of the message of a 7-vector."""
 ACTION_FIELDS = ("dx_m", "dy_m", "dz_m", "rx_rad", "ry_rad", "rz_rad", "gripper_open")
-"""What each value of a 7-vector is, in order, with its unit."""
+"""Meaning and unit of each value of a 7-vector, in order."""
 SPACE_KINDS = ("ee_delta", "ee_pose", "joint_position", "joint_velocity", "joint_delta")
 """Kinds of control spaces.
 
@@ -30,14 +30,14 @@ SPACE_KINDS = ("ee_delta", "ee_pose", "joint_position", "joint_velocity", "joint
 - `joint_position`: absolute joint positions [rad, m of slides].
 - `joint_velocity`: joint velocities [rad/s, m/s of slides], each held for one period of the chunk.
 - `joint_delta`: joint positions relative to the joints measured with the observation. Inference
-  adds those, so that what it publishes is `joint_position`.
+  adds those, and publishes `joint_position`.
 """
 GRIPPER = "gripper_open"
 """Name of a gripper's channel: its absolute opening, 0 closed .. 1 open, in every space."""
 OPENING = "opening"
 GREATEST_RATE_HZ = 1000.0
 _LEAST_NORM, _GREATEST_NORM = 0.9, 1.1
-"""Length of a quaternion that rounding and a cross-fade of neighbours can explain."""
+"""Range of quaternion lengths that rounding and a cross-fade of consecutive rows can explain."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -48,7 +48,7 @@ class Channel:
         name: name of the joint, `GRIPPER`, or name of a coordinate ("x", "qw").
         unit: "m", "rad", "m/s", "rad/s", "1" (quaternions) or "opening" (0 closed .. 1 open).
         frame: "base" for coordinates of the TCP; "" for joints and grippers.
-        arm: which arm of a robot that has several; "" for the only one.
+        arm: name of the arm on a robot with several; "" for the only one.
     """
 
     name: str
@@ -58,12 +58,12 @@ class Channel:
 
     @property
     def key(self) -> str:
-        """Its name in labels and messages: "x", "left/x"."""
+        """Name in labels and messages: "x", "left/x"."""
         return f"{self.arm}/{self.name}" if self.arm else self.name
 
 
 def _quaternions(keys: Sequence[str]) -> Iterator[list[int]]:
-    """Places of x y z w of each arm that has all four."""
+    """Positions of x y z w of each arm that has all four."""
     for key in keys:
         arm, is_first, rest = key.rpartition("qx")
         parts = [f"{arm}q{axis}" for axis in "xyzw"]
@@ -73,15 +73,15 @@ def _quaternions(keys: Sequence[str]) -> Iterator[list[int]]:
 
 @dataclass(frozen=True, kw_only=True)
 class ControlSpace:
-    """What one row of a chunk means.
+    """Meaning of one row of a chunk.
 
     Attributes:
         kind: one of `SPACE_KINDS`.
-        channels: what each value is, in order.
-        rate_hz: rows per second that the policy was trained for; 0 when any rate will do.
+        channels: meaning of each value, in order.
+        rate_hz: rows per second that the policy was trained for; 0 for any rate.
 
     Raises:
-        InvalidInputError: the kind or the rate is none, or a channel comes twice.
+        InvalidInputError: the kind or the rate is invalid, or a channel occurs twice.
     """
 
     kind: str
@@ -112,7 +112,7 @@ class ControlSpace:
 
     @cached_property
     def quaternions(self) -> tuple[list[int], ...]:
-        """Of each quaternion the places of x y z w, in whatever order they stand."""
+        """Positions of x y z w of each quaternion, in whatever order they occur."""
         return tuple(_quaternions(self.keys))
 
     @cached_property
@@ -121,7 +121,7 @@ class ControlSpace:
 
     @property
     def is_absolute(self) -> bool:
-        """A row says where to be, whatever has been executed before it."""
+        """True if a row is an absolute target, independent of earlier rows."""
         return self.kind in ("ee_pose", "joint_position")
 
     @property
@@ -138,7 +138,7 @@ class ControlSpace:
         """Return one row as a float64 array of shape (size,).
 
         Raises:
-            InvalidInputError: another size, an opening outside 0 .. 1, a quaternion that is none.
+            InvalidInputError: another size, an opening outside 0 .. 1, an invalid quaternion.
             UnsafeError: a value is NaN or infinite.
         """
         row = np.asarray(values, dtype=np.float64)
@@ -177,13 +177,13 @@ EE_DELTA = ControlSpace(
 
 
 def channel_keys(label: str) -> tuple[str, ...]:
-    """Names of the channels that a label names."""
+    """Channel names in a label."""
     return ACTION_FIELDS if label == ACTION_LABEL else tuple(label.partition(":")[2].split(","))
 
 
 def robot_space(kind: str, profile: RobotProfile, rate_hz: float = 0.0) -> ControlSpace:
-    """The space of that kind which the robot executes: arm after arm its joints in the profile's
-    order, and its gripper last where there is one.
+    """The space of that kind on this robot: arm by arm its joints in the profile's order, followed
+    by its gripper, if any.
 
     Raises:
         InvalidInputError: the kind is unknown, the robot has no arm, or it has several and the kind

@@ -1,9 +1,9 @@
-"""The emergency stop, from the file that stops every process to the command that a person types.
+"""The emergency stop, from the latch file that stops every process to the command for users.
 
-`latch` is the stop, `latch_file` its file, `pin` what a release may ask for: every process uses
-them. The server adds `emergency`, which also stops by the topic and believes modules only when they
-confirm it, and `motion_starts`, after which nothing moves until somebody asks for it. `command` is
-`roboneuron estop`.
+`latch` is the stop, `latch_file` its file, `pin` the PIN for a release: every process uses them.
+The server adds `emergency`, which also stops by the topic and waits for confirmation by the
+modules, and `motion_starts`, which keeps the robot still after a stop until motion is requested.
+`command` is `roboneuron estop`.
 """
 
 from roboneuron.estop.latch import EmergencyStopLatch

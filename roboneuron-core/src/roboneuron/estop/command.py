@@ -1,8 +1,8 @@
-"""Stop all motion of every server and module that uses this state directory; works without any of
+"""Stop all motion of every server and module that uses this state directory, without needing any of
 them.
 
 The stop is latched in a file, which every module checks 50 times a second; each of several robots
-has its own. A person releases it in a terminal by `roboneuron estop --reset`.
+has its own. A person releases it in a terminal with `roboneuron estop --reset`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from roboneuron.gate import AuditLog, AuditRecord, Role
 from roboneuron.ros.environment import state_directory
 
 _AGAIN_S = 0.1
-"""Whoever holds the stop on the topic presses it again within this time after a release."""
+"""Time within which a process that keeps the stop on the topic latches it again after a release."""
 
 
 def configure(parser: ArgumentParser) -> None:
@@ -57,18 +57,18 @@ def run(arguments: Namespace) -> int:
     """Run `roboneuron estop`.
 
     Raises:
-        ConfigurationError: there is no such robot, or the file names no state directory.
-        RoboNeuronError: a stop could not be latched; the others are.
+        ConfigurationError: the robot is unknown, or the file names no state directory.
+        RoboNeuronError: one stop could not be latched; the others are.
     """
     configured = read_state_directory(arguments.config) if arguments.config else None
     directory = state_directory(str(arguments.state) if arguments.state else configured)
-    _folders(directory, arguments.robot)  # there is such a robot
+    _folders(directory, arguments.robot)  # raises for an unknown robot
     who = f"{getpass.getuser()} at the command line"
     if arguments.set_pin:
         return _set_pin(ReleasePin(directory), AuditLog.in_directory(directory), who)
     done: set[Path] = set()
     status, failure = 0, None
-    # again and again, because a server that starts meanwhile makes more folders
+    # repeated, because a server that starts meanwhile creates more folders
     while folders := _folders(directory, arguments.robot) - done:
         for folder in sorted(folders):
             latch = EmergencyStopLatch.in_directory(folder)
@@ -80,7 +80,7 @@ def run(arguments: Namespace) -> int:
             else:
                 try:
                     _press(latch, audit, who, arguments.reason)
-                except RoboNeuronError as error:  # the others are to be stopped all the same
+                except RoboNeuronError as error:  # the others are stopped all the same
                     failure = error
         done |= folders
     if failure is not None:
@@ -89,10 +89,11 @@ def run(arguments: Namespace) -> int:
 
 
 def _folders(directory: Path, robot: str | None) -> set[Path]:
-    """Where the latches are: of one robot, or of the server itself and of all its robots.
+    """Folders of the latches: of one robot, or of the server itself and of all its robots.
 
     Raises:
-        ConfigurationError: the robot has no folder; a stop of nothing must not look like one.
+        ConfigurationError: the robot has no folder; a stop without effect must not look like a
+            stop.
     """
     of_robots = robot_folder(directory).parent
     known = {path.name: path for path in sorted(of_robots.glob("*"))}
@@ -105,7 +106,7 @@ def _folders(directory: Path, robot: str | None) -> set[Path]:
 
 
 def _show(latch: EmergencyStopLatch) -> int:
-    """Say whether it is latched, and by whom; returns the exit status."""
+    """Print whether it is latched, and by whom; return the exit status."""
     state = latch.read_state()
     cause = f" by {state.cause}" if state.cause else ""
     word = f"latched{cause}" if state.latched else "not latched"
@@ -114,11 +115,11 @@ def _show(latch: EmergencyStopLatch) -> int:
 
 
 def _press(latch: EmergencyStopLatch, audit: AuditLog, who: str, reason: str) -> None:
-    """Latch it, say so, and record it; in this order, because a stop waits for no disk.
+    """Latch, print and record it; in this order, because a stop must not wait for a disk.
 
     Raises:
         UnsafeError: the latch cannot be written.
-        RefusedError: it is latched, and the audit cannot be written.
+        RefusedError: it is latched, but the audit cannot be written.
     """
     latch.latch(who=who, reason=reason)
     print(f"Emergency stop latched: {latch.path}")
@@ -126,11 +127,10 @@ def _press(latch: EmergencyStopLatch, audit: AuditLog, who: str, reason: str) ->
 
 
 def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
-    """Ask the person at the terminal, then release.
+    """Ask the person at the terminal for confirmation, then release.
 
     Raises:
-        RefusedError: there is no terminal, so that nobody can be asked; or the audit cannot be
-            written.
+        RefusedError: there is no terminal for the question, or the audit cannot be written.
     """
     state = latch.read_state()
     if not state.latched:
@@ -150,7 +150,7 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
         return 1
     pin = getpass.getpass("PIN: ") if ReleasePin(latch.path.parent).is_set else ""
     latch.reset(who=who, role=Role.ADMIN, audit=audit, pin=pin)
-    time.sleep(_AGAIN_S)  # who presses it meanwhile does so within one look at the file
+    time.sleep(_AGAIN_S)  # a process that latches it again does so within one check of the file
     if latch.is_latched():
         print(
             f"It was latched again at once by {latch.read_state().who or 'somebody'}.",
@@ -162,7 +162,7 @@ def _reset(latch: EmergencyStopLatch, audit: AuditLog, who: str) -> int:
 
 
 def _check_terminal(what: str) -> None:
-    """Raises RefusedError where nobody can be asked."""
+    """Raise RefusedError without a terminal for a question."""
     if not sys.stdin.isatty():
         raise RefusedError(
             f"{what} only by a person in a terminal, and this is no terminal.",
@@ -172,10 +172,10 @@ def _check_terminal(what: str) -> None:
 
 
 def _set_pin(pin: ReleasePin, audit: AuditLog, who: str) -> int:
-    """Ask for the PIN of now and for the new one, twice.
+    """Ask for the present PIN, and twice for the new one.
 
     Raises:
-        RefusedError: there is no terminal, or the PIN of now is wrong.
+        RefusedError: there is no terminal, or the present PIN is wrong.
         InvalidInputError: the new one is too short or too long.
     """
     _check_terminal("The PIN is set")

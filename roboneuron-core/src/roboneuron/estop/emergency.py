@@ -1,8 +1,8 @@
-"""The emergency stop of the control plane: two independent ways to every module, believed only when
-they confirm it.
+"""The emergency stop of the server: two independent channels to every module, and confirmation by
+the modules.
 
-The latch file stops modules without any other process being alive and outlives them all; the topic
-also reaches nodes that are not ours.
+The latch file stops modules without any other process and outlives them all; the topic also reaches
+foreign nodes.
 """
 
 from __future__ import annotations
@@ -23,25 +23,27 @@ from roboneuron.supervisor.supervisor import Supervisor
 
 log = logging.getLogger(__name__)
 _ROUNDS = 3
-"""Of the executor: what was published before the first has been delivered after the last."""
+"""Executor cycles after which every message published before the first has been delivered."""
 SIGNAL = "the signal SIGUSR1"
 CONFIRM_S = 2.0
-"""Modules report a change at once; this is ten times their slowest period, for a busy machine."""
+"""Timeout of the confirmation. Modules report a change at once; this is ten times their longest
+period, for a busy machine.
+"""
 
 
 def press_on_signal(latch: Callable[[str], object]) -> None:
-    """From now on SIGUSR1 calls `latch`, which latches the stop; called on the main thread.
+    """Install the handler of SIGUSR1, which calls `latch`; called on the main thread.
 
     Args:
-        latch: called with who pressed it, on a thread of its own.
+        latch: called with the origin of the stop, on another thread.
     """
     # its `put` may be interrupted by another `put`: handlers run within handlers
     signals: SimpleQueue[int] = SimpleQueue()
 
     def press() -> None:
-        """On a thread of its own: the interrupted one may hold any lock."""
+        """Latch on another thread: the interrupted one may hold any lock."""
         while signals.get():
-            while not signals.empty():  # pressed twice is pressed
+            while not signals.empty():  # a repeated signal counts once
                 signals.get()
             try:
                 latch(SIGNAL)
@@ -53,23 +55,23 @@ def press_on_signal(latch: Callable[[str], object]) -> None:
 
 
 class EmergencyStop:
-    """Writes the latch file, and publishes in every namespace that a module was started in; usable
-    from any thread.
+    """Writes the latch file, and publishes in the namespace of every started module; usable from
+    any thread.
 
     Attributes:
-        file: the latch itself, which the gate of the direct path looks at before every message.
-        audit: where presses and resets are written.
+        file: the latch, which the gate checks before every message.
+        audit: log of stops and resets.
     """
 
     def __init__(self, supervisor: Supervisor) -> None:
         """Args:
-        supervisor: of the modules that are stopped; the latch lies in its state directory.
+        supervisor: supervisor of the modules to be stopped; the latch is in its state directory.
         """
         self._supervisor = supervisor
-        # guards the making of publishers; who presses only reads the dictionary
+        # guards the creation of publishers; a stop only reads the dictionary
         self._lock = threading.Lock()
         self._publishers: dict[str, Callable[[bool], None]] = {}
-        # what was published last
+        # the last published value
         self._is_told = False
         self._restored = 0
         self.file = EmergencyStopLatch.in_directory(supervisor.state_directory)
@@ -78,13 +80,13 @@ class EmergencyStop:
 
     @property
     def needs_pin(self) -> bool:
-        """Whether a person has to type a PIN to release the stop."""
+        """True if releasing the stop requires a PIN."""
         return ReleasePin(self.file.path.parent).is_set
 
     def is_latched(self) -> bool:
-        """Whether the stop is latched: by the file, whoever wrote it, or in any module.
+        """True if the stop is latched: by the file, from any source, or in any module.
 
-        A module may be latched without the file: by the topic, where the file cannot be written.
+        A module may be latched without the file: by the topic, if the file cannot be written.
         """
         return self.file.is_latched() or any(
             view.report is not None and view.report.emergency_stop is True
@@ -92,7 +94,7 @@ class EmergencyStop:
         )
 
     def check(self) -> None:
-        """Do nothing unless it is latched. Raises RefusedError: it is; says by whom."""
+        """Raise RefusedError, which names the origin, if it is latched."""
         if self.is_latched():
             cause = self.cause()
             raise RefusedError(
@@ -103,17 +105,17 @@ class EmergencyStop:
             )
 
     def cause(self) -> str:
-        """Who latched it and why, as far as that is known; empty when it is not latched."""
+        """Origin and reason, as far as known; empty if not latched."""
         state = self.file.read_state()
         restored = f" (its file vanished without a reset and was written again, {state.restored} x)"
         return f"{state.cause}{restored if state.restored else ''}" if state.cause else ""
 
     def prepare(self, namespace: str) -> None:
-        """Make the topic known before it is needed, and tell modules that start later what the
-        latch says now.
+        """Advertise the topic in advance, with the latch's present state for modules that start
+        later.
 
         Args:
-            namespace: of the robot.
+            namespace: namespace of the robot.
 
         Raises:
             RoboNeuronError: ROS cannot be joined; the file stops without it.
@@ -122,7 +124,7 @@ class EmergencyStop:
         self._publishers[namespace](self.file.is_latched())
 
     def _advertise(self, namespace: str) -> None:
-        """Publish and hear the stop in a namespace, once for the server's life."""
+        """Publish and subscribe to the stop in a namespace, once in the server's life."""
         link = self._supervisor.link  # first: two threads must not import rclpy at the same time
         from std_msgs.msg import Bool  # heavy
 
@@ -137,15 +139,15 @@ class EmergencyStop:
                     link.subscribe(
                         Bool, topic, lambda message: self._on_topic(topic, message.data), qos
                     )
-                # nothing once the server leaves the graph: who has heard it confirms it
+                # no effect once the server leaves the graph: modules confirm what they received
                 self._publishers[namespace] = lambda is_latched: send(Bool(data=is_latched))
 
     def follow_file(self) -> bool:
-        """Whether the file stops; called now and then, which keeps the server latched when the file
-        vanishes. That is recorded, because it looks like a release.
+        """Return True if the file is latched. Called periodically, which keeps the server latched
+        if the file vanishes; that is audited, because it looks like a release.
 
-        A person's reset releases the file only. What was published last stays on the topic for
-        nodes that come later: they would press the stop again.
+        A user's reset releases the file only. The last published value stays on the topic for nodes
+        that join later, which would latch again.
         """
         is_latched, restored = self.file.is_latched(), self.file.read_state().restored
         if restored > self._restored:
@@ -155,19 +157,19 @@ class EmergencyStop:
         self._restored = restored
         if self._is_told and not is_latched:
             self._publish(False)
-            if self.file.is_latched():  # pressed meanwhile
+            if self.file.is_latched():  # latched meanwhile
                 self._publish(True)
         return self.file.is_latched()
 
     def _publish(self, is_latched: bool) -> None:
-        """Tell all modules by the topic; waits for nothing."""
+        """Notify all modules by the topic; does not wait."""
         self._is_told = is_latched
         for publish in list(self._publishers.values()):
             publish(is_latched)
 
     def _on_topic(self, topic: str, is_pressed: bool) -> None:
-        """Any node of the graph may stop; none may release. What this server has sent itself comes
-        here too.
+        """Handle the topic: any node may stop, none may release. The server's own messages arrive
+        too.
         """
         if is_pressed and not self.file.is_latched():
             try:
@@ -176,16 +178,16 @@ class EmergencyStop:
                 log.error("%s", error)
 
     def latch(self, namespace: str, *, who: str, reason: str) -> tuple[list[str], float]:
-        """Stop all motion; returns the modules that confirmed it, and after how many seconds.
+        """Stop all motion; return the modules that confirmed it, and the time that took [s].
 
         Args:
-            namespace: of the robot.
+            namespace: namespace of the robot.
             who: a client, person or signal.
             reason: may be empty.
 
         Raises:
             UnsafeError: a running module did not confirm it in time (the message names it), or the
-                latch file cannot be written; the other way was used nevertheless.
+                latch file cannot be written; the other channel was used nevertheless.
         """
         try:
             self.file.latch(who=who, reason=reason, audit=self.audit)
@@ -205,17 +207,17 @@ class EmergencyStop:
         """Release the latch. Returns as `latch`.
 
         Args:
-            namespace: of the robot.
-            who: which client.
-            role: of that client.
-            pin: what a person has typed, where one is set.
+            namespace: namespace of the robot.
+            who: the client.
+            role: role of that client.
+            pin: PIN typed by a person, if one is set.
 
         Raises:
-            RefusedError: `role` may not, the PIN is wrong, or the audit cannot be written.
+            RefusedError: `role` may not release, the PIN is wrong, or the audit cannot be written.
             StateError: the latch file cannot be removed.
             NotReadyError: a running module did not confirm it in time.
         """
-        # our own messages have to be heard here too: after the reset they would press it again
+        # the server's own messages must arrive first: after the reset they would latch again
         if self._publishers:
             for _ in range(_ROUNDS):
                 self._supervisor.link.on_executor(lambda: None)
@@ -230,7 +232,7 @@ class EmergencyStop:
         return confirmed, took_s
 
     def _tell(self, namespace: str, latched: bool) -> tuple[list[str], list[str], float]:
-        """Publish it and wait for the modules: those that confirmed it, those that did not, and
+        """Publish the state and wait for the modules: those that confirmed, those that did not, and
         the time that took [s].
         """
         started_s = time.monotonic()
@@ -253,8 +255,8 @@ class EmergencyStop:
         """Running modules that have not reported the latch since then.
 
         Args:
-            latched: what they have to report.
-            since_s: older reports do not count [monotonic s]: they were made before.
+            latched: the state to report.
+            since_s: older reports do not count [monotonic s].
         """
         return [
             view.kind

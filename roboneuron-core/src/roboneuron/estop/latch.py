@@ -1,12 +1,12 @@
-"""The emergency stop as a latch in a file: while the file exists, nothing moves.
+"""The emergency stop as a latch file: while the file exists, all motion is forbidden.
 
-Existence is all that counts, so that checking costs one system call, a damaged file still stops, a
-person can stop with `touch`, and the latch outlives every process. Whatever keeps it from being
-read counts as latched.
+Only its existence counts. So checking costs one system call, a damaged file still stops, a person
+can stop with `touch`, and the latch outlives every process. If the file cannot be checked, it
+counts as latched.
 
-A process that has seen the latch keeps it in memory too. Only a reset ends that: it renames the
-file instead of removing it, so that everybody can tell a file that was reset from one that was
-deleted, moved or lost with its directory. Such a file is written again, and counted.
+A process that has seen the latch also keeps it in memory. Only a reset ends that: it renames the
+file instead of removing it, which distinguishes a reset from a file that was deleted, moved or lost
+with its directory. A lost file is written again, and counted.
 """
 
 from __future__ import annotations
@@ -38,34 +38,34 @@ from roboneuron.log_files import make_log_directory
 
 log = logging.getLogger(__name__)
 _AGAIN_S = 1.0
-"""How often a latch that cannot be written is tried again."""
+"""Retry period for a latch that cannot be written."""
 
 
 class EmergencyStopLatch:
-    """A latch shared by all processes that use the same file; safe from any thread. Construction
-    touches nothing.
+    """A latch shared by all processes that use the same file; thread-safe. Construction has no side
+    effect.
 
-    Who is to hold whatever happens to the file has to call `is_latched` now and then.
+    A process that must stay stopped even if the file is lost has to call `is_latched` periodically.
 
     Attributes:
         path: the latch file.
-        on_press: called when this process presses the stop, before anything is written or woken, on
-            the pressing thread; must return at once and must not raise: it sends what stops a
-            robot.
-        on_pressed: likewise, once the file is written, or could not be: it tells others and wakes
-            threads.
+        on_press: called when this process triggers the stop, before anything is written or woken,
+            on the triggering thread; must return at once and must not raise. It sends the commands
+            that stop a robot.
+        on_pressed: called after the file was written or could not be; must return at once and must
+            not raise. It notifies others and wakes threads.
     """
 
     @classmethod
     def in_directory(cls, state: Path) -> EmergencyStopLatch:
-        """The one of a state directory, with the clock of the machine."""
+        """Create the latch of a state directory with the system clock."""
         return cls(state / ESTOP_FILE, time.time_ns)
 
     def __init__(
         self, path: Path, clock_ns: Callable[[], int], clock_s: Callable[[], float] = time.monotonic
     ) -> None:
         """Args:
-        path: the latch file; its directory is created when the stop is pressed.
+        path: the latch file; its directory is created when the stop is triggered.
         clock_ns: wall-clock time [ns].
         clock_s: monotonic time [s].
         """
@@ -73,28 +73,28 @@ class EmergencyStopLatch:
         self._reset_path = path.with_name(path.name + RESET_SUFFIX)
         self._clock_ns = clock_ns
         self._clock_s = clock_s
-        # What this process has seen or pressed: it stays stopped whatever becomes of the file.
+        # State seen or set by this process: it stays stopped whatever happens to the file.
         self._held: LatchState | None = None
         # device and inode of the newest file that was seen
         self._seen: tuple[int, int] | None = None
         self._tried_s = -_AGAIN_S
-        # a list, because `pop` takes a handle for one thread alone
+        # a list, because `pop` gives a handle to one thread only
         self._spare: list[int] = []
-        # Guards what is held and seen, over a few system calls at most. Listeners and disks that
-        # may be slow are not waited for while it is held.
+        # Guards the state, over a few system calls at most. It is not held during listeners and
+        # slow disk operations.
         self._lock = threading.RLock()
         self.on_press: list[Callable[[], object]] = []
         self.on_pressed: list[Callable[[], object]] = []
 
     def reserve(self) -> None:
-        """Keep a file handle for the latch's file: a process that has no other left still stops the
-        others.
+        """Reserve a file handle for the latch file, so that a process without free handles can
+        still stop the others.
         """
         with suppress(OSError):
             self._spare.append(os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC))
 
     def release(self) -> bool:
-        """Keep it no longer; whether there was one."""
+        """Release the reserved handle; return True if there was one."""
         try:
             os.close(self._spare.pop())
         except IndexError:
@@ -102,13 +102,13 @@ class EmergencyStopLatch:
         return True
 
     def is_latched(self) -> bool:
-        """Whether motion is forbidden; about a microsecond."""
+        """True if motion is forbidden; about 1 us."""
         with self._lock:
             try:
                 self._seen = identity_of(self.path)
             except FileNotFoundError:
                 return self._held is not None and not self._was_reset()
-            # a directory that cannot be entered, a disk that fails: unknown is latched
+            # a directory that cannot be entered, a failing disk: unknown counts as latched
             except OSError:
                 return True
             if self._held is None:
@@ -116,7 +116,7 @@ class EmergencyStopLatch:
             return True
 
     def _was_reset(self) -> bool:
-        """The file is gone: by a reset, or otherwise, and then it is written again."""
+        """Check a missing file: True after a reset; otherwise it is written again."""
         with suppress(OSError):
             if self._seen is not None and identity_of(self._reset_path) == self._seen:
                 self._held = self._seen = None
@@ -125,7 +125,7 @@ class EmergencyStopLatch:
         return False
 
     def _restore(self) -> None:
-        """Write the file again: at once when it has vanished, now and then when it could not be
+        """Write the file again: at once if it has vanished, periodically if it could not be
         written.
         """
         has_vanished, now_s = self._seen is not None, self._clock_s()
@@ -147,13 +147,13 @@ class EmergencyStopLatch:
             )
 
     def check(self, note: str = "") -> None:
-        """Do nothing unless it is latched.
+        """Raise RefusedError if latched.
 
         Args:
             note: a sentence that follows the cause.
 
         Raises:
-            RefusedError: it is latched; says by whom, as far as that is known.
+            RefusedError: it is latched; names the origin, as far as known.
         """
         if self.is_latched():
             cause = self.read_state().cause
@@ -165,27 +165,27 @@ class EmergencyStopLatch:
             )
 
     def read_state(self) -> LatchState:
-        """Who latched it and why, as far as the file tells."""
+        """Origin and reason, as far as the file contains them."""
         if not self.is_latched():
             return LatchState(latched=False)
         written, held = read_cause(self.path), self._held
         return written if written.who or held is None else held
 
     def latch(self, *, who: str, reason: str, audit: AuditLog | None = None) -> LatchState:
-        """`press`, have it outlive a loss of power, and record it; returns the first cause when it
-        is latched already.
+        """Trigger the stop, make it survive a power loss, and record it; return the first cause if
+        already latched.
 
         Args:
             who: a client, person or signal.
             reason: may be empty.
-            audit: gets a record, if it can be written; no stop is withheld for want of one.
+            audit: gets a record if possible; the stop does not depend on it.
 
         Raises:
             UnsafeError: as `press`.
         """
         try:
             state = self.press(who=who, reason=reason)
-            with suppress(OSError):  # it stops all the same
+            with suppress(OSError):  # the stop is in force all the same
                 sync(self.path)
                 sync(self.path.parent)
             return state
@@ -201,16 +201,16 @@ class EmergencyStopLatch:
                 audit.write_if_possible(record)
 
     def press(self, *, who: str, reason: str) -> LatchState:
-        """Forbid motion for every process; waits for no disk, so that it may be called where
-        nothing may block.
+        """Forbid motion for every process; does not wait for the disk, so that it may be called
+        where blocking is forbidden.
 
         Args:
             who: a client, person or signal.
             reason: may be empty.
 
         Raises:
-            UnsafeError: the file cannot be created: only this process is stopped, the others do not
-                know.
+            UnsafeError: the file cannot be created: only this process is stopped, the others are
+                not.
         """
         failures = self.press_together([self], who=who, reason=reason)
         if failures:
@@ -221,14 +221,14 @@ class EmergencyStopLatch:
     def press_together(
         latches: Iterable[EmergencyStopLatch], *, who: str, reason: str
     ) -> list[UnsafeError]:
-        """`press` of all of them, each step for all before the next; returns what failed.
+        """Call `press` for several latches, each step for all before the next; return the failures.
 
-        What stops the last robot is sent before the first file is written, and every file is
-        written before a thread is woken: each system call gives the interpreter away, and woken
-        threads keep it for up to a millisecond each time.
+        The stop commands of all robots are sent before the first file is written, and all files are
+        written before a thread is woken: each system call releases the GIL, and a woken thread may
+        keep it for up to a millisecond.
 
         Args:
-            latches: of one robot each.
+            latches: one per robot.
             who: a client, person or signal.
             reason: may be empty.
         """
@@ -246,7 +246,7 @@ class EmergencyStopLatch:
         for latch, state in pressed:
             try:
                 latch._create(state)
-            except OSError as error:  # the others are written all the same; it is tried again
+            except OSError as error:  # the others are written all the same; this one is tried again
                 failure = UnsafeError(
                     f"The emergency stop cannot be written to {latch.path}: {error.strerror}; only "
                     "this process is stopped.",
@@ -260,8 +260,8 @@ class EmergencyStopLatch:
         return failures
 
     def _hold(self, state: LatchState) -> bool:
-        """Stop this process at once, whatever the disk says; False when the file is known to be
-        there already.
+        """Stop this process at once, whatever the state of the disk; return False if the file is
+        known to exist.
         """
         with self._lock:
             if self._held is not None and self.is_latched() and self._seen is not None:
@@ -270,8 +270,8 @@ class EmergencyStopLatch:
         return True
 
     def _create(self, state: LatchState) -> None:
-        """Make the file with its cause; the latch holds without it, and the cause that came first
-        is kept.
+        """Create the file with its cause. The latch is in force without it, and the first cause is
+        kept.
         """
         make_log_directory(self.path.parent)
         is_reserved = self.release()
@@ -282,7 +282,7 @@ class EmergencyStopLatch:
                 self.reserve()
 
     def _make_file(self, state: LatchState) -> None:
-        """Create the file, then write the cause; the file stops from its creation on."""
+        """Create the file, then write the cause; the stop is in force from the creation on."""
         try:
             descriptor = os.open(
                 self.path, os.O_CREAT | os.O_EXCL | os.O_WRONLY | os.O_CLOEXEC, 0o644
@@ -292,26 +292,26 @@ class EmergencyStopLatch:
                 self._seen = identity_of(self.path)
             return
         try:
-            # of what was made, not of what has its name by now
+            # of the created file, not of the one that has its name by now
             made = os.fstat(descriptor)
             self._seen = made.st_dev, made.st_ino
-            # a full disk: it stops without its cause
+            # a full disk: the stop is in force without its cause
             with suppress(OSError):
                 write_cause(descriptor, state)
         finally:
             os.close(descriptor)
 
     def reset(self, *, who: str, role: str, audit: AuditLog, pin: str = "") -> None:
-        """Allow motion again; nothing moves by itself.
+        """Release the latch; nothing moves by itself.
 
         Args:
-            who: which client.
+            who: the client.
             role: must be "admin".
             audit: gets the record first; without it there is no reset.
-            pin: what a person has typed, where one is set.
+            pin: PIN typed by a person, if one is set.
 
         Raises:
-            RefusedError: the role has no right to, the PIN is wrong, or the audit cannot be
+            RefusedError: the role is insufficient, the PIN is wrong, or the audit cannot be
                 written.
             StateError: the latch cannot be removed; it stays latched.
         """
@@ -336,13 +336,13 @@ class EmergencyStopLatch:
         with self._lock:
             try:
                 if self.is_latched() and self._seen is None:
-                    # others learn of the reset by the file only
+                    # others detect the reset by the file only
                     self._create(self._held or LatchState(latched=True))
                 with suppress(FileNotFoundError):
                     # the next reset could not replace it
                     if stat.S_ISDIR(os.lstat(self.path).st_mode):
                         raise IsADirectoryError(errno.EISDIR, "it is a directory")
-                    # a rename keeps the inode, by which others tell a reset from a loss
+                    # a rename keeps the inode, which distinguishes a reset from a loss
                     os.replace(self.path, self._reset_path)
                     sync(self.path.parent)
             except OSError as error:

@@ -1,4 +1,4 @@
-"""The file of the emergency stop: its name, the cause in it, and which file it is."""
+"""File of the emergency stop: its name, its content and its identity."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ ESTOP_FILE = "emergency_stop.latched"
 RESET_SUFFIX = ".reset"
 """Added to the latch's name by a reset."""
 _MAX_CHARACTERS = 16_384
-"""What is read of the file: JSON makes up to 12 characters of each of the 700 of a cause."""
+"""Characters read from the file: JSON needs up to 12 for each of the 700 of a cause."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LatchState:
-    """Who stopped and why.
+    """Origin and reason of a stop.
 
     Attributes:
-        time_ns: wall-clock time [ns], 0 when the file does not tell.
-        restored: how often the file had vanished without a reset, and was written again.
+        time_ns: wall-clock time [ns], 0 if not in the file.
+        restored: how often the file was written again after it had vanished without a reset.
     """
 
     latched: bool
@@ -32,12 +32,12 @@ class LatchState:
 
     @property
     def cause(self) -> str:
-        """Who and why in words; empty when nobody is known."""
+        """Origin and reason as text; empty if unknown."""
         return ": ".join(word for word in (self.who, self.reason) if word) if self.who else ""
 
 
 def read_cause(path: Path) -> LatchState:
-    """What the file tells; anybody may have written it, so that nothing of it is required."""
+    """Read the cause from the file. Any user may have written it, so every part is optional."""
     try:
         with path.open(encoding="utf-8", errors="replace") as file:
             content = json.loads(file.read(_MAX_CHARACTERS))
@@ -53,7 +53,7 @@ def read_cause(path: Path) -> LatchState:
 
 
 def write_cause(descriptor: int, state: LatchState) -> None:
-    """Write it into the open file. Raises OSError when the disk is full."""
+    """Write the cause into the open file. Raises OSError if the disk is full."""
     content = {name: value for name, value in asdict(state).items() if name != "latched"}
     os.write(descriptor, json.dumps(content).encode())
 
@@ -65,7 +65,7 @@ def identity_of(path: Path) -> tuple[int, int]:
 
 
 def sync(path: Path) -> None:
-    """Have a file or directory on the disk. Raises OSError when it cannot be."""
+    """Flush a file or directory to the disk. Raises OSError on failure."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
         os.fsync(descriptor)

@@ -1,10 +1,9 @@
-"""Starts of motion: a stop is over when it was released, and motion begins again only when somebody
-asks for it.
+"""Starts of motion: after a stop was released, motion begins again only when it is requested.
 
-The modules keep still by themselves after a stop (`ModuleNode.require_start`). Here the server
-knows the same of what no module can know: others that have died, were stopped or restarted. And it
-knows who has given the policy its instruction, so that whoever ends a task takes it back from every
-process that holds it.
+A module keeps still by itself after a stop (`ModuleNode.require_start`). The server does the same
+for stops that a module cannot know: other modules that died, were stopped or restarted. It also
+records which caller gave the policy its instruction, so that the end of a task withdraws it from
+every process.
 """
 
 from __future__ import annotations
@@ -29,28 +28,25 @@ from roboneuron.supervisor.supervisor import Supervisor
 
 log = logging.getLogger(__name__)
 _TOLD_S = 1.0
-"""What does not take its instruction back within this time is ended."""
+"""A policy that does not withdraw its instruction within this time is ended."""
 _PERMITTED_S = 5.0
-"""Bound on the answer of a module that is told to obey again, and on its report of that."""
+"""Timeout of a module's answer to a permission, and of its report of it."""
 _SETTLED_S = 5.0
-"""Bound on the wait for instructions that are being taken back; each of them ends within `_TOLD_S`
-or with its process.
-"""
+"""Timeout for withdrawals in progress; each ends within `_TOLD_S` or with its process."""
 
 
 class MotionStarts:
-    """What was asked for, and what has ended it since; usable from any thread.
+    """Requests for motion, and the stops that ended them; usable from any thread.
 
     Attributes:
-        stops: so many stops so far; what was asked for before the newest one is not carried out any
-            more.
-        arm_stops: those among them that end every motion, of agents too: not the loss of a camera
-            or of the policy.
+        stops: number of stops; requests from before the newest one are void.
+        arm_stops: those that end every motion, also of agents; not the loss of a camera or of the
+            policy.
         reason: the newest stop.
-        instruction: what the policy was told last; empty when that was taken back.
-        ticket: number of the newest instruction or of its end; tells whoever has given one whether
-            it still holds.
-        AGAIN: what whoever releases a stop is told.
+        instruction: the policy's newest instruction; empty if withdrawn.
+        ticket: number of the newest instruction or of its end, by which its caller sees whether it
+            is still valid.
+        AGAIN: hint for the client that releases a stop.
     """
 
     AGAIN: Final = (
@@ -60,10 +56,10 @@ class MotionStarts:
 
     def __init__(self, supervisor: Supervisor) -> None:
         """Args:
-        supervisor: of the modules.
+        supervisor: supervisor of the modules.
         """
         self._supervisor = supervisor
-        # Guards the counts; nothing is asked of a module while it is held.
+        # Guards the counts; no module is called while it is held.
         self._lock = threading.Lock()
         # by process id: stops that it has reported, and whether its end was counted
         self._seen: dict[int, int] = {}
@@ -74,11 +70,11 @@ class MotionStarts:
         self.reason = self.instruction = ""
 
     def look(self, is_latched: bool | None = None) -> Sequence[ModuleView]:
-        """The modules; stops that have come since the last look are counted, and end what was asked
-        for.
+        """Return the modules; count the stops since the last call, which end the requests for
+        motion.
 
         Args:
-            is_latched: whether the emergency stop is; None when nobody has looked now.
+            is_latched: state of the emergency stop; None if it was not checked now.
         """
         views = self._supervisor.views()
         with self._lock:
@@ -90,16 +86,16 @@ class MotionStarts:
         for reason, kind in reasons:
             self.note_stop(reason, holds_arm=kind in ARM_KINDS)
         if any(kind != "inference" and reason != EMERGENCY_STOP for reason, kind in reasons):
-            self._take_back_soon()  # the policy knows of the other ones itself
+            self._take_back_soon()  # the policy detects the other ones itself
         return views
 
     def note_stop(self, reason: str, *, holds_arm: bool = True, is_asked: bool = False) -> None:
-        """A stop has come; waits for nothing.
+        """Record a stop; does not wait.
 
         Args:
-            reason: in words.
+            reason: reason as text.
             holds_arm: it ends every motion; otherwise only that of the policy.
-            is_asked: by somebody who has stopped a module, and may start it again to use it.
+            is_asked: requested by a client that stopped a module and may start it again.
         """
         with self._lock:
             self.stops += 1
@@ -110,26 +106,26 @@ class MotionStarts:
                 self._supervisor.needs_start = reason
 
     def stop(self, kind: ModuleKind, reason: str, *, is_asked: bool) -> None:
-        """A module was stopped, or is to be started again by itself: the policy forgets its
-        instruction.
+        """Record that a module was stopped or will be restarted automatically: the policy's
+        instruction is withdrawn.
         """
         self.note_stop(reason, holds_arm=kind in ARM_KINDS, is_asked=is_asked)
         self._take_back()
 
     @property
     def are_needed(self) -> bool:
-        """Whether a stop keeps a module still until `permit`."""
+        """True if a stop keeps a module still until `permit`."""
         with self._supervisor.changes.lock:
             slots = [slot for kind in ARM_KINDS for slot in self._supervisor.slots[kind]]
             reports = [slot.report for slot in slots if slot.phase == "running"]
             return any(report is not None and report.needs_start for report in reports)
 
     def permit(self) -> int:
-        """Somebody asks for motion: the modules that a stop keeps still obey again; returns
-        `stops`, see `check`.
+        """Permit motion on a client's request: modules that a stop keeps still accept commands
+        again. Return `stops`, see `check`.
 
         Raises:
-            RefusedError: a module says that there was another stop since.
+            RefusedError: a module reports another stop since.
             NotReadyError: a module does not answer.
             StateError: as `check`.
         """
@@ -142,8 +138,8 @@ class MotionStarts:
         return count
 
     def arm_started(self) -> None:
-        """Let what was started since `permit` obey too; does nothing when there was a stop
-        since.
+        """Permit motion for modules started since `permit`; does nothing if there was a
+        stop since.
         """
         self.look()
         if self._supervisor.needs_start:
@@ -154,13 +150,13 @@ class MotionStarts:
             log.warning("What was started keeps still: %s", error)
 
     def _arm(self) -> None:
-        """Have robot and control obey again, and their successors. Raises as `permit`."""
+        """Permit motion in robot and control, and in their successors. Raises as `permit`."""
         for kind in ARM_KINDS:
             for slot in self._running(kind):
                 report = slot.report
                 if report is None or not report.needs_start or slot.process is None:
                     continue
-                # newer than what was asked for
+                # newer than the request
                 if report.stops != self._seen.get(slot.process.pid):
                     raise RefusedError(
                         f"{kind} was stopped meanwhile: {report.needs_start}.",
@@ -174,13 +170,13 @@ class MotionStarts:
                 self._await_obeying(slot, report.stops)
 
     def check(self, stops: int) -> None:
-        """Do nothing unless a stop came since `permit`.
+        """Raise if a stop came since `permit`.
 
         Args:
-            stops: what `permit` has returned.
+            stops: returned by `permit`.
 
         Raises:
-            StateError: there was one; says which.
+            StateError: there was one; the message names it.
         """
         if self.stops != stops:
             raise StateError(
@@ -188,7 +184,7 @@ class MotionStarts:
             )
 
     def begin(self, text: str) -> int:
-        """A policy is about to be started or replaced; returns the ticket of its instruction.
+        """Register the start or replacement of a policy; return the ticket of its instruction.
 
         Args:
             text: the instruction; empty for none.
@@ -199,15 +195,15 @@ class MotionStarts:
             return self.ticket
 
     def give(self, text: str, timeout_s: float) -> tuple[int, str]:
-        """Tell the policy that works, and one that is about to replace it; returns the ticket and
-        why it was refused.
+        """Send an instruction to the working policy and its successor; return the ticket, and the
+        reason of a refusal.
 
         Args:
             text: the instruction.
             timeout_s: bound on each answer [s].
 
         Raises:
-            StateError: none runs.
+            StateError: no policy runs.
             NotReadyError: it does not answer.
         """
         ticket = self.begin(text)
@@ -220,10 +216,10 @@ class MotionStarts:
         return ticket, "; ".join(filter(None, refused))
 
     def withdraw(self, ticket: int) -> None:
-        """Take an instruction back from every process that holds it; one that does not answer is
+        """Withdraw an instruction from every process that has it; a process that does not answer is
         ended.
 
-        Does nothing more when somebody else has given another one since, or a stop has ended it.
+        Does nothing if another instruction was given since, or a stop has ended it.
         """
         with self._lock:
             is_ours = self.ticket == ticket
@@ -235,11 +231,12 @@ class MotionStarts:
         self.settle()
 
     def follow(self, slot: Slot, ticket: int) -> None:
-        """Tell a policy that was being started what holds now, when that has changed since.
+        """Send the present instruction to a policy that has just started, if it changed during the
+        start.
 
         Args:
-            slot: of the policy.
-            ticket: of its start, see `begin`.
+            slot: slot of the policy.
+            ticket: ticket of its start, see `begin`.
 
         Raises:
             StateError: it does not drop its instruction.
@@ -251,14 +248,14 @@ class MotionStarts:
             raise StateError("The policy did not drop its instruction.")
 
     def settle(self) -> None:
-        """Wait until instructions that a stop has ended are taken back."""
+        """Wait until instructions ended by a stop are withdrawn."""
         with self._lock:
             telling = list(self._telling)
         for thread in telling:
             thread.join(_SETTLED_S)
 
     def _news(self, view: ModuleView) -> str:
-        """Which stop a module tells of that is not counted yet; the lock is held."""
+        """Stop reported by a module that is not counted yet; the lock is held."""
         if view.process is None:
             return ""
         pid, report = view.process.pid, view.report
@@ -273,17 +270,17 @@ class MotionStarts:
         return (report.needs_start or "a stop") if report.stops > before else ""
 
     def _take_back_soon(self) -> None:
-        """Take the instruction back on a thread of its own: whoever looks must not wait for a
+        """Withdraw the instruction on another thread, so that the caller does not wait for a
         module.
         """
         with self._lock:
             thread = threading.Thread(target=self._take_back, name="take-back", daemon=True)
-            thread.start()  # before it is listed: whoever settles joins it
+            thread.start()  # before it is listed: `settle` joins it
             self._telling = [other for other in self._telling if other.is_alive()] + [thread]
 
     def _take_back(self) -> None:
-        """Have every policy forget its instruction; one that cannot be told is ended, because it
-        would go on moving.
+        """Withdraw the instruction from every policy; one that cannot be reached is ended, because
+        it would continue to move.
         """
         for slot in self._running("inference"):
             try:
@@ -295,17 +292,18 @@ class MotionStarts:
                     self._supervisor.end(slot)
 
     def _running(self, kind: ModuleKind) -> list[Slot]:
-        """The module that works, and one that is about to replace it."""
+        """Slots of the working module and of its successor."""
         with self._supervisor.changes.lock:
             return [slot for slot in self._supervisor.slots[kind] if slot.phase == "running"]
 
     def _set(self, slot: Slot, values: dict[str, str | int], timeout_s: float) -> str:
-        """Set parameters of a module; returns why it refuses, empty when it does not."""
+        """Set parameters of a module; return the reason of a refusal, empty if accepted."""
         client = self._supervisor.parameters(slot)
         return client.set(values, timeout_s, lambda: slot.check_alive("told what to do"))
 
     def _await_obeying(self, slot: Slot, stops: int) -> None:
-        """Wait until a module reports that it obeys, or another stop: `check` tells of that.
+        """Wait until a module reports that motion is permitted, or another stop, which `check`
+        raises.
 
         Raises:
             NotReadyError: it reports neither.

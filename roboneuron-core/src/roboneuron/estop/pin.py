@@ -1,8 +1,7 @@
-"""The PIN of the people who may release the emergency stop: optional, kept as a hash beside the
-latch.
+"""Optional PIN for releasing the emergency stop, stored as a hash next to the latch.
 
-It keeps out whoever can type a command or answer a question, such as an agent with a shell, and
-does not know it. It does not keep out whoever can write to the state directory.
+It protects against clients that can type a command or answer a question but do not know it, such as
+an agent with a shell. It does not protect against processes that can write to the state directory.
 """
 
 from __future__ import annotations
@@ -22,27 +21,29 @@ from roboneuron.gate import AuditLog, AuditRecord
 from roboneuron.log_files import locked, make_log_directory
 
 FILE_NAME = "emergency_stop.pin"
-"""Name of the hash in the state directory; a fleet has one for all its robots."""
+"""Name of the hash file in the state directory; a fleet has one for all its robots."""
 _ROBOTS = "robots"
 """Folder of the robots of a fleet, see `roboneuron.config.robot_folder`."""
 _LEAST, _MOST = 4, 64
-"""Characters: what a person types at a robot; delays make up for what is short."""
+"""Minimum and maximum length: short enough to type at a robot; delays compensate for a
+short PIN.
+"""
 _N, _R, _P, _MEMORY = 2**15, 8, 1, 64 * 2**20
 """Cost of scrypt: about 0.1 s and 32 MiB. Source: RFC 7914."""
 _FREE, _MOST_WAIT_S = 3, 300.0
-"""So many wrong PINs cost nothing; each one after that doubles the wait for the next attempt, from
-2 s on.
+"""Number of wrong PINs without a delay, and the longest delay; each further wrong PIN doubles the
+delay, from 2 s on.
 """
 
 
 class ReleasePin:
-    """The PIN of one state directory; usable by several processes at once. Nothing of it is kept in
-    memory: what another process sets or counts holds here too.
+    """The PIN of one state directory; usable by several processes at once. Nothing is cached in
+    memory, so changes and counts by other processes apply at once.
     """
 
     def __init__(self, folder: Path, clock_s: Callable[[], float] = time.time) -> None:
         """Args:
-        folder: where the latch is; that of one of several robots uses the PIN of the fleet.
+        folder: folder of the latch; a robot of a fleet uses the fleet's PIN.
         clock_s: wall-clock time [s], the same for all processes.
         """
         shared = folder.parent.parent / FILE_NAME
@@ -51,14 +52,14 @@ class ReleasePin:
 
     @property
     def is_set(self) -> bool:
-        """Whether a release needs it; also when the file cannot be read."""
+        """True if a release requires the PIN; also if the file cannot be read."""
         return os.path.lexists(self.path)
 
     def set(self, pin: str) -> None:
-        """Replace it, or remove it with an empty one; the caller has checked the one before.
+        """Replace the PIN, or remove it with an empty one; the caller has checked the previous one.
 
         Raises:
-            InvalidInputError: it is shorter or longer than a PIN may be.
+            InvalidInputError: it is too short or too long.
         """
         if not pin:
             self.path.unlink(missing_ok=True)
@@ -73,15 +74,16 @@ class ReleasePin:
         )
 
     def check(self, pin: str, *, who: str, audit: AuditLog) -> None:
-        """Do nothing when no PIN is set or this is it; attempts are counted, delayed and audited.
+        """Check a PIN; passes if none is set or it is correct. Attempts are counted, delayed and
+        audited.
 
         Args:
-            pin: what a person has typed.
-            who: which client.
+            pin: as typed by a person.
+            who: the client.
             audit: gets a record of each refusal.
 
         Raises:
-            RefusedError: it is wrong, or it was wrong so often that the next attempt has to wait.
+            RefusedError: it is wrong, or the next attempt has to wait after several wrong ones.
         """
         if not self.is_set:
             return
@@ -108,7 +110,7 @@ class ReleasePin:
             )
 
     def _attempt(self, pin: str) -> str:
-        """Why that PIN is refused; empty when it is right. The file's lock is held."""
+        """Reason to refuse the PIN; empty if it is correct. The file's lock is held."""
         try:
             known = json.loads(self.path.read_text(encoding="utf-8"))
             salt, right = bytes.fromhex(known["salt"]), str(known["hash"])
@@ -119,7 +121,7 @@ class ReleasePin:
         # a longer one was written before the clock was set back: it would lock people out
         if 0.0 < wait_s <= _MOST_WAIT_S:
             return f"after {failures} wrong PINs the next one is looked at in {wait_s:.0f} s."
-        # in a time that does not depend on how much of it is right
+        # in constant time, whatever part of it is correct
         if hmac.compare_digest(_hash(pin, salt), right):
             self._write({**known, "failures": 0, "not_before_s": 0.0})
             return ""
@@ -133,7 +135,7 @@ class ReleasePin:
         )
 
     def _write(self, content: dict[str, Any]) -> None:
-        """Replace the file as a whole: a process that dies meanwhile leaves the old one."""
+        """Replace the file atomically: a process that dies meanwhile leaves the old one."""
         make_log_directory(self.path.parent)
         new = self.path.with_name(f"{self.path.name}.new")
         new.unlink(missing_ok=True)
@@ -146,5 +148,5 @@ class ReleasePin:
 
 
 def _hash(pin: str, salt: bytes) -> str:
-    """scrypt of a PIN, in hexadecimal: slow, for whoever has read the file and tries them all."""
+    """scrypt hash of a PIN, in hexadecimal: slow, against guessing from the file."""
     return hashlib.scrypt(pin.encode(), salt=salt, n=_N, r=_R, p=_P, maxmem=_MEMORY).hex()

@@ -1,4 +1,4 @@
-"""What keeps a robot safe whoever moves it: limits of motion, roles, audit."""
+"""Safety of a robot, whichever client moves it: limits of motion, roles, audit."""
 
 from roboneuron.gate.audit import AuditLog, AuditRecord
 from roboneuron.gate.roles import Role

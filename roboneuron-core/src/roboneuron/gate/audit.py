@@ -1,4 +1,4 @@
-"""Audit log: one JSON line per decision, rotated by size. Nothing moves while it cannot be
+"""Audit log: one JSON line per decision, rotated by size. Motion is refused while it cannot be
 written.
 """
 
@@ -35,11 +35,11 @@ class AuditRecord:
 
     Attributes:
         who, role: the client.
-        tool, robot, endpoint: the tool that was called, and the endpoint of which robot it uses.
-        arguments: as the client sent them, truncated.
+        tool, robot, endpoint: the called tool, its robot and its endpoint.
+        arguments: as sent by the client, truncated.
         verdict: "allowed", "refused", "would_allow" or "would_refuse" (dry run); "scaled" or "held"
-            (control); "latched" or "restored" (emergency stop); "cut" (the line before is no
-            record).
+            (control); "latched" or "restored" (emergency stop); "cut" (the previous line is
+            incomplete).
         rule, reason: the limit or rule that applied, and a sentence with the numbers.
         clamped: values that were changed, as "path: asked -> sent".
     """
@@ -64,26 +64,25 @@ _CUT = AuditRecord(
     rule="audit",
     reason="The line before was cut short and is no record.",
 )
-"""Written after a line that a power failure or a killed process has left without an end."""
+"""Written after an incomplete line, left by a power failure or a killed process."""
 
 
 class AuditLog:
-    """Append-only file of records, shared by several processes. Thread-safe. The constructor opens
-    nothing.
+    """Append-only file of records, shared by several processes. Thread-safe. The constructor does
+    not open the file.
 
-    A record is one `write` to a file that was opened with O_APPEND: the kernel puts each behind the
-    last one, so that processes need no lock between them. Only a rotation takes one.
+    A record is one `write` to a file opened with O_APPEND: the kernel appends atomically, so that
+    processes need no lock except for a rotation.
 
     Attributes:
         path: the current file.
-        on_record: called with each record that was written, on the thread of the writer; must
-            return quickly.
-        failed: whether writing the last record failed; a motion in progress has to end then.
+        on_record: called with each written record, on the writer's thread; must return quickly.
+        failed: writing the last record failed; a motion in progress has to end.
     """
 
     @classmethod
     def in_directory(cls, state: Path, clock_ns: Callable[[], int] = time.time_ns) -> AuditLog:
-        """The one of a state directory, with the clock of the machine; rotated files end in .1, .2
+        """Create the log of a state directory with the system clock; rotated files end in .1, .2
         and so on.
         """
         return cls(state / "audit.jsonl", clock_ns)
@@ -107,20 +106,20 @@ class AuditLog:
         self._clock_ns = clock_ns
         self._max_bytes = max_bytes
         self._backups = max(1, backups)
-        # guards what follows; `on_record` is called without it, so that a listener may write too
+        # guards the fields below; `on_record` is called without it, so that a listener may write
+        # too
         self._lock = threading.RLock()
         self._descriptor = -1
         self._identity = (-1, -1)
-        # the file ends within a line: what is appended would be lost in it
+        # the file ends within a line: an appended record would be lost in it
         self._torn = False
         self.failed = False
 
     def write(self, record: AuditRecord) -> None:
-        """Append a record: handed to the operating system when this returns, not necessarily synced
-        to the disk.
+        """Append a record; it is then with the operating system, not necessarily on the disk.
 
         Raises:
-            RefusedError: it cannot be written; nothing may move.
+            RefusedError: it cannot be written; motion is refused.
         """
         line = self._to_line(record)
         with self._lock:
@@ -139,8 +138,8 @@ class AuditLog:
         self.on_record(record)
 
     def write_if_possible(self, record: AuditRecord) -> None:
-        """`write` for what must happen without a record too, such as an emergency stop; a failure
-        is logged.
+        """Append a record of an event that must not depend on it, such as an emergency stop; a
+        failure is logged.
         """
         try:
             self.write(record)
@@ -162,16 +161,16 @@ class AuditLog:
                 self._descriptor = -1
 
     def _append(self, line: bytes) -> None:
-        """Put a line behind the last one. Raises OSError when it is not wholly written."""
+        """Append a line. Raises OSError if it is not written completely."""
         if self._open() + len(line) > self._max_bytes:
             self._rotate(len(line))
         if self._torn:
             line = b"\n" + self._to_line(_CUT) + line
         written = os.write(self._descriptor, line)
-        # a full disk takes a part of it: taken back, so that no half record is read as a decision
+        # a full disk accepts a part: removed again, so that no partial record is read as a decision
         if written != len(line):
             end = os.lseek(self._descriptor, 0, os.SEEK_CUR)
-            if os.fstat(self._descriptor).st_size == end:  # nobody has appended to it since
+            if os.fstat(self._descriptor).st_size == end:  # no other process has appended since
                 os.ftruncate(self._descriptor, end - written)
             raise OSError(errno.ENOSPC, "only a part of the record was written")
         self._torn = False
@@ -179,8 +178,8 @@ class AuditLog:
     def _open(self) -> int:
         """Open the current file; reopen it after it was rotated or deleted by another process.
 
-        Returns its size. An agent waits for each record, so an open file costs one system call: a
-        descriptor keeps its device and inode.
+        Returns its size. Each record delays an agent's call, so the check of an open file is one
+        system call: the device and inode of the descriptor are cached.
         """
         if self._descriptor >= 0:
             with contextlib.suppress(FileNotFoundError):
@@ -202,9 +201,9 @@ class AuditLog:
         """Rotate the files, and open the new one.
 
         Args:
-            coming: bytes that are to be appended.
+            coming: number of bytes to be appended.
         """
-        # Looked at again under the lock: another process may have rotated them meanwhile.
+        # Checked again under the lock: another process may have rotated the files meanwhile.
         with locked(self.path):
             if self.path.exists() and self.path.stat().st_size + coming > self._max_bytes:
                 numbers = range(self._backups, 0, -1)
@@ -215,14 +214,14 @@ class AuditLog:
         self._open()
 
     def _to_line(self, record: AuditRecord) -> bytes:
-        """A record as one line of ASCII; fields that are empty are left out."""
+        """Format a record as one line of ASCII; empty fields are left out."""
         now_ns = self._clock_ns()
         at_s, rest_ns = divmod(now_ns, 1_000_000_000)
         parts = [
             f'"time":"{_second(at_s)}.{rest_ns // 1_000_000:03d}+00:00"',
             f'"time_ns":{now_ns}',
         ]
-        # field by field, so that the arguments, the most of it, become JSON once
+        # field by field, so that the arguments, its largest part, are encoded only once
         for name in record.__dataclass_fields__:
             value = getattr(record, name)
             if value:
@@ -233,22 +232,22 @@ class AuditLog:
 
 @lru_cache(maxsize=1)
 def _second(at_s: int) -> str:
-    """A second of wall-clock time as ISO 8601, UTC, without an offset; an agent in motion makes
-    many records in one.
+    """Format a second of wall-clock time as ISO 8601, UTC, without an offset. Cached, because an
+    agent in motion makes many records per second.
     """
     return datetime.fromtimestamp(at_s, UTC).replace(tzinfo=None).isoformat()
 
 
-# made once: to make one costs as much as to write a record
+# created once: creating one costs as much as writing a record
 _JSON = json.JSONEncoder(separators=(",", ":"))
 
 
 def _bounded(arguments: Mapping[str, Any]) -> str:
-    """The arguments as JSON that every reader takes, truncated, or the reason why they cannot be
-    serialized: a circle, or too deep a tree.
+    """Encode the arguments as standard JSON, truncated, or the reason why they cannot be serialised
+    (a cycle, or too deep nesting).
     """
     try:
-        # ten times as fast as the encoder above; a NaN, which JSON has not, becomes text
+        # ten times as fast as the encoder above; a NaN, which JSON lacks, becomes text
         text = to_json(
             arguments, inf_nan_mode="strings", fallback=lambda value: f"<{type(value).__name__}>"
         ).decode()

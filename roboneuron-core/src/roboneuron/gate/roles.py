@@ -1,15 +1,14 @@
-"""Roles of those who call tools.
+"""Roles of the clients that call tools.
 
-A role belongs to a client, by the transport that it came over or by its token; core only compares
-roles.
+A role belongs to a client, by its transport or token; core only compares roles.
 """
 
 from enum import StrEnum
 
 
 class Role(StrEnum):
-    """Roles from least to most: read; also move; also expose and reset. Each includes the ones
-    before it.
+    """Roles from least to most: read; also move; also expose and reset. Each includes the previous
+    ones.
     """
 
     VIEWER = "viewer"
@@ -17,7 +16,9 @@ class Role(StrEnum):
     ADMIN = "admin"
 
     def is_held_by(self, role: str) -> bool:
-        """Whether a client with `role` has at least this one; an unknown role has no rights."""
+        """Return True if a client with `role` has at least this one; an unknown role has no
+        rights.
+        """
         return _RANKS.get(role, -1) >= _RANKS[self]
 
 

@@ -1,4 +1,4 @@
-"""`python -m roboneuron.modules`: read the settings from stdin, run that module, leave with the
+"""`python -m roboneuron.modules`: read the settings from stdin, run that module, exit with the
 parent.
 """
 
@@ -17,8 +17,8 @@ from roboneuron.ros.environment import prepare_environment
 def main() -> None:
     """Entry point of a module process.
 
-    In this order: a parent that dies from here on takes the process with it, and the environment is
-    set before rclpy is imported, which reads it.
+    The order matters: from the first step on a parent that dies ends the process, and the
+    environment is set before rclpy, which reads it, is imported.
     """
     parent = os.getppid()
     begin_logging(logging.INFO)
@@ -26,8 +26,8 @@ def main() -> None:
     prepare_environment()
     from roboneuron.modules.module import run  # heavy
 
-    # without a buffer, because signs of life and announcements follow the line: a buffer would keep
-    # them from whoever reads them next
+    # Unbuffered, because signs of life and announcements follow the line: a buffer would keep them
+    # from the next reader.
     line = io.FileIO(0, closefd=False).readline()
     if not line.endswith(b"\n"):
         sys.exit("stdin ended before the settings came.")

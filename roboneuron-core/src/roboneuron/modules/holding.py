@@ -1,5 +1,5 @@
-"""The watchdogs and limits of what commands an arm, and its only path to the joints: which inputs
-it may act on, what is sent for them, and when it holds instead.
+"""Watchdogs and limits of a module that commands an arm, and its only access to the joints: which
+inputs are valid, what is sent for them, and when the arm holds.
 """
 
 from __future__ import annotations
@@ -39,20 +39,20 @@ from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 
 class HoldingModule(Module):
-    """Commands an arm, and holds it when actions or joint states stop, the server is silent, or a
-    stop has come. Everything happens in the executor's thread.
+    """Base of modules that command an arm; holds it when actions or joint states stop, the server
+    is silent, or a stop has come. Runs on the executor's thread.
 
-    A subclass says by `act` what each of its inputs asks for. Nothing else leads to the joints: a
-    command is sent by this class alone, within the limits, and never while the arm must hold.
+    A subclass calls `act` with the target of each of its inputs. There is no other access to the
+    joints: only this class sends commands, within the limits, and never while the arm must hold.
 
     Attributes:
         section: [control] of the configuration.
-        profile: of the robot.
-        on_limited: called with what the limits made of each command, before that is sent.
-        poses: of the TCP of each arm, from joints; from `limit_with` on.
+        profile: the robot's profile.
+        on_limited: called with each command after the limits were applied, before it is sent.
+        poses: computes the TCP poses of each arm from joints; from `limit_with` on.
         reference, remaining_s: of the command in progress, see `MotionLimiter`; from `limit_with`
             on.
-        watched: the newest joint state that is believed.
+        watched: the newest accepted joint state.
         is_active: commands may be sent.
         is_holding: the newest command was a hold.
         action_s, action_ns: the newest action: when it was acted on [monotonic s], and when it was
@@ -62,7 +62,7 @@ class HoldingModule(Module):
     _limiter: MotionLimiter
 
     def __init__(self, node: ModuleHost) -> None:
-        """Begin to watch.
+        """Start the watchdogs.
 
         Raises:
             ConfigurationError: there is no [control] section, or no such robot.
@@ -80,9 +80,9 @@ class HoldingModule(Module):
         self.is_holding = True
         # there was no joint state to hold at: the next one is held
         self._hold_is_due = False
-        # a command of ours has gone out: from then on the predecessor's count no more
+        # a command of this process was sent: from then on the predecessor's are ignored
         self._is_sent = False
-        # the newest command goes on by itself after its row
+        # the newest command continues by itself after its row
         self._has_plan = False
         self.on_limited: list[Callable[[LimitedCommand], None]] = []
         is_state = self.section.command == "joint_state"
@@ -91,10 +91,10 @@ class HoldingModule(Module):
         node.repeat(self.section.action_timeout_s / 5, self._watch)
 
     def limit_with(self, controller: Controller) -> None:
-        """Apply the limits from now on, by the poses and distances that this controller tells.
+        """Apply the limits from now on, with the poses and distances computed by this controller.
 
         Raises:
-            ConfigurationError: as `check_limits`.
+            ConfigurationError: see `check_limits`.
         """
         self._limiter = MotionLimiter.of(
             self.check_limits(self.node.settings.tightened or self.config.limits),
@@ -109,13 +109,15 @@ class HoldingModule(Module):
         self.remaining_s = self._limiter.remaining_s
 
     def use_limits(self, limits: LimitsConfig) -> None:
-        """Apply other limits from the next command on. Raises ConfigurationError as
-        `check_limits`.
+        """Apply other limits from the next command on.
+
+        Raises:
+            ConfigurationError: see `check_limits`.
         """
         self._limiter.use(self.check_limits(limits))
 
     def check_limits(self, limits: LimitsConfig) -> MotionRules:
-        """What limits mean for this robot.
+        """Convert limits to the motion rules of this robot.
 
         Raises:
             ConfigurationError: they do not fit the robot, or are wider than the configured ones.
@@ -136,11 +138,12 @@ class HoldingModule(Module):
         self.is_active = False
 
     def stop(self, code: str) -> None:
-        """Hold; see `Module.stop`. Actions are dropped until somebody asks for motion."""
+        """Hold; see `Module.stop`. Actions are dropped until motion is requested."""
         self.hold(code, f"Motion needs a new start after a stop: {self.node.needs_start}.")
 
     def believe(self, joints: JointSample, now_s: float) -> bool:
-        """Take a joint state; whether it is a new one that matters. Raises as `JointWatch.accept`.
+        """Accept a joint state; return True if it is new and relevant. Raises as
+        `JointWatch.accept`.
 
         Args:
             joints: as received.
@@ -153,11 +156,11 @@ class HoldingModule(Module):
         return True
 
     def follow(self, message: JointTrajectory | JointState, sent_s: float) -> JointCommand:
-        """Go on from where a command of the control before this one has sent the arm.
+        """Continue from a command of the previous control process.
 
         Args:
             message: as that control has published it.
-            sent_s: when [monotonic s].
+            sent_s: time of sending [monotonic s].
 
         Returns:
             The command.
@@ -174,12 +177,12 @@ class HoldingModule(Module):
 
     @final
     def act(self, source_ns: int, read: Callable[[], Asked]) -> None:
-        """Execute an action within the limits, or count why not.
+        """Execute an action within the limits, or count the reason for dropping it.
 
         Args:
-            source_ns: when it was sent [ROS time, ns].
-            read: called when it may be acted on; a RoboNeuronError that it raises is reported, and
-                the action dropped.
+            source_ns: time at which it was sent [ROS time, ns].
+            read: called if it may be acted on; if it raises RoboNeuronError, the error is reported
+                and the action dropped.
         """
         if not self.is_active or self.handover.is_over(source_ns):
             return
@@ -221,14 +224,14 @@ class HoldingModule(Module):
             outcome = Hold(code="plan_withdrawn", reason=reason)
         took_s = time.monotonic() - now_s
         if message is not None and (late := self.why_not(age_s + took_s, source_ns)):
-            # A slow controller, or a process that was frozen meanwhile: the command answers to what
-            # is past. Checked last, because a process that is frozen after this check sends it when
-            # it wakes up.
+            # A slow controller, or a process that was frozen meanwhile: the command is outdated.
+            # Checked last, because a process that is frozen after this check sends the command when
+            # it resumes.
             outcome = Hold(
                 code=late, reason=f"A command was ready only {took_s:.3g} s after its action."
             )
             self._limiter.rest(None, now_s)
-        # refused: what was sent before comes to its end, and is then held by the watchdog
+        # refused: the previous command comes to its end, then the watchdog holds
         if outcome is None:
             return
         self.action_s = now_s
@@ -248,8 +251,8 @@ class HoldingModule(Module):
     def _limit(
         self, command: JointCommand, joints: JointSample, now_s: float
     ) -> JointCommand | Hold | None:
-        """What to send instead of `command`: itself, a shorter one, a reason to hold, or None for
-        nothing.
+        """Apply the limits to `command`: returns it, a shorter command, a reason to hold, or None
+        for nothing to send.
         """
         limited = self._limiter.limit(command, joints, now_s)
         if limited.command is None:
@@ -260,11 +263,11 @@ class HoldingModule(Module):
 
     @final
     def why_not(self, age_s: float, source_ns: int) -> str | None:
-        """Word for what forbids acting now, or None.
+        """Reason that forbids acting now, or None.
 
         Args:
-            age_s: of the action, since it was sent [s].
-            source_ns: when it was sent [ns].
+            age_s: time since the action was sent [s].
+            source_ns: time at which it was sent [ns].
         """
         if word := self.why_stopped():
             return word
@@ -272,7 +275,7 @@ class HoldingModule(Module):
             return "stale_action"
         if age_s < -FUTURE_S:
             return "future_action"
-        # else the clock was set back since
+        # otherwise the clock was set back since
         if source_ns < self.action_ns <= time.time_ns() + FUTURE_S * 1e9:
             return "reordered_action"
         if self._are_joints_stale():
@@ -280,17 +283,17 @@ class HoldingModule(Module):
         return None
 
     def _step_s(self, source_ns: int, now_s: float) -> float:
-        """Time that the arm has for an action that was sent then: that since the one before [s].
+        """Time available for an action: the time since the previous one [s].
 
-        By sending and by arrival: actions that were held up arrive together, and were not meant to
-        follow each other.
+        The larger of the intervals by sending (bounded) and by arrival: delayed actions arrive
+        together, but were not meant to follow each other at once.
         """
         spacing_s = (source_ns - self.action_ns) / 1e9 if self.action_ns else 0.0
         self.action_ns = source_ns
         return self.section.step_s(max(now_s - self.action_s, min(spacing_s, FIRST_STEP_S)))
 
     def _note_command(self) -> None:
-        """A command that is no hold has gone out."""
+        """Record that a command other than a hold was sent."""
         self._is_sent = True
         self.status.set(note=FOLLOWING_NOTE)
         if self.is_holding:
@@ -300,9 +303,9 @@ class HoldingModule(Module):
     def hold(self, code: str, reason: str) -> None:
         """Command the measured posture, once per reason to hold.
 
-        Without a fresh one nothing is sent: the arm would go back to where it was. Its last command
-        comes to an end, and the next joint state is held at once. In shadow the arm is left to the
-        other control, and while it is not active to itself.
+        Without a fresh joint state nothing is sent, since the arm would return to an old posture:
+        its last command comes to an end, and the next joint state is held at once. In shadow the
+        other control keeps the arm; an inactive control sends nothing.
         """
         if not self.is_active or not self.handover.is_ours(time.time_ns()):
             return
@@ -323,8 +326,8 @@ class HoldingModule(Module):
     def _to_message(
         self, command: JointCommand, planned: Sequence[JointCommand] = ()
     ) -> JointTrajectory | JointState:
-        """A command, and what is planned after it, as the configured type of message; a JointState
-        carries no duration and no plan.
+        """Convert a command and the commands planned after it to the configured message type; a
+        JointState has no duration and no plan.
         """
         if self.section.command == "joint_trajectory":
             return to_joint_trajectory(command, *planned)
@@ -335,7 +338,7 @@ class HoldingModule(Module):
     def _watch(self) -> None:
         """Hold within one timeout after the last action.
 
-        It looks five times per timeout, and holds after three quarters of it: so the arm has
+        The check runs five times per timeout and holds after three quarters of it, so the arm has
         begun to hold before the timeout is over.
         """
         if not self.is_active or self.is_holding or not self.handover.is_ours(time.time_ns()):
@@ -348,9 +351,9 @@ class HoldingModule(Module):
             )
 
     def _command_hold(self, joints: JointSample) -> None:
-        """Command the arm to stay where it is measured; the limiter starts anew from there.
+        """Command the arm to stay at its measured posture; the limiter restarts from there.
 
-        The gripper is not commanded: it keeps what it holds.
+        The gripper is not commanded: it keeps its grasp.
         """
         self._hold_is_due = False
         arm = self.profile.arm_joints

@@ -1,4 +1,4 @@
-"""Which joint states control believes."""
+"""Plausibility check of joint states for control."""
 
 from __future__ import annotations
 
@@ -9,21 +9,23 @@ from roboneuron.errors import InvalidInputError, NotReadyError, UnsafeError
 from roboneuron.gate.motion.command import pick
 
 _SLACK, _SLACK_M = 0.05, 0.01
-"""What noise and a late message may add to the way between two states [rad; m of slides]."""
+"""Tolerance for noise and late messages in the displacement between two states [rad; m for
+prismatic joints].
+"""
 _HASTE = 2.0
-"""How many times its velocity limit a joint may seem to move: messages bunch up on a busy machine.
+"""Factor on a joint's velocity limit in the apparent velocity: on a busy machine messages arrive in
+bursts.
 """
 
 
 class JointWatch:
-    """Keeps the newest joint state that can be true; used from the executor's thread.
+    """Keep the newest plausible joint state; used from the executor's thread.
 
-    After `timeout_s` without one, the next state is compared with none before it: a clock that was
-    set, or an arm that was moved while nobody listened, stops the arm for that long and not for
-    ever.
+    After `timeout_s` without one, the next state is accepted without comparison. So a clock that
+    was set, or an arm that was moved while no state arrived, stops the arm for that time only.
 
     Attributes:
-        joints: the newest state, or None when there was none.
+        joints: the newest state, or None if there was none.
     """
 
     def __init__(self, profile: RobotProfile, timeout_s: float) -> None:
@@ -47,25 +49,26 @@ class JointWatch:
         return np.inf if self.joints is None else now_s - self._at_s
 
     def accept(self, joints: JointSample, now_s: float, ros_now_ns: int) -> bool:
-        """Take a state; False for one that repeats the one before.
+        """Accept a state; return False for a repetition of the previous one.
 
-        A state that is refused is not compared with: one wild value does not make those after it
-        doubtful.
+        A refused state is not used for later comparisons, so one outlier does not make its
+        successors implausible.
 
         Args:
             joints: as received.
             now_s: monotonic time.
-            ros_now_ns: time by the clock of stamps.
+            ros_now_ns: ROS time, the clock of the stamps.
 
         Raises:
             NotReadyError: it was measured too long ago.
             InvalidInputError: it is older than the one before, or its stamp lies in the future.
-            UnsafeError: a joint of the arm is missing, not finite, or where it cannot have got to.
+            UnsafeError: a joint of the arm is missing, not finite, or cannot have reached that
+                position.
         """
         age_s = (ros_now_ns - joints.stamp_ns) / 1e9
         if abs(age_s) > self._timeout_s:
             late = age_s > 0
-            # on a busy machine anything is late now and then
+            # on a busy machine messages are late now and then
             error = NotReadyError if late else InvalidInputError
             raise error(
                 f"A joint state was measured {abs(age_s):.3g} s "
@@ -86,10 +89,10 @@ class JointWatch:
         return True
 
     def _check_displacement(self, position: F64, now_s: float) -> None:
-        """Compare with the state before: |q - q'| <= _HASTE * v_max * dt + slack, for each joint.
+        """Compare with the previous state: |q - q'| <= _HASTE * v_max * dt + slack, for each joint.
 
         Raises:
-            UnsafeError: names the joint that is farthest beyond.
+            UnsafeError: names the joint with the largest excess.
         """
         if self._velocity is None:
             return

@@ -1,6 +1,4 @@
-"""The frame of every module process: a managed node whose transitions make, drive and release a
-`Module`.
-"""
+"""The managed node of a module process: its transitions create, activate and release a `Module`."""
 
 from __future__ import annotations
 
@@ -39,11 +37,11 @@ from roboneuron.ros.claim import LEAVE_S, claim
 from roboneuron.ros.qos import STOP_REQUESTS
 
 _LOOP_PERIOD_S = 0.02
-"""How often the executor shows that it turns, and looks at the latch file (1 us): within this time
-it sees a stop by the file.
+"""Period of the executor's heartbeat and of its check of the latch file (1 us): upper bound on the
+delay of a stop by the file.
 """
 _ROBOT = "roboneuron.modules.robot:RobotModule"
-"""The module that moves the arm; features that are called as the others bring these."""
+"""The robot module, which moves the arm; features are resolved from the same kind of reference."""
 log = logging.getLogger(__name__)
 
 
@@ -56,8 +54,8 @@ class ModuleNode(ModuleHost):
 
     def __init__(self, settings: ModuleSettings, kind: Callable[[ModuleNode], Module]) -> None:
         """Args:
-        settings: of the process.
-        kind: makes the module, at `configure`.
+        settings: settings of the process.
+        kind: creates the module, at `configure`.
         """
         super().__init__(settings)
         self._kind = kind
@@ -68,7 +66,7 @@ class ModuleNode(ModuleHost):
         self._stop_requested = self._was_server_silent = False
         self._beat_s: float | None = None
         robot, control = settings.config.robot, settings.config.control
-        # the shorter one for every kind of module: all need a new start after the same silence
+        # the shorter of both for every kind of module: all need a new start after the same silence
         self._silence_s = min(
             section.server_timeout_s for section in (robot, control) if section is not None
         )
@@ -84,7 +82,7 @@ class ModuleNode(ModuleHost):
         self._reporter.start()
 
     def _join(self, reference: str) -> None:
-        """Call what a feature wants called in every module process; a failure is logged.
+        """Call a function that a feature registered for every module process; a failure is logged.
 
         Args:
             reference: "module:attribute" of a function that takes this node.
@@ -96,17 +94,17 @@ class ModuleNode(ModuleHost):
             log.exception("%s cannot be used in this module.", reference)
 
     def _why_not_permit(self, stops: int) -> str:
-        """Why motion cannot be permitted; empty when it can. For the number see `_permit`."""
+        """Reason why motion cannot be permitted; empty if it can. For the number see `_permit`."""
         if self.stopped:
             return "the emergency stop is latched"
         return "" if stops == self.stops else "a stop came since motion was asked for"
 
     def _permit(self, stops: int) -> None:
-        """Somebody has asked for motion after the newest stop; obey again.
+        """Permit motion again after a request for motion that is newer than the latest stop.
 
         Args:
-            stops: as in the report that the server has seen; older counts are refused, so that a
-                stop in between is not overruled by who did not know of it.
+            stops: number of stops in the report that the server has seen. A lower count than the
+                present one is refused: the request was made without knowledge of a later stop.
         """
         self.needs_start = ""
         self.status.announce(needs_start="")
@@ -143,19 +141,18 @@ class ModuleNode(ModuleHost):
         return self._attempt(self._shut_down, "finalized", otherwise="finalized")
 
     def watch_parent(self, on_end: Callable[[], None]) -> None:
-        """From now on listen to the server on stdin; `on_end` is called when it is gone."""
+        """Start watching stdin; `on_end` is called when the server closes its end."""
         self._requests.announcements.catch_up = watch_stdin(on_end, self.note_beat).read
 
     def note_beat(self, data: bytes = b"\n") -> None:
-        """The server has shown that it lives, or announced a request; called from the thread that
-        reads stdin.
+        """Record a sign of life or an announced request from the server; called from the thread
+        that reads stdin.
         """
         now_s = time.monotonic()
         if self._beat_s is not None and now_s - self._beat_s > self._silence_s:
-            self._silences += 1  # first: the executor never sees this silence over and not counted
+            self._silences += 1  # first, so that no silence is over but not counted
         self._beat_s = now_s
-        # Fed here and nowhere else: the order of signs of life and announcements is that of the
-        # pipe.
+        # The only caller of `feed`: signs of life and announcements keep the order of the pipe.
         self._requests.announcements.feed(data)
 
     def is_server_silent(self) -> bool:
@@ -168,7 +165,7 @@ class ModuleNode(ModuleHost):
     def release(self) -> None:
         """Stop reporting and release the module; called once the executor has stopped.
 
-        The report comes last to its end, so that what the module says while it leaves is heard.
+        Reporting ends last, so that reports made during the release are still published.
         """
         try:
             self._shut_down()
@@ -178,11 +175,11 @@ class ModuleNode(ModuleHost):
             self._reporter.stop()
 
     def _configure(self) -> None:
-        """Make the module; what it has acquired is released when that or an extension fails.
+        """Create the module; if it or an extension fails, release what it has acquired.
 
         Raises:
-            ConfigurationError: it is to work in shadow, and nothing would end that.
-            RoboNeuronError: as the module.
+            ConfigurationError: it is to run in shadow, and no feature would end the shadow.
+            RoboNeuronError: raised by the module.
         """
         if self.settings.shadow and type(self.handover) is Handover:
             raise ConfigurationError(
@@ -193,23 +190,23 @@ class ModuleNode(ModuleHost):
             )
         try:
             self.module = self._kind(self)
-            # What is loaded stays: a full collection over it all would be a pause of up to half a
-            # second in the loop.
+            # Loaded objects are kept: a full collection over all of them would pause the loop for
+            # up to half a second.
             gc.collect()
             gc.freeze()
             for extend in self.on_configured:
                 extend(self.module)
-            # loading may keep every thread waiting, and nothing moved meanwhile
+            # loading may block every thread, and nothing moved meanwhile
             self._silences_seen = self._silences
         except Exception:
             try:
                 self._release()
-            except Exception:  # why it could not be configured matters more
+            except Exception:  # the original failure matters more
                 log.exception("while releasing what was acquired")
             raise
 
     def _release(self) -> None:
-        # first: nothing may be asked of a module whose resources are going
+        # first: no request may reach a module whose resources are being released
         self.module = None
         self.resources.close()
 
@@ -228,19 +225,19 @@ class ModuleNode(ModuleHost):
     def _attempt(
         self, step: Callable[[], None], then: str, *, otherwise: str
     ) -> TransitionCallbackReturn:
-        """Make a transition and report how it went.
+        """Make a transition and report its result.
 
         Args:
-            step: what is to be done; raises why it cannot be.
-            then: state after it.
+            step: the work of the transition; raises if it fails.
+            then: state afterwards.
             otherwise: state after a failure.
 
         Returns:
-            For rclpy: FAILURE leaves the node in the state that it was in.
+            For rclpy: FAILURE leaves the node in its previous state.
         """
         try:
             step()
-        # the module border: whatever a plugin raises must not end the process silently
+        # the module border: no exception of a plugin may end the process silently
         except Exception as error:
             log.error("not %s: %s", then, error)
             self.status.set_error(error)
@@ -249,8 +246,8 @@ class ModuleNode(ModuleHost):
             self.status.set_state(then)
             return TransitionCallbackReturn.SUCCESS
         self.status.set_state(otherwise)
-        # At once and on this thread: the reason is out before the answer to the request, and the
-        # server looks for it when it has the answer.
+        # At once and on this thread: the server looks for the reason when it has the answer to its
+        # request.
         self._reporter.publish()
         return TransitionCallbackReturn.FAILURE
 
@@ -260,8 +257,8 @@ class ModuleNode(ModuleHost):
         self._check_server()
 
     def _check_server(self) -> None:
-        """Nobody could have stopped the robot meanwhile: what was asked for before counts no
-        more.
+        """Stop the module after a silence of the server, during which no stop could have reached
+        it; earlier requests are discarded.
         """
         silences = self._silences
         was_silent = self._was_server_silent
@@ -269,14 +266,14 @@ class ModuleNode(ModuleHost):
         self._was_server_silent = self.is_server_silent()
         if self._was_server_silent and not was_silent:
             self.require_start(SERVER_SILENT, "server_silent")
-        # `silences` was read before the silence was measured: one that ends in between is not taken
-        # for seen.
+        # `silences` was read before the silence was measured: one that ends in between is not
+        # missed.
         self._silences_seen = silences
 
     def _on_emergency_stop(self, message: Bool) -> None:
-        """Any node may stop; only the latch's own reset releases what it stopped.
+        """Handle the emergency-stop topic. Any node may stop; only a reset of the latch releases.
 
-        A False from the topic takes back only a stop that could not be written to the file.
+        A False on the topic only takes back a stop that could not be written to the file.
         """
         if message.data:
             self.trigger_stop(f"a node on the topic {EMERGENCY_STOP_TOPIC}")
@@ -285,8 +282,8 @@ class ModuleNode(ModuleHost):
             self._check_stop()
 
     def trigger_stop(self, who: str) -> None:
-        """Stop this module at once, then latch it for every process and restart: from then on the
-        latch file counts.
+        """Stop this module at once, then latch the stop for every process and restart; from then on
+        the latch file counts.
         """
         # The module first: the disk may be slow or full, and the robot must not wait for it.
         self._stop_requested = True
@@ -299,10 +296,11 @@ class ModuleNode(ModuleHost):
             self._stop_requested = False
 
     def _check_stop(self) -> None:
-        """Stop, or end the stop, when that has changed.
+        """Apply a change of the emergency stop.
 
-        Two independent ways lead here: the topic, and the latch file, which needs no other process
-        to be alive. A stop whose file could not be written lasts until the topic releases it.
+        It arrives by two independent channels: the topic, and the latch file, which needs no other
+        process to be alive. A stop whose file could not be written lasts until the topic releases
+        it.
         """
         stopped = self._stop_requested or self._latch.is_latched()
         if stopped == self.stopped:
@@ -317,9 +315,9 @@ class ModuleNode(ModuleHost):
 
 def run(line: str) -> None:
     """Run the module that a line of settings describes, on the main thread, until a signal or the
-    end of the parent asks it to leave.
+    end of the parent.
 
-    Exits with a sentence when the settings are not valid or another process runs that node.
+    Exits with a message when the settings are not valid or another process runs that node.
     """
     try:
         settings = ModuleSettings.model_validate_json(line)
@@ -329,7 +327,7 @@ def run(line: str) -> None:
     except StateError as error:
         sys.exit(f"{error.message} {error.hint}")
     with held:
-        # rclpy's own handlers end the context first: then nobody could publish a last hold.
+        # rclpy's own handlers would end the context first: a last hold could not be published.
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         signals = Signals()
         signals.listen()
@@ -344,7 +342,7 @@ def run(line: str) -> None:
 
 
 def _make(node: ModuleNode) -> Module:
-    """The module that the settings describe, from the feature that brings its kind."""
+    """Create the module that the settings describe, with the feature that provides its kind."""
     settings = node.settings
     target = _ROBOT
     if settings.kind != "robot":
@@ -354,11 +352,11 @@ def _make(node: ModuleNode) -> Module:
 
 
 def _spin(node: ModuleNode, signals: Signals) -> None:
-    """Handle what comes for the node until the process is to leave."""
+    """Process the node's callbacks until the process has to exit."""
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     is_leaving = False
-    while not is_leaving:  # wakes with every turn of the node's loop timer
+    while not is_leaving:  # wakes with every tick of the node's loop timer
         is_leaving = signals.is_leaving  # first: a stop before it counts
         if signals.take_stop():
             node.trigger_stop("the signal SIGUSR1")

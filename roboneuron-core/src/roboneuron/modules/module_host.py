@@ -1,4 +1,4 @@
-"""What a module process lends to its module and to features."""
+"""Interface of a module process to its module and to features."""
 
 from __future__ import annotations
 
@@ -24,75 +24,74 @@ from roboneuron.ros.qos import NEWEST
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_TRAJECTORY
 
 Value = TypeVar("Value", str, int)
-"""Of a ROS parameter."""
+"""Type of a ROS parameter."""
 _TO_JOINTS = {JOINT_TRAJECTORY, JOINT_COMMAND}
 
 
 class Handover:
-    """What stands between a module and its topics while it replaces another module or is replaced:
-    what it asks about its inputs and tells of its outputs. The answers here are those of a module
-    that nobody replaces.
+    """Policy of a module's inputs and outputs while it replaces another module or is replaced. This
+    base class is the policy outside a handover.
 
-    A feature puts its own into the module's process (`ModuleHost.handover`). Inputs are told apart
-    by their time stamps [ROS time, ns]: capture times of images, times at which actions were sent
-    and joints measured. Methods are called from any of the module's threads.
+    A feature installs its own (`ModuleHost.handover`). Inputs are identified by their time stamps
+    [ROS time, ns]: capture times of images, times at which actions were sent and joints measured.
+    Methods are called from any of the module's threads.
     """
 
     def is_shadow(self, stamp_ns: int) -> bool:
-        """Whether that input is still the predecessor's: work on it, and send nothing."""
+        """True if the input still belongs to the predecessor: process it, but send nothing."""
         return False
 
     def is_over(self, stamp_ns: int) -> bool:
-        """Whether that input is already the successor's."""
+        """True if the input already belongs to the successor."""
         return False
 
     def is_ours(self, stamp_ns: int) -> bool:
-        """Whether this module is to act on that input."""
+        """True if this module has to act on the input."""
         return not self.is_shadow(stamp_ns) and not self.is_over(stamp_ns)
 
     def may_send(self, now_ns: int) -> bool:
-        """Whether the predecessor has finished, so that this module may send its own."""
+        """True if the predecessor has finished, so that this module may send."""
         return True
 
     def must_fall_silent(self, now_ns: int) -> bool:
-        """Whether the successor replaces what is left of a chunk."""
+        """True if the successor replaces the rest of a chunk."""
         return False
 
     def withhold(self, output: JointCommand | Hold | Pose) -> None:
-        """What the module would have sent for an input of the predecessor."""
+        """Receive an output that was not sent, because its input belongs to the predecessor."""
 
     def note_sent(self, what: str) -> None:
-        """An output of that name has gone out."""
+        """Record that an output of that name was sent."""
 
 
 class ModuleHost(LifecycleNode):  # type: ignore[misc]
-    """The node of a module process, as far as its module and features use it.
+    """Node of a module process, as used by its module and by features.
 
-    Features (`FeatureSpec.on_join`) use the settings, the status, what a module asks on its way,
-    parameters and stops; modules also publish and subscribe. Attributes are set by the function of
-    a feature, before the module is made, on the executor's thread.
+    Features (`FeatureSpec.on_join`) use the settings, the status, the handover, parameters and
+    stops; modules also publish and subscribe. A feature's function sets attributes before the
+    module is created, on the executor's thread.
 
     Attributes:
-        settings: of the process.
-        status: where to report.
+        settings: settings of the process.
+        status: status writer of the process.
         module: from `configure` to cleanup, else None.
-        resources: what is released at cleanup, from `configure` on.
-        outputs: by topic that `advertise` has made, what counts its subscriptions; the publisher
-            itself belongs to who has made it.
-        stopped: whether the emergency stop is latched.
-        stops: stops seen so far.
-        needs_start: which of them forbids motion until somebody asks for it anew; empty when none
-            does.
-        handover: which inputs are this module's; a feature that replaces modules puts its own
-            object here.
-        lent: what features lend the module, under names that the module's package publishes.
+        resources: released at cleanup; from `configure` on.
+        outputs: subscription counters by topic, for topics made by `advertise`; the publisher
+            itself belongs to the caller.
+        stopped: the emergency stop is latched.
+        stops: number of stops seen.
+        needs_start: reason that forbids motion until it is requested anew; empty for none.
+        handover: decides which inputs are this module's; a feature that replaces modules installs
+            its own object.
+        lent: objects that features provide to the module, under names that the module's package
+            publishes.
         on_configured: called with the module at the end of every `configure`, which fails if one
             raises.
     """
 
     def __init__(self, settings: ModuleSettings) -> None:
         """Args:
-        settings: of the process; their namespace and node name are the node's.
+        settings: settings of the process, with the node's namespace and name.
         """
         super().__init__(settings.node_name, namespace=settings.config.namespace)
         self.settings = settings
@@ -108,21 +107,21 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
 
     @abstractmethod
     def is_server_silent(self) -> bool:
-        """Whether the server gave no sign of life for the shorter one of the times that robot and
-        control allow; never for a module that was started without one.
+        """True if no sign of life of the server came for the shorter of the times that robot and
+        control allow; always False for a module that was started without a server.
 
-        A silence that has just ended goes on until the executor has looked at it: when this process
-        itself was frozen, the thread that reads the signs of life may be the first to go on.
+        A silence that has just ended lasts until the executor has handled it: after this process
+        was frozen, the thread that reads the signs of life may resume first.
         """
 
     def create_timer(self, period_s: float, callback: Callable[[], None], **options: Any) -> Any:
-        """As of Node, by the steady clock: a timer by ROS time stands still for an hour when the
-        clock is set back by an hour.
+        """Create a timer as Node does, but on the steady clock: a timer on ROS time would stop for
+        an hour when the clock is set back by an hour.
 
         Args:
             period_s: [s].
             callback: called on the executor's thread.
-            options: of Node; another `clock` is kept.
+            options: options of Node; an explicit `clock` is kept.
         """
         return super().create_timer(
             period_s, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME)} | options
@@ -133,14 +132,15 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         return int(self.get_clock().now().nanoseconds)
 
     def advertise(self, message_type: type, topic: str) -> LifecyclePublisher:
-        """A publisher until cleanup, one of `outputs`; it sends while the node is active.
+        """Create a publisher that lives until cleanup, counted in `outputs`; it sends while the
+        node is active.
 
         Args:
             message_type: an ordinary rosidl class.
             topic: under the robot's namespace.
 
         Raises:
-            UnsafeError: it leads to the joints, which `HoldingModule` alone commands.
+            UnsafeError: the topic leads to the joints, which only `HoldingModule` commands.
         """
         if topic in _TO_JOINTS and not _TO_JOINTS.isdisjoint(self.outputs):
             raise UnsafeError(
@@ -166,9 +166,9 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         Args:
             message_type: an ordinary rosidl class.
             topic: under the robot's namespace.
-            callback: takes the message, and its info where it has a second argument.
+            callback: takes the message, and its info if it has a second argument.
             qos: only the newest message is kept by default.
-            group: says who calls; None for the executor.
+            group: callback group that calls it; None for the executor's.
         """
         subscription = self.create_subscription(
             message_type, topic, callback, qos, callback_group=group
@@ -176,17 +176,16 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         self.resources.callback(self.destroy_subscription, subscription)
 
     def repeat(self, period_s: float, callback: Callable[[], None]) -> None:
-        """Call `callback` once a period [s] until cleanup, on the executor's thread."""
+        """Call `callback` every `period_s` [s] until cleanup, on the executor's thread."""
         self.resources.callback(self.destroy_timer, self.create_timer(period_s, callback))
 
     def require_start(self, reason: str, code: str = NEEDS_NEW_START) -> None:
-        """A stop has come, such as a recovery: nothing moves before somebody asks for it anew,
-        whatever ends the stop; from any thread.
+        """Forbid motion until it is requested anew, for example after a recovery; from any thread.
 
-        Perception moves nothing, so that it goes on.
+        Does nothing in perception, which moves nothing.
 
         Args:
-            reason: in words, for the status and for whoever asks why nothing moves.
+            reason: text for the status and for refused requests.
             code: see `Module.stop`.
         """
         if self.settings.kind == "perception":
@@ -204,14 +203,14 @@ class ModuleHost(LifecycleNode):  # type: ignore[misc]
         take: Callable[[Value], None],
         refuse: Callable[[Value], str] = lambda _: "",
     ) -> Callable[[], None]:
-        """Declare a ROS parameter, which only the server of this module can set; call what is
-        returned to remove it.
+        """Declare a ROS parameter that only the server of this module can set; the returned
+        function removes it.
 
         Args:
-            name: of the parameter.
-            value: the first one; ROS refuses values of other types.
+            name: name of the parameter.
+            value: the initial value; ROS refuses values of other types.
             take: called with each later value, on the executor's thread.
-            refuse: says what is wrong with a value; empty for nothing.
+            refuse: returns what is wrong with a value; empty if nothing.
         """
 
         def check(parameters: list[Parameter]) -> SetParametersResult:
@@ -238,16 +237,16 @@ class Module(ABC):
     """Behaviour of one kind of module, from `configure` to cleanup. Methods are called on the
     executor's thread.
 
-    The constructor acquires: it loads weights, opens the device, creates publishers and
-    subscriptions. What it acquires it gives to `node.resources`, which releases it, the newest
-    first, also when the constructor fails.
+    The constructor acquires resources: it loads weights, opens the device, creates publishers and
+    subscriptions. It registers them with `node.resources`, which releases them in reverse order,
+    also when the constructor fails.
 
-    Any method may raise RoboNeuronError: the transition fails, the reason goes to /diagnostics.
+    Any method may raise RoboNeuronError: the transition fails, and the reason goes to /diagnostics.
     """
 
     def __init__(self, node: ModuleHost) -> None:
         """Args:
-        node: lends everything; kept as `node`, its parts under their own names.
+        node: kept as `node`; its parts also under their own names.
         """
         self.node = node
         self.config = node.settings.config
@@ -257,28 +256,28 @@ class Module(ABC):
 
     @abstractmethod
     def activate(self) -> None:
-        """Let data out."""
+        """Start to publish and to accept inputs."""
 
     @abstractmethod
     def deactivate(self) -> None:
-        """Silence; also called before `activate`."""
+        """Stop to publish and to accept inputs; also called before `activate`."""
 
     def emergency_stop(self, latched: bool) -> None:  # noqa: B027
-        """The latch changed; called after `stop` where it was set."""
+        """Handle a change of the latch; called after `stop` if it was set."""
 
     def why_stopped(self) -> str:
-        """Word for the stop that forbids every motion now; empty when none does."""
+        """Code of the stop that forbids motion now; empty if none does."""
         if self.node.stopped:
             return "emergency_stop"
-        # nobody could stop the robot from outside: the server is frozen
+        # with a frozen server, the robot could not be stopped from outside
         if self.node.is_server_silent():
             return "server_silent"
         return NEEDS_NEW_START if self.node.needs_start else ""
 
     def stop(self, code: str) -> None:  # noqa: B027
-        """A stop has come: what was asked for before it is not carried out any more.
+        """Handle a stop: requests from before it must not be carried out any more.
 
         Args:
-            code: "emergency_stop" or "server_silent", with which the robot is to hold;
-                `NEEDS_NEW_START` after what has stopped it by itself.
+            code: "emergency_stop" or "server_silent", with which the robot has to hold;
+                `NEEDS_NEW_START` if it has already stopped by itself.
         """

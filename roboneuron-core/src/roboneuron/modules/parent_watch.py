@@ -1,10 +1,10 @@
-"""How a module process ends: with its parent, however the parent dies, and by signals.
+"""Termination of a module process: with its parent, in whatever way that dies, and by signals.
 
 The parent's death is noticed in two independent ways: the kernel sends SIGTERM when the spawning
-thread ends (PR_SET_PDEATHSIG), and stdin, a pipe whose other end only the parent holds, comes to
-its end. Either way the module gets a bounded time to hold the robot and leave; after that the
-kernel ends it, whatever its threads wait for. A module that is stopped (SIGSTOP) is woken by the
-kernel, see `roboneuron.supervisor.process`.
+thread ends (PR_SET_PDEATHSIG), and stdin, a pipe whose other end only the parent holds, is closed.
+Either way the module gets a bounded time to hold the robot and exit. After that the kernel ends it,
+even if its threads hang. A module that is stopped (SIGSTOP) is resumed by the kernel, see
+`roboneuron.supervisor.process`.
 """
 
 from __future__ import annotations
@@ -23,23 +23,22 @@ _PR_SET_PDEATHSIG = 1
 GRACE_S = 1.5
 """Time between the parent's end and a hard exit."""
 _ALARM_S = 0.3
-"""The kernel's alarm comes so long after the exit that should have made it needless."""
+"""Delay of the kernel's alarm after the regular hard exit, for the case that this fails."""
 
 _MOST_IN_A_PIPE = 2**20
 """Bytes, so that one read empties the pipe. Source: pipe(7), /proc/sys/fs/pipe-max-size."""
 
 
 class Signals:
-    """What signals have asked of the process, without a lock anywhere; main thread only, except
-    `leave`.
+    """Requests received by signals, stored without any lock; main thread only, except `leave`.
 
-    A handler runs in the middle of whatever the main thread does, another handler included: when a
-    server is killed, the kernel sends the death signal again with the end of each of its threads.
-    `threading.Event.set` holds a lock for a moment; interrupted there by a second signal, the main
-    thread would wait for itself, for ever. Assigning an attribute cannot wait.
+    A handler interrupts the main thread anywhere, also inside another handler: when a server is
+    killed, the kernel sends the death signal again with the end of each of its threads.
+    `threading.Event.set` holds a lock for a moment; if a second signal interrupted it there, the
+    main thread would deadlock. Assigning an attribute cannot block.
 
     Attributes:
-        is_leaving: the module is to end.
+        is_leaving: the module has to exit.
     """
 
     def __init__(self) -> None:
@@ -47,21 +46,21 @@ class Signals:
         self._stop_requested = False
 
     def listen(self) -> None:
-        """From now on SIGTERM, SIGINT and SIGHUP end the module, and SIGUSR1 triggers the emergency
-        stop.
+        """Install the handlers: SIGTERM, SIGINT and SIGHUP end the module, SIGUSR1 triggers the
+        emergency stop.
         """
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             signal.signal(number, lambda *_: self.leave())
         signal.signal(signal.SIGUSR1, lambda *_: self._request_stop())
 
     def leave(self) -> None:
-        """As if SIGTERM had come; from any thread."""
+        """Request the exit as SIGTERM does; from any thread."""
         self.is_leaving = True
 
     def take_stop(self) -> bool:
-        """Whether the emergency stop was triggered since the last call."""
+        """True if the emergency stop was triggered since the last call."""
         requested = self._stop_requested
-        # Only when it was set: a signal that comes just here is seen the next time, not lost.
+        # Only when it was set: a signal that arrives here is seen by the next call, not lost.
         if requested:
             self._stop_requested = False
         return requested
@@ -71,14 +70,13 @@ class Signals:
 
 
 class ParentPipe:
-    """Stdin, whose other end only the parent holds; read by any thread that has to know what the
-    parent has written.
+    """Stdin, whose other end only the parent holds; any thread may read it.
 
-    From now on descriptor 0 is the null device: a child that reads its stdin would take what is
-    meant for this process.
+    Descriptor 0 becomes the null device: a child that reads its stdin would take data meant for
+    this process.
 
     Args:
-        on_data: gets what was read, in its order.
+        on_data: called with the data in the order of the pipe.
     """
 
     def __init__(self, on_data: Callable[[bytes], object]) -> None:
@@ -91,10 +89,10 @@ class ParentPipe:
         os.close(null)
 
     def read(self) -> bool:
-        """Read all that has been written until now; False when the parent's end is closed.
+        """Read everything written so far; return False when the parent's end is closed.
 
-        When this returns, `on_data` has had every byte that was written before the call, whoever
-        has read it.
+        On return, `on_data` has received every byte that was written before the call, whichever
+        thread read it.
         """
         with self._lock:
             if not select.select([self._descriptor], [], [], 0)[0]:
@@ -105,17 +103,17 @@ class ParentPipe:
         return bool(data)
 
     def read_to_the_end(self) -> None:
-        """Return when the parent's end is closed."""
+        """Block until the parent's end is closed."""
         while self.read():
             select.select([self._descriptor], [], [])
 
 
 def follow_parent(expected_parent: int) -> None:
-    """Ask the kernel for SIGTERM at the parent's death; exits at once when it is already gone.
+    """Ask the kernel for SIGTERM at the parent's death; exit at once if the parent is already dead.
 
     Args:
-        expected_parent: process id of the parent, read first of all: a parent that dies before the
-            kernel was asked sends no signal, and is noticed by another parent's number.
+        expected_parent: process id of the parent, read first of all. A parent that dies before the
+            kernel was asked sends no signal; it is noticed by the changed parent id.
 
     Raises:
         OSError: the kernel refuses.
@@ -128,11 +126,10 @@ def follow_parent(expected_parent: int) -> None:
 
 
 def end_group() -> None:
-    """Kill all that plugins have started in this process's group; nobody else does when the server
+    """Kill all processes that plugins have started in this process's group; needed when the server
     was killed.
 
-    The process itself steps out first, into its parent's group; where there is no parent any more,
-    it goes with them.
+    The process first moves itself into its parent's group. Without a parent it is killed as well.
     """
     group = os.getpgrp()
     if group == os.getpid():
@@ -145,24 +142,24 @@ def end_group() -> None:
 def watch_stdin(
     on_end: Callable[[], None], on_beat: Callable[[bytes], object], grace_s: float = GRACE_S
 ) -> ParentPipe:
-    """Call `on_beat` with what comes on stdin: the server lives.
+    """Call `on_beat` with data from stdin, which shows that the server is alive.
 
-    When stdin ends, call `on_end`, then leave the process the hard way after `grace_s` if it still
-    runs. `on_end` may hang: by then SIGALRM is set, whose default action needs nobody's help.
+    When stdin is closed, call `on_end`, and exit hard after `grace_s` if the process still runs.
+    `on_end` may hang: SIGALRM is set before, and its default action needs no thread of the process.
 
     Args:
-        on_end: asks the process to leave; called on the watching thread.
+        on_end: asks the process to exit; called on the watching thread.
         on_beat: gets the bytes.
-        grace_s: time to hold the robot and to release what was acquired [s].
+        grace_s: time to hold the robot and to release resources [s].
 
     Returns:
-        What this thread reads from; others may read too.
+        The pipe that this thread reads from; others may read too.
     """
     pipe = ParentPipe(on_beat)
 
     def watch() -> None:
         # The alarm comes after the exit below, and only if this thread is kept from that: by
-        # `on_end`, or by somebody who holds the interpreter's lock.
+        # `on_end`, or by a thread that holds the interpreter's lock.
         pipe.read_to_the_end()
         signal.setitimer(signal.ITIMER_REAL, grace_s + _ALARM_S)
         on_end()

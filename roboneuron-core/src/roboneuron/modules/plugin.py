@@ -1,4 +1,4 @@
-"""Building what plugins offer, inside a module process."""
+"""Construction of plugin objects inside a module process."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def build(
     """Import the spec's target and call it with its validated options and the given arguments.
 
     Raises:
-        MissingDependencyError, ConfigurationError, PluginError: as `load_target` and
+        MissingDependencyError, ConfigurationError, PluginError: see `load_target` and
             `load_options`.
     """
     target = cast("Callable[..., object]", load_target(spec))
@@ -26,11 +26,11 @@ def build(
 
 
 def load_profile(registry: Registry, robot: str) -> RobotProfile:
-    """The profile of the robot called `robot`.
+    """Return the profile of the robot called `robot`.
 
     Raises:
         ConfigurationError: no installed plugin offers it.
-        PluginError: its target returns something else.
+        PluginError: its target returns another type.
     """
     profile = cast("Callable[[], object]", load_target(registry.get(RobotSpec, robot)))()
     if not isinstance(profile, RobotProfile):

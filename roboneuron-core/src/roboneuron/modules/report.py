@@ -1,6 +1,4 @@
-"""What a module reports of itself: written as key-value pairs on /diagnostics, and read back by the
-same class.
-"""
+"""Status report of a module: key-value pairs on /diagnostics, written and parsed by one class."""
 
 from __future__ import annotations
 
@@ -14,18 +12,18 @@ from roboneuron.errors import InternalError, RoboNeuronError
 from roboneuron.modules.settings import FOLLOWING_NOTE
 
 _TABLES = {"dropped": "dropped_by", "detail": "detail"}
-"""Fields of several pairs, by what stands before the dot in their names."""
+"""Fields of several pairs, by the prefix before the dot in their keys."""
 
 
 class ModuleFacts(BaseModel):
-    """What is known of a module from its newest report; None or empty when it was not reported.
+    """Facts from a module's newest report; None or empty if not reported.
 
     Attributes:
         ready: the module has proved that it works: robot and perception have published a first
             state or image, control has received a first joint state and published `ee_pose`,
             inference has received every input it needs and, when it has an instruction, published a
             first action.
-        error_count: never goes down.
+        error_count: never decreases.
         work_age_s, work_limit_s: of the slowest of the module's threads.
     """
 
@@ -74,7 +72,7 @@ class ModuleFacts(BaseModel):
 
 
 class Report(ModuleFacts):
-    """One report. On the wire each field is a pair of its own name.
+    """One status report. On the wire each field is one pair with the field's name.
 
     Attributes:
         error_code, error, error_hint: the newest failure; empty again once the module works.
@@ -94,10 +92,9 @@ class Report(ModuleFacts):
     received_s: float = 0.0
 
     def to_values(self) -> dict[str, str]:
-        """The pairs of a DiagnosticStatus; what is None is left out.
+        """Return the key-value pairs of a DiagnosticStatus; fields that are None are left out.
 
-        Tables become a pair for each entry, such as `dropped.stale_action`; metrics keep their own
-        names.
+        Tables become one pair per entry, such as `dropped.stale_action`; metrics keep their names.
         """
         values = {
             name: to_text(value)
@@ -109,11 +106,11 @@ class Report(ModuleFacts):
 
     @classmethod
     def from_values(cls, values: Mapping[str, str], received_s: float = 0.0) -> Self:
-        """Read the pairs; what is malformed counts as not said, because a report of another version
-        is worth more than none.
+        """Parse the pairs. A malformed value counts as not reported, so that a report of another
+        version stays usable.
 
         Args:
-            values: as `to_values` has written them.
+            values: as written by `to_values`.
             received_s: monotonic time of arrival [s].
         """
         plain: dict[str, str] = {}
@@ -131,7 +128,7 @@ class Report(ModuleFacts):
     @field_validator("*", mode="wrap")
     @classmethod
     def _or_not_said(cls, value: object, parse: Parse, info: ValidationInfo) -> object:
-        """The field as parsed, or its default when it cannot be."""
+        """Return the parsed field, or its default if it cannot be parsed."""
         try:
             return parse(value)
         except ValidationError:
@@ -140,14 +137,13 @@ class Report(ModuleFacts):
 
     @property
     def is_following(self) -> bool:
-        """Of control: whether it acts on what is asked for, and holds nothing."""
+        """True for control while it follows requests, that is, does not hold."""
         return self.note == FOLLOWING_NOTE
 
     def failure(self) -> RoboNeuronError | None:
-        """The module's newest error as an exception of its own class, InternalError for a code that
-        is not known here.
+        """The module's newest error as an exception of its own class; None without an error.
 
-        None when it works.
+        A code that is unknown in this process becomes an InternalError.
         """
         if not self.error_code:
             return None
@@ -157,11 +153,11 @@ class Report(ModuleFacts):
 
 
 _PLAIN = frozenset(Report.model_fields) - {*_TABLES.values(), "metrics", "received_s"}
-"""Fields that are one pair each."""
+"""Fields with exactly one pair."""
 
 
 def to_text(value: str | float | int | bool) -> str:
-    """A value as it is written on the wire.
+    """Format a value for the wire.
 
     Args:
         value: floats get six significant digits, truth values the words of JSON.
@@ -172,7 +168,7 @@ def to_text(value: str | float | int | bool) -> str:
 
 
 def _subclasses(base: type[RoboNeuronError]) -> dict[str, type[RoboNeuronError]]:
-    """Every class of error by its code, `base` included; those of plugins too, once imported."""
+    """All error classes by code, `base` and those of imported plugins included."""
     found = {base.code: base}
     for child in base.__subclasses__():
         found.update(_subclasses(child))

@@ -1,14 +1,15 @@
-"""Requests that only a module's own server may make: lifecycle transitions, and setting parameters.
+"""Authentication of requests that only a module's own server may make: lifecycle transitions and
+parameters.
 
-ROS does not tell who has sent a request, and anybody on the graph may send one. The server
-therefore announces each of its own over the module's stdin, a pipe that nobody else holds, by a
-digest of its content. What was not announced is refused, counted and reported with the names of the
-nodes that could have sent it. A foreign node that repeats an announced request before the server's
-own arrives has done what the server wanted.
+ROS does not identify the sender of a request, and any node on the graph may send one. The server
+therefore announces each of its requests over the module's stdin, a pipe that only the server can
+write to, by a digest of the content. A request without an announcement is refused, counted and
+reported with the names of the nodes that could have sent it. If a foreign node repeats an announced
+request before the server's own arrives, the effect is the one the server intended.
 
-The announcement lies in the pipe before the request is sent. Before it is judged the pipe is read
-to its present end, by the thread that judges: no thread has to be given the processor in time for
-that, and nothing has to be waited for.
+The server writes the announcement before it sends the request. The thread that checks a request
+first reads the pipe to its present end, so that the check depends on no other thread and on no
+wait.
 """
 
 from __future__ import annotations
@@ -34,27 +35,27 @@ from roboneuron.modules.status import StatusWriter
 
 log = logging.getLogger(__name__)
 _LOG_PERIOD_S = 1.0
-"""A node that asks all the time fills neither the log nor the status."""
+"""Rate limit of the log, for a node that keeps sending requests."""
 _MOST = 256
-"""Announcements that wait for their request; requests that never arrive are forgotten in order."""
+"""Announcements kept for requests that have not arrived; the oldest are discarded first."""
 _REASON = "only the server of this module may do that; use its tools"
 
 
 def digest_of(request: object) -> bytes:
-    """SHA-256, in hexadecimal, of a request with all that it asks for.
+    """Return the SHA-256, in hexadecimal, of a request and its content.
 
-    It is the same in the server and in the module, whatever their interpreters.
+    The digest is the same in the server and in the module, whatever their interpreters.
 
     Args:
-        request: of a service.
+        request: request of a service.
     """
     text = json.dumps(request, default=_contents, sort_keys=True).encode()
     return hashlib.sha256(text).hexdigest().encode()
 
 
 def _contents(value: Any) -> object:
-    """Fields of a message, or elements of an array: not its `repr`, which differs between
-    distributions of ROS.
+    """Return the fields of a message, or the elements of an array; not its `repr`, which differs
+    between distributions of ROS.
     """
     if hasattr(value, "get_fields_and_field_types"):
         return {name: getattr(value, name) for name in value.get_fields_and_field_types()}
@@ -62,7 +63,7 @@ def _contents(value: Any) -> object:
 
 
 def parameters_request(values: Mapping[str, str | int]) -> SetParameters.Request:
-    """The request to set these parameters."""
+    """Return the request that sets these parameters."""
     return SetParameters.Request(
         parameters=[
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
@@ -71,11 +72,10 @@ def parameters_request(values: Mapping[str, str | int]) -> SetParameters.Request
 
 
 class Announcements:
-    """What the server has announced and the module has not been asked for yet; usable from any
-    thread.
+    """Announcements of the server whose requests have not arrived yet; usable from any thread.
 
     Attributes:
-        catch_up: feeds what the server has written until now.
+        catch_up: feeds everything that the server has written so far.
     """
 
     def __init__(self, catch_up: Callable[[], object] = lambda: None) -> None:
@@ -89,11 +89,11 @@ class Announcements:
         self._is_supervised = False
 
     def feed(self, data: bytes) -> None:
-        """Take what was read from stdin.
+        """Process data read from stdin.
 
         Args:
             data: a line for each announcement, empty lines for signs of life; a line may be cut
-                anywhere, its rest comes with the next call.
+                anywhere; its rest comes with the next call.
         """
         with self._lock:
             self._is_supervised = True
@@ -101,12 +101,13 @@ class Announcements:
             self._digests.extend(line for line in lines if line)
 
     def take(self, digest: bytes) -> bool:
-        """Whether a request was announced, and is not any more; each announcement counts once.
+        """Consume an announcement; True if the request was announced. Each announcement counts
+        once.
 
-        To a module without a server, as one is started by hand, everything counts as announced.
+        For a module that was started by hand, without a server, every request counts as announced.
 
         Args:
-            digest: of the request.
+            digest: digest of the request.
         """
         # Without the lock: this calls `feed`, on this thread.
         self.catch_up()
@@ -120,19 +121,19 @@ class Announcements:
 
 
 class RequestGuard:
-    """Stands before a node's services; everything happens on the executor's thread, except
+    """Access check in front of a node's services; runs on the executor's thread, except
     `Announcements.feed`.
 
     It belongs to the core and to every module process, because the services it guards undo stops:
     the parameters `start`, `limits` and `instruction`, and the transition `activate`.
 
     Attributes:
-        announcements: of the server.
+        announcements: those of the server.
     """
 
     def __init__(self, node: Node, status: StatusWriter) -> None:
         """Args:
-        node: whose services of today are guarded; later ones are not.
+        node: its present services are guarded; later ones are not.
         status: where refusals are counted.
         """
         self.announcements = Announcements()
@@ -145,10 +146,11 @@ class RequestGuard:
         node.add_on_set_parameters_callback(_refuse_simulated_time)
 
     def _guard(self, service: Any) -> None:
-        """Put the question before the service's own callback.
+        """Add the check in front of the service's own callback.
 
         Args:
-            service: rclpy Service; a refusal is an answer too, so that nobody waits for one.
+            service: rclpy Service; a refusal is sent as a response, so that the caller does not
+                time out.
         """
         answer = service.callback
 
@@ -156,7 +158,7 @@ class RequestGuard:
             if self.announcements.take(digest_of(request)):
                 return answer(request, response)
             self._report(request, service.srv_name)
-            # in the words of the service, so that the caller's own library tells the reason
+            # in the fields of the service, so that the caller's own library shows the reason
             refused = SetParametersResult(successful=False, reason=_REASON)
             if isinstance(response, SetParameters.Response):
                 response.results = [refused for _ in request.parameters]
@@ -167,7 +169,7 @@ class RequestGuard:
         service.callback = guarded
 
     def _report(self, request: Any, service: str) -> None:
-        """Count a refusal; say at most once a second in words what was asked for and by whom."""
+        """Count a refusal; log the request and its possible senders at most once a second."""
         self._status.drop(FOREIGN_REQUEST)
         now_s = time.monotonic()
         if now_s - self._logged_s < _LOG_PERIOD_S:
@@ -197,7 +199,7 @@ class RequestGuard:
 
 
 def _refuse_simulated_time(parameters: list[Parameter]) -> SetParametersResult:
-    """Nobody stamps by /clock here: ages would be those of another clock."""
+    """Refuse `use_sim_time`: ages computed by /clock would not match stamps of the system clock."""
     simulated = any(
         parameter.name == "use_sim_time" and parameter.value for parameter in parameters
     )

@@ -1,5 +1,5 @@
-"""Robot: executes joint commands with a driver and publishes what it measures; holds when commands
-cease.
+"""Robot module: executes joint commands with a driver, publishes measured states, and holds when
+commands cease.
 """
 
 from __future__ import annotations
@@ -29,31 +29,31 @@ from roboneuron.ros.messages import commands_from_message, to_joint_state
 from roboneuron.ros.topics import JOINT_COMMAND, JOINT_STATES, JOINT_TRAJECTORY
 
 _DETAIL_PERIOD_S = 0.1
-"""Facts of the robot are reported this often, not with each of up to 1000 states a second."""
+"""Period of the robot's facts in the status, much lower than the rate of states (up to 1000 Hz)."""
 _IDLE_S = 0.05
-"""Longest wait for a command; how exactly `command_timeout_s` is kept."""
+"""Longest wait for a command; bounds the error of `command_timeout_s`."""
 _MOST_BEHIND_S = 0.05
-"""States that are later than this are left out: a burst of old ones helps nobody."""
+"""States that are later than this are skipped, so that no burst of outdated states is published."""
 
 
 class RobotModule(Module):
     """Two threads beside the executor: one publishes measured states, one plays trajectories point
     by point.
 
-    The executor takes commands and stops. It replaces the plan under the condition `_arrived`; the
-    playing thread takes one point after the other from it, and sends outside the lock, so that a
-    driver that blocks never keeps a stop waiting.
+    The executor handles commands and stops. It replaces the plan under the condition `_arrived`.
+    The playing thread takes one point after the other from it, and sends outside the lock, so that
+    a blocking driver never delays a stop.
 
     Attributes:
-        driver: what moves the robot; open.
-        profile: of the robot.
-        on_sent: called with each command as the driver has sent it, on the playing thread.
-        on_state: called ten times a second with what the driver has read, on the publishing thread;
-            with None when it cannot be read.
+        driver: the open driver of the robot.
+        profile: the robot's profile.
+        on_sent: called with each command as sent by the driver, on the playing thread.
+        on_state: called ten times a second with the state that the driver has read, on the
+            publishing thread; with None when it cannot be read.
     """
 
     def __init__(self, node: ModuleHost) -> None:
-        """Connect to the robot or start the simulation; it holds where it is.
+        """Connect to the robot or start the simulation; the robot holds its posture.
 
         Raises:
             ConfigurationError: the robot has no such driver.
@@ -64,7 +64,7 @@ class RobotModule(Module):
         self._has_fault = False
         self._next_state_s = 0.0
         self._detail_s = 0.0
-        # what is left of the newest trajectory, and when its next point is due [monotonic s]
+        # rest of the newest trajectory, and the time of its next point [monotonic s]
         self._pending: list[JointCommand] = []
         self._due_s = 0.0
         # guards these two
@@ -102,7 +102,7 @@ class RobotModule(Module):
         self._player.start()
 
     def deactivate(self) -> None:
-        """Hold, then fall silent.
+        """Hold, then stop publishing.
 
         Raises:
             NotReadyError: the driver hangs in a call.
@@ -116,10 +116,10 @@ class RobotModule(Module):
             raise NotReadyError("The driver hangs; the robot's own safety functions must hold it.")
 
     def stop(self, code: str) -> None:
-        """Drop what was to be executed, and brake unless the robot has stopped by itself; see
-        `Module.stop`. Commands are refused until somebody asks for motion.
+        """Drop pending commands, and brake unless the robot has stopped by itself; see
+        `Module.stop`. Commands are refused until motion is requested again.
         """
-        # in this order, because what is pending would follow the hold
+        # in this order, because a pending command would follow the hold
         self._drop_plan()
         if code != NEEDS_NEW_START:
             self.status.set(note=f"holding: {self.node.needs_start}")
@@ -127,7 +127,7 @@ class RobotModule(Module):
 
     def _drop_plan(self) -> None:
         with self._arrived:
-            # another list: the playing thread sees by that that its plan is not in force any more
+            # a new list: the playing thread sees by its identity that its plan was replaced
             self._pending = []
             self._arrived.notify()
 
@@ -145,10 +145,10 @@ class RobotModule(Module):
             self._arrived.notify()
 
     def _accepts(self, info: dict[str, Any]) -> bool:
-        """Whether a command may be executed now; why not is counted.
+        """Return True if a command may be executed now; a refusal is counted by reason.
 
         Args:
-            info: of the message; `source_timestamp` is when it was sent [ns].
+            info: info of the message; `source_timestamp` is the time of sending [ns].
         """
         if not self._active:
             return False
@@ -163,12 +163,11 @@ class RobotModule(Module):
         return True
 
     def _play(self, stop: threading.Event) -> None:
-        """Send the next pending command; a newer trajectory replaces what is left of the older
-        one.
+        """Send the next pending command; a newer trajectory replaces the rest of the older one.
 
-        A point is taken under the lock, sent without it, and waited for under it again. What comes
-        in between is seen afterwards: a stop by `why_stopped`, another trajectory by its list,
-        which is another object.
+        A point is taken under the lock, sent without it, and its time awaited under it again.
+        Changes in between are detected afterwards: a stop by `why_stopped`, another trajectory by
+        the identity of its list.
         """
         with self._arrived:
             if not self._arrived.wait_for(
@@ -183,27 +182,27 @@ class RobotModule(Module):
             planned = tuple(plan)
             began_s = time.monotonic()
             is_late = began_s - self._due_s > self.config.robot.command_timeout_s
-            # A command that is played late begins where the arm stands; in its own time the arm
-            # would catch up.
+            # A command that is played late starts from the measured posture; with its own timing
+            # the arm would have to catch up.
             command = replace(
                 command, duration_s=command.duration_s + max(0.0, began_s - self._due_s)
             )
-            # this process was frozen, or the driver did not return: what is left of the plan is
-            # past
+            # this process was frozen, or the driver did not return: the rest of the plan is
+            # outdated
             if is_late:
                 self._pending = []
         if is_late:
             self.status.drop("stale_command")
             self.driver.hold()
             return
-        # what the driver says it has sent counts from here on: it may have shortened the command
+        # from here on the command returned by the driver counts: it may have shortened it
         try:
             sent = self._send(command, planned)
         except RoboNeuronError as error:
             self.status.drop("refused_command")
             self.status.set_error(error)
             return
-        if self.why_stopped():  # since it was taken: the hold of that came before the command
+        if self.why_stopped():  # since it was taken: the hold of that stop came before the command
             self._drop_plan()
             self.driver.hold()
             return
@@ -212,11 +211,11 @@ class RobotModule(Module):
         self._moving, self._command_s = True, time.monotonic() + sent.duration_s
         self.status.clear_error()
         self.status.set(note="moving")
-        # a slow motion is no hang
+        # a slow motion is not a hang
         self._player.limit_s = sent.duration_s + LIMIT_S
         self._player.progress()
         with self._arrived:
-            # the next point is due when this one was to be reached, whatever sending it took
+            # the next point is due when this one was to be reached, whatever time sending it took
             if plan and self._pending is plan:
                 self._due_s = began_s + sent.duration_s
                 self._arrived.wait_for(
@@ -224,17 +223,17 @@ class RobotModule(Module):
                 )
 
     def _send(self, command: JointCommand, planned: tuple[JointCommand, ...]) -> JointCommand:
-        """Give the driver a point, and those after it where it takes them before their time.
+        """Give the driver a point and, if it accepts a look-ahead, the points after it.
 
-        They are given again when they are due, so that what the driver does with them does not
-        matter here.
+        They are given again when they are due, so that this module does not depend on the driver's
+        use of the look-ahead.
         """
         if planned and isinstance(self.driver, LookaheadDriver):
             return self.driver.send_ahead(command, planned)
         return self.driver.send(command)
 
     def _hold_when_silent(self) -> None:
-        """Hold once when commands have ceased for `command_timeout_s`."""
+        """Hold once when no command has come for `command_timeout_s`."""
         if (
             self._moving
             and time.monotonic() - self._command_s > self.config.robot.command_timeout_s
@@ -244,7 +243,9 @@ class RobotModule(Module):
             self.status.set(note="holding: no command")
 
     def _publish_state(self, stop: threading.Event) -> None:
-        """Publish one state when it is due; the grid is kept, so that the mean rate is right."""
+        """Publish one state when it is due, on a fixed time grid, so that the mean rate is
+        right.
+        """
         stop.wait(max(0.0, self._next_state_s - time.monotonic()))
         self._next_state_s = max(
             self._next_state_s + 1.0 / self.config.robot.state_rate_hz,
@@ -255,7 +256,7 @@ class RobotModule(Module):
         try:
             state = self.driver.read()
         except Exception:
-            # what was true at the last state may not be any more
+            # the state at the last publication may be outdated
             self.status.forget_details()
             for tell in self.on_state:
                 tell(None)
@@ -274,11 +275,11 @@ class RobotModule(Module):
                 tell(state)
 
     def _check_fault(self, fault: str) -> None:
-        """A fault has stopped the robot: whoever clears it, also on the robot itself, sets nothing
-        in motion.
+        """Count a fault that has stopped the robot, and require a new start: clearing it, also on
+        the robot itself, sets nothing in motion.
 
         Args:
-            fault: as the driver tells it; empty for none. Counted once, when it comes.
+            fault: text from the driver; empty for none. Counted once, when it appears.
         """
         if fault and not self._has_fault:
             self.node.require_start(f"a fault of the robot: {fault}")

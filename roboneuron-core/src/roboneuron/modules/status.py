@@ -1,8 +1,8 @@
-"""What a module says of itself on /diagnostics: one record, filled from its threads, published by a
-thread of its own.
+"""Status of a module on /diagnostics: one record, filled from its threads and published by a
+separate thread.
 
-The publishing thread is separate from the executor, so that a module which loads for a minute, or
-hangs, still reports how long its executor has not turned (`loop_age_s`).
+Because the publishing thread is not the executor, a module that loads for a minute, or hangs, still
+reports for how long its executor has been blocked (`loop_age_s`).
 """
 
 from __future__ import annotations
@@ -25,18 +25,19 @@ from roboneuron.ros.qos import STATUS
 from roboneuron.ros.topics import DIAGNOSTICS
 
 _WINDOW_S = 3.0
-"""Rates are means over this time: a pause shows within it, and one late message does not."""
+"""Averaging window of rates: long enough to ignore one late message, short enough to show a pause.
+"""
 _EVENTS = 4096
-"""Three seconds of a robot's states at 1000 Hz, the highest `state_rate_hz`, and some more."""
+"""Capacity for three seconds of robot states at 1000 Hz, the highest `state_rate_hz`."""
 _SAMPLES = 256
-"""Latencies that a median and a 99th percentile are computed of."""
+"""Number of latencies used for the median and the 99th percentile."""
 log = logging.getLogger(__name__)
 
 
 class RateMeter:
     """Events per second over the last three seconds of monotonic time.
 
-    One thread at a time counts; any thread reads.
+    One thread at a time counts; any thread may read.
 
     Attributes:
         total: events since the start.
@@ -52,11 +53,11 @@ class RateMeter:
         self.total += 1
 
     def rate_and_age(self) -> tuple[float, float | None]:
-        """What the window says of the present.
+        """Return the rate and age of the events in the window.
 
         Returns:
-            The mean rate [Hz], 0 when fewer than two events fell into the window; and the time
-            since the newest of these [s], None without one.
+            The mean rate [Hz], 0 for fewer than two events in the window; and the time since the
+            newest of these [s], None without one.
         """
         now_s = time.monotonic()
         # a copy, because a deque that another thread appends to cannot be iterated over
@@ -68,29 +69,30 @@ class RateMeter:
 
 
 class StatusWriter:
-    """Everything a module reports; every method may be called from any thread.
+    """Collects everything a module reports; every method may be called from any thread.
 
-    Values keep until they are set again. What changes the meaning of the report is published at
+    Values persist until they are set again. A change of the meaning of the report is published at
     once (`changed`), all else with the next period.
 
     Attributes:
-        name: of the DiagnosticStatus, "<namespace>/<node name>".
-        output: counts what the module publishes.
-        latency: from an input's stamp to its output [ms], of the last 256; any thread appends.
-        dropped: inputs that were not acted on, by a word for the reason; see `drop`.
-        changed: set to have the report published now.
+        name: name of the DiagnosticStatus, "<namespace>/<node name>".
+        output: counts the module's published messages.
+        latency: time from an input's stamp to its output [ms], for the last 256; any thread
+            appends.
+        dropped: number of inputs that were not acted on, by reason; see `drop`.
+        changed: set to publish the report now.
     """
 
     def __init__(self, name: str) -> None:
         """Args:
-        name: of the DiagnosticStatus.
+        name: name of the DiagnosticStatus.
         """
         self.name = name
         self.output = RateMeter()
         self.latency: deque[float] = deque(maxlen=_SAMPLES)
         self.changed = threading.Event()
         self._started_s = self._loop_s = time.monotonic()
-        # guards the dictionaries below; a leaf: nothing is called while it is held
+        # guards the dictionaries below; a leaf lock: nothing is called while it is held
         self._lock = threading.Lock()
         self.dropped: Counter[str] = Counter()
         self._fields: dict[str, str | float | bool] = {
@@ -110,7 +112,7 @@ class StatusWriter:
         Args:
             reason: a word, such as "stale_action".
         """
-        # with a lock, because `+= 1` is a reading and a writing
+        # with a lock, because `+= 1` is a read and a write
         with self._lock:
             self.dropped[reason] += 1
 
@@ -125,20 +127,20 @@ class StatusWriter:
         self.announce(state=state)
 
     def set_waiting(self, what: str) -> None:
-        """Not ready: `what` is missing."""
+        """Report that the module is not ready because `what` is missing."""
         self.set(ready=False, waiting_for=what)
 
     def set_ready(self) -> None:
-        """The module has proved that it works."""
+        """Report that the module has passed its readiness check."""
         self.announce(ready=True, waiting_for="")
 
     def set_error(self, error: Exception) -> None:
-        """Remember the newest failure, until `clear_error`.
+        """Keep the newest failure until `clear_error`.
 
         Args:
-            error: counted each time; announced at once unless it is the one that is reported
-                already, so that a step that fails 20 times a second does not flood /diagnostics.
-                What a plugin raised against its contract is told as a defect, with its type; its
+            error: counted each time. It is announced at once unless the same error is already
+                reported, so that a step that fails 20 times a second does not flood /diagnostics.
+                An exception outside a plugin's contract is reported as a defect, with its type; its
                 traceback goes to the log.
         """
         if not isinstance(error, RoboNeuronError):
@@ -149,7 +151,7 @@ class StatusWriter:
         self.announce(error_code=error.code, error=error.message, error_hint=error.hint)
 
     def clear_error(self) -> None:
-        """The module works again."""
+        """Report that the module works again."""
         self.announce(error_code="", error="", error_hint="")
 
     def set(self, **fields: str | float | bool) -> None:
@@ -162,7 +164,7 @@ class StatusWriter:
             self._fields.update(fields)
 
     def announce(self, **fields: str | float | bool) -> None:
-        """As `set`, at once when one of them is new."""
+        """Like `set`, but published at once if a value is new."""
         with self._lock:
             is_new = not fields.items() <= self._fields.items()
             self._fields.update(fields)
@@ -185,36 +187,35 @@ class StatusWriter:
             self._detail.update(details)
 
     def forget_details(self, *values: str) -> None:
-        """Report no facts of the robot any more, nor the metrics `values`: nobody knows them."""
+        """Stop reporting facts of the robot and the metrics `values`, because they are unknown."""
         with self._lock:
             self._detail.clear()
             for key in values:
                 self._metrics.pop(key, None)
 
     def tick_work(self, worker: str, limit_s: float) -> None:
-        """A thread gets on.
+        """Report that a thread makes progress.
 
         Args:
-            worker: its name.
-            limit_s: it counts as stalled when it does not say so again within this time [s].
+            worker: name of the thread.
+            limit_s: the thread counts as stalled without another call within this time [s].
         """
         with self._lock:
             self._work[worker] = (time.monotonic(), limit_s)
 
     def end_work(self, worker: str) -> None:
-        """A thread has ended: it is expected to get on no more."""
+        """Report that a thread has ended, so that no progress is expected."""
         with self._lock:
             self._work.pop(worker, None)
 
     def tick_loop(self) -> None:
-        """The executor turned; without the lock, because a float is replaced at once."""
+        """Record a tick of the executor; without the lock, because assigning a float is atomic."""
         self._loop_s = time.monotonic()
 
     def report(self) -> Report:
-        """Everything, as it is now.
+        """Return the complete report.
 
-        Numbers that are measured are asked for here; the rest is as it was last set, all of it of
-        one instant.
+        Measured numbers are computed now; all else is as last set, consistent at one instant.
         """
         now_s = time.monotonic()
         # a copy, because any thread may append meanwhile
@@ -247,7 +248,7 @@ class StatusWriter:
         return Report.model_validate({**measured, **told})
 
     def to_message(self) -> DiagnosticStatus:
-        """The report as a DiagnosticStatus."""
+        """Return the report as a DiagnosticStatus."""
         report = self.report()
         failure = report.failure()
         return DiagnosticStatus(
@@ -260,7 +261,7 @@ class StatusWriter:
 
 
 class StatusReporter(threading.Thread):
-    """Publishes a StatusWriter every STATUS_PERIOD_S, and at once after a change; from `start` to
+    """Publish a StatusWriter every STATUS_PERIOD_S, and at once after a change; from `start` to
     `stop`.
     """
 
@@ -276,7 +277,9 @@ class StatusReporter(threading.Thread):
         self._end = threading.Event()
 
     def publish(self) -> None:
-        """Report now; does nothing once ROS was shut down. Callable from any thread."""
+        """Publish the report now; does nothing after ROS was shut down. Callable from any
+        thread.
+        """
         message = DiagnosticArray(status=[self._status.to_message()])
         message.header.stamp = self._node.get_clock().now().to_msg()
         if self._node.context.ok():
@@ -293,6 +296,6 @@ class StatusReporter(threading.Thread):
         """Report until `stop`."""
         while not self._end.is_set():
             self._status.changed.wait(STATUS_PERIOD_S)
-            # before the report is made: a change during it has another one published
+            # before the report is made: a change during it triggers another one
             self._status.changed.clear()
             self.publish()

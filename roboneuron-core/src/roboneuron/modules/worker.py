@@ -1,4 +1,4 @@
-"""A thread that repeats one step while its module is active and reports what goes wrong."""
+"""A thread that repeats one step while its module is active and reports failures."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from collections.abc import Callable
 from roboneuron.modules.status import StatusWriter
 
 _RETRY_S = 0.05
-"""Pause after a failing step: a step that fails at once would use a whole core."""
+"""Pause after a failed step; without it a step that fails at once would use a whole core."""
 _GIVE_UP_S = 0.1
-"""Period of `give_up` in `Worker.stop`: what ends a wait may come just before the wait begins."""
-LIMIT_S = 0.4
-"""A step that takes longer than this makes the module count as stalled, unless it says otherwise.
+"""Period of `give_up` in `Worker.stop`: one call may come just before the wait that it should end
+begins.
 """
+LIMIT_S = 0.4
+"""Default time after which a step counts as stalled."""
 
 
 class Worker:
-    """Runs `step` over and over on one thread between `start` and `stop`.
+    """Repeat `step` on one thread between `start` and `stop`.
 
-    A failing step is reported and tried again after 50 ms; `step` gets the event that ends the loop
-    and should wait on nothing longer than a fraction of a second, or call `progress` in between.
+    A failed step is reported and repeated after 50 ms. `step` gets the event that ends the loop and
+    should not block for longer than a fraction of a second, or call `progress` in between.
 
     Attributes:
         limit_s: time between two signs of progress after which the module counts as stalled.
@@ -36,7 +37,7 @@ class Worker:
         limit_s: float = LIMIT_S,
     ) -> None:
         """Args:
-        name: of the thread, also in the status.
+        name: name of the thread, also in the status.
         step: repeated; called with the event that ends the loop.
         status: where failures and progress are reported.
         limit_s: see `limit_s` above [s].
@@ -49,12 +50,12 @@ class Worker:
         self._thread: threading.Thread | None = None
 
     def progress(self) -> None:
-        """The step gets on."""
+        """Report that the step makes progress."""
         self._status.tick_work(self._name, self.limit_s)
 
     def start(self) -> None:
         """Start the thread; it must not be running."""
-        # an event of its own for each thread: one that still hangs in a step stays stopped
+        # one event per thread: a thread that still hangs in a step stays stopped
         self._stop = threading.Event()
         self._thread = threading.Thread(
             target=self._run, args=(self._stop,), name=self._name, daemon=True
@@ -62,15 +63,16 @@ class Worker:
         self._thread.start()
 
     def stop(self, timeout_s: float = 2.0, give_up: Callable[[], object] = lambda: None) -> bool:
-        """Ask the thread to end and wait; returns False when it still hangs in a step. Idempotent.
+        """Stop the thread and wait for its end; return False if it still hangs in a step.
+        Idempotent.
 
         Args:
             timeout_s: longest wait for the step in progress [s].
-            give_up: called at once and then every 0.1 s while the thread runs: it ends what the
-                step waits for.
+            give_up: called at once and then every 0.1 s while the thread runs, to end what the step
+                waits for.
         """
         self._stop.set()
-        # Called from the step itself, waiting for its own end would never end.
+        # Called from the step itself, a wait for its own end would never return.
         thread, self._thread = self._thread, None
         if thread is None or thread is threading.current_thread():
             return True

@@ -1,5 +1,4 @@
-"""The plugin system: what plugins may offer (specs), how they say so (hookspecs), how they are
-found (discovery).
+"""The plugin system: descriptors (specs), hooks (hookspecs) and discovery.
 
 Standard library and pluggy only, so that listing plugins costs no heavy import.
 """

@@ -1,4 +1,4 @@
-"""Which required modules are absent, found out without importing any of them."""
+"""Check for missing required modules, without importing any of them."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from roboneuron.plugins.specs import Requirement
 
 
 def is_importable(module: str) -> bool:
-    """Whether the top-level `module` could be imported; it is looked up, never executed.
+    """True if the top-level `module` could be imported; the module is searched for, never executed.
 
     Args:
-        module: without a dot: to look up a submodule would import its package.
+        module: without a dot, because searching for a submodule would import its package.
     """
     # None marks a module that must not be imported, and has no `__spec__` to look up
     if module in sys.modules:
@@ -27,7 +27,7 @@ def is_importable(module: str) -> bool:
 
 
 def present(requirement: Requirement) -> tuple[str, ...]:
-    """Which of its module and alternatives can be found, in their order."""
+    """Names among its module and alternatives that can be found, in their order."""
     return tuple(
         module
         for module in (requirement.module, *requirement.alternatives)
@@ -36,17 +36,15 @@ def present(requirement: Requirement) -> tuple[str, ...]:
 
 
 def missing(requirements: Iterable[Requirement]) -> tuple[Requirement, ...]:
-    """Those of `requirements` for which neither the module nor an alternative can be found, in
-    their order.
-    """
+    """Requirements without a module or alternative that can be found, in their order."""
     return tuple(r for r in requirements if not present(r))
 
 
 def explain(absent: Iterable[Requirement]) -> str:
-    """One sentence that names the absent modules and the commands that provide them.
+    """Explain in one sentence which modules are absent and which commands provide them.
 
     Args:
-        absent: at least one, see `missing`; commands that provide several of them are named once.
+        absent: at least one, see `missing`; a command that provides several is named once.
     """
     parts = tuple(absent)
     modules = ", ".join(
@@ -57,35 +55,33 @@ def explain(absent: Iterable[Requirement]) -> str:
 
 
 WHOLE = "roboneuron"
-"""The distribution that needs all of what the embedded default configuration names;
+"""The distribution that requires everything named in the embedded default configuration;
 requirements.txt installs it.
 """
 
 
 def package_of(kind: str, name: str) -> str | None:
-    """The project's own package that offers `name`, with the extra that it needs; None when no such
-    is known.
-    """
+    """The project's own package that offers `name`, with the necessary extra; None if unknown."""
     package = _table().get(kind, {}).get(name)
     return package if isinstance(package, str) else None
 
 
 def new_name(name: str) -> str | None:
-    """What an offer is called now that was called `name` before; None for any other name."""
+    """Present name of an offer that was renamed from `name`; None for any other name."""
     return _table()["renamed"].get(name)
 
 
 def known_names(kind: str = "") -> dict[str, str]:
-    """Package by name of an offer, of any kind or of one; "switch": features that `serve` has a
-    flag for.
+    """Package by name of an offer, of any kind or of one; "switch": features with a flag of
+    `serve`.
     """
     kinds = {kind} if kind else _table().keys() - {"needs", "switch", "renamed"}
     return {name: package for of in sorted(kinds) for name, package in _table()[of].items()}
 
 
 def install_command(*packages: str) -> str:
-    """The command that installs packages of the project, with those that they need, from its source
-    folder; without arguments, what the embedded default configuration names.
+    """The command that installs packages of the project and their dependencies from its source
+    folder; without arguments, those named in the embedded default configuration.
     """
     packages = packages or (WHOLE,)
     needs = _table()["needs"]
@@ -103,7 +99,7 @@ def install_command(*packages: str) -> str:
 
 
 def _table() -> dict[str, dict[str, str]]:
-    """data/packages.toml, read when it is needed: most commands never ask for it."""
+    """Read data/packages.toml on demand: most commands never need it."""
     return tomllib.loads(
         files("roboneuron").joinpath("data/packages.toml").read_text(encoding="utf-8")
     )

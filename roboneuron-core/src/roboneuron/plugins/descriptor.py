@@ -1,6 +1,4 @@
-"""Checks of single descriptors: names, targets and field types, without loading what they
-describe.
-"""
+"""Checks of single descriptors: names, targets and field types, without loading their targets."""
 
 from __future__ import annotations
 
@@ -18,7 +16,7 @@ from roboneuron.plugins.specs import FeatureSpec, Loadable, RobotSpec, Spec
 NAME_PATTERN = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 """Names of offers and drivers: lower-case letters and digits, single hyphens between them."""
 TARGET_PATTERN = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
-"""What REFERENCES hold: "package.module:attribute"."""
+"""Format of REFERENCES: "package.module:attribute"."""
 REFERENCES = (
     "target",
     "config",
@@ -31,7 +29,7 @@ REFERENCES = (
     "fleet",
     "fleet_config",
 )
-"""Fields of descriptors that name what is imported later; all but `target` may be None."""
+"""Fields of descriptors that are imported later; all but `target` may be None."""
 KEY_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
 """Top-level keys of roboneuron.toml."""
 ROBOT_KINDS = ("arm", "base")
@@ -39,11 +37,11 @@ ROBOT_KINDS = ("arm", "base")
 
 
 def check_spec(spec: object, expected: type[Spec]) -> Spec:
-    """Return `spec` when it is a well-formed descriptor of the class `expected`.
+    """Return `spec` if it is a well-formed descriptor of the class `expected`.
 
     Args:
-        spec: what a hook has returned.
-        expected: of the hook.
+        spec: value returned by a hook.
+        expected: descriptor class of the hook.
 
     Raises:
         PluginError: another type, a mutable or wrongly typed field, a malformed name or target.
@@ -70,7 +68,7 @@ def check_spec(spec: object, expected: type[Spec]) -> Spec:
 
 
 def _require(is_right: bool, otherwise: str) -> None:
-    """Do nothing when it is right. Raises PluginError with the text otherwise."""
+    """Raise PluginError with the given text unless the condition is true."""
     if not is_right:
         raise PluginError(otherwise)
 
@@ -132,13 +130,13 @@ def _hints_of(kind: Any) -> dict[str, object]:
 
 
 def _check_value(value: object, hint: object, who: str) -> None:
-    """Compare one field with its annotation; only the shapes that descriptors use are known here:
+    """Compare one field with its annotation. Only the forms used by descriptors are supported:
     classes, `X | None`, tuples of one type, and dataclasses of these.
 
-    Types are compared, not instances: True is no int here, and a subclass may be mutable.
+    Types are compared exactly: True is not an int here, and a subclass may be mutable.
 
     Args:
-        value: of the field.
+        value: value of the field.
         hint: its annotation.
         who: the field, for messages.
 

@@ -1,6 +1,6 @@
-"""Finding plugins: every entry point of the group `roboneuron`, each behind its own fence.
+"""Discovery of plugins: every entry point of the group `roboneuron`, isolated from each other.
 
-Whatever one plugin does wrong is written into its record and hurts nobody else.
+An error of one plugin is written into its record and does not affect the others.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from roboneuron.plugins.specs import CONTRACT_VERSION, CommandSpec, FeatureSpec,
 
 _HOOK_PREFIX = f"{PROJECT}_"
 _BRINGING = {hook: spec for hook, spec in HOOKS.items() if spec in (FeatureSpec, CommandSpec)}
-"""Hooks whose descriptors may bring others."""
+"""Hooks whose descriptors may define other kinds."""
 _MARK = f"{PROJECT}_impl"
 """Attribute that `pluggy.HookimplMarker` sets on a decorated function."""
 _SPEC_MARK = f"{PROJECT}_spec"
-"""Attribute that `pluggy.HookspecMarker` sets: a feature may specify its hooks in its plugin
+"""Attribute that `pluggy.HookspecMarker` sets: a feature may define its hooks in its plugin
 module.
 """
 
 
 def discover(disabled: Collection[str] = ()) -> Registry:
-    """Read all installed plugins, importing nothing but their plugin modules.
+    """Read all installed plugins, importing only their plugin modules.
 
     Args:
-        disabled: names of plugins that are not to be imported at all; the name of a distribution
-            means all of its plugins.
+        disabled: names of plugins that must not be imported; a distribution's name stands for all
+            of its plugins.
 
     Raises:
         ConfigurationError: `disabled` names neither an installed plugin nor a distribution with
@@ -53,15 +53,15 @@ def discover(disabled: Collection[str] = ()) -> Registry:
 
 @lru_cache(maxsize=1)
 def _discover_in(path: tuple[tuple[str, int], ...], disabled: tuple[str, ...]) -> Registry:
-    """Kept until a folder changes: a start asks twice before it answers, and a server with each
-    start of a module.
+    """Cached until a folder changes: a start calls this twice before its first answer, and a server
+    with each start of a module.
     """
     importlib.invalidate_caches()
     return discover_from(entry_points(group=PROJECT), disabled)
 
 
 def _search_path() -> tuple[tuple[str, int], ...]:
-    """Folders that modules are imported from, with the time of their last change [ns]."""
+    """Folders of the import path, with the time of their last change [ns]."""
     found = []
     for entry in sys.path:
         try:
@@ -72,14 +72,14 @@ def _search_path() -> tuple[tuple[str, int], ...]:
 
 
 def discover_from(points: Iterable[EntryPoint], disabled: Collection[str] = ()) -> Registry:
-    """As `discover`, for the given entry points.
+    """Like `discover`, for the given entry points.
 
-    Two passes: plugins may bring kinds of their own with hooks of their own, so these are collected
-    before any plugin is asked for what it offers.
+    Two passes: plugins may define additional kinds and hooks, which are collected before any
+    plugin's offers are read.
 
     Args:
-        points: of the group `roboneuron`; their order does not matter.
-        disabled: as of `discover`.
+        points: entry points of the group `roboneuron`, in any order.
+        disabled: see `discover`.
     """
     found = sorted(((_record(point), point) for point in points), key=lambda pair: _order(pair[0]))
     skipped = _check_disabled(disabled, {name for record, _ in found for name in _names(record)})
@@ -108,12 +108,12 @@ def _order(record: PluginRecord) -> tuple[str, str, str]:
 
 
 def _names(record: PluginRecord) -> tuple[str, str]:
-    """What `disabled_plugins` may call it."""
+    """Names of it in `disabled_plugins`."""
     return record.name, record.distribution
 
 
 def _record(point: EntryPoint) -> PluginRecord:
-    """That of a plugin which is ready and offers nothing; its module is not imported for it."""
+    """Create the record of a plugin that is ready and has no offers; its module is not imported."""
     distribution, version = (point.name, "") if point.dist is None else _named(point.dist)
     return PluginRecord(
         name=point.name,
@@ -126,23 +126,23 @@ def _record(point: EntryPoint) -> PluginRecord:
 
 @lru_cache
 def _named(found: Distribution) -> tuple[str, str]:
-    """Name and version of a distribution, which is one object for all of its entry points: it
-    reads them from a file each time.
+    """Name and version of a distribution, cached per object (shared by its entry points), because
+    each access reads a file.
     """
     metadata = found.metadata
     return metadata["Name"], metadata["Version"] or ""
 
 
 def _normalise(name: str) -> str:
-    """Project names compare as PEP 503 says: "RN_Standard" and "rn-standard" are one."""
+    """Normalise a project name by PEP 503: "RN_Standard" and "rn-standard" are equal."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def _check_disabled(disabled: Collection[str], installed: Collection[str]) -> set[str]:
-    """The disabled names, normalised.
+    """Return the disabled names, normalised.
 
     Raises:
-        ConfigurationError: one is not installed; a plugin that was meant would be loaded.
+        ConfigurationError: one is not installed; otherwise a misspelt plugin would be loaded.
     """
     known = {_normalise(name) for name in installed}
     wanted = {_normalise(name): name for name in disabled}
@@ -166,10 +166,10 @@ def _failed(record: PluginRecord, error: BaseException) -> PluginRecord:
 def _examine(
     record: PluginRecord, point: EntryPoint, hooks: Mapping[str, type[Spec]]
 ) -> PluginRecord:
-    """Import one plugin and call its hooks; every failure ends in its own record.
+    """Import one plugin and call its hooks; every failure is stored in its record.
 
-    What it prints goes to stderr: stdout may be the wire of an agent. A plugin that leaves by
-    SystemExit counts as failed, like any other.
+    Its output goes to stderr: stdout may be the wire of an agent. A plugin that raises SystemExit
+    counts as failed.
     """
     try:
         with redirect_stdout(sys.stderr):
@@ -192,11 +192,11 @@ def _tell_discovered(offers: Iterable[Offer]) -> None:
 
 
 def read_module(module: object, hooks: Mapping[str, type[Spec]] = HOOKS) -> tuple[Spec, ...]:
-    """Return the descriptors that a plugin module offers, in the order of the hooks.
+    """Return the descriptors of a plugin module, in the order of the hooks.
 
     Raises:
         PluginError: the module misspells a hook, forgets its decorator, or offers nothing, or a
-            hook raises or returns something else than a sequence of well-formed descriptors.
+            hook raises or does not return a sequence of well-formed descriptors.
     """
     if not isinstance(module, ModuleType):
         raise PluginError(
@@ -212,9 +212,7 @@ def read_module(module: object, hooks: Mapping[str, type[Spec]] = HOOKS) -> tupl
 
 
 def _check_hook_names(module: ModuleType, hooks: Sequence[str]) -> None:
-    """A function with the prefix of the hooks is one of them and decorated, whatever the decorator
-    says.
-    """
+    """Check that every function with the hooks' prefix is a hook and is decorated."""
     for name, value in vars(module).items():
         marked = getattr(value, _MARK, None) is not None
         if not (callable(value) and (marked or name.startswith(_HOOK_PREFIX))) or hasattr(
@@ -233,7 +231,7 @@ def _check_hook_names(module: ModuleType, hooks: Sequence[str]) -> None:
 
 
 def _offered(module: object, hooks: Mapping[str, type[Spec]]) -> list[Spec]:
-    """The descriptors of some hooks; raises as `read_module`."""
+    """Return the descriptors of some hooks; raises as `read_module`."""
     return [
         check_spec(spec, expected)
         for hook, expected in hooks.items()
@@ -242,11 +240,11 @@ def _offered(module: object, hooks: Mapping[str, type[Spec]]) -> list[Spec]:
 
 
 def _call(module: object, hook: str) -> Sequence[object]:
-    """What a module offers by a hook; nothing when it does not implement it, but specifies it or
-    has nothing of that name.
+    """Call a hook of a module; empty if the module does not implement it (it defines its
+    specification, or has no such name).
 
     Raises:
-        PluginError: the hook raises, or returns what is no sequence.
+        PluginError: the hook raises, or does not return a sequence.
     """
     function = getattr(module, hook, None)
     if function is None or not hasattr(function, _MARK):
@@ -262,15 +260,15 @@ def _call(module: object, hook: str) -> Sequence[object]:
 
 
 def _offer(spec: Spec, record: PluginRecord) -> Offer:
-    """What a plugin offers, and whether it could be used as far as it alone is concerned.
+    """Create an offer with its status, as far as it depends on this plugin only.
 
     Args:
-        spec: checked.
-        record: of the plugin.
+        spec: checked descriptor.
+        record: record of the plugin.
 
     Returns:
-        INCOMPATIBLE before UNAVAILABLE: to install something does not help a plugin that was
-        written for another contract.
+        INCOMPATIBLE takes precedence over UNAVAILABLE: installing something does not help a plugin
+        that was written for another contract.
     """
     status, reason = Status.READY, ""
     if spec.contract != CONTRACT_VERSION:
@@ -292,7 +290,9 @@ def _offer(spec: Spec, record: PluginRecord) -> Offer:
 
 
 def _settle(records: Sequence[PluginRecord], hooks: Mapping[str, type[Spec]]) -> Registry:
-    """Mark claims on one name as conflicts and give each plugin the worst status of its offers."""
+    """Mark claims on the same name as conflicts, and set each plugin's status to the worst of its
+    offers.
+    """
     claims: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for record in records:
         for offer in record.offers:
@@ -312,15 +312,17 @@ def _settle(records: Sequence[PluginRecord], hooks: Mapping[str, type[Spec]]) ->
 
 
 def _claimed(spec: Spec) -> list[tuple[str, str]]:
-    """What only one plugin may have: the name within its kind, and the sections of a feature."""
+    """Claims that only one plugin may have: the name within its kind, and the sections of a
+    feature.
+    """
     sections = spec.keys if isinstance(spec, FeatureSpec) else ()
     return [(spec.kind, spec.name), *(("section", key) for key in sections)]
 
 
 def _contest(offer: Offer, claims: Mapping[tuple[str, str], Sequence[str]]) -> Offer:
-    """The offer, as a conflict where another plugin claims the same.
+    """Return the offer, as a conflict if another plugin has the same claim.
 
-    None of them wins: which plugin moves a robot must not depend on an order.
+    None of them wins: the choice of a plugin that moves a robot must not depend on an order.
     """
     for kind, name in _claimed(offer.spec):
         claimants = claims[kind, name]
@@ -334,7 +336,7 @@ def _contest(offer: Offer, claims: Mapping[tuple[str, str], Sequence[str]]) -> O
 
 
 def _summarise(record: PluginRecord, offers: tuple[Offer, ...]) -> PluginRecord:
-    """The record with its offers, the worst of their statuses and all their reasons."""
+    """Return the record with its offers, the worst of their statuses and all their reasons."""
     # in the order of the enumeration, the best first
     worst = max((o.status for o in offers), key=list(Status).index, default=record.status)
     reasons = dict.fromkeys(f"{o.spec.kind} {o.spec.name}: {o.reason}" for o in offers if o.reason)

@@ -1,9 +1,9 @@
-"""The hooks. Each takes nothing, imports nothing heavy and returns a sequence of frozen
+"""The hooks. Each takes no arguments, imports nothing heavy and returns a sequence of frozen
 descriptors.
 
-A plugin is a distribution with an entry point in the group `roboneuron` that points at a module
-holding any of these functions, decorated with `hookimpl`. `HOOKS` are those of core; installed
-features may bring more.
+A plugin is a distribution with an entry point in the group `roboneuron`. The entry point names a
+module with any of these functions, decorated with `hookimpl`. `HOOKS` are those of core; installed
+features may add more.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def roboneuron_backends() -> Sequence[BackendSpec]:  # type: ignore[empty-body]
     """Offer policies: image and instruction to actions.
 
     `target` follows the protocol `Backend`; it is built as `target(config, runtime=...,
-    acceleration=...)` in the inference module, in a process of its own. The agent sees each as a
+    acceleration=...)` in the inference module, in a separate process. The agent sees each as a
     choice of `start_inference`.
     """
 
@@ -69,7 +69,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:  # type: ignore[empty-
     """Offer sources of camera frames.
 
     `target` follows the protocol `PerceptionSource`; it is built as `target(config, topics,
-    cameras)` in the perception module, in a process of its own.
+    cameras)` in the perception module, in a separate process.
     """
 
 
@@ -78,7 +78,7 @@ def roboneuron_controllers() -> Sequence[ControllerSpec]:  # type: ignore[empty-
     """Offer controllers from actions to joint commands.
 
     `target` follows the protocol `Controller`; it is built as `target(config, profile)` in the
-    control module, in a process of its own.
+    control module, in a separate process.
     """
 
 
@@ -88,16 +88,16 @@ def roboneuron_robots() -> Sequence[RobotSpec]:  # type: ignore[empty-body]
 
     `target` is a function without arguments that returns the `RobotProfile`; each driver's `target`
     follows the protocol `RobotDriver` and is built as `target(config, profile, topics)` in the
-    robot module, in a process of its own.
+    robot module, in a separate process.
     """
 
 
 @hookspec
 def roboneuron_features() -> Sequence[FeatureSpec]:  # type: ignore[empty-body]
-    """Offer what the server can do beyond starting, watching, limiting and stopping modules.
+    """Offer extensions of the server beyond starting, monitoring, limiting and stopping modules.
 
     `target` is a subclass of `roboneuron.server.feature.Feature`; it is built as `target(options)`
-    in the server's process, asked for its tools and resources before clients are served, and
+    in the server's process. Its tools and resources are collected before clients are served; it is
     started once the server has joined ROS. Every installed feature is used unless the configuration
     disables its distribution.
     """
@@ -116,15 +116,16 @@ def roboneuron_commands() -> Sequence[CommandSpec]:  # type: ignore[empty-body]
 HOOKS: Mapping[str, type[Spec]] = {
     f"{PROJECT}_{kind}s": spec for kind, spec in PLUGIN_KINDS.items()
 }
-"""Descriptor class by hook, of the hooks that core knows, in the order in which they are called."""
+"""Descriptor class by hook, for core's hooks, in the order of their calls."""
 
 
 def extended(hooks: Mapping[str, type[Spec]], offered: Iterable[Spec]) -> Mapping[str, type[Spec]]:
-    """`hooks` and those that the features and commands among these descriptors bring.
+    """Return `hooks` with those that these features and commands add.
 
     Raises:
-        PluginError, MissingDependencyError: what one `brings` cannot be imported, is no descriptor
-            class, has a kind that is there already, or no specification of its hook beside it.
+        PluginError, MissingDependencyError: the class named by `brings` cannot be imported, is not
+            a descriptor class, has an existing kind, or has no specification of its hook in its
+            module.
     """
     found = dict(hooks)
     for bringer in offered:

@@ -1,5 +1,5 @@
-"""From a descriptor to what it describes: importing targets and validating options; the first heavy
-step.
+"""Loading of plugins from their descriptors: import of targets and validation of options; the first
+heavy step.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ M = TypeVar("M", bound="BaseModel")
 
 
 def load_target(spec: Loadable) -> object:
-    """Import `spec.target` and return the class or function it names.
+    """Import and return the class or function named by `spec.target`.
 
     Raises:
-        MissingDependencyError: a required module is absent; the hint holds the command that
+        MissingDependencyError: a required module is absent; the hint contains the command that
             provides it.
         PluginError: the module cannot be imported or has no such attribute; the cause is kept.
     """
@@ -61,7 +61,7 @@ def load_attribute(reference: str, who: str) -> object:
     try:
         return attrgetter(path)(module)
     except AttributeError as error:
-        absent = error.name or path  # a module that imports names when they are asked for
+        absent = error.name or path  # a module that imports names on first use
         raise PluginError(
             f"The {who} is {reference!r}, but there is no attribute {absent!r}.",
             hint=nearest(absent, dir(error.obj)),
@@ -69,7 +69,7 @@ def load_attribute(reference: str, who: str) -> object:
 
 
 def load_options_model(spec: Loadable) -> type[BaseModel] | None:
-    """Import the pydantic model of a descriptor's options, or None when it names none; raises as
+    """Import the pydantic model of a descriptor's options; None without one. Raises as
     `load_target`.
     """
     if spec.config is None:
@@ -92,17 +92,17 @@ def load_options(
     section: str | None = None,
     is_partial: bool = False,
 ) -> BaseModel | None:
-    """Validate a user's options; returns None when the descriptor takes none.
+    """Validate a user's options; return None for a descriptor without options.
 
-    Values are read as JSON is: no text for a number, no number for text; paths may be text, tuples
-    may be lists.
+    Values are validated like JSON: no text for a number, no number for text; paths may be text,
+    tuples may be lists.
 
     Args:
         spec: descriptor of the plugin or driver.
         options: as in `[plugins.<name>]` of the configuration or as a tool's arguments.
-        section: what to call them in errors; `plugins.<name>` when None.
-        is_partial: others may be given later, so what is missing, and what concerns the whole, is
-            no error yet; the result is None then.
+        section: their name in errors; `plugins.<name>` if None.
+        is_partial: others may be given later, so missing options and errors of the whole are
+            ignored; the result is None then.
 
     Raises:
         ConfigurationError: an unknown key (names the nearest valid one), a missing one, or a value
@@ -130,15 +130,15 @@ def read_table(
     strict: bool | None = None,
     is_partial: bool = False,
 ) -> tuple[M | None, list[str]]:
-    """A table of a configuration as its model, or a sentence for each key that is unknown, missing
-    or not valid.
+    """Parse a table of a configuration as its model; otherwise return a sentence for each unknown,
+    missing or invalid key.
 
     Args:
-        model: of the table.
-        values: as in the file; read as JSON is.
+        model: model of the table.
+        values: as in the file; validated like JSON.
         place: key of the table; empty for the whole file.
-        strict: whether values are converted; None: as the model says.
-        is_partial: as of `load_options`: neither a model nor a problem when only that is wrong.
+        strict: no conversion of values; None for the model's own setting.
+        is_partial: as of `load_options`; for such errors there is neither a model nor a problem.
     """
     from pydantic import ValidationError  # heavy
 
@@ -154,11 +154,11 @@ def read_table(
 
 
 def explain_unknown(key: str, valid: Iterable[str]) -> str:
-    """The sentence for a key that nothing knows, with what is most like it.
+    """Explain an unknown key, with the most similar valid one.
 
     Args:
-        key: with the tables that it stands in.
-        valid: keys that may stand there.
+        key: with the tables that contain it.
+        valid: keys allowed there.
     """
     known = sorted(valid)
     listed = f"Valid keys: {', '.join(known) or 'none'}."
@@ -166,8 +166,8 @@ def explain_unknown(key: str, valid: Iterable[str]) -> str:
 
 
 def option_names(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
-    """The fields of the table at `path` below a model, numbers being places in lists; none when
-    there is no table.
+    """Fields of the table at `path` below a model (numbers are list indices); empty if there is no
+    table.
     """
     table: Any = model
     for part in path:
@@ -185,7 +185,7 @@ def option_names(model: type[BaseModel], path: Sequence[int | str]) -> list[str]
 def _explain(
     error: ValidationError, root: type[BaseModel], place: str, is_partial: bool
 ) -> Iterator[str]:
-    """A sentence for each problem that the model `root` has found; see `validated`."""
+    """Yield a sentence for each problem found by the model `root`; see `validated`."""
     for problem in error.errors(include_url=False, include_context=False):
         path = problem["loc"]
         key = ".".join(filter(None, (place, *map(str, path))))
@@ -201,7 +201,9 @@ def _explain(
 
 
 def _plain(value: object) -> object:
-    """What JSON has no word for but a configuration may hold: paths, dates, read-only mappings."""
+    """Convert values that JSON lacks but a configuration may contain: paths, dates, read-only
+    mappings.
+    """
     if isinstance(value, (PurePath, date, time)):  # a datetime is a date
         return str(value)
     if isinstance(value, Mapping):

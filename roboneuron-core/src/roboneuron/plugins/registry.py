@@ -1,4 +1,4 @@
-"""What is installed and usable: the answer of discovery, immutable."""
+"""Installed plugins and their usability: the immutable result of discovery."""
 
 from __future__ import annotations
 
@@ -19,9 +19,7 @@ _NEW_NAME = (
 
 
 class Status(StrEnum):
-    """Whether something can be used. The order is the order of severity: a plugin has the worst of
-    its offers.
-    """
+    """Usability, in the order of severity: a plugin has the worst status of its offers."""
 
     READY = "ready"
     DISABLED = "disabled"
@@ -38,9 +36,9 @@ class Offer:
     Attributes:
         spec: the descriptor.
         plugin: name of the plugin, that of its entry point.
-        distribution: name of the package it comes from, which may hold several plugins.
-        status: READY when it can be used.
-        reason: why not, and what to do about it; empty when ready.
+        distribution: name of its package, which may contain several plugins.
+        status: READY if it is usable.
+        reason: reason and remedy; empty if ready.
     """
 
     spec: Spec
@@ -55,14 +53,14 @@ class PluginRecord:
     """One entry point of the group `roboneuron`.
 
     Attributes:
-        name: that of the entry point; a distribution with one plugin gives it its own name.
+        name: name of the entry point; by convention the distribution's name if it has one plugin.
         distribution: name of the package.
-        version: its version; empty when its metadata have none.
+        version: its version; empty if missing in its metadata.
         module: the plugin module that the entry point names.
         status: the worst of its offers, or FAILED or DISABLED for the whole.
-        reason: why it is not ready; empty when it is.
-        traceback: of the exception that made it fail; empty otherwise.
-        offers: what it offers, in the order of its hooks, also what cannot be used.
+        reason: reason why it is not ready; empty if it is.
+        traceback: traceback of its failure; empty otherwise.
+        offers: all its offers, in the order of its hooks, unusable ones included.
     """
 
     name: str
@@ -77,7 +75,7 @@ class PluginRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Registry:
-    """All plugins that are installed, and what each of them offers.
+    """All installed plugins and their offers.
 
     Attributes:
         plugins: one record for each entry point, sorted by name, distribution and module.
@@ -93,8 +91,8 @@ class Registry:
     )
 
     def offers(self, kind: str) -> tuple[Offer, ...]:
-        """Every descriptor of `kind`, also those that cannot be used; raises ConfigurationError for
-        another kind.
+        """All offers of `kind`, unusable ones included; raises ConfigurationError for an unknown
+        kind.
         """
         if kind not in self.kinds:
             message = f"{kind!r} is no kind of plugin, expected one of {', '.join(self.kinds)}."
@@ -102,7 +100,9 @@ class Registry:
         return tuple(o for o in self.all_offers if o.spec.kind == kind)
 
     def readers_of(self, name: str) -> Iterator[Spec | DriverSpec]:
-        """Whatever reads `[plugins.<name>]`: offers of that name; of a robot, its drivers."""
+        """Descriptors that read `[plugins.<name>]`: offers of that name; for a robot, its
+        drivers.
+        """
         for offer in self.all_offers:
             if offer.spec.name == name:
                 yield from (
@@ -110,10 +110,10 @@ class Registry:
                 )
 
     def check_name(self, place: str, name: str) -> None:
-        """Check that something that is installed, or left out on purpose, has that name.
+        """Check that an installed or deliberately excluded plugin has that name.
 
         Raises:
-            ConfigurationError: begins with the place where the name stands.
+            ConfigurationError: begins with `place`.
         """
         installed = {offer.spec.name for offer in self.all_offers}
         known = known_names()
@@ -130,29 +130,29 @@ class Registry:
                 f"{place}: {name!r} is called {now!r} now.", hint=_NEW_NAME.format(now=now)
             )
         meant = nearest(name, {*installed, *known})
-        if meant or not self.not_loaded():  # else one that did not load may have that name
+        if meant or not self.not_loaded():  # otherwise one that did not load may have that name
             listed = ", ".join(sorted(installed)) or "none"
             raise ConfigurationError(
                 f"{place}: nothing is called {name!r}. {meant or f'Installed are: {listed}.'}"
             )
 
     def specs(self, of: type[S]) -> Mapping[str, S]:
-        """The usable descriptors of a class by name, sorted; raises ConfigurationError for one that
-        no hook offers. `kinds` has the class of each kind.
+        """The usable descriptors of a class by name, sorted; raises ConfigurationError for a class
+        without a hook. `kinds` has the class of each kind.
         """
         ready = self._ready.get(of.kind)
-        if ready is None:  # kept: answers to calls ask for it, and there are hundreds of offers
+        if ready is None:  # cached: answers to calls need it, and there are hundreds of offers
             ready = {o.spec.name: o.spec for o in self.offers(of.kind) if o.status is Status.READY}
             self._ready[of.kind] = ready
         return cast("Mapping[str, S]", ready)
 
     def get(self, of: type[S], name: str, *, elsewhere: bool = False) -> S:
         """The usable descriptor of that class and name; `elsewhere`: modules that it needs may be
-        absent here, for it runs under another interpreter.
+        absent here, because it runs under another interpreter.
 
         Raises:
-            ConfigurationError: there is none; says why (disabled, unavailable, failed, unknown),
-                what the choices are and what to do.
+            ConfigurationError: there is none; names the reason (disabled, unavailable, failed,
+                unknown), the choices and a remedy.
         """
         kind, ready = of.kind, self.specs(of)
         if name in ready:
@@ -187,10 +187,10 @@ class Registry:
         )
 
     def not_loaded(self, package: str = "") -> str:
-        """Plugins (of a package) whose offers are unknown, since they are disabled or failed, as
+        """Plugins (of a package) whose offers are unknown, because they are disabled or failed, as
         text: "rn-x (failed)".
 
-        One of them may hold what is sought; empty when all were loaded.
+        One of them may offer a missing name; empty if all were loaded.
         """
         silent = [p for p in self.plugins if p.status in (Status.DISABLED, Status.FAILED)]
         of = package.partition("[")[0]

@@ -1,10 +1,9 @@
-"""Descriptors: what a plugin offers, said with the standard library alone, so that it is listed
-without being loaded.
+"""Descriptors of plugins' offers, in terms of the standard library, so that they are listed without
+being loaded.
 
 `target` and `config` are written "package.module:attribute". `target` is called with the arguments
-that the protocol of its kind names (see `roboneuron.contract.protocols`); `config` is a pydantic
-model class whose fields are the options a user may set under `[plugins.<name>]`, or None when there
-are none.
+that the protocol of its kind names (see `roboneuron.contract.protocols`). `config` is a pydantic
+model class whose fields are the options under `[plugins.<name>]`, or None without options.
 """
 
 from __future__ import annotations
@@ -13,17 +12,17 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 CONTRACT_VERSION = 1
-"""Raised when a descriptor or protocol changes in a way that old plugins cannot follow."""
+"""Incremented when a descriptor or protocol changes incompatibly with old plugins."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Requirement:
-    """An importable module a plugin needs beyond its own package.
+    """An importable module that a plugin needs beyond its own package.
 
     Attributes:
-        module: top-level import name, looked up without importing it.
+        module: top-level import name, searched for without importing it.
         install: the command that provides it, shown to the user.
-        alternatives: modules of which each will do instead of `module`.
+        alternatives: modules that can each replace `module`.
     """
 
     module: str
@@ -37,9 +36,10 @@ class ActionSpace:
     7-vector, or to the `space` that it declares.
 
     Attributes:
-        width: values per step and arm set; planning refuses what the robot's `action_widths` lacks.
+        width: values per step and arm set; planning refuses a width missing in the robot's
+            `action_widths`.
         horizon: actions per inference.
-        step_s: nominal time between two actions [s]; 0 when the checkpoint's profile says it.
+        step_s: nominal time between two actions [s]; 0 if the checkpoint's profile defines it.
     """
 
     width: int = 7
@@ -49,7 +49,7 @@ class ActionSpace:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Loadable:
-    """What has a name and can be loaded.
+    """Base of descriptors: a name and a loadable target.
 
     Attributes:
         name: unique within its kind; lower-case letters, digits and hyphens.
@@ -68,13 +68,13 @@ class Loadable:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Spec(Loadable):
-    """What every descriptor has.
+    """Fields of every descriptor.
 
     Attributes:
         contract: the CONTRACT_VERSION the plugin was written for.
         case: "module:attribute" of a function without arguments that returns this descriptor's
-            contract case: what `roboneuron plugins check` needs to try it (an observation it can
-            act on, a small checkpoint); None when its options' defaults and synthetic input
+            contract case: the inputs with which `roboneuron plugins check` tests it (a valid
+            observation, a small checkpoint); None if its default options and synthetic input
             suffice. Never loaded otherwise.
     """
 
@@ -86,30 +86,30 @@ class Spec(Loadable):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BackendSpec(Spec):
-    """A policy: image and instruction to actions.
+    """A policy, from image and instruction to actions.
 
     Attributes:
-        cameras: roles it needs a frame of, in order.
-        optional_cameras: roles it uses when the robot has them.
+        cameras: roles of required frames, in order.
+        optional_cameras: roles of frames used if the robot has them.
         needs_state: it reads joints, TCP pose and gripper of the observation.
         needs_checkpoint: `start_inference` must name a checkpoint directory (a pydantic field
             `checkpoint`).
-        action_space: what the model produces itself.
-        family: model family, matched with runtimes and accelerations; empty when it takes neither.
+        action_space: the model's own output.
+        family: model family, matched with runtimes and accelerations; empty if it uses neither.
         runtimes_required: it cannot run without a runtime of its family.
         default_runtime: runtime used when the user names none; empty for none.
         capabilities: words accelerations may require of it.
-        conditions_on_rows: it continues `Observation.ahead.rows` (real-time chunking), and says how
-            many of them in `ActionChunk.conditioned_rows`.
-        max_committed_rows: greatest prefix that it was trained to keep; 0 for any number.
+        conditions_on_rows: it continues `Observation.ahead.rows` (real-time chunking), and reports
+            their number in `ActionChunk.conditioned_rows`.
+        max_committed_rows: longest prefix that it was trained to keep; 0 for any length.
         takes_predicted_state: it was trained on states ahead of the image and reads TCP pose and
-            gripper only (joints cannot be predicted from TCP deltas); it may be given them rolled
-            forward to the end of the running chunk.
-        space: "module:attribute" of what says which space its chunks have: called with the options
-            (a mapping, unchecked) and the robot's profile, before anything heavy is imported,
-            returns a `ControlSpace` or raises a RoboNeuronError. It may read small files of the
-            checkpoint; None where the loaded backend tells it (`served_spec`). None: `ee_delta`,
-            always.
+            gripper only (joints cannot be predicted from TCP deltas); they may be predicted for the
+            end of the running chunk.
+        space: "module:attribute" of a function that returns the `ControlSpace` of its chunks or
+            raises a RoboNeuronError; called with the options (a mapping, unchecked) and the robot's
+            profile, before anything heavy is imported. It may read small files of the checkpoint,
+            and returns None if only the loaded backend knows the space (`served_spec`). None for
+            `ee_delta` always.
     """
 
     kind: ClassVar[str] = "backend"
@@ -166,7 +166,7 @@ class PerceptionSpec(Spec):
     """A source of camera frames.
 
     Attributes:
-        robots: names of the robots it can serve; empty for any.
+        robots: names of supported robots; empty for any.
         drivers: robot drivers it needs ("simulated" for a simulator's cameras); empty for any.
     """
 
@@ -178,11 +178,11 @@ class PerceptionSpec(Spec):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ControllerSpec(Spec):
-    """Turns actions into joint commands.
+    """Converter of actions to joint commands.
 
     Attributes:
-        robot_kinds: kinds of robot it can move ("arm", "base").
-        spaces: kinds of control spaces that it executes; others than `ee_delta` by
+        robot_kinds: supported kinds of robot ("arm", "base").
+        spaces: kinds of control spaces that it executes; other than `ee_delta` with
             `SpaceController.execute`.
     """
 
@@ -194,7 +194,7 @@ class ControllerSpec(Spec):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CameraSpec:
-    """A camera a robot has, as far as planning must know: its name in topics and its role for
+    """A camera of a robot, as far as planning needs it: its name in topics and its role for
     backends.
     """
 
@@ -204,12 +204,12 @@ class CameraSpec:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DriverSpec(Loadable):
-    """One way to move a robot: "simulated", "hardware" ...; `target` is its RobotDriver class.
+    """A driver of a robot: "simulated", "hardware" ...; `target` is its RobotDriver class.
 
     Attributes:
-        recovers: it can clear a fault that has stopped the robot, by a method `recover`; see
+        recovers: it can clear a fault that has stopped the robot, with a method `recover`; see
             rn-ops.
-        simulated: nothing real moves. A driver that does not say so counts as one of a real robot.
+        simulated: nothing real moves. A driver without this flag counts as that of a real robot.
     """
 
     recovers: bool = False
@@ -223,7 +223,7 @@ class RobotSpec(Spec):
     Attributes:
         robot_kind: "arm" or "base".
         drivers: at least one.
-        cameras: what it sees with.
+        cameras: cameras of the robot.
         action_widths: widths of model action spaces it can execute (7 for one arm and gripper);
             empty for bases.
     """
@@ -242,35 +242,33 @@ class RobotSpec(Spec):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FeatureSpec(Spec):
-    """Something the server can do: tools, resources, a transport, reactions to events.
+    """An extension of the server: tools, resources, a transport, reactions to events.
 
     Attributes:
-        sections: top-level keys of roboneuron.toml that belong to it. Empty: one section, called as
-            the feature with underscores, and `config` is the model of that section. Otherwise
-            `config` has one field for each key.
+        sections: top-level keys of roboneuron.toml that belong to it. Empty: one section with the
+            feature's name in underscores, whose model is `config`. Otherwise `config` has one field
+            for each key.
         transports: values of `[server] transport` that it serves.
-        brings: "module:attribute" of the descriptor class of a kind of its own; the module also
-            holds the specification (`hookspec`) of its hook, `roboneuron_<kind>s`. Imported while
-            plugins are discovered, so it must be as light as a plugin module. Its class attribute
-            `beside` may name more classes of that module.
-        needs: names of features without which it does not work.
+        brings: "module:attribute" of the descriptor class of an additional kind; the module also
+            contains the specification (`hookspec`) of its hook, `roboneuron_<kind>s`. Imported
+            while plugins are discovered, so it must be as light as a plugin module. Its class
+            attribute `beside` may name more classes of that module.
+        needs: names of required features.
         on_discovery: "module:attribute" of a function without arguments that every process calls
             while it discovers plugins (server, modules, commands); as light as a plugin module, and
-            harmless when called again. None for none.
+            idempotent. None for none.
         on_join: "module:attribute" of a function that every module process calls with its
-            `ModuleHost` once it has joined ROS; None for none. In the server, `start` is the place
-            for that.
-        module: "module:attribute" of the class of the modules called as the feature ("perception"
-            or "inference"), called with a `ModuleHost`.
-        module_plan: "module:attribute" of a light function that finds and compares what such a
-            module consists of: called with Config and Registry, returns its
-            `roboneuron.feature.Plan` or raises a RoboNeuronError.
-        fleet: "module:attribute" of what serves a configuration with several robots: called with
-            the Config and the state directory, returns a `roboneuron.server.surface.Served`; None
-            when it does not do that.
-        fleet_config: "module:attribute" of what reads a file with several robots, for a feature
-            with `fleet`: called with the tables, the file's name for messages and the Registry,
-                returns the Config.
+            `ModuleHost` once it has joined ROS; None for none. In the server, use `start` for that.
+        module: "module:attribute" of the class of modules with the feature's name ("perception" or
+            "inference"), called with a `ModuleHost`.
+        module_plan: "module:attribute" of a light function that plans such a module: called with
+            Config and Registry, returns its `roboneuron.feature.Plan` or raises a RoboNeuronError.
+        fleet: "module:attribute" of a function that serves a configuration with several robots:
+            called with the Config and the state directory, returns a
+            `roboneuron.server.surface.Served`; None without one.
+        fleet_config: "module:attribute" of a function that reads a file with several robots, for a
+            feature with `fleet`: called with the tables, the file's name for messages and the
+            Registry, returns the Config.
         switch: name of an option, true or false, of its first section; `roboneuron serve --NAME`,
             NAME being the feature's, sets it to true. None for no such flag.
     """
@@ -299,7 +297,7 @@ class FeatureSpec(Spec):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CommandSpec(Spec):
-    """A command of `roboneuron`, called by its name; `config` is not used.
+    """A command of `roboneuron`, with the descriptor's name; `config` is not used.
 
     Attributes:
         brings: as in FeatureSpec.
@@ -323,28 +321,27 @@ PLUGIN_KINDS: dict[str, type[Spec]] = {
         CommandSpec,
     )
 }
-"""Descriptor class by kind, of the kinds that core knows; a feature may bring more."""
+"""Descriptor class by kind, for core's kinds; a feature may add more."""
 SCHEMA_KEY = "x-configuration-only"
-"""True in the JSON schema of an option that is marked."""
+"""Key in the JSON schema of a marked option, with the value true."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConfigurationOnly:
-    """Marks an option that only the configuration sets: a host, a file, a command, a variable.
+    """Marks an option that only the configuration may set: a host, a file, a command, a variable.
 
-    `url: Annotated[str, ConfigurationOnly()]`. An option without a mark counts as restricted when
-    its type or name says that it names such a thing; `AgentMaySet()` lifts that. The feature that
-    lets agents set options goes by this; `agent_options` of `[selection]` lists exceptions for
-    admins.
+    `url: Annotated[str, ConfigurationOnly()]`. An option without a mark counts as restricted if its
+    type or name indicates such a value; `AgentMaySet()` lifts that. The feature through which
+    agents set options applies this; `agent_options` of `[selection]` lists exceptions for admins.
     """
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        """Say so in the option's JSON schema."""
+        """Set the mark in the option's JSON schema."""
         return {**handler(schema), SCHEMA_KEY: True}
 
 
 @dataclass(frozen=True, slots=True)
 class AgentMaySet:
-    """Marks an option whose type or name looks restricted, but that names nothing outside of the
-    plugin.
+    """Marks an option whose type or name looks restricted, but that refers to nothing outside of
+    the plugin.
     """

@@ -1,3 +1,3 @@
-"""ROS 2 as modules and server use it: environment, quality of service, topic names, message
-conversions, nodes.
+"""ROS 2 for modules and server: environment, quality of service, topic names, message conversions,
+nodes.
 """

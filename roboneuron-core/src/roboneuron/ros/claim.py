@@ -1,9 +1,10 @@
-"""One process per node name and machine: two nodes of one name would both obey each request.
+"""Unique node names per machine: two nodes of one name would both obey each request.
 
-The ROS graph shows a second one only once it has been discovered, which takes a moment on a busy
-machine. A process therefore holds a Unix socket in Linux' abstract namespace, named after the ROS
-domain and the node: it needs no file, is seen by every user of the machine (of its network
-namespace, as ROS' loopback traffic is), and is gone with the process, however that ends.
+The ROS graph shows a second node only after its discovery, which takes a moment on a busy machine.
+A process therefore claims its node name with a Unix socket in Linux' abstract namespace, named
+after the ROS domain and the node. The socket needs no file, is visible to every user of the machine
+(of its network namespace, like ROS' loopback traffic), and disappears with the process, however it
+ends.
 
 Source: unix(7), "Abstract sockets" and SO_PEERCRED.
 """
@@ -21,22 +22,24 @@ from roboneuron.errors import StateError
 _CREDENTIALS = struct.Struct("3i")
 """struct ucred: pid, uid, gid."""
 _QUEUE = 4096
-"""Nobody takes up the connections of those who ask; they lie here until the process ends."""
+"""Length of the queue: connections of querying processes are never accepted, and stay until the
+process ends.
+"""
 _RETRY_S = 0.05
-"""A name becomes free with the death of its holder, which tells nobody."""
+"""Retry period: a name becomes free with its holder's death, without a notification."""
 LEAVE_S = 3.0
-"""The modules of a server that has ended leave within 2 s."""
+"""Wait for modules of a server that has ended; they exit within 2 s."""
 
 
 def claim(node: str, wait_s: float = 0.0) -> socket.socket:
-    """Hold `node` for as long as the socket that is returned is open.
+    """Claim `node` for as long as the returned socket is open.
 
     Args:
         node: fully qualified name, `/<namespace>/<name>`.
-        wait_s: how long whoever holds it now is given to leave.
+        wait_s: time for the present holder to exit [s].
 
     Raises:
-        StateError: another process of this machine runs the node; the text tells which one.
+        StateError: another process of this machine runs the node; the message names it.
     """
     deadline_s = time.monotonic() + wait_s
     while True:
@@ -56,14 +59,14 @@ def claim(node: str, wait_s: float = 0.0) -> socket.socket:
 
 
 def claimant(node: str) -> int | None:
-    """Process id of who holds `node`; 0 when it cannot be told (another container), None when
-    nobody does.
+    """Process id of the holder of `node`; 0 if unknown (another container), None without a
+    holder.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.setblocking(False)
         try:
             asking.connect(_address(node))
-        except BlockingIOError:  # asked very often: its queue is full
+        except BlockingIOError:  # queried very often: its queue is full
             return 0
         except ConnectionRefusedError:
             return None
@@ -72,7 +75,7 @@ def claimant(node: str) -> int | None:
 
 
 def runs_already(node: str, pid: int | str) -> StateError:
-    """The error for a node that somebody else runs; a `pid` of 0 is not known."""
+    """Create the error for a node that another process runs; a `pid` of 0 is unknown."""
     who = f"process {pid}" if pid else "a process"
     return StateError(
         f"{node} runs already, as {who} of another server.",

@@ -1,5 +1,4 @@
-"""Defaults that make ROS 2 from pip wheels work on a laptop; whatever the user has set stays as it
-is.
+"""Defaults that make ROS 2 from pip wheels work on a laptop; variables set by the user are kept.
 
 Source of the facts: the ros-python-wheels bootstrapper leaves AMENT_PREFIX_PATH unset.
 """
@@ -27,19 +26,19 @@ from roboneuron.ros.installation import (
 )
 
 CLIENT_TOKEN = "ROBONEURON_TOKEN"
-"""Environment variable with the bearer token of `roboneuron call --url` and alike, when no other is
-named.
+"""Environment variable with the bearer token of `roboneuron call --url` and similar commands, if no
+other is named.
 """
 PORT_OFFSET = "ROBONEURON_PORT_OFFSET"
-"""How far the ports for a process's data lie above the first port of its domain; the shipped
-profile reads it.
+"""Offset of a process's data ports from the first port of its domain; the shipped profile
+reads it.
 """
 PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
-"""How many participants of this host are looked for when discovery is LOCALHOST; the shipped
-profile reads it.
+"""Number of participants of this host probed by LOCALHOST discovery; the shipped profile
+reads it.
 """
 _PROFILE_OF_2, _PROFILE_OF_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
-"""How Fast DDS 2 and 3 call the variable with their profile."""
+"""Names in Fast DDS 2 and 3 of the variable with their profile."""
 _INSTEAD = {
     "ROS_AUTOMATIC_DISCOVERY_RANGE": (
         "ROS_DISCOVERY_SERVER",
@@ -49,16 +48,16 @@ _INSTEAD = {
     _PROFILE_OF_2: (_PROFILE_OF_3, "FASTDDS_BUILTIN_TRANSPORTS"),
     _PROFILE_OF_3: ("FASTDDS_BUILTIN_TRANSPORTS",),
 }
-"""Variables by which a user says the same otherwise: no default then."""
+"""Alternative variables with which a user sets the same; if one is set, there is no default."""
 _GENERATOR = "rosidl_generator_py.generate_py_impl"
-"""Writes Python classes of interfaces."""
+"""Generator of the interfaces' Python classes, which runs in separate processes."""
 _STANDARD_OFFSET = 11
-"""Of the ports for data within a domain. Source: RTPS 2.2, 9.6.1.1."""
+"""Standard offset of the data ports within a domain. Source: RTPS 2.2, 9.6.1.1."""
 MAX_DOMAIN = 232
-"""The highest whose ports are below 65536."""
+"""The highest domain whose ports are below 65536."""
 _SLOTS = tuple(250 * block + slot for block in range(5) for slot in (131, 163, 195))
-"""Offsets of 16 ports each, above those of the first 60 participants of a domain: out of
-everybody's way.
+"""Offsets of blocks of 16 ports, above those of the first 60 participants of a domain, so that they
+do not collide.
 """
 
 
@@ -68,8 +67,8 @@ def fast_dds_profile() -> Path:
 
 
 def state_directory(configured: str | None = None) -> Path:
-    """Where logs, the emergency-stop latch and the audit live: `configured`, else the XDG state
-    directory.
+    """Directory of the logs, the emergency-stop latch and the audit: `configured`, else the XDG
+    state directory.
     """
     if configured:
         return Path(configured).expanduser()
@@ -78,10 +77,10 @@ def state_directory(configured: str | None = None) -> Path:
 
 
 def check_state_directory(directory: Path) -> None:
-    """Make the directory, if need be, and try to write there.
+    """Create the directory if necessary, and test that it is writable.
 
     Raises:
-        ConfigurationError: neither is possible; names the directory and what to do.
+        ConfigurationError: it is not; names the directory and a remedy.
     """
     try:
         make_log_directory(directory)
@@ -99,7 +98,7 @@ def check_state_directory(directory: Path) -> None:
 def set_defaults(
     environment: MutableMapping[str, str], *, prefix: str, log_directory: Path
 ) -> None:
-    """Fill in what is unset.
+    """Set default values for unset variables.
 
     Args:
         environment: changed in place.
@@ -130,13 +129,15 @@ def set_defaults(
 
 
 def _profile_variable(sourced: Sourced | None) -> str:
-    """How Fast DDS calls the variable with its profile: version 3 is called `libfastdds`."""
+    """Name of the variable with the Fast DDS profile: the library of version 3 is named
+    `libfastdds`.
+    """
     libraries = sourced.prefix.glob("lib/**/libfastdds.so*") if sourced else iter(())
     return _PROFILE_OF_2 if next(libraries, None) is None else _PROFILE_OF_3
 
 
 def _check_domain(domain: str) -> None:
-    """Refuse what is no domain: rcl would end the process without a word on what is wrong.
+    """Refuse an invalid domain: rcl would end the process without naming the cause.
 
     Source: RTPS 2.2, 9.6.1.1: ports of higher domains lie above 65535.
 
@@ -151,7 +152,7 @@ def _check_domain(domain: str) -> None:
 
 
 def _check_middleware(name: str, prefixes: Sequence[Path]) -> None:
-    """Whether RMW_IMPLEMENTATION is one that is installed, by the ament index."""
+    """Check that RMW_IMPLEMENTATION is installed, by the ament index."""
     indexes = [prefix / "share/ament_index/resource_index/rmw_typesupport" for prefix in prefixes]
     known = {entry.name for index in indexes if index.is_dir() for entry in index.iterdir()} - {
         "rmw_implementation"
@@ -164,8 +165,8 @@ def _check_middleware(name: str, prefixes: Sequence[Path]) -> None:
 
 
 def _check_not_hidden(prefix: str) -> None:
-    """Refuse another rclpy before that of this environment, or of the sourced installation, on the
-    import path, as PYTHONPATH puts it there.
+    """Refuse another rclpy on the import path before that of this environment, or of the sourced
+    installation; PYTHONPATH may cause that.
     """
     try:
         spec = util.find_spec("rclpy")
@@ -207,14 +208,14 @@ def prepare_environment(
 
     Args:
         log_directory: where rcl writes its logs; below the state directory when None.
-        wanted: installation, as the configuration says.
+        wanted: installation set in the configuration.
 
     Returns:
-        Which ROS installation this process uses.
+        The ROS installation of this process.
 
     Raises:
-        ConfigurationError: as `set_defaults` and `choose`; or another rclpy hides the one of this
-            environment.
+        ConfigurationError: as `set_defaults` and `choose`, or another rclpy precedes the one of
+            this environment.
     """
     used = in_use(os.environ, sys.prefix, wanted)
     set_defaults(
@@ -228,12 +229,12 @@ def prepare_environment(
 
 
 def port_offset(domain: int, start: int) -> int:
-    """Offset of the data ports of the `start`-th module process: none meets the ports of the 14
+    """Offset of the data ports of the `start`-th module process, distinct from those of the 14
     before it.
 
-    A sender goes on opening the port of a killed process until its lease ends (20 s), and Fast DDS
-    2.14 can lose a port that is opened again by a successor just then: the successor hears nothing
-    from that sender, ever.
+    A sender keeps opening the port of a killed process until its lease ends (20 s). If a successor
+    opens the same port meanwhile, Fast DDS 2.14 can lose it: the successor never receives anything
+    from that sender.
 
     Source: RTPS 2.2, 9.6.1.1 (port = 7400 + 250 * domain + offset + 2 * participant; the standard
     offset is 11).
@@ -247,10 +248,10 @@ def module_environment(
 ) -> dict[str, str]:
     """Environment for the `start`-th module process, run by `python` (None: this interpreter).
 
-    It holds none of the variables called `secrets`, nor the token of our own client.
+    It excludes the variables in `secrets` and the token of RoboNeuron's own client.
 
-    Another interpreter has ROS libraries of its own: what points at ours is taken out, so that its
-    bootstrapper runs.
+    Another interpreter has its own ROS libraries: variables that refer to this one's are removed,
+    so that its bootstrapper runs.
     """
     environment = {
         name: value for name, value in os.environ.items() if name not in (CLIENT_TOKEN, *secrets)

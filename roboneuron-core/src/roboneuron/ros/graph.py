@@ -1,4 +1,4 @@
-"""What a node has discovered of the ROS graph; it imports no `rclpy` itself."""
+"""The ROS graph as discovered by a node; does not import `rclpy`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RosGraph:
-    """What the server's node has discovered of the ROS graph; it sends nothing."""
+    """The ROS graph as discovered by the server's node; sends nothing."""
 
     _node: Node
 
@@ -34,21 +34,21 @@ class RosGraph:
         return list(self._node.get_node_names_and_namespaces())
 
     def publishers(self, topic: str) -> list[TopicEndpointInfo]:
-        """Who publishes a topic."""
+        """Publishers of a topic."""
         return list(self._node.get_publishers_info_by_topic(topic))
 
     def subscriptions(self, topic: str) -> list[TopicEndpointInfo]:
-        """Who subscribes to a topic."""
+        """Subscriptions to a topic."""
         return list(self._node.get_subscriptions_info_by_topic(topic))
 
     def dds_publishers(self, topic: str) -> list[TopicEndpointInfo]:
-        """Who publishes a topic, by its name in DDS: `rt/chatter`, `rr/addReply`."""
+        """Publishers of a topic by its DDS name: `rt/chatter`, `rr/addReply`."""
         return list(self._node.get_publishers_info_by_topic(topic, True))
 
     def dds_subscriptions(self, topic: str) -> list[TopicEndpointInfo]:
-        """Who subscribes to a topic, by its name in DDS: `rt/chatter`, `rq/addRequest`."""
+        """Subscriptions to a topic by its DDS name: `rt/chatter`, `rq/addRequest`."""
         return list(self._node.get_subscriptions_info_by_topic(topic, True))
 
     def counts(self, topic: str) -> tuple[int, int]:
-        """Publishers and subscribers of a topic."""
+        """Number of publishers and subscribers of a topic."""
         return self._node.count_publishers(topic), self._node.count_subscribers(topic)

@@ -1,5 +1,5 @@
-"""The `Topics` that a module lends to its plugin: publish and subscribe under the robot's
-namespace, nothing else.
+"""Implementation of `Topics` for plugins in a module: publish and subscribe under the robot's
+namespace only.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ from roboneuron.ros.qos import NEWEST, requested_qos
 
 M = TypeVar("M")
 _LOOK_AGAIN_S = 0.25
-"""How soon a subscription follows publishers that came with another reliability."""
+"""Period at which a subscription adapts to publishers with another reliability."""
 
 
 class NodeTopics:
-    """Implements `roboneuron.contract.Topics` on a node; `close` takes everything back.
+    """Implements `roboneuron.contract.Topics` on a node; `close` destroys all entities.
 
-    Callbacks come on the executor's thread of that node.
+    Callbacks run on the executor's thread of that node.
     """
 
     def __init__(self, node: Node, accepts: Callable[[], bool] = lambda: True) -> None:
         """Args:
-        node: of the module.
-        accepts: asked before each message is delivered: a robot's driver hears nothing while the
-            emergency stop is latched or its module is not active.
+        node: node of the module.
+        accepts: checked before each message is delivered: a robot's driver receives nothing while
+            the emergency stop is latched or its module is inactive.
         """
         self._node = node
         self._accepts = accepts
@@ -56,10 +56,10 @@ class NodeTopics:
             self._made.callback(self._node.destroy_subscription, subscription)
 
     def _follow(self, topic: str, message_type: type[M], deliver: Callable[[M], None]) -> None:
-        """Subscribe as reliably as the topic's publishers are, now and later.
+        """Subscribe with the reliability of the topic's publishers, and adapt to later ones.
 
         DDS connects a subscription only with publishers that are at least as reliable, and a
-        subscription cannot change its own: it is made anew.
+        subscription cannot change its reliability: it is recreated.
         """
         node = self._node
         qos: QoSProfile | None = None
@@ -75,7 +75,7 @@ class NodeTopics:
                 subscription = node.create_subscription(message_type, topic, deliver, wanted)
 
         look()
-        # of the subscription that is there then, not of the first one
+        # of the present subscription, not of the first one
         self._made.callback(lambda: node.destroy_subscription(subscription))
         self._made.callback(node.destroy_timer, node.create_timer(_LOOK_AGAIN_S, look))
 
@@ -86,7 +86,7 @@ class NodeTopics:
         context = self._node.context
 
         def publish(message: M) -> None:
-            # a plugin's own thread may be the last to hear that the process leaves
+            # a plugin's own thread may be the last to notice that the process exits
             if context.ok():
                 publisher.publish(message)
 

@@ -1,5 +1,5 @@
-"""Which ROS 2 installation this process uses: the wheels of its environment, or one whose
-`setup.bash` is sourced in the shell; never parts of both.
+"""Choice of the ROS 2 installation: the wheels of this environment, or one whose `setup.bash` is
+sourced in the shell; never parts of both.
 
 Source: the setup files of ament put the installation before AMENT_PREFIX_PATH, LD_LIBRARY_PATH,
 PYTHONPATH and PATH; the ros-python-wheels bootstrapper adds the wheels' libraries to
@@ -18,27 +18,27 @@ from typing import Literal, NamedTuple
 from roboneuron.errors import ConfigurationError
 
 Installation = Literal["auto", "wheels", "sourced"]
-"""As `[ros] installation` has it."""
+"""Values of `[ros] installation`."""
 BOOTSTRAP_GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 CHOICE = "ROBONEURON_ROS"
-"""Environment variable with what was chosen, and why, where a ROS installation is sourced."""
+"""Environment variable with the choice and its reason, if a ROS installation is sourced."""
 _PREFIXES = "AMENT_PREFIX_PATH"
 _LIBRARIES = "LD_LIBRARY_PATH"
 _MODULES = "PYTHONPATH"
 _RCLPY = "lib/python3.*/*-packages/rclpy"
 _LEAST_PYTHON = (3, 12)
-"""Of Jazzy and later; before, rclpy has another interface."""
+"""Python version of Jazzy and later; earlier versions of rclpy have another interface."""
 _OWN_PYTHON = sys.version_info[:2]
 
 
 class Sourced(NamedTuple):
-    """A ROS installation that is sourced.
+    """A sourced ROS installation.
 
     Attributes:
-        prefix: that has rclpy.
+        prefix: prefix that contains rclpy.
         distribution: such as kilted.
-        python: version of Python that its rclpy is for.
-        prefixes: it and the workspaces over it.
+        python: Python version of its rclpy.
+        prefixes: this prefix and the workspaces over it.
     """
 
     prefix: Path
@@ -51,14 +51,14 @@ class Sourced(NamedTuple):
 
 
 class Choice(NamedTuple):
-    """An installation, and why it is that one."""
+    """An installation, and the reason for the choice."""
 
     installation: Literal["wheels", "sourced"]
     reason: str
 
 
 def find_sourced(environment: Mapping[str, str], prefix: str) -> Sourced | None:
-    """The installation that is sourced: the first prefix with an rclpy that is no virtual
+    """Find the sourced installation: the first prefix with an rclpy that is not a virtual
     environment.
     """
     others = {Path(prefix), *_other_wheels(environment, prefix)}
@@ -74,15 +74,15 @@ def find_sourced(environment: Mapping[str, str], prefix: str) -> Sourced | None:
 def choose(
     wanted: Installation, sourced: Sourced | None, python: tuple[int, int] = _OWN_PYTHON
 ) -> Choice:
-    """Decide which installation is used.
+    """Choose the installation.
 
     Args:
-        wanted: by the configuration.
-        sourced: what is sourced.
+        wanted: set in the configuration.
+        sourced: the sourced installation.
         python: version of this process's Python.
 
     Raises:
-        ConfigurationError: the sourced installation is wanted and cannot be used; says what to do.
+        ConfigurationError: the sourced installation is wanted but unusable; names a remedy.
     """
     if wanted == "wheels":
         return Choice("wheels", 'the configuration says installation = "wheels"')
@@ -111,13 +111,13 @@ def choose(
 def arranged(
     environment: Mapping[str, str], prefix: str, sourced: Sourced, choice: Choice
 ) -> dict[str, str]:
-    """The environment that holds the chosen installation alone.
+    """Return an environment with the chosen installation only.
 
     Args:
-        environment: of the process.
-        prefix: the virtual environment that holds the ROS wheels.
-        sourced: what is sourced.
-        choice: which one is used.
+        environment: environment of the process.
+        prefix: the virtual environment that contains the ROS wheels.
+        sourced: the sourced installation.
+        choice: the chosen one.
     """
     found = {**environment, CHOICE: f"{choice.installation}: {choice.reason}"}
     if choice.installation == "sourced":
@@ -135,7 +135,7 @@ def check_not_mixed(environment: Mapping[str, str], prefix: str) -> None:
     wheels.
 
     Raises:
-        ConfigurationError: says how to start.
+        ConfigurationError: explains the correct start.
     """
     for other in _other_wheels(environment, prefix):
         raise ConfigurationError(
@@ -159,11 +159,11 @@ def check_not_mixed(environment: Mapping[str, str], prefix: str) -> None:
 
 
 def keep_apart(words: Sequence[str]) -> None:
-    """Start this process again with the environment of one installation alone, where a sourced one
-    is in the shell, or where a process of another environment has started it; does nothing else.
+    """Restart this process with the environment of one installation only, if another one is sourced
+    in the shell or comes from the parent process; otherwise do nothing.
 
     Args:
-        words: of the command line, among which may be `--config FILE`.
+        words: words of the command line, which may include `--config FILE`.
 
     Raises:
         ConfigurationError: as `choose`.
@@ -171,7 +171,7 @@ def keep_apart(words: Sequence[str]) -> None:
     environment = dict(os.environ)
     others = _other_wheels(environment, sys.prefix)
     if others:
-        environment.pop(BOOTSTRAP_GUARD, None)  # our own libraries come in place of theirs
+        environment.pop(BOOTSTRAP_GUARD, None)  # this environment's libraries replace them
         for name in (_PREFIXES, _LIBRARIES, _MODULES):
             _leave_out(environment, name, others)
     sourced = find_sourced(environment, sys.prefix)
@@ -183,7 +183,7 @@ def keep_apart(words: Sequence[str]) -> None:
 
 
 def chosen(environment: Mapping[str, str]) -> Choice:
-    """What was chosen for this process, by `keep_apart` or because nothing is sourced."""
+    """The choice for this process, made by `keep_apart`, or the default if nothing is sourced."""
     installation, _, reason = environment.get(CHOICE, "").partition(": ")
     if installation == "sourced":
         return Choice("sourced", reason)
@@ -191,11 +191,11 @@ def chosen(environment: Mapping[str, str]) -> Choice:
 
 
 class InUse(NamedTuple):
-    """The installation that a process uses.
+    """The installation used by a process.
 
     Attributes:
-        choice: with its reason.
-        roots: folders of it and of the workspaces over it.
+        choice: the choice with its reason.
+        roots: folders of the installation and of the workspaces over it.
     """
 
     choice: Choice
@@ -203,7 +203,7 @@ class InUse(NamedTuple):
 
 
 def in_use(environment: Mapping[str, str], prefix: str, wanted: Installation) -> InUse:
-    """Which installation an environment has.
+    """Return the installation of an environment.
 
     Raises:
         ConfigurationError: as `choose`.
@@ -214,7 +214,7 @@ def in_use(environment: Mapping[str, str], prefix: str, wanted: Installation) ->
 
 
 def _other_wheels(environment: Mapping[str, str], prefix: str) -> list[Path]:
-    """Virtual environments whose ROS wheels a process uses that has started this one."""
+    """Virtual environments whose ROS wheels are inherited from the parent process."""
     own = Path(prefix).resolve()
     return [
         found
@@ -224,7 +224,9 @@ def _other_wheels(environment: Mapping[str, str], prefix: str) -> list[Path]:
 
 
 def _wanted(words: Sequence[str]) -> Installation:
-    """What a configuration on the command line says; what is wrong with it, its reader tells."""
+    """Read the wanted installation from a configuration on the command line; errors in it are left
+    to its reader.
+    """
     known: tuple[Installation, ...] = ("wheels", "sourced")
     for word, following in zip(words, [*words, ""][1:], strict=True):
         name, _, value = word.partition("=")
@@ -240,7 +242,7 @@ def _wanted(words: Sequence[str]) -> Installation:
 
 
 def _leave_out(environment: dict[str, str], name: str, prefixes: Sequence[Path]) -> None:
-    """Take what lies below some folders out of a variable with folders."""
+    """Remove entries below some folders from a path variable."""
     kept = [
         folder
         for folder in _split(environment, name)

@@ -1,6 +1,4 @@
-"""The control plane's place in the ROS graph: one context, one node, one executor thread; usable
-from any thread.
-"""
+"""The server's ROS node: one context, one node, one executor thread; usable from any thread."""
 
 from __future__ import annotations
 
@@ -28,32 +26,32 @@ log = logging.getLogger(__name__)
 M = TypeVar("M")
 T = TypeVar("T")
 Call: TypeAlias = Future
-"""A service call on its way; usable from any thread. `cancel` gives it up: rclpy would keep the
+"""A pending service call; usable from any thread. `cancel` discards it: rclpy would keep the
 request for an answer that never comes.
 """
 _UNSENT = (rclpy_implementation.RCLError, InvalidHandle)
-"""What publishing raises when the context is closed."""
+"""Exceptions of publishing after the context was closed."""
 _TASK_TIMEOUT_S = 10.0
-"""An entity is made in milliseconds, on an overloaded machine in seconds; after that time the ROS
-thread hangs.
+"""Timeout of creating an entity: it takes milliseconds, or seconds on an overloaded machine; after
+that the ROS thread hangs.
 """
 _LEAVE_S = 2.0
-"""Bound on the end of the executor and of its thread: a callback that hangs must not keep the
-server from leaving.
+"""Timeout for the end of the executor and of its thread: a hanging callback must not block the
+server's exit.
 """
 
 
 class RosLink:
-    """A node of the control plane.
+    """A node of the server.
 
-    Entities are made and destroyed on the executor's thread, where callbacks run too; callbacks
-    must return quickly. rclpy's wait set is built from the node's entities: another thread that
-    destroyed one meanwhile would leave a dead handle in it.
+    Entities are created and destroyed on the executor's thread, which also runs callbacks;
+    callbacks must return quickly. rclpy builds its wait set from the node's entities: destroying
+    one on another thread would leave a dead handle in it.
     """
 
     def __init__(self, node_name: str) -> None:
         """Args:
-        node_name: in the root namespace.
+        node_name: name in the root namespace.
         """
         self._node_name = node_name
         self._context: Any = None
@@ -61,8 +59,8 @@ class RosLink:
         self._executor: Any = None
         self._thread: threading.Thread | None = None
         self._clients: dict[tuple[type, str], Client] = {}
-        # Guards the clients, also while one is made on the executor's thread: callbacks, which run
-        # there, must not ask for a client.
+        # Guards the clients, also while one is created on the executor's thread: callbacks, which
+        # run there, must not request a client.
         self._lock = threading.Lock()
 
     def open(self) -> None:
@@ -99,7 +97,7 @@ class RosLink:
 
     @property
     def node(self) -> Node:
-        """The node; entities are made and destroyed through `on_executor`.
+        """The node; create and destroy entities with `on_executor`.
 
         Raises:
             InternalError: the link is not open.
@@ -109,9 +107,9 @@ class RosLink:
         return self._node
 
     def on_executor(self, task: Callable[[], T]) -> T:
-        """Run `task` on the executor's thread and return its result, or raise what it raises.
+        """Run `task` on the executor's thread; return its result or raise its exception.
 
-        Not callable from that thread, which would wait for itself.
+        Not callable from that thread (deadlock).
 
         Raises:
             InternalError: the link is not open, or its thread hangs.
@@ -134,8 +132,8 @@ class RosLink:
         *,
         latched: bool = True,
     ) -> Callable[[], None]:
-        """As `subscribe`, and as reliable as those are who publish the topic now; if `latched`,
-        with the last message that came before, where all of them keep it.
+        """Like `subscribe`, with the reliability of the present publishers; if `latched`, also
+        receive the last message, if all publishers keep it.
         """
         publishers = self.node.get_publishers_info_by_topic(topic)
         return self.subscribe(
@@ -149,20 +147,20 @@ class RosLink:
         callback: Callable[[M], None],
         qos: QoSProfile | None = None,
     ) -> Callable[[], None]:
-        """Subscribe to an absolute `topic`; call what is returned to end it.
+        """Subscribe to an absolute `topic`; the returned function ends it.
 
         Args:
             message_type: an ordinary rosidl class.
             topic: absolute.
-            callback: called on the executor's thread; what it raises is logged.
-            qos: what is asked of publishers; as usual for the topic when None.
+            callback: called on the executor's thread; its exceptions are logged.
+            qos: profile of the subscription; the topic's usual one if None.
         """
         asked = qos or usual_qos(topic)
 
         def deliver(message: M) -> None:
             try:
                 callback(message)
-            # a failing callback must not end the thread that all modules are watched from
+            # a failing callback must not end the thread that monitors all modules
             except Exception:
                 log.exception("The callback of %s failed.", topic)
 
@@ -175,8 +173,8 @@ class RosLink:
     def advertise(
         self, message_type: type[M], topic: str, qos: QoSProfile | None = None
     ) -> Callable[[M], None]:
-        """Return a function that publishes on an absolute `topic`, for as long as the link is open;
-        after that it does nothing. Without `qos`, as usual for the topic.
+        """Return a function that publishes on an absolute `topic` while the link is open and does
+        nothing afterwards. Without `qos`, the topic's usual profile is used.
         """
         offered = qos or usual_qos(topic)
         publisher = self.on_executor(
@@ -186,7 +184,7 @@ class RosLink:
 
     @staticmethod
     def send_if_possible(publisher: Publisher, message: object) -> None:
-        """Publish, unless ROS refuses: the context is closed."""
+        """Publish, unless the context is closed."""
         with suppress(*_UNSENT):
             publisher.publish(message)
 
@@ -197,18 +195,18 @@ class RosLink:
 
         Args:
             service_type: an ordinary rosidl class.
-            name: absolute.
-            request: of that type.
-            on_answer: called on the executor's thread when the answer is there, or where the call
-                is given up.
+            name: absolute name.
+            request: request of that type.
+            on_answer: called on the executor's thread when the answer has arrived, or when the call
+                is cancelled.
         """
         future = self._client(service_type, name).call_async(request)
         future.add_done_callback(lambda _: on_answer())
         return future
 
     def is_service_ready(self, service_type: type, name: str) -> bool:
-        """Whether somebody serves it, as far as this node has discovered; a server that was killed
-        counts until its lease ends, after up to 20 s.
+        """True if this node has discovered a server of the service; a killed server counts until
+        its lease ends, after up to 20 s.
         """
         return bool(self._client(service_type, name).service_is_ready())
 
@@ -226,6 +224,6 @@ class RosLink:
         except ExternalShutdownException:
             log.debug("The ROS context was shut down.")
         except InvalidHandle:
-            # on closing, the executor's own guard condition goes while its last task ends
+            # on closing, the executor's own guard condition is destroyed while its last task ends
             if self._thread is not None:
                 raise

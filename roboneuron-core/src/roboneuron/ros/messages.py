@@ -1,5 +1,5 @@
-"""ROS messages <-> contract types. Every value is coerced: rclpy sends an int in a float64 field as
-garbage.
+"""Conversions between ROS messages and contract types. Every value is coerced: rclpy sends an int
+in a float64 field as garbage.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from roboneuron.errors import InvalidInputError
 NS_PER_S = 1_000_000_000
 _PLANNED = "planned@"
 _MOST_PLANNED = 50
-"""Rows that are read: each of them is computed with every row that comes."""
+"""Number of planned rows that are read: each is computed again with every incoming row."""
 _HALF_PIXEL = np.array([[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlannedRows:
-    """Rows that a policy plans after the one that is due.
+    """Rows that a policy plans after the current one.
 
     Attributes:
-        rows: float64 (k, n), in the space of that row.
+        rows: float64 (k, n), in the space of the current row.
         step_s: time between two rows [s], > 0.
     """
 
@@ -50,11 +50,11 @@ class PlannedRows:
 
     @classmethod
     def from_action_message(cls, message: Float64MultiArray) -> Self | None:
-        """The first rows that are planned after the row of a message, unchecked; None without any.
+        """Read the first planned rows of a message, unchecked; None without any.
 
         Raises:
-            InvalidInputError: a second dimension that is none of planned rows, or has another size
-                than its values.
+            InvalidInputError: the second dimension is not one of planned rows, or its size does not
+                match its values.
         """
         dims = message.layout.dim
         if len(dims) < 2:
@@ -122,8 +122,8 @@ def to_action_message(
 ) -> Float64MultiArray:
     """One row (n,) of a space -> std_msgs/Float64MultiArray with the label of the space.
 
-    Rows that are planned after it follow in a second dimension, "planned@<rows per second>". The
-    message has no stamp: control reads when it was sent from the time stamp of DDS.
+    Planned rows follow in a second dimension, "planned@<rows per second>". The message has no
+    stamp: control uses the source time stamp of DDS.
     """
     message = Float64MultiArray()
     message.layout.dim = [
@@ -165,7 +165,7 @@ def joints_from_message(message: JointState) -> JointSample:
     """sensor_msgs/JointState -> JointSample.
 
     Raises:
-        InvalidInputError: names and positions differ in number, a name comes twice, or velocities
+        InvalidInputError: names and positions differ in number, a name occurs twice, or velocities
             differ in number.
     """
     names = tuple(message.name)
@@ -200,18 +200,18 @@ def to_pose_stamped(pose: Pose, frame_id: str) -> PoseStamped:
 
 
 def to_joint_trajectory(*commands: JointCommand) -> JointTrajectory:
-    """Commands for the same joints, one after the other -> trajectory_msgs/JointTrajectory with a
-    point each, to start at once.
+    """Commands for the same joints, in sequence -> trajectory_msgs/JointTrajectory with one point
+    each, to start at once.
 
-    The stamp stays 0: by the definition of the message that means "now", whatever the clock of the
-    robot's machine says.
+    The stamp stays 0, which by the definition of the message means "now", independent of the clock
+    of the robot's machine.
     """
     points: list[JointTrajectoryPoint] = []
     elapsed_s = 0.0
     for command in commands:
         elapsed_s += command.duration_s
         seconds = int(elapsed_s)
-        # rounding may make a whole second of it, which the field must not hold
+        # rounding may result in a whole second, which the field must not contain
         nanoseconds = round((elapsed_s - seconds) * NS_PER_S)
         point = JointTrajectoryPoint(
             time_from_start=Duration(sec=seconds, nanosec=min(nanoseconds, NS_PER_S - 1))
@@ -222,7 +222,7 @@ def to_joint_trajectory(*commands: JointCommand) -> JointTrajectory:
 
 
 def commands_from_message(message: JointTrajectory | JointState) -> list[JointCommand]:
-    """One command per point of a trajectory; `duration_s` is the time since the point before.
+    """One command per point of a trajectory; `duration_s` is the time since the previous point.
 
     Positions without times (a JointState) are one command, to be reached in 0.1 s.
 

@@ -1,4 +1,4 @@
-"""Quality of service of the contract's streams."""
+"""QoS profiles of the contract's streams."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATI
 
 
 NEWEST = _reliable(1)
-"""Images, actions, states, commands: reliable, and only the newest counts (best effort loses large
+"""Images, actions, states, commands: reliable, keep the newest only (best effort loses large
 images).
 """
 
@@ -28,8 +28,8 @@ LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
 """The emergency stop: late joiners receive the last value."""
 
 STOP_REQUESTS = (LATCHED, NEWEST)
-"""To hear every emergency stop, subscribe with each: one that asks for the last value never matches
-a publisher that keeps none, such as `ros2 topic pub`.
+"""Profiles of the two subscriptions that together receive every emergency stop: a transient-local
+subscription never matches a volatile publisher, such as `ros2 topic pub`.
 """
 
 STATUS = _reliable(20)
@@ -37,13 +37,13 @@ STATUS = _reliable(20)
 
 
 def usual_qos(topic: str) -> QoSProfile:
-    """That of a stream of the contract, by the name of its topic."""
+    """Return the profile of a contract stream, by the name of its topic."""
     return STATUS if topic == DIAGNOSTICS else NEWEST
 
 
 def requested_qos(publishers: Sequence[Any], depth: int, *, latched: bool = True) -> QoSProfile:
-    """A subscription profile that every given publisher matches; if `latched`, it gets the last
-    value too.
+    """Return a subscription profile that matches every given publisher; if `latched`, it receives
+    the last value too.
     """
     offered = [info.qos_profile for info in publishers]
     reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)

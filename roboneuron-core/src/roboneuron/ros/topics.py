@@ -5,33 +5,37 @@ import re
 ACTION = "action"
 """std_msgs/Float64MultiArray, from inference to control: one action."""
 JOINT_STATES = "joint_states"
-"""sensor_msgs/JointState, from the robot: what is measured, by name."""
+"""sensor_msgs/JointState, from the robot: measured joints, by name."""
 EE_POSE = "ee_pose"
 """geometry_msgs/PoseStamped, from control: the measured TCP in the base frame."""
 PREDICTIONS = "predictions"
-"""std_msgs/String: each prediction as a feature describes it, see
+"""std_msgs/String: description of each prediction by a feature, see
 `InferenceModule.on_prediction`.
 """
 JOINT_TRAJECTORY = "joint_trajectory"
 """trajectory_msgs/JointTrajectory, to the robot."""
 JOINT_COMMAND = "joint_command"
-"""sensor_msgs/JointState, to the robot: another form of the same, see `control.command`."""
+"""sensor_msgs/JointState, to the robot: the alternative to `JOINT_TRAJECTORY`, see
+`control.command`.
+"""
 DIAGNOSTICS = "/diagnostics"
 """diagnostic_msgs/DiagnosticArray, from every module; absolute, as ROS tools expect it."""
 
 
 def is_written_by_modules(topic: str) -> bool:
-    """Whether a module of the core publishes a topic that is named below the robot's namespace."""
+    """True if a module of the core publishes this topic, named relative to the robot's
+    namespace.
+    """
     return _WRITTEN.fullmatch(topic) is not None
 
 
 def camera_image(name: str) -> str:
-    """Topic of a camera's images."""
+    """Image topic of a camera."""
     return f"camera/{name}/image"
 
 
 def camera_info(name: str) -> str:
-    """Topic of a camera's calibration, one message for each image."""
+    """Calibration topic of a camera, one message for each image."""
     return f"camera/{name}/camera_info"
 
 

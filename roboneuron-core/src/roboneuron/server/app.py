@@ -1,5 +1,5 @@
-"""The server put together, tools and resources over one closed loop, and served over stdio or the
-transport that a feature brings.
+"""Assembly of the server: tools and resources over one closed loop, served over stdio or the
+transport of a feature.
 """
 
 from __future__ import annotations
@@ -40,17 +40,19 @@ from roboneuron.supervisor.process import Command, module_command
 from roboneuron.supervisor.supervisor import LEAVE_S, Supervisor
 
 SWITCH_S = 0.001
-"""How long a thread that computes keeps the others waiting; the interpreter's own default is 5 ms.
+"""Interpreter switch interval: bounds how long a computing thread blocks the others; the default is
+5 ms.
 """
 
 
 def shorten_pauses() -> None:
-    """Call it once everything is imported and derived.
+    """Exempt all present objects from garbage collection; call it once everything is imported and
+    derived.
 
-    A full garbage collection looks at every object there is and stops all threads meanwhile: 80 to
-    130 ms with ROS, MCP and 3 to 1,000 endpoints loaded. What is there now stays until the end, so
-    it is not looked at again; nor now, when a client waits for its first call: of 146,000 objects
-    9,000 would go.
+    A full collection visits every object and stops all threads: 80 to 130 ms with ROS, MCP and 3 to
+    1,000 endpoints loaded. The present objects live until the end, so later collections skip them.
+    No collection runs now, since a client waits for its first call; it would free 9,000 of 146,000
+    objects.
     """
     sys.setswitchinterval(SWITCH_S)
     gc.freeze()
@@ -62,15 +64,15 @@ _MOTION_S = 2.0
 
 
 class Application:
-    """Everything `roboneuron serve` consists of for one robot; `close` ends all of it.
+    """All parts of `roboneuron serve` for one robot; `close` ends all of them.
 
     Args:
-        config: of the robot.
-        plugins: others than usual.
-        directory: for the state, where not as configured.
-        command: how to start a module under a given interpreter; None: as usual.
-        connect: makes the server's node, see `Supervisor`.
-        attached: clients come to `server`; not so for one of several robots.
+        config: the robot's configuration.
+        plugins: plugins instead of the installed ones.
+        directory: state directory instead of the configured one.
+        command: command line of a module for a given interpreter; None for the default.
+        connect: creates the server's node, see `Supervisor`.
+        attached: clients connect to `server`; False for one of several robots.
     """
 
     def __init__(
@@ -140,24 +142,26 @@ class Application:
         return self.loop.starts.look(self.loop.emergency_stop.follow_file())
 
     def check(self) -> None:
-        """Check the configuration against what is installed. Raises ConfigurationError,
-        PlanningError.
+        """Check the configuration against the installed plugins.
+
+        Raises:
+            ConfigurationError, PlanningError: it does not fit them.
         """
         check_configuration(self.loop.base, self.loop.registry)
         transport_feature(self.loop.base.server.transport, self.loop.registry)
         self.features.each("used", lambda feature: feature.check(self.loop.base))
 
     def listen(self, wire: tuple[int, int]) -> Transport:
-        """Begin to listen for clients; for `wire` see `Host`."""
+        """Start listening for clients; for `wire` see `Host`."""
         return self.features.listen(replace(self.host, wire=wire))
 
     def latch(self, who: str) -> object:
-        """Stop all motion, for whoever says so; raises as `EmergencyStop.latch`."""
+        """Stop all motion, on behalf of `who`; raises as `EmergencyStop.latch`."""
         return self.loop.emergency_stop.latch(self.loop.config.namespace, who=who, reason="")
 
     def close(self) -> None:
-        """Stop all motion, modules and threads; idempotent. What features move first, then modules,
-        then features.
+        """Stop all motion, modules and threads; idempotent. The order is: motions of features,
+        modules, features.
         """
         self._watch.close()
         if not self.end_direct_motion("The server is shutting down.", _MOTION_S):
@@ -170,7 +174,7 @@ class Application:
         self.events.end.tell()
 
     def end_direct_motion(self, reason: str, timeout_s: float) -> bool:
-        """End all that features move, beside the closed loop; whether it has ended in time.
+        """End all motions of features outside the closed loop; return True if they ended in time.
         Idempotent.
         """
         deadline_s = time.monotonic() + timeout_s
@@ -184,7 +188,7 @@ class Application:
         return ended
 
     def open(self) -> None:
-        """Begin to join the ROS graph, and to watch it, in the background."""
+        """Start joining and monitoring the ROS graph in the background."""
         self.loop.emergency_stop.file.reserve()
         self.supervisor.open()
         self.events.open.tell()
@@ -192,13 +196,14 @@ class Application:
         self._watch.start()
 
     async def _join_ros(self) -> None:
-        """Let the background thread finish importing rclpy: a second thread that imports it
-        meanwhile gets half of it.
+        """Wait until the background thread has imported rclpy: a second thread that imports it
+        meanwhile would get a half-initialised module.
 
-        Features start then. What cannot be joined is told by the tools that need it.
+        Features start afterwards. If ROS cannot be joined, the tools that need it report the
+        reason.
         """
         if not self._is_joining:
-            return  # no call waits for a turn of the event loop, as it would for a free lock
+            return  # no call waits for an iteration of the event loop, as it would for a free lock
         async with self._joining:
             if self._is_joining:
                 with suppress(RoboNeuronError):
@@ -207,21 +212,24 @@ class Application:
                 self._is_joining = False
 
     async def settle(self) -> None:
-        """Once ROS is joined: hear the emergency stops of other nodes; and see `shorten_pauses`."""
+        """Subscribe to emergency stops of other nodes once ROS is joined, and call
+        `shorten_pauses`.
+        """
         await self._join_ros()
-        with suppress(RoboNeuronError):  # told by the tools that need ROS
+        with suppress(RoboNeuronError):  # reported by the tools that need ROS
             await to_thread.run_sync(self.loop.emergency_stop.prepare, self.loop.config.namespace)
         await to_thread.run_sync(shorten_pauses)
 
     def end_motion(self, reason: str, timeout_s: float) -> None:
-        """Nobody looks after the robot any more: no policy, no direct motion."""
+        """End the policy and all direct motion, because the robot is unattended."""
         self.end_direct_motion(reason, timeout_s)
         with suppress(StateError):
             self.loop.stop("inference")
 
 
 def make_served(config: Config) -> Served:
-    """What serves a configuration: of one robot an Application, of several what a feature brings.
+    """Create the server for a configuration: an Application for one robot, the object of a feature
+    for several.
 
     Raises:
         ConfigurationError: no feature serves several robots.
@@ -237,15 +245,16 @@ def make_served(config: Config) -> Served:
 
 
 def serve(config: Config, wire: tuple[int, int]) -> None:
-    """Serve clients until they leave for good, or SIGTERM or SIGINT comes; then stop everything.
+    """Serve clients until the last one disconnects for good, or SIGTERM or SIGINT arrives; then
+    stop everything.
 
     Args:
-        config: says over which transport.
+        config: names the transport.
         wire: see `Host`.
 
     Raises:
-        ConfigurationError, PlanningError: the configuration names what is not installed or does not
-            fit, or the transport cannot be served (an address in use, a token that is missing).
+        ConfigurationError, PlanningError: the configuration names something that is not installed
+            or does not fit, or the transport cannot be served (an address in use, a missing token).
     """
     served = make_served(config)
     try:

@@ -1,5 +1,5 @@
-"""Features, what installed plugins add to the server: loaded as they need each other, isolated from
-others' faults.
+"""Features, which installed plugins add to the server: loaded in the order of their dependencies,
+isolated from each other's faults.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ OptionsT = TypeVar("OptionsT")
 
 
 class Feature(Generic[OptionsT]):
-    """Base of all features; override what the feature needs.
+    """Base class of all features; override the methods that the feature needs.
 
-    Built as `target(options)` in the server's process: `options` is an instance of the descriptor's
-    `config`, or None when it names none. The constructor has no effect; `start` does the work and
+    Built as `target(options)` in the server's process; `options` is an instance of the descriptor's
+    `config`, or None without one. The constructor has no side effect; `start` begins the work and
     `close` undoes it.
     """
 
@@ -38,23 +38,23 @@ class Feature(Generic[OptionsT]):
 
     @property
     def identifies_clients(self) -> bool:
-        """Whether it tells clients apart by what they alone know, such as a token."""
+        """True if it distinguishes clients by a secret such as a token."""
         return False
 
     @property
     def gate(self) -> MotionGate | None:
-        """What it lends the other features as `Host.gate`; None for all but the one that sends for
-        them.
+        """The gate, provided to other features as `Host.gate`; None for all features but the one
+        that sends commands.
         """
         return None
 
     @property
     def is_moving(self) -> bool:
-        """Whether it moves a robot now, beside the closed loop."""
+        """True if it moves a robot now, outside the closed loop."""
         return False
 
     def check(self, config: Config) -> None:
-        """Check what the options alone do not tell (files, environment); for `config check` and
+        """Check what the options alone do not show (files, environment); for `config check` and
         before `listen`.
 
         Raises:
@@ -62,10 +62,9 @@ class Feature(Generic[OptionsT]):
         """
 
     def reserve(self, config: Config) -> None:
-        """Take, or look for, what one server alone may hold, such as a port. Called once, before
-        `listen`.
+        """Reserve, or check, an exclusive resource such as a port. Called once, before `listen`.
 
-        `config check` does not call it: a server that runs may rightly hold what it is about.
+        `config check` does not call it, because a running server may rightly hold the resource.
 
         Raises:
             ConfigurationError: another process holds it.
@@ -80,46 +79,44 @@ class Feature(Generic[OptionsT]):
         return ()
 
     def complete(self, host: Host) -> None:
-        """Take in what the other features have added. Called once, after the `tools` of all of
-        them.
+        """Process what the other features have added. Called once, after `tools` of all features.
 
         Raises:
-            RoboNeuronError: nothing may be served, whether the configuration asks for this feature
-                or not.
+            RoboNeuronError: the server must not start, whether or not the configuration asks for
+                this feature.
         """
 
     def end_motion(self, reason: str, timeout_s: float) -> bool:
-        """End all that it moves, and say whether it ended in time; at the end of the server before
-        modules stop.
+        """End all its motions at the end of the server, before modules stop; return True if they
+        ended in time.
         """
         return True
 
     def attach(self, host: Host) -> None:
-        """Add to `host.server` what clients get besides tools and resources: prompts,
-        subscriptions, questions.
+        """Add prompts, subscriptions or questions to `host.server`.
 
-        Called once, after `tools`. A server of several robots calls it for the first one only, with
-        a host whose `server` and `events` are those of all.
+        Called once, after `tools`. A server of several robots calls it for the first robot only,
+        with a host whose `server` and `events` cover all robots.
         """
 
     def start(self, host: Host) -> None:
-        """Begin to work: threads, subscriptions. Called once, when the server begins to serve; must
+        """Start threads and subscriptions. Called once, when the server begins to serve; must
         return quickly.
 
         Raises:
-            RoboNeuronError: it cannot work; the server goes on without it unless the configuration
-                names it.
+            RoboNeuronError: it cannot work; the server continues without it unless the
+                configuration names it.
         """
 
     def listen(self, host: Host) -> Transport:
-        """Begin to listen for clients. Called once, after `tools`, if `[server] transport` is one
+        """Start listening for clients. Called once, after `tools`, if `[server] transport` is one
         of the descriptor's.
 
-        Modules and ROS are not started yet. `roboneuron.server.tool.Holder` is what a transport
-        leaves with each request.
+        Modules and ROS are not started yet. The transport attaches a
+        `roboneuron.server.tool.Holder` to each request.
 
         Raises:
-            ConfigurationError: it cannot, such as for a port that is in use.
+            ConfigurationError: it cannot listen, for example because a port is in use.
         """
         raise NotImplementedError(f"{type(self).__name__} serves no transport.")
 
@@ -128,15 +125,15 @@ class Feature(Generic[OptionsT]):
 
 
 class Features:
-    """Loads, starts and closes features.
+    """Load, start and close features.
 
     A feature that the configuration asks for (by one of its sections, or in `features`) must work:
-    its failure is raised. Any other failure is logged and leaves that feature out.
+    its failure is raised. Any other failure is logged, and that feature is left out.
 
     Attributes:
-        loaded: by name, those that others need first; replaced, never changed, so that any thread
+        loaded: features by name, dependencies first; replaced, never modified, so that any thread
             may read it.
-        failed: which are left out, and why.
+        failed: features left out, with the reasons.
     """
 
     def __init__(self, config: Config, registry: Registry) -> None:
@@ -146,13 +143,13 @@ class Features:
         self.loaded: dict[str, Feature[Any]] = {}
         self.failed: dict[str, str] = {}
         for name in config.features:
-            registry.get(FeatureSpec, name)  # says why a feature that must be there is not
+            registry.get(FeatureSpec, name)  # says why a required feature is missing
         for spec in _ordered(self._specs):
             self._attempt(spec, "loaded", partial(self._load, spec))
 
     @property
     def on_join(self) -> tuple[str, ...]:
-        """What every module calls once it has joined ROS."""
+        """Functions that every module calls once it has joined ROS."""
         return tuple(
             reference
             for name in self.loaded
@@ -160,8 +157,8 @@ class Features:
         )
 
     def listen(self, host: Host) -> Transport:
-        """Have every feature reserve what it needs, and the one that serves the configured
-        transport listen. Raises ConfigurationError as `transport_feature`.
+        """Let every feature reserve its resources, and the one of the configured transport listen.
+        Raises ConfigurationError as `transport_feature`.
         """
         spec = transport_feature(self._config.server.transport, self._registry)
         self.each("started", lambda feature: feature.reserve(self._config))
@@ -196,12 +193,12 @@ class Features:
     def each(
         self, what: str, work: Callable[[Feature[Any]], object], *, must_work: bool = False
     ) -> None:
-        """Do something with every feature; one that fails is left out, or the failure raised.
+        """Call `work` for every feature; a feature that fails is left out, or its failure raised.
 
         Args:
-            what: could not be done then, such as "started".
+            what: the action, for the message, such as "started".
             work: called with each feature.
-            must_work: whether the failure is raised also of a feature that is not asked for.
+            must_work: raise the failure also for a feature that was not asked for.
         """
         for name, feature in self.loaded.items():
             self._attempt(self._specs[name], what, partial(work, feature), must_work=must_work)
@@ -253,10 +250,10 @@ class Features:
 
 
 def _ordered(specs: Mapping[str, FeatureSpec]) -> list[FeatureSpec]:
-    """Those that others need first; by name otherwise.
+    """Sort features by their dependencies; by name otherwise.
 
     Raises:
-        InternalError: features need each other in a circle.
+        InternalError: the dependencies are cyclic.
     """
     ordered: dict[str, FeatureSpec] = {}
 

@@ -1,5 +1,5 @@
-"""What a server lends its features: reading everything, hearing of what happens, and acting only
-through what every caller passes.
+"""Interface of the server to its features: they may read everything and listen to events, but act
+only through the same calls as every client.
 """
 
 from __future__ import annotations
@@ -33,30 +33,32 @@ if TYPE_CHECKING:
 F = TypeVar("F")
 M = TypeVar("M")
 _END_S = 20.0
-"""Ten times what an end takes; a machine that is overloaded needs up to 12 s."""
+"""Timeout of an orderly end: ten times the usual duration; an overloaded machine needs up
+to 12 s.
+"""
 
 
 class Events:
-    """What happens in a server. Listeners are added while it is put together.
+    """Events of a server. Listeners are added while it is assembled.
 
     Attributes:
-        open: serving begins; told first of all, before ROS is joined and features start.
-        end: everything is closed; told last of all, possibly twice, and without `open`.
-        health: the health of a module changed at most 30 ms ago; the module, how it was, and how it
-            is.
+        open: serving begins; the first event, before ROS is joined and features start.
+        end: everything is closed; the last event, possibly sent twice, and also without `open`.
+        health: the health of a module changed at most 30 ms ago; the module, its previous and its
+            present health.
         change: a module started, stopped or ended by itself.
-        stop: somebody asked to stop a module, which still runs.
-        exposed: what agents may use through the gate changed; on the changing thread.
+        stop: a stop of a module was requested; the module still runs.
+        exposed: the endpoints that agents may use through the gate changed; on the changing thread.
         tools: the listed tools changed; from any thread.
         resource: the content of that URI changed; from any thread.
-        fault: a fault that is no module's health (a lapsed lease, a memory limit); the module, a
-            word for the fault, and facts that JSON can hold.
-        decision: the gate or the emergency stop of this process wrote a record; on the thread that
-            asked.
-        call: a tool was called and answered; its name, the arguments as sent, the client, the code
-            of the error (empty when it succeeded), and how long it took [s].
-        client: a client of several robots made a call of one of them (True), or a client has left
-            (False).
+        fault: a fault that is not a module's health (a lapsed lease, a memory limit); the module, a
+            word for the fault, and JSON-serialisable details.
+        decision: the gate or the emergency stop of this process wrote an audit record; on the
+            requesting thread.
+        call: a tool call was answered; its name, the arguments as sent, the client, the code of the
+            error (empty on success), and its duration [s].
+        client: a client of several robots called a tool of one of them (True), or a client has
+            disconnected (False).
         presence: a client has opened (1) or closed (-1) a request or a stream.
     """
 
@@ -78,22 +80,22 @@ class Events:
 
 @dataclass(frozen=True, kw_only=True)
 class Host:
-    """The server, as a feature may use it. Usable from any thread unless a member says otherwise.
+    """The server as seen by a feature. Usable from any thread unless a member says otherwise.
 
-    Nothing here publishes: what moves a robot goes through `gate`, or through the closed loop, as
-    for every caller.
+    Features cannot publish with it: every command that moves a robot passes `gate` or the closed
+    loop, as for every other caller.
 
     Attributes:
-        loop: the closed loop: start, steer and stop modules; read what they report.
+        loop: the closed loop: start, steer and stop modules; read their reports.
         audit: the audit log.
         server: the MCP server that every transport serves.
         features: all features of this server.
-        tools: all tools by name, for features that add or remove some while the server runs.
-        events: what happens, for listeners.
+        tools: all tools by name, for features that add or remove tools at run time.
+        events: events of the server, for listeners.
         started_s: monotonic time of the server's start [s].
         state_directory: for files that outlive the server.
-        end_motion: ends every motion, and the policy, for a reason: nobody looks after the robot
-            any more; returns after at most so many seconds.
+        end_motion: ends every motion and the policy, for the given reason, when the robot is
+            unattended; returns after at most the given number of seconds.
         wire: descriptors of the standard input and output that the process was started with, for a
             transport over them; in `roboneuron serve` 0 and 1 are others, see `cli/serve.py`.
     """
@@ -112,7 +114,7 @@ class Host:
 
     @property
     def config(self) -> Config:
-        """The configuration with the robot that is running, or the configured one."""
+        """The configuration with the running robot, or the configured one."""
         return self.loop.config
 
     @property
@@ -127,14 +129,14 @@ class Host:
 
     @property
     def gate(self) -> MotionGate:
-        """In front of everything that moves a robot beside the closed loop: sends what it allows,
-        lends no publisher.
+        """The gate, which checks and sends every command outside the closed loop; it gives no
+        access to publishers.
 
-        One installed feature lends it (`Feature.gate`); name that feature in `needs`.
+        One installed feature provides it (`Feature.gate`); name that feature in `needs`.
 
         Raises:
-            StateError: none does: nothing can be sent for an agent.
-            ConfigurationError: two do.
+            StateError: no feature provides it, so nothing can be sent for an agent.
+            ConfigurationError: two features provide one.
         """
         gates = {
             name: gate
@@ -158,27 +160,28 @@ class Host:
 
     @property
     def is_moving(self) -> bool:
-        """Whether a policy runs, or a call moves something."""
+        """True if a policy runs, or a call moves something."""
         is_policy = self.modules.view("inference").phase != "stopped"
         return is_policy or any(feature.is_moving for feature in self.features.loaded.values())
 
     @property
     def identifies_clients(self) -> bool:
-        """Whether a feature tells clients apart by what they alone know, such as a token."""
+        """True if a feature distinguishes clients by a secret such as a token."""
         return any(feature.identifies_clients for feature in self.features.loaded.values())
 
     @property
     def graph(self) -> RosGraph:
-        """What the server's node has discovered of the ROS graph. Raises RoboNeuronError when ROS
-        cannot be joined.
+        """Discovered ROS graph of the server's node. Raises RoboNeuronError if ROS cannot be
+        joined.
         """
         return RosGraph(self._link().node)
 
     def link(self, sender: Feature[Any]) -> RosLink:
-        """The server's ROS node, for the feature that lends `gate`; it may take a second to join.
+        """Return the server's ROS node to the feature that provides `gate`; joining may take a
+        second.
 
         Raises:
-            StateError: `sender` lends none.
+            StateError: `sender` provides no gate.
         """
         if sender.gate is None:
             raise StateError("Only the feature that lends the gate sends; others use `Host.gate`.")
@@ -186,10 +189,10 @@ class Host:
 
     @staticmethod
     def end_soon() -> None:
-        """The kernel ends this process in a while, whatever hangs in it; its modules hear of that
-        and leave. A transport calls it when its only client has left.
+        """Make the kernel end this process after a delay, even if it hangs; its modules notice and
+        exit. A transport calls it when its only client has disconnected.
 
-        The default action of SIGALRM needs nobody's help. Callable from any thread.
+        The default action of SIGALRM needs no thread of this process. Callable from any thread.
         """
         signal.setitimer(signal.ITIMER_REAL, _END_S)
 
@@ -202,23 +205,23 @@ class Host:
         depth: int = 1,
         latched: bool = False,
     ) -> Callable[[], None]:
-        """Call `callback` with each message of a topic, from the thread of the ROS node; it must
+        """Call `callback` with each message of a topic, on the thread of the ROS node; it must
         return quickly.
 
-        The subscription is as reliable as those are who publish the topic now.
+        The subscription's reliability matches that of the present publishers.
 
         Args:
             message_type: an ordinary rosidl class.
             topic: under the robot's namespace, or absolute.
             callback: called with each message.
-            depth: how many messages wait for it; only the newest is kept by default.
-            latched: also take the last message that came before, where all publishers keep it.
+            depth: length of the message queue; only the newest is kept by default.
+            latched: also receive the last message sent before, if all publishers keep it.
 
         Returns:
-            What ends it.
+            A function that ends the subscription.
 
         Raises:
-            InvalidInputError: this can be no topic.
+            InvalidInputError: not a valid topic name.
             RoboNeuronError: ROS cannot be joined.
         """
         check_topic(topic)
@@ -228,10 +231,10 @@ class Host:
         return link.follow(message_type, place, callback, depth, latched=latched)
 
     def feature(self, name: str, kind: type[F]) -> F:
-        """Another feature that this one `needs`, of the class `kind`.
+        """Return another feature that this one `needs`, of the class `kind`.
 
         Raises:
-            StateError: there is none, or it is of another class.
+            StateError: it is missing, or of another class.
         """
         found = self.features.loaded.get(name)
         if not isinstance(found, kind):

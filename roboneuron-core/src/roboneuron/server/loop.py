@@ -1,4 +1,4 @@
-"""The closed loop as the agent operates it: choose, start, steer, stop. Calls block; any thread may
+"""The closed loop as operated by an agent: select, start, steer, stop. Calls block; any thread may
 call.
 """
 
@@ -33,22 +33,21 @@ _KEPT_ACTIONS = 4096
 
 
 SentAction: TypeAlias = tuple[int, tuple[float, ...]]
-"""DDS source time of an action [ns], when inference sent it, whatever the way to here took; and its
-values.
+"""DDS source time of an action [ns], set when inference sent it and independent of its transport;
+and its values.
 """
 
 
 def _listen(link: RosLink, namespace: str) -> deque[SentAction]:
-    """The newest actions of `/<namespace>/action`, oldest first, for as long as the link is open;
-    read a `copy`.
+    """Collect the newest actions of `/<namespace>/action`, oldest first, as long as the link is
+    open; read a `copy`.
     """
     from std_msgs.msg import Float64MultiArray  # heavy
 
     from roboneuron.ros.qos import STATUS
     from roboneuron.ros.topics import ACTION
 
-    # Many are kept in between: a busy control plane must not mistake its own delay for a missing
-    # action.
+    # Many are kept: a busy control plane must not take its own delay for a missing action.
     actions: deque[SentAction] = deque(maxlen=_KEPT_ACTIONS)
 
     def receive(message: Any, info: dict[str, Any]) -> None:
@@ -63,8 +62,8 @@ def _listen(link: RosLink, namespace: str) -> deque[SentAction]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RobotFacts:
-    """The robot that runs, or else the one that the configuration names; real unless its driver
-    declares that it is simulated.
+    """The running robot, or else the configured one; real unless its driver declares that it is
+    simulated.
     """
 
     name: str
@@ -76,15 +75,15 @@ class RobotFacts:
 
 
 Choose = Callable[[ModuleKind, Config, Registry, Arguments | None, str], Plan]
-"""Selects what a client asks for; called with kind, configuration, plugins, request and role;
-raises as `KindEntry.check`.
+"""Selects a client's request; called with kind, configuration, plugins, request and role; raises as
+`KindEntry.check`.
 """
 
 
 def choose_configured(
     kind: ModuleKind, config: Config, registry: Registry, request: Arguments | None, role: str
 ) -> Plan:
-    """What is configured, whatever the role."""
+    """Select the configured module, whatever the role."""
     if request is not None:
         raise InternalError(
             f"This server cannot read the {type(request).__name__} that a client sent for {kind}."
@@ -96,17 +95,17 @@ class ClosedLoop:
     """One robot and the modules around it.
 
     Args:
-        config: of the robot.
-        plugins: tells what is installed now, as `discover`.
-        supervisor: of the modules.
+        config: the robot's configuration.
+        plugins: returns the installed plugins, like `discover`.
+        supervisor: supervisor of the modules.
 
     Attributes:
-        choose: selects what a client asks for; a feature that lets clients choose more puts its own
-            here.
-        on_stop: told of a module before it is stopped.
-        starts: who has asked for motion, and the stops since.
-        streams: what was sent on action topics, by namespace, see `stream`.
-        modules: what is known of the module processes.
+        choose: selects a client's request; a feature that lets clients choose more installs its
+            own.
+        on_stop: event before a module is stopped.
+        starts: requests for motion, and the stops since.
+        streams: actions sent on action topics, by namespace, see `stream`.
+        modules: state of the module processes.
     """
 
     def __init__(
@@ -127,7 +126,7 @@ class ClosedLoop:
 
     @property
     def config(self) -> Config:
-        """The configuration with the robot that is running, or the configured one."""
+        """The configuration with the running robot, or the configured one."""
         running = self.modules.view("robot").plan
         others: dict[str, Any] = {
             kind: getattr(self.base, kind) for kind in MODULE_KINDS if kind != "robot"
@@ -136,7 +135,7 @@ class ClosedLoop:
 
     @property
     def registry(self) -> Registry:
-        """What is installed now; callable from any thread.
+        """The installed plugins; callable from any thread.
 
         Raises:
             ConfigurationError: the configuration disables a plugin that is not installed.
@@ -146,16 +145,14 @@ class ClosedLoop:
 
     @property
     def limits(self) -> LimitsConfig:
-        """The limits in force: those of the configuration, or what a client has tightened them
-        to.
-        """
+        """The limits in force: those of the configuration, or tighter ones set by a client."""
         return self.modules.tightened or self.base.limits
 
     @property
     def robot_facts(self) -> RobotFacts:
-        """Which robot is or would be started, and whether it is a real one."""
+        """Identify the running or configured robot, and whether it is real."""
         robot = self.config.robot
-        registry = self._known or self.registry  # not looked for with each answer of a tool
+        registry = self._known or self.registry  # cached, because every answer of a tool needs it
         spec = registry.specs(RobotSpec).get(robot.name)
         driver = None if spec is None else spec.driver(robot.driver)
         kind: Literal["real", "simulated"] = (
@@ -164,18 +161,20 @@ class ClosedLoop:
         return RobotFacts(name=robot.name, driver=robot.driver, kind=kind)
 
     def takes_policies(self) -> bool:
-        """Whether any policy could move the present robot; true of a robot whose plugin is gone."""
+        """True if any policy could move the present robot; also for a robot whose plugin is
+        missing.
+        """
         spec = self.registry.specs(RobotSpec).get(self.config.robot.name)
         return spec is None or bool(spec.action_widths)
 
     def camera_roles(self) -> dict[str, str]:
-        """Camera name -> role of the present robot; empty when its plugin is gone."""
+        """Camera name -> role for the present robot; empty if its plugin is missing."""
         spec = self.registry.specs(RobotSpec).get(self.config.robot.name)
         return {} if spec is None else {camera.name: camera.role for camera in spec.cameras}
 
     def select(self, kind: ModuleKind, request: Arguments | None, role: str = "") -> Plan:
-        """What a client with `role` asks for, or else what is configured, checked against what is
-        installed and runs.
+        """Plan a client's request, or else the configured module, checked against the installed
+        plugins and the running modules.
 
         Nothing is changed.
 
@@ -189,13 +188,13 @@ class ClosedLoop:
         return plan
 
     def check(self, plan: Plan) -> None:
-        """Refuse what does not go together with the modules that run, or could not move now.
+        """Refuse a plan that is incompatible with the running modules, or that could not move now.
 
         Raises:
             StateError: another module works for another robot.
-            RefusedError: a backend with an instruction proves itself by an action, and the
-                emergency stop is latched.
-            RoboNeuronError: as `Plan.check_beside` of a module that runs, or of this one.
+            RefusedError: the emergency stop is latched, and a backend with an instruction needs an
+                action to pass its readiness check.
+            RoboNeuronError: as `Plan.check_beside` of a running module, or of this one.
         """
         views = self.modules.views()
         if plan.kind == "robot":
@@ -220,7 +219,7 @@ class ClosedLoop:
         on_stage: Stage = lambda stage: None,
         role: str = "",
     ) -> ModuleView:
-        """Start a module for a client with `role`; as configured when there is no request.
+        """Start a module for a client with `role`; as configured without a request.
 
         Raises:
             RoboNeuronError: as `select` and `Supervisor.start`.
@@ -228,8 +227,8 @@ class ClosedLoop:
         return self.start_selected(self.select(kind, request, role), on_stage)
 
     def start_selected(self, plan: Plan, on_stage: Stage) -> ModuleView:
-        """Start what `select` returned. An instruction in it is a start of motion. Raises as
-        `Supervisor.start`.
+        """Start a plan returned by `select`. An instruction in it counts as a start of motion.
+        Raises as `Supervisor.start`.
         """
         self.emergency_stop.prepare(plan.config.namespace)
         self.starts.look()
@@ -245,7 +244,7 @@ class ClosedLoop:
         if kind == "inference":
             self.starts.follow(self._supervisor.slot(kind), ticket)
         else:
-            self.starts.arm_started()  # motion may have been asked for while it was being started
+            self.starts.arm_started()  # motion may have been requested during the start
         return self.modules.view(kind)
 
     def launch(
@@ -254,25 +253,25 @@ class ClosedLoop:
         on_stage: Stage = lambda stage: None,
         beside: Slot | None = None,
     ) -> None:
-        """Start a process, as nobody's start of motion: once more what has ended, or in a slot
-        beside the module that works. Raises as `Supervisor.start`.
+        """Start a process without a start of motion: again after its end, or in a slot beside the
+        working module. Raises as `Supervisor.start`.
         """
         self._supervisor.start(plan, on_stage, beside)
 
     def end(self, ended: Slot | ModuleKind) -> Stopped:
-        """End the process in a slot, or the module of a kind and a start in progress, for another
-        one that takes its place: nobody is told of a stop. Raises as `Supervisor.stop`.
+        """End the process in a slot, or the module of a kind and a start in progress, for a
+        successor: no stop event is sent. Raises as `Supervisor.stop`.
         """
         if isinstance(ended, Slot):
             return self._supervisor.end(ended)
         return self._supervisor.stop(ended)
 
     def parameters(self, slot: Slot) -> NodeClient:
-        """The parameters of the module in a slot. Raises StateError: its process has ended."""
+        """Parameters of the module in a slot. Raises StateError: its process has ended."""
         return self._supervisor.parameters(slot)
 
     def stream(self, namespace: str) -> deque[SentAction]:
-        """What is sent on a robot's action topic since a backend was first started for it."""
+        """Actions sent on a robot's action topic since a backend was first started for it."""
         with self._lock:
             if namespace not in self.streams:
                 self.streams[namespace] = _listen(self._supervisor.link, namespace)
@@ -296,7 +295,7 @@ class ClosedLoop:
             self.starts.stop("robot", "everything was stopped", is_asked=True)
 
     def cancel(self, kind: ModuleKind, reason: str = "the client cancelled the call.") -> None:
-        """Whoever asked for a start does not want it any more."""
+        """Cancel a start on behalf of the client that requested it."""
         self._supervisor.cancel(kind, reason)
 
     def set_parameters(
@@ -306,16 +305,16 @@ class ClosedLoop:
         timeout_s: float,
         start_s: float = 0.0,
     ) -> str:
-        """Ask the modules of a kind that run, one that is to replace another too, to take values.
+        """Set parameters of all running modules of a kind, a successor included.
 
         Args:
-            kind: which modules.
-            values: by the name of the parameter.
+            kind: kind of the modules.
+            values: values by parameter name.
             timeout_s: bound on the answer of each.
-            start_s: how long to wait for the end of a start in progress.
+            start_s: longest wait for the end of a start in progress.
 
         Returns:
-            Why the first one that refused did; empty when all took them.
+            The reason of the first refusal; empty if all accepted.
 
         Raises:
             RoboNeuronError: one does not answer.

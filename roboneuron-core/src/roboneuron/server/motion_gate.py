@@ -1,7 +1,7 @@
-"""What features ask of the gate, and what it answers: all that moves a robot beside the closed loop
-passes it.
+"""Requests to the gate and its answers: every command outside the closed loop that moves a robot
+passes the gate.
 
-The core declares it; one installed feature implements it and lends it as `Host.gate`.
+The core declares the interface; one installed feature implements it and provides it as `Host.gate`.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ class ExposedEndpoint:
     """An endpoint of one robot that agents may use.
 
     Attributes:
-        robot: its name.
+        robot: name of the robot.
         namespace: its ROS namespace, without a leading slash.
-        label: noun in the names of its tools.
+        label: noun for the names of its tools.
         endpoint: the gate's entry; its name is unique among the robot's.
-        profile: the robot's facts, None for a robot that no plugin knows.
+        profile: the robot's profile, None for a robot without a plugin.
         clamp: field paths whose values are moved to the nearest bound instead of refused.
         nonfinite: field paths (without indices) that may hold NaN and infinities.
-        require_subscriber: without a subscriber a message is an error.
-        moves: it moves the robot, so that it is refused while a policy does.
-        hidden: no tools of its own; another tool uses it.
+        require_subscriber: a message without a subscriber is an error.
+        moves: it moves the robot, and is refused while a policy does.
+        hidden: it has no tools; another tool uses it.
     """
 
     robot: str
@@ -57,23 +57,22 @@ class ExposedEndpoint:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class GateRequest:
-    """One thing an agent wants to do with one endpoint.
+    """One request of an agent for one endpoint.
 
     Attributes:
-        who: which client, as the transport knows it.
+        who: the client, as identified by the transport.
         role: one of `roboneuron.gate.Role`.
         tool: the tool's name.
         robot, endpoint: names in the allow list.
         messages: the encoded message, or every step of a sequence; empty for a read.
-        arguments: what the agent sent, for the audit.
+        arguments: arguments as sent by the agent, for the audit.
         joints: newest measured joints; needed by endpoints that are `joint_limited`.
-        durations_s: how long each message lasts [s], where that is known; joints must get there
-            within that time.
-        send_at_s: when each message is to be sent, in seconds from now; empty when `messages` go
-            out at once.
+        durations_s: duration of each message [s], if known; joints must reach their targets within
+            it.
+        send_at_s: time of each message, in seconds from now; empty to send `messages` at once.
         predict: computes a motion that `messages` do not hold, for a dry run; raises RefusedError
-            when it would not come to its end.
-        dry_run: only answer what would happen.
+            if it would not be completed.
+        dry_run: only return what would happen.
         repeated: a repetition that belongs to an earlier request; does not count against the rate.
     """
 
@@ -94,7 +93,7 @@ class GateRequest:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Clamp:
-    """A value that was moved to a bound: where, what was asked, what is sent."""
+    """A value that was moved to a bound: path, requested value, sent value."""
 
     path: str
     asked: float
@@ -106,9 +105,9 @@ class Verdict:
     """The gate's answer.
 
     Attributes:
-        allowed: nothing speaks against it.
-        dry_run: it was only a question; nothing may be sent even if allowed.
-        reason: why not; empty when allowed.
+        allowed: no rule refuses it.
+        dry_run: nothing may be sent even if allowed.
+        reason: reason of the refusal; empty when allowed.
         rule: the rule that refused ("allow_list", "role", "type", "finite", "bounds", "steering",
             "joints", the name of a limit of `[limits]`, "path", "rate", "emergency_stop", "audit");
             empty when allowed.
@@ -123,19 +122,19 @@ class Verdict:
 
     @property
     def may_send(self) -> bool:
-        """Whether the messages are to be sent now."""
+        """True if the messages have to be sent now."""
         return self.allowed and not self.dry_run
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TimedCommand:
-    """What a motion does next.
+    """Next command of a motion.
 
     Attributes:
-        message: what is sent; None when only time passes. One that is not in the gate's request is
-            judged by the gate before it is sent.
+        message: the message to send; None if only time passes. A message that is not in the gate's
+            request is checked by the gate before it is sent.
         due_s: monotonic time of the next one [s].
-        stamped: its header is to carry the time of sending.
+        stamped: its header gets the time of sending.
     """
 
     message: Any
@@ -145,14 +144,14 @@ class TimedCommand:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sent:
-    """What was sent, to how many; nothing when `verdict` does not allow it.
+    """Sent messages and their number of subscribers; nothing if `verdict` does not allow it.
 
     Attributes:
         verdict: the gate's answer.
-        messages: repetitions and the stop message included.
-        subscribers: how many were matched then.
-        duration_s: how long it took.
-        stopped: a message that stops was sent at the end.
+        messages: number of messages, with repetitions and the stop message.
+        subscribers: number of matched subscribers.
+        duration_s: duration of sending.
+        stopped: a stop message was sent at the end.
     """
 
     verdict: Verdict
@@ -163,15 +162,15 @@ class Sent:
 
 
 class MotionClaim(Protocol):
-    """A motion that is under way and has its robot to itself; used by the thread that plays it."""
+    """A motion in progress with exclusive use of its robot; used by the thread that plays it."""
 
     def check(self) -> None:
-        """Raise when it has to end.
+        """Raise if the motion has to end.
 
         Raises:
             RefusedError: the emergency stop is latched, or the audit failed.
-            StateError: the call was cancelled, a policy took over, the robot was stopped or has
-                lost a module since this motion began, or this process was frozen.
+            StateError: the call was cancelled, a policy took over, this process was frozen, or the
+                robot was stopped or lost a module since this motion began.
         """
 
     def sleep_until(self, end_s: float) -> None:
@@ -179,11 +178,11 @@ class MotionClaim(Protocol):
 
 
 class MotionGate(Protocol):
-    """What moves a robot, for features. Usable from any thread; what blocks says so.
+    """Gate for all commands of features. Usable from any thread; blocking methods say so.
 
-    Every message, request and goal is judged before it is sent. Motion that lasts has its robot to
-    itself, and is ended by its stop message or a hold when the call is cancelled, a policy starts,
-    or the emergency stop is pressed.
+    Every message, request and goal is checked before it is sent. A lasting motion has exclusive use
+    of its robot. Its stop message or a hold ends it when the call is cancelled, a policy starts, or
+    the emergency stop is triggered.
     """
 
     @property
@@ -192,8 +191,8 @@ class MotionGate(Protocol):
 
     @property
     def exposed(self) -> tuple[ExposedEndpoint, ...]:
-        """What agents may use now, by any feature; the action topic of an arm is among it, hidden.
-        `Events.exposed` tells of changes.
+        """Endpoints that agents may use now, of all features; it includes the action topic of an
+        arm, hidden. `Events.exposed` announces changes.
         """
 
     def expose(
@@ -203,7 +202,7 @@ class MotionGate(Protocol):
         *,
         instead_of_profile: bool = False,
     ) -> None:
-        """Have these endpoints of an owner and no others of it.
+        """Set the endpoints of an owner; they replace all its previous ones.
 
         Args:
             owner: name of the feature.
@@ -218,45 +217,46 @@ class MotionGate(Protocol):
         """
 
     def relimit(self) -> None:
-        """Judge by the limits that are in force now. Raises as `expose`; the old ones stay then."""
+        """Apply the limits that are in force now. Raises as `expose`; the old limits stay then."""
 
     def check(self, request: GateRequest) -> Verdict:
-        """Decide and write the decision down; for requests that send nothing, such as reading.
+        """Decide on a request that sends nothing, such as reading, and record the decision.
 
         Raises:
-            RefusedError: refused. A dry run is answered instead.
+            RefusedError: refused. A dry run gets an answer instead.
         """
 
     def ask(self, exposed: ExposedEndpoint, request: GateRequest) -> Verdict:
-        """Whether a request could be carried out now, and if not, by which rule. `request` is a dry
-        run.
+        """Check whether a request could be carried out now; otherwise name the rule. `request` is a
+        dry run.
         """
 
     def slowdown(self, request: GateRequest) -> float:
-        """How many times the request's time the TCP needs to keep to its speeds, at least 1.
+        """Factor, at least 1, by which the request's duration must grow to respect the TCP's speed
+        limits.
 
         Raises:
-            RefusedError: the path cannot be judged.
+            RefusedError: the path cannot be evaluated.
         """
 
     def check_free(self, exposed: ExposedEndpoint) -> None:
         """Raise RefusedError while a policy or another call moves the robot; endpoints that move
-        nothing are free.
+        nothing are always free.
         """
 
     def claim(
         self, exposed: ExposedEndpoint, what: str, halt: threading.Event
     ) -> AbstractContextManager[MotionClaim]:
-        """Own the robot's motion for a while.
+        """Claim exclusive use of the robot's motion.
 
         Args:
-            exposed: through which endpoint.
+            exposed: endpoint of the motion.
             what: the tool, for messages.
             halt: set when the call is cancelled.
 
         Raises:
-            RefusedError: somebody else moves it.
-            NotReadyError: control follows actions, and does not come to its hold.
+            RefusedError: another client or call moves it.
+            NotReadyError: control follows actions and does not reach its hold.
             StateError: as `MotionClaim.check`.
         """
 
@@ -266,24 +266,22 @@ class MotionGate(Protocol):
         timeout_s: float,
         which: Callable[[ExposedEndpoint], bool] = ...,
     ) -> bool:
-        """End every motion (through the endpoints that are meant) and wait; False when one did not
+        """End every motion (through the selected endpoints) and wait; return False if one did not
         end in time.
         """
 
     def newest_joints(self, exposed: ExposedEndpoint) -> JointSample | None:
-        """The measured joints of the endpoint's robot, None when there are no recent ones; never
-        blocks.
-        """
+        """Measured joints of the endpoint's robot, None without recent ones; never blocks."""
 
     def joints(self, exposed: ExposedEndpoint, timeout_s: float) -> JointSample | None:
-        """Like `newest_joints`, and waits for a recent measurement."""
+        """Like `newest_joints`, but wait for a recent measurement."""
 
     def is_served(self, exposed: ExposedEndpoint) -> bool:
-        """Whether somebody serves the service or action; blocks for a moment when that is new of an
-        action.
+        """Return True if the service or action has a server; blocks for a moment for a new action.
 
         Raises:
-            ConfigurationError: the server has another definition of the type, or uses another DDS.
+            ConfigurationError: the server has another definition of the type, or uses another DDS
+                implementation.
         """
 
     def send_request(
@@ -292,15 +290,15 @@ class MotionGate(Protocol):
         """Send the request to a service at once, if the gate allows it.
 
         Args:
-            exposed: which service.
-            request: holds the one message.
-            on_answer: called when the answer is there, on the thread of the ROS node.
+            exposed: the service.
+            request: contains the one message.
+            on_answer: called on the thread of the ROS node when the answer has arrived.
 
         Returns:
-            The answer of the gate, and the call on its way; None when nothing was sent.
+            The gate's verdict, and the pending call; None if nothing was sent.
 
         Raises:
-            RefusedError: the gate, or somebody else moves the robot.
+            RefusedError: the gate refuses, or another client moves the robot.
         """
 
     def send_goal(
@@ -312,37 +310,34 @@ class MotionGate(Protocol):
         server_s: float,
         on_feedback: Callable[[Any], None],
     ) -> tuple[Verdict, Any]:
-        """Send the goal to an action as soon as that is served, if the gate allows it.
+        """Send the goal to an action as soon as it has a server, if the gate allows it.
 
         Args:
-            exposed: which action.
-            request: holds the one goal.
+            exposed: the action.
+            request: contains the one goal.
             motion: the robot's motion, from `claim`.
-            goal_id: as it is cancelled by, for as long as it runs: `cancel_goal` passes no gate.
+            goal_id: id for cancelling it while it runs: `cancel_goal` does not pass the gate.
             server_s: longest wait for the action server.
             on_feedback: called with each feedback message, on the thread of the ROS node.
 
         Returns:
-            The answer of the gate, and rclpy's future of the goal handle; None when nothing was
-            sent.
+            The gate's verdict, and rclpy's future of the goal handle; None if nothing was sent.
 
         Raises:
-            RefusedError: the gate; also when the emergency stop was pressed.
-            NotReadyError: nobody serves the action.
+            RefusedError: the gate refuses, also after an emergency stop.
+            NotReadyError: the action has no server.
             StateError: the motion has to end.
         """
 
     def cancel_goal(self, exposed: ExposedEndpoint, goal_id: UUID) -> None:
-        """Ask the server of an action to end a goal, by its id: also when the answer to the goal
+        """Ask the server of an action to end a goal, by its id, also when the answer to the goal
         was lost. Returns at once.
         """
 
     def publish_now(
         self, exposed: ExposedEndpoint, request: GateRequest, *, stamped: bool = False
     ) -> Sent | None:
-        """As `publish`, without blocking; None when something has to be waited for first: then
-        `publish` it.
-        """
+        """Like `publish`, without blocking; None if it would have to wait: then use `publish`."""
 
     def publish(
         self,
@@ -355,10 +350,10 @@ class MotionGate(Protocol):
         """Send one message; blocks.
 
         Args:
-            exposed: through which endpoint.
-            request: holds the message.
+            exposed: the endpoint.
+            request: contains the message.
             timeout_s: longest wait for a subscriber.
-            stamped: the message's header is to carry the time of sending.
+            stamped: the message's header gets the time of sending.
 
         Raises:
             RefusedError, NotReadyError, ConfigurationError: as `play`.
@@ -375,22 +370,22 @@ class MotionGate(Protocol):
         halt: threading.Event,
         details: Callable[[], str] = ...,
     ) -> Sent:
-        """Wait for a subscriber, own the robot's motion, send the commands, bring the motion to its
-        end; blocks.
+        """Wait for a subscriber, claim the robot's motion, send the commands, and end the motion;
+        blocks.
 
         Args:
-            exposed: through which endpoint.
-            request: holds the messages that are known beforehand.
-            commands: asked for the next one when it is due; what it raises ends the motion.
-            total_s: how long the motion is to last, for error messages.
+            exposed: the endpoint.
+            request: contains the messages that are known beforehand.
+            commands: iterated when the next command is due; an exception from it ends the motion.
+            total_s: planned duration of the motion, for error messages.
             timeout_s: longest wait for a subscriber.
             halt: set when the call is cancelled.
-            details: more to say of a motion that ended early.
+            details: additional text for the error of a motion that ended early.
 
         Raises:
-            RefusedError: the gate, or somebody else moves the robot; also when the emergency stop
-                ended it.
-            NotReadyError: nobody subscribes.
+            RefusedError: the gate refuses, another client moves the robot, or the emergency stop
+                ended the motion.
+            NotReadyError: there is no subscriber.
             StateError: cancelled, or a policy took over.
-            ConfigurationError: the topic carries another type.
+            ConfigurationError: the topic has another type.
         """

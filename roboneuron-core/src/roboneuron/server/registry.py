@@ -1,4 +1,6 @@
-"""All tools by name: listing them with today's choices, and calling one with checked arguments."""
+"""All tools by name: lists them with their current choices, and calls one with checked
+arguments.
+"""
 
 from __future__ import annotations
 
@@ -28,17 +30,15 @@ from roboneuron.server.tool import Answer, CallContext, Tool
 
 log = logging.getLogger(__name__)
 Admission = Callable[[Tool[Any], CallContext], None]
-"""Raises RoboNeuronError for a call that is not to be made now; called on the event loop, must not
+"""Raises RoboNeuronError for a call that is not permitted now; called on the event loop, must not
 block.
 """
 _MOST_TEXT = 2000
-"""Characters of an error's text."""
+"""Maximum length of an error's text [characters]."""
 _MOST_ANSWER = 100_000
-"""Characters of what a tool that only reads may answer; a bound for those that have none of their
-own.
-"""
+"""Maximum length of a read-only tool's answer [characters], for tools without their own bound."""
 _FIXED = ""
-"""Owner of the tools that were added; the others are derived ones."""
+"""Owner of the tools that were added; the others are derived."""
 ERROR_META = "roboneuron/error"
 """Key in a failed call's `_meta`: code, message, hint, and the rule of a refusal (clients check
 `structuredContent` by the output schema).
@@ -46,8 +46,8 @@ ERROR_META = "roboneuron/error"
 
 
 class UnfinishedCallError(Exception):
-    """Not a failure: ends a call with a question to the client's person, whose answer comes with
-    the next call.
+    """Ends a call with a question to the client's user, whose answer comes with the next call; not
+    a failure.
     """
 
     def __init__(self, result: types.InputRequiredResult) -> None:
@@ -56,20 +56,19 @@ class UnfinishedCallError(Exception):
 
 
 class ToolRegistry:
-    """Tools in the order they were added; the one border between MCP and everything that is called.
+    """Tools in the order of their addition; the one border between MCP and all handlers.
 
     Args:
-        tools: the first ones.
-        most_calls: more calls at once of clients of one role are refused, so that those who look on
-            cannot hold up those who act; what stops something is never refused.
+        tools: the initial tools.
+        most_calls: maximum number of concurrent calls by clients of one role, so that viewers
+            cannot block operators; a stop is never refused.
         on_change: called, from any thread, when the listed derived tools changed.
-        ready: awaited before a tool that is known and permitted is called; what is urgent is done
-            before.
-        on_call: told of each call that was answered, as `Events.call`.
-        acts_on: the robot in words; stands in every answer of a tool that acts on it.
+        ready: awaited before a known and permitted tool is called; urgent work is done before.
+        on_call: called after each answered call, as `Events.call`.
+        acts_on: the robot in words; part of every answer of a tool that acts on it.
 
     Attributes:
-        admissions: asked before each call, in this order; features add who may act now.
+        admissions: called in this order before each call; features add checks of who may act.
     """
 
     def __init__(
@@ -94,15 +93,15 @@ class ToolRegistry:
         self.add_all(tools)
 
     def add_all(self, tools: Iterable[Tool[Any]]) -> None:
-        """Add all of them, or none.
+        """Add all tools, or none.
 
         Raises:
-            InternalError: there is one of a name already.
+            InternalError: a name already exists.
         """
         self._replace(_FIXED, [*(entry.tool for entry in self._owned[_FIXED].values()), *tools])
 
     def replace(self, tool: Tool[Any]) -> None:
-        """Have this tool in the place of the one of its name that was added."""
+        """Replace the added tool of the same name."""
         self._replace(
             _FIXED,
             [
@@ -112,7 +111,7 @@ class ToolRegistry:
         )
 
     def names(self, besides: str = "") -> frozenset[str]:
-        """Names of all tools but the derived ones of the owner `besides`."""
+        """Names of all tools except the derived ones of the owner `besides`."""
         return frozenset(
             name
             for owner, entries in self._owned.items()
@@ -121,7 +120,7 @@ class ToolRegistry:
         )
 
     def derived(self, owner: str = "") -> list[Tool[Any]]:
-        """The derived tools of an owner, or all of them; listed or not."""
+        """Derived tools of an owner, or all of them; listed or not."""
         return [
             entry.tool
             for name, entries in self._owned.items()
@@ -130,10 +129,10 @@ class ToolRegistry:
         ]
 
     def replace_derived(self, owner: str, tools: Iterable[Tool[Any]]) -> None:
-        """Have these derived tools of an owner and no others of it; callable from any thread.
+        """Replace all derived tools of an owner; callable from any thread.
 
         Raises:
-            InternalError: there is another tool of a name.
+            InternalError: a tool of that name exists elsewhere.
         """
         before = self._shown(owner)
         self._replace(owner, tools)
@@ -141,7 +140,9 @@ class ToolRegistry:
             self._on_change()
 
     def listing(self, role: str = Role.ADMIN) -> list[types.Tool]:
-        """What `tools/list` answers to clients of a role: what they may call."""
+        """Tools in the answer to `tools/list` for clients of a role: those that the role
+        may call.
+        """
         return [
             entry.shown()
             for entries in self._owned.values()
@@ -150,8 +151,8 @@ class ToolRegistry:
         ]
 
     def get(self, name: str, *, is_derived: bool = False) -> Tool[Any] | None:
-        """The tool of that name, listed or not, or only a derived one; takes as long among a
-        thousand as among three.
+        """Return the tool of that name, listed or not, or only a derived one. Constant time in the
+        number of tools.
         """
         for owner, entries in self._owned.items():
             if name in entries and not (is_derived and owner == _FIXED):
@@ -174,8 +175,8 @@ class ToolRegistry:
     async def call(
         self, name: str, arguments: Mapping[str, Any], context: CallContext
     ) -> types.CallToolResult:
-        """Validate, run, and answer; every failure is an MCP error result. UnfinishedCallError is
-        none.
+        """Validate, run, and answer; every failure becomes an MCP error result, except
+        UnfinishedCallError.
         """
         begun_s = time.monotonic()
         result = await self._answer(name, arguments, context)
@@ -203,7 +204,7 @@ class ToolRegistry:
             return self.failure(error)
         except UnfinishedCallError:
             raise
-        except Exception:  # the tool-call border: the agent is told, the log keeps the traceback
+        except Exception:  # tool-call border: the agent gets an error, the log the traceback
             incident = uuid.uuid4().hex[:8]
             log.exception("%s failed (incident %s)", name, incident)
             return self.failure(
@@ -236,7 +237,7 @@ class ToolRegistry:
 
     @staticmethod
     def failure(error: RoboNeuronError) -> types.CallToolResult:
-        """The answer to a call that failed."""
+        """Return the answer to a failed call."""
         details = {
             "code": error.code,
             "message": _clipped(error.message),
@@ -272,7 +273,7 @@ class ToolRegistry:
 
 
 class _ListedTool:
-    """A tool, and how it is listed: described once, unless it has choices, which may change at any
+    """A tool and its listing: built once, unless the tool has choices, which may change at any
     time.
     """
 
@@ -281,7 +282,7 @@ class _ListedTool:
         self._described: types.Tool | None = None
 
     def shown(self) -> types.Tool:
-        """As `tools/list` shows it."""
+        """The entry of `tools/list`."""
         if self._described is None or self.tool.choices:
             self._described = _described(self.tool)
         return self._described
@@ -295,14 +296,14 @@ def _described(tool: Tool[Any]) -> types.Tool:
         output_schema=listed_output(tool.result),
         annotations=types.ToolAnnotations(
             read_only_hint=tool.read_only,
-            # they mean nothing for what only reads
+            # without meaning for a read-only tool
             destructive_hint=None if tool.read_only else tool.destructive,
             idempotent_hint=None if tool.read_only else tool.idempotent or None,
-            open_world_hint=None if tool.open_world else False,  # true where nothing is said
+            open_world_hint=None if tool.open_world else False,  # true by default
         ),
     )
 
 
 def _clipped(text: str) -> str:
-    """An error may quote what the caller sent, which may be long."""
+    """Bound the length of an error's text, which may quote the caller's arguments."""
     return text if len(text) <= _MOST_TEXT else f"{text[: _MOST_TEXT - 100]} ... {text[-80:]}"

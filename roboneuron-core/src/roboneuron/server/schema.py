@@ -1,4 +1,4 @@
-"""JSON schemas of pydantic models as agents read them, and calls checked against the models."""
+"""JSON schemas of pydantic models for agents, and validation of calls against the models."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ _LISTED: Mapping[object, str] = {
     **dict.fromkeys((list, tuple), "array"),
     **dict.fromkeys((dict, type(BaseModel)), "object"),
 }
-"""Types of fields that need no schema to be listed, see `listed_output`."""
+"""Field types that `listed_output` lists without building a schema."""
 _NO_JSON = "The call holds text that is no Unicode, or is nested too deeply."
 M = TypeVar("M", bound=BaseModel)
 M_co = TypeVar("M_co", bound=BaseModel, covariant=True)
 
 
 class Shape(ABC, Generic[M_co]):
-    """Some fields of `model`, as one tool takes or returns them; results leave out what their
-    handler did not set.
+    """A subset of the fields of `model`, as one tool takes or returns them; results leave out what
+    their handler did not set.
 
     Attributes:
-        model: whose fields these are.
-        properties: JSON schema by field; a call may give these.
+        model: the model with all fields.
+        properties: JSON schema by field that a call may give.
         required: fields that a call must give.
     """
 
@@ -43,17 +43,19 @@ class Shape(ABC, Generic[M_co]):
 
     @abstractmethod
     def schema(self, own: JsonSchemaValue) -> JsonSchemaValue:
-        """The strict JSON schema of `properties` and `required`, from the model's own."""
+        """Return the strict JSON schema of `properties` and `required`, from the model's own."""
 
     @abstractmethod
     def check(self, name: str, value: object) -> None:
-        """Raise InvalidInputError for a value that fits the model and not the tool."""
+        """Raise InvalidInputError for a value that fits the model but not the tool."""
 
 
 def model_schema(
     kind: type[BaseModel] | Shape[BaseModel], *, result: bool = False
 ) -> JsonSchemaValue:
-    """The strict JSON schema of arguments, or of a result; `$defs` are collected at its root."""
+    """Return the strict JSON schema of arguments, or of a result; `$defs` are collected at its
+    root.
+    """
     return (
         kind.schema(_own_schema(kind.model, result))
         if isinstance(kind, Shape)
@@ -71,8 +73,8 @@ def _own_schema(model: type[BaseModel], result: bool) -> JsonSchemaValue:
 def with_choices(
     schema: JsonSchemaValue, choices: Mapping[str, Mapping[str, str]]
 ) -> JsonSchemaValue:
-    """The schema with {allowed value: one-line summary} of arguments: an enum, and summaries in the
-    description.
+    """Add {allowed value: one-line summary} to arguments of a schema: as an enum, and as summaries
+    in the description.
     """
     properties = dict(schema["properties"])
     for name, allowed in choices.items():
@@ -96,11 +98,11 @@ def with_choices(
 
 
 def listed_output(kind: type[BaseModel] | Shape[BaseModel]) -> JsonSchemaValue:
-    """The output schema of a result as `tools/list` shows it: the fields of the answer, and which
-    of them hold several values.
+    """Return the output schema for `tools/list`: the fields of the answer, and which of them hold
+    several values.
 
-    Every agent reads the list in full before it does anything, so types of single values, what is
-    inside of nested objects, and what fields mean, is left to docs/tools.md.
+    Agents read the whole list first, so types of single values, the content of nested objects and
+    the meaning of fields are left to docs/tools.md.
     """
     fields = None if isinstance(kind, Shape) else _known_fields(kind)
     if fields is None:
@@ -116,8 +118,8 @@ def _listed_field(kind: object) -> JsonSchemaValue:
 
 
 def _known_fields(model: type[BaseModel]) -> dict[str, JsonSchemaValue] | None:
-    """As `_listed_field` of each field, without making the schema of the model, which takes a
-    millisecond and is needed for a call only; None where a field has more to it than a type.
+    """Return `_listed_field` of each field without building the model's schema, which takes a
+    millisecond and is needed for a call only; None if a field is more complex than a type.
     """
     own = model.__pydantic_decorators__
     has_more = bool(own.computed_fields or own.field_serializers or own.model_serializers) or any(
@@ -140,7 +142,7 @@ def _kind_of(annotation: object) -> object:
 
 def _plain(node: Any, *, keep_null: bool) -> Any:
     """Drop generated titles, class docstrings and defaults that are empty, 0 or false; for inputs
-    also null of optional arguments.
+    also null for optional arguments.
     """
     if isinstance(node, list):
         return [_plain(item, keep_null=keep_null) for item in node]
@@ -175,10 +177,10 @@ def parse(
     arguments: Mapping[str, Any],
     choices: Mapping[str, Mapping[str, str]] | None = None,
 ) -> M:
-    """The arguments of a call as the model; null for what is optional counts as omitted.
+    """Parse the arguments of a call; null for an optional argument counts as omitted.
 
     Raises:
-        InvalidInputError: they do not fit; names which, what came and what is allowed.
+        InvalidInputError: they do not fit; names the argument, the value and what is allowed.
     """
     names: Mapping[str, object]
     if isinstance(kind, Shape):
@@ -204,7 +206,7 @@ def parse(
         ):
             given[name] = int(value)
     try:
-        # as JSON: strict, but a list is a tuple where one is due
+        # as JSON: strict, but a list is accepted for a tuple
         parsed = model.model_validate_json(to_json(given, inf_nan_mode="constants"))
     except ValidationError as error:
         raise _explain(model, error) from error
@@ -222,7 +224,7 @@ def parse(
 
 
 def _explain(model: type[BaseModel], error: ValidationError) -> InvalidInputError:
-    """The first error, in the words of JSON; an unknown name first, as it may explain the
+    """Describe the first error in JSON terms; an unknown name first, as it may explain the
     others.
     """
     errors = error.errors(include_url=False)

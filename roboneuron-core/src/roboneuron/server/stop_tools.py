@@ -1,4 +1,4 @@
-"""The tools that stop: modules, everything, and the emergency stop."""
+"""Tools that stop: one module, all modules, and the emergency stop."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from roboneuron.supervisor.health import Stopped
 
 
 class StopResult(Stopped, Result):
-    """A module that is gone from the process table, or a start that was cancelled."""
+    """Result of a stop: the process is gone from the process table, or its start was cancelled."""
 
 
 class StopAllResult(Result):
-    """Everything that was stopped, in that order; empty when nothing ran."""
+    """Everything that was stopped, in that order; empty if nothing ran."""
 
     stopped: list[StopResult]
 
 
 class EmergencyStopResult(Result):
-    """The latch, as the modules themselves report it."""
+    """State of the latch, as reported by the modules themselves."""
 
     latched: bool
     confirmed_by: list[str] = Field(description="running modules that report it")
@@ -97,10 +97,8 @@ def emergency_tool(loop: ClosedLoop) -> Tool[Any]:
     stop = loop.emergency_stop
 
     def press(arguments: Mapping[str, Any], context: CallContext) -> None:
-        """Latch before anything else: also when ROS is not joined yet, and when the arguments are
-        wrong.
-        """
-        with suppress(UnsafeError):  # told by the call itself, which tries again
+        """Latch before anything else: also before ROS is joined, and with invalid arguments."""
+        with suppress(UnsafeError):  # reported by the call itself, which tries again
             stop.file.press(who=context.who, reason=str(arguments.get("reason") or ""))
 
     async def latch(arguments: EmergencyStopArguments, context: CallContext) -> EmergencyStopResult:
@@ -130,7 +128,7 @@ def emergency_tool(loop: ClosedLoop) -> Tool[Any]:
         destructive=True,
         idempotent=True,
         open_world=True,
-        role=Role.VIEWER,  # whoever sees the robot may stop it
+        role=Role.VIEWER,  # every role that sees the robot may stop it
         always=True,
         urgent=press,
     )

@@ -1,6 +1,4 @@
-"""What clients meet: the MCP server in front of tools and resources, and the context of each of
-their calls.
-"""
+"""The MCP server in front of tools and resources, and the context of each call."""
 
 from __future__ import annotations
 
@@ -37,23 +35,22 @@ Ask = Callable[
     [ServerRequestContext[Any, Any], types.CallToolRequestParams, str, str],
     Awaitable[str | types.InputRequiredResult | None],
 ]
-"""Asks the person behind the client of a tool call a question; the last argument is what they are
-to type, if anything.
+"""Asks the user of a calling client a question; the last argument names what to type, if anything.
 
-Answers with what was typed, or "yes"; empty when they did not agree, None when it cannot ask. A
-question that goes out as the answer to the call, which is then made again, is an
-InputRequiredResult.
+Returns what was typed, or "yes"; empty if the user did not agree; None if the client cannot ask. An
+InputRequiredResult sends the question as the answer to the call, which the client then repeats.
 """
 
 
 class AnnouncingServer(Server[Any]):
-    """Announces the same on every transport: over HTTP the SDK asks for no options.
+    """Server with the same announced capabilities on every transport: over HTTP the SDK requests no
+    options.
 
     Attributes:
-        announced: of which changes clients are told while they are connected; set by the feature
-            that tells them.
-        ask: set by the feature that asks clients; None when there is none.
-        find_resource: the resource of a URI; raises MCPError when there is none.
+        announced: kinds of changes that connected clients are notified of; set by the feature that
+            notifies them.
+        ask: set by the feature that asks clients; None without one.
+        find_resource: returns the resource of a URI; raises MCPError if there is none.
     """
 
     announced = NotificationOptions()
@@ -69,7 +66,7 @@ class AnnouncingServer(Server[Any]):
         )
 
     def introduce(self, robots: str, tools: Collection[str]) -> None:
-        """Tell clients what the server operates, and how to use its tools."""
+        """Set the instructions for clients: the robots, and how to use the tools."""
         self.instructions = " ".join(
             [robots, *(text for tool, text in _INSTRUCTIONS.items() if tool in tools), _EVERYWHERE]
         )
@@ -78,14 +75,14 @@ class AnnouncingServer(Server[Any]):
 async def _trace(
     context: ServerRequestContext[Any, Any], call_next: CallNext, spans: ServerMiddleware[Any]
 ) -> HandlerResult:
-    """Make the SDK's span of a request where somebody traces: without, it costs 30 us a call."""
+    """Create the SDK's span of a request only while tracing is active; it costs 30 us a call."""
     if isinstance(trace.get_tracer_provider(), trace.ProxyTracerProvider):
         return await call_next(context)
     return await spans(context, call_next)
 
 
 class Served(Protocol):
-    """What `serve` serves: an Application, or several behind one surface."""
+    """Interface of what `serve` serves: an Application, or several with one MCP server."""
 
     @property
     def tools(self) -> ToolRegistry:
@@ -119,7 +116,7 @@ class Served(Protocol):
 
 
 def make_server(surface: Served, name: str) -> AnnouncingServer:
-    """The MCP server in front of tools and resources; they are asked with each request."""
+    """Create the MCP server for tools and resources, which are looked up with each request."""
 
     async def list_tools(
         context: ServerRequestContext[Any, Any], params: types.PaginatedRequestParams | None
@@ -181,7 +178,7 @@ def make_server(surface: Served, name: str) -> AnnouncingServer:
         on_read_resource=read_resource,
     )
     server.find_resource = find_resource
-    # the SDK's own, which makes spans, stands first
+    # the SDK's own, which makes spans, is first
     server.middleware[0] = partial(_trace, spans=server.middleware[0])
     return server
 
@@ -201,7 +198,7 @@ _INSTRUCTIONS = {
     "move_ee": "move_*, publish_*, call_* and send_*_goal move the robot directly, but not while "
     "a policy runs.",
 }
-"""What clients are told of a tool, in this order."""
+"""Instruction texts for clients by tool, in this order."""
 _EVERYWHERE = (
     "A call that returns without an error has done what it says; an error says why and what to do. "
     "A start that fails leaves nothing running. stop_* tools return when the process is gone, and "
@@ -211,13 +208,13 @@ _EVERYWHERE = (
 
 
 _MOST_REPORTS = 64
-"""So many stages of a call may be on their way to the client; its answer does not wait for older
+"""Maximum number of progress reports in transit to the client; the answer does not wait for older
 ones.
 """
 
 
 class RequestContext:
-    """CallContext of one request: work on threads, progress to the client."""
+    """CallContext of one request: work on threads, progress for the client."""
 
     def __init__(
         self,
@@ -234,7 +231,7 @@ class RequestContext:
         self.role = holder.role
         self._watched = holder.watched
         client = request.session.client_params if holder.client.startswith("pid") else None
-        # several clients in one process may be told apart by what they call themselves
+        # several clients in one process may be distinguished by their own names
         if client is not None:
             name = client.client_info.name[:40]
             self.who += f" ({''.join(c for c in name if c.isascii() and c.isalnum())})"
@@ -257,7 +254,7 @@ class RequestContext:
         watched = self._watched
         with nullcontext() if on_leave is None or watched is None else watched(on_leave):
             try:
-                # of its own: a stop never waits for threads of other calls
+                # a separate thread: a stop never waits for threads of other calls
                 thread = anyio.CapacityLimiter(1)
                 return await to_thread.run_sync(
                     lambda: work(stage), abandon_on_cancel=True, limiter=thread
@@ -265,12 +262,12 @@ class RequestContext:
             except anyio.get_cancelled_exc_class():
                 on_cancel()
                 raise
-            finally:  # no progress may be told after the answer
+            finally:  # no progress may follow the answer
                 if reports:
                     await asyncio.wait([asyncio.wrap_future(report) for report in reports.copy()])
 
     async def _report(self, text: str) -> None:
-        """Tell the client how far the call has come."""
+        """Send a progress report to the client."""
         self._step += 1
         await self._request.session.report_progress(self._step, message=text)
 

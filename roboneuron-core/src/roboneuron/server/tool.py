@@ -1,5 +1,5 @@
-"""Tools and resources as data: what the agent reads of one, the function behind it, and who calls
-it.
+"""Tools and resources as data: the description for the agent, the handler, and the caller's
+context.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ A = TypeVar("A", bound="Arguments", default=Any)
 
 
 class Arguments(BaseModel):
-    """Base of all argument models: nothing unknown, nothing converted, no NaN and no infinity."""
+    """Base of all argument models: no unknown fields, no conversions, no NaN or infinity."""
 
-    # built when first used: a start makes many of them, and most are never called
+    # built on first use: a start creates many models, most of which are never called
     model_config = ConfigDict(
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False, defer_build=True
     )
 
     def given(self) -> dict[str, Any]:
-        """What the caller gave, without defaults; for the audit."""
+        """Arguments given by the caller, without defaults; for the audit."""
         return self.model_dump(exclude_unset=True)
 
 
@@ -47,11 +47,12 @@ class Result(BaseModel):
     """Base of all result models.
 
     Attributes:
-        sparse: of an answer that leaves out what its handler did not set; other answers have all
+        sparse: the answer leaves out fields that its handler did not set; other answers have all
             fields.
     """
 
-    # built when first used, which may be by several threads at once: pydantic 2.14 bears that first
+    # built on first use, possibly by several threads at once, which pydantic 2.14 is the first to
+    # support
     model_config = ConfigDict(extra="forbid", frozen=True, defer_build=version_short() >= "2.14")
 
     sparse: ClassVar[bool] = False
@@ -59,7 +60,7 @@ class Result(BaseModel):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Picture:
-    """An image that goes to the agent as MCP image content; `data` is an encoded file."""
+    """An image for the agent as MCP image content; `data` is an encoded file."""
 
     data: bytes
     mime_type: str
@@ -67,7 +68,7 @@ class Picture:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Reply:
-    """A result, and pictures beside it."""
+    """A result with pictures."""
 
     result: Result
     pictures: tuple[Picture, ...] = ()
@@ -75,8 +76,8 @@ class Reply:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Answer:
-    """What a client gets: JSON-able values that fit the tool's output schema, and pictures beside
-    them.
+    """The answer to a client: JSON-serialisable values that fit the tool's output schema, and
+    pictures.
     """
 
     structured: Mapping[str, Any]
@@ -90,15 +91,15 @@ Transport: TypeAlias = "Callable[[Event], Awaitable[None]]"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Holder:
-    """A client as the transport knows it.
+    """A client as identified by the transport.
 
     Attributes:
-        who: for the audit and the log.
+        who: name for the audit and the log.
         role: one of `Role`; anything else has no rights.
-        client: which of several clients without a token; empty for others.
-        watched: calls a listener when the connection of this request is lost within the block, or
-            was before; None where that cancels the call, as on stdio.
-        KEY: where a transport of a feature leaves the Holder in the scope of a request.
+        client: distinguishes several clients without a token; empty for others.
+        watched: registers a listener that is called when the connection of this request is lost
+            within the block, or was lost before; None where a loss cancels the call, as on stdio.
+        KEY: key of the Holder in the scope of a request, set by a feature's transport.
     """
 
     KEY: ClassVar = "roboneuron.holder"
@@ -110,24 +111,24 @@ class Holder:
 
     @classmethod
     def local(cls, client: str = "") -> Holder:
-        """A client of a server on loopback that asks for no token: anybody on this machine, who
-        could start one as well. `client` tells it apart from others: "session 1a2b", "pid 123".
+        """Create the holder for a client of a loopback server without tokens: any local user, who
+        could also start a server. `client` distinguishes it: "session 1a2b", "pid 123".
         """
         return cls(who=f"{_LOCAL_CLIENT} {client}".rstrip(), role=Role.ADMIN, client=client)
 
     @staticmethod
     def is_local(who: str) -> bool:
-        """Whether that client was let in without a token; no token can have such a name."""
+        """True if that client was admitted without a token; no token can have such a name."""
         return who == LOCAL_AGENT.who or who.startswith(_LOCAL_CLIENT)
 
 
 LOCAL_AGENT = Holder(who="agent on stdio", role=Role.ADMIN)
-"""The client of a stdio server: whoever started the server, so it has every role."""
+"""The client of a stdio server: it started the server, so it has every role."""
 NOBODY = Holder(who="unknown", role="")
 
 
 def holder_of(request: Any) -> Holder:
-    """Who sent a request; None is stdio. A request without a Holder has no rights."""
+    """Return the sender of a request; None is stdio. A request without a Holder has no rights."""
     if request is None:
         return LOCAL_AGENT
     holder = request.scope.get(Holder.KEY)
@@ -135,15 +136,15 @@ def holder_of(request: Any) -> Holder:
 
 
 class CallContext(Protocol):
-    """What a tool may do besides returning."""
+    """Services for a tool during a call."""
 
     @property
     def who(self) -> str:
-        """The client, for the audit."""
+        """Name of the client, for the audit."""
 
     @property
     def role(self) -> str:
-        """What it may do, see `roboneuron.gate.Role`."""
+        """Role of the client, see `roboneuron.gate.Role`."""
 
     async def run(
         self,
@@ -152,18 +153,18 @@ class CallContext(Protocol):
         on_cancel: Callable[[], object] = lambda: None,
         on_leave: Callable[[], object] | None = None,
     ) -> T:
-        """Run blocking `work` on a thread; its stages go to the client as progress.
+        """Run blocking `work` on a thread; its stages are sent to the client as progress.
 
-        When the client cancels or leaves, `on_cancel` is called, the thread is left to end by
-        itself, and the cancellation goes on. By some revisions of the protocol a client that loses
-        its connection may come back for the answer and its call goes on; then only `on_leave` is
-        called: what moves a robot ends with the connection.
+        When the client cancels or disconnects, `on_cancel` is called, the thread ends by itself,
+        and the cancellation is propagated. In some revisions of the protocol a client that loses
+        its connection may return for the answer, and its call continues; then only `on_leave` is
+        called, and what moves a robot ends with the connection.
         """
 
     async def ask(self, question: str, what: str = "") -> str | None:
-        """What the client's person answers: "yes", or what they type when asked for `what`, such as
-        a PIN; empty when they do not agree, None when it cannot ask one. May end the call and begin
-        it again.
+        """Ask the client's user; return "yes", or the typed text if asked for `what`, such as a
+        PIN; empty if the user does not agree, None if the client cannot ask. May end the call and
+        restart it.
         """
 
 
@@ -172,27 +173,25 @@ class Tool(Generic[A]):
     """A tool.
 
     Attributes:
-        name: snake_case, a verb first.
-        title: for people.
-        description: for the agent: what it does, when it returns, what comes before and after it.
-        arguments, result: models, whose JSON schemas are what the agent sees; or a `Shape` of one.
+        name: snake_case, starts with a verb.
+        title: for users.
+        description: for the agent: its effect, when it returns, the steps before and after it.
+        arguments, result: models whose JSON schemas the agent sees; or a `Shape` of one.
         handler: validated arguments -> Result or Reply; raises RoboNeuronError.
         read_only: changes nothing.
-        destructive: may end or undo something.
+        destructive: it may end or undo something.
         idempotent: a second call changes nothing more.
-        open_world: reaches what this server does not control (the physical world counts).
-        listed: in tools/list; others are found by search and called by name all the same.
-        offered: whether it makes sense for the present robot, asked whenever tools are listed;
-            called by name all the same.
-        seldom: needed for few requests; a server of several robots may leave it out of its list, to
-            be found by search.
-        choices: argument name -> function that returns {choice: summary}, asked whenever tools are
-            listed.
-        role: least role of a caller; when empty, viewers may call what is read-only and operators
-            everything else.
-        always: it stops something, so it is done however many calls are at work already.
-        urgent: done first of all, on the event loop, before the arguments are checked and anything
-            is waited for; must not block or raise.
+        open_world: affects what this server does not control (including the physical world).
+        listed: in tools/list; other tools are found by search and can be called by name.
+        offered: returns True if it applies to the present robot, evaluated for each listing; it can
+            be called by name in any case.
+        seldom: rarely needed; a server of several robots may omit it from its list and leave it to
+            the search.
+        choices: argument name -> function that returns {choice: summary}, called for each listing.
+        role: required role; if empty, viewers may call read-only tools and operators all others.
+        always: it stops something, and is exempt from the limit of concurrent calls.
+        urgent: called first, on the event loop, before the arguments are checked and before any
+            wait; must not block or raise.
     """
 
     name: str
@@ -215,13 +214,13 @@ class Tool(Generic[A]):
 
     @property
     def least_role(self) -> Role:
-        """The least role that may call it."""
+        """The role that a caller needs."""
         if self.role:
             return Role(self.role)
         return Role.VIEWER if self.read_only else Role.OPERATOR
 
     def check_caller(self, context: CallContext) -> None:
-        """Do nothing when the caller may call it. Raises RefusedError, which names the roles."""
+        """Raise RefusedError, which names the roles, unless the caller may call it."""
         if not self.least_role.is_held_by(context.role):
             raise RefusedError(
                 f"{self.name} needs the role '{self.least_role}'; {context.who} has "
@@ -231,7 +230,7 @@ class Tool(Generic[A]):
             )
 
     def input_schema(self) -> JsonSchemaValue:
-        """The JSON schema of the arguments, with today's choices."""
+        """The JSON schema of the arguments, with current choices."""
         schema = model_schema(self.arguments)
         return with_choices(schema, self._choices()) if self.choices else schema
 
@@ -240,11 +239,13 @@ class Tool(Generic[A]):
         return model_schema(self.result, result=True)
 
     def parsed(self, arguments: Mapping[str, Any]) -> A:
-        """The arguments of a call as the model. Raises InvalidInputError: they do not fit."""
+        """Parse the arguments of a call. Raises InvalidInputError: they do not fit."""
         return parse(self.arguments, arguments, self._choices())
 
     async def call(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
-        """Check the arguments and do it. Raises as `parsed`, and what the handler raises."""
+        """Check the arguments and call the handler. Raises as `parsed`, and the handler's
+        errors.
+        """
         outcome = await self.handler(self.parsed(arguments), context)
         reply = outcome if isinstance(outcome, Reply) else Reply(result=outcome)
         return Answer(
@@ -264,7 +265,7 @@ class Resource:
 
     Attributes:
         uri: such as "roboneuron://logs/robot".
-        name, title, description: what clients see.
+        name, title, description: shown to clients.
         read: returns the text; called on the event loop, so it must be quick.
         mime_type: of that text.
     """

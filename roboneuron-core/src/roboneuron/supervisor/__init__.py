@@ -1,3 +1,3 @@
-"""Module processes from the outside: spawned, driven through their lifecycle, watched, and ended
-without a trace.
+"""Supervision of module processes: spawn them, drive their lifecycle, monitor and terminate
+them.
 """

@@ -1,4 +1,4 @@
-"""From a choice to a process that has proved that it works."""
+"""Start of one module, from its plan to a process that has passed its readiness check."""
 
 from __future__ import annotations
 
@@ -21,26 +21,24 @@ from roboneuron.supervisor.slot import Phase, Slot
 
 log = logging.getLogger(__name__)
 _REASON_S = 1.0
-"""The reason of a refused transition is published just before the answer; it may arrive a little
-later.
+"""Wait for the reason of a refused transition: it is published just before the response, but may
+arrive a little later.
 """
 _PROGRESS_S = 5.0
-"""Period of the reports of a long start, such as that of a large model."""
+"""Period of progress reports in a long start, such as loading a large model."""
 _ABSENT_S = 3.0
-"""Modules may be started side by side, in any order: what a start needs may be started this much
-later.
-"""
+"""Grace time for modules that this one needs: modules may be started in parallel, in any order."""
 _ROBOT_S = 1.0
-"""Likewise the robot, for cameras that need its driver."""
+"""Grace time for the robot, for cameras that need its driver."""
 _PERSISTENT_S = 1.5
-"""An error that stays this long while a module is active but not ready ends the start; shorter ones
-may heal.
+"""An error that lasts this long while a module is active but not ready ends the start; shorter
+errors may clear by themselves.
 """
 
 
 class Bringup:
-    """One start of one module, into a slot that was claimed for it; used once, on the thread of the
-    caller.
+    """One start of one module in a slot that was claimed for it; used once, on the caller's
+    thread.
     """
 
     _process: ModuleProcess
@@ -56,13 +54,13 @@ class Bringup:
         on_stage: Stage,
     ) -> None:
         """Args:
-        slot: claimed for it.
+        slot: slot claimed for the module.
         plan: what is started.
-        settings: what its process is told.
-        modules: the others, some of which this one needs.
+        settings: settings for its process.
+        modules: the other modules, some of which this one needs.
         spawn: starts its process.
-        client: drives the node of the process in a slot, and calls a function while it waits.
-        on_stage: called with a phrase whenever the start has come further.
+        client: creates the client of the node in a slot, which calls a function while it waits.
+        on_stage: called with a phrase at each stage of the start.
         """
         self._slot = slot
         self._inputs = plan.inputs
@@ -79,7 +77,7 @@ class Bringup:
         """Spawn, configure, activate and wait for readiness; a failure ends the process.
 
         Raises:
-            RoboNeuronError: as `Supervisor.start`.
+            RoboNeuronError: see `Supervisor.start`.
         """
         slot, deadline_s = self._slot, time.monotonic() + self._timeout_s
         phase: Phase = "stopped"
@@ -94,15 +92,14 @@ class Bringup:
                 if phase != "running" and slot.process is not None:
                     end_processes([slot.process], slot.stop_timeout_s)
             finally:
-                # also when it survives SIGKILL, else nobody could start one again
+                # also when it survives SIGKILL, otherwise no other start would be possible
                 slot.settle(phase)
             if slot.process is not None and slot.process.exit_code is not None:
-                self._on_exit(slot.process)  # it died between its proof and here
+                self._on_exit(slot.process)  # it died between its readiness check and here
             self._modules.on_change(slot.kind)
 
     def _check_robot(self) -> None:
-        """Refuse at once a source that shows what the robot's own driver moves, when no robot is
-        there to show.
+        """Refuse a source that needs the robot's driver if there is no robot.
 
         Raises:
             NotReadyError: the robot is neither running nor being started.
@@ -116,16 +113,16 @@ class Bringup:
             )
 
     def _on_exit(self, process: ModuleProcess) -> None:
-        """The process has ended; called on its reaper's thread, and at the end of `run`."""
+        """Handle the end of the process; called on its reaper's thread, and at the end of `run`."""
         if self._slot.note_exit(process):
             log.error("%s is gone: %s", self._slot.kind, self._slot.explain_exit())
             self._modules.on_change(self._slot.kind)
 
     def _prove(self, deadline_s: float) -> None:
-        """Configure, activate, wait for readiness until that monotonic time.
+        """Configure, activate, and wait for readiness until that monotonic time.
 
-        Each step waits for what the next one relies on: a first status says that the process lives
-        and that we hear it, an answering service that it can be driven.
+        Each step first waits for its precondition: a first status shows that the process is alive
+        and its messages arrive, an answered service that it can be driven.
         """
         self._stage("starting")
         client = self._client = self._make_client(self._slot, self._check)
@@ -148,7 +145,7 @@ class Bringup:
 
         Raises:
             NotReadyError: no answer by then.
-            RoboNeuronError: why the module refused, as it reports.
+            RoboNeuronError: the reason that the module reports for its refusal.
         """
         self._stage(f"{name.removesuffix('e')}ing")
         report = self._slot.report
@@ -172,11 +169,12 @@ class Bringup:
         )
 
     def _await_ready(self, deadline_s: float) -> None:
-        """Wait until the module reports that it works.
+        """Wait until the module reports that it is ready.
 
         Raises:
-            NotReadyError: something is missing: not in time, or a module that nobody starts.
-            RoboNeuronError: an error that the module reports, and that does not heal.
+            NotReadyError: an input is missing at the deadline, or comes from a module that is not
+                being started.
+            RoboNeuronError: the module reports an error that lasts.
         """
         self._stage("waiting for the first output")
         failing, absence = Lasting(), Lasting()
@@ -191,7 +189,7 @@ class Bringup:
             if report.ready and report.state == "active":
                 return True
             failure = report.failure()
-            # what is late may still come
+            # a late input may still arrive
             lasts = failure is not None and not isinstance(failure, NotReadyError)
             if failing.held_s(lasts) > _PERSISTENT_S and failure is not None:
                 raise failure
@@ -214,9 +212,7 @@ class Bringup:
             )
 
     def _absent(self) -> list[ModuleKind]:
-        """Modules that this one takes inputs from and that are neither running nor being
-        started.
-        """
+        """Modules whose outputs this one needs and that are neither running nor being started."""
         return [
             kind
             for kind in self._inputs
@@ -224,28 +220,28 @@ class Bringup:
         ]
 
     def _check_alone(self) -> None:
-        """Two nodes of one name would both obey each lifecycle request: never drive somebody else's
-        robot.
+        """Refuse the start if another node has the same name: both would obey each lifecycle
+        request, and another server's robot could move.
 
-        One on this machine is known at once, one on another by its status. What an ended server has
-        left behind is given the time that it may take to leave.
+        A node on this machine is recognised at once, one on another machine by its status. Modules
+        left over from a stopped server get the time that their exit may take.
         """
         if not self._changes.wait_for(lambda: self._other() is None, LEAVE_S):
             raise runs_already(self._node, self._other() or 0)
 
     def _other(self) -> int | str | None:
-        """Process id of another node of our name."""
-        # the claim is known at once, before DDS has discovered the other node
+        """Process id of another node with this name."""
+        # the claim is visible at once, before DDS has discovered the other node
         holder = claimant(self._node)
         if holder not in (None, self._process.pid):
             return holder
         return self._modules.foreign(self._settings.status_name)
 
     def _too_late(self, missing: str) -> RoboNeuronError:
-        """The error for a start that took too long.
+        """Create the error for a start that took too long.
 
         Args:
-            missing: what was waited for.
+            missing: what the start waited for.
         """
         report = self._slot.report
         said = f" It says: {report.error}" if report is not None and report.error else ""
@@ -264,14 +260,14 @@ class Bringup:
         self._on_stage(f"{self._slot.kind}: {doing}")
 
     def _check(self) -> None:
-        """What every wait of a start looks at; raises what makes waiting needless."""
+        """Check during every wait of a start; raises if waiting is pointless."""
         self._slot.check_not_cancelled()
         self._slot.check_alive(self._doing)
         self._report_progress()
 
     def _report_progress(self) -> None:
-        """Loading may take minutes: say for how long it has gone on, and how much is in memory by
-        now.
+        """Report the elapsed time and the memory in use while a module loads, which may take
+        minutes.
         """
         now_s = time.monotonic()
         if now_s - self._reported_s >= _PROGRESS_S:
@@ -288,7 +284,7 @@ def _left(deadline_s: float) -> float:
 
 
 def _memory(pid: int) -> str:
-    """Such as ", 12.3 GB in memory" of a living process, else nothing."""
+    """Memory of a living process, such as ", 12.3 GB in memory"; otherwise empty."""
     try:
         pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
     except (OSError, IndexError, ValueError):

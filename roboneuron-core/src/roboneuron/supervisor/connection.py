@@ -21,18 +21,20 @@ if TYPE_CHECKING:
 
 
 _OPEN_TIMEOUT_S = 30.0
-"""Joining takes half a second; importing rclpy from a cold disk takes many times that."""
+"""Timeout of opening: joining takes half a second; importing rclpy from a cold disk takes many
+times that.
+"""
 
 
 class Connection:
-    """Opens the link once, on a thread of its own; `link` waits for it. Usable from any thread.
+    """Open the link once, on a background thread; `link` waits for it. Usable from any thread.
 
     Args:
         on_status: called with each message of /diagnostics, on the link's thread.
         log_directory: ROS logs go to its `ros` folder.
 
     Attributes:
-        starts: numbers the module processes of one node, for ports of their own.
+        starts: counter of module processes per node name, which gives each its own ports.
     """
 
     def __init__(self, on_status: Callable[[DiagnosticArray], None], log_directory: Path) -> None:
@@ -45,7 +47,7 @@ class Connection:
         self.starts = itertools.count(os.getpid())
 
     def begin(self) -> None:
-        """Start opening; returns at once, and does nothing the second time.
+        """Start opening in the background; does nothing the second time.
 
         Raises:
             StateError: the server is shutting down.
@@ -92,7 +94,7 @@ class Connection:
             link = RosLink(f"roboneuron_server_{os.getpid()}")
             link.open()
             link.subscribe(DiagnosticArray, DIAGNOSTICS, self._on_status)
-        except BaseException as error:  # handed to whoever asks for the link
+        except BaseException as error:  # raised again in `link`
             self._opened.set_exception(error)
         else:
             self._opened.set_result(link)

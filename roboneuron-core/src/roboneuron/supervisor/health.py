@@ -1,5 +1,5 @@
-"""How modules are: what they say of themselves on /diagnostics, and a word for each, looked at
-every 30 ms.
+"""Health of modules: their reports on /diagnostics, condensed into one word and checked every 30
+ms.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 _KINDS = tuple(f"/{kind}" for kind in MODULE_KINDS)
 _FOREIGN_S = 1.0
-"""A node that reports every 0.2 s and was not heard for this long is gone."""
+"""A foreign node, which reports every 0.2 s, counts as gone after this time without a report."""
 _FOREIGN = 64
-"""So many names of other servers' modules are kept: anybody may invent names on /diagnostics."""
+"""Number of foreign modules that are kept: any node may invent names on /diagnostics."""
 
 
 log = logging.getLogger(__name__)
@@ -47,14 +47,16 @@ Health = Literal[
 ]
 FAULTS: frozenset[Health] = frozenset({"failing", "stalled", "stuck", "silent", "exited"})
 SILENT_S = 0.42
-"""A module reports every 0.2 s; without a report for this long it is frozen, or its machine is
-overloaded.
+"""A module without a report for this long is frozen, or its machine is overloaded; it reports every
+0.2 s.
 """
 STUCK_S = 0.3
-"""A module's executor turns every 0.02 s; the age it reports grows for up to one period more."""
+"""Age of the executor's last tick at which it counts as stuck; it ticks every 0.02 s, and the
+reported age grows for up to one more period.
+"""
 LOOK_S = 0.03
-"""Period of the watch: `SILENT_S` and this together stay below the half second within which a fault
-is reported.
+"""Period of the watch; with `SILENT_S` it stays below the half second within which a fault is
+reported.
 """
 EXPLANATIONS: dict[Health, str] = {
     "stopped": "not running",
@@ -72,12 +74,12 @@ EXPLANATIONS: dict[Health, str] = {
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ModuleView:
-    """What is known of one module.
+    """State of one module at one instant.
 
     Attributes:
-        kind, phase: which one, and what the supervisor is doing with it.
-        process: None when there is none; of a module that has ended by itself, the ended one.
-        plan, settings: what it was started with, and what its process was told.
+        kind, phase: its kind, and its phase in the supervisor.
+        process: None if there is none; the ended process of a module that has ended by itself.
+        plan, settings: the plan it was started with, and the settings of its process.
         report: its newest status, None before the first.
     """
 
@@ -89,9 +91,9 @@ class ModuleView:
     report: Report | None = None
 
     def health(self, now_s: float) -> Health:
-        """How the module is; of several faults the one that explains the others.
+        """Return the module's health; of several faults the one that explains the others.
 
-        A module that does not report says nothing else either; one whose executor hangs makes no
+        A module that does not report gives no other information; one whose executor hangs makes no
         progress; one that is stalled may report an older error.
 
         Args:
@@ -113,11 +115,11 @@ class ModuleView:
 
 
 class Stopped(BaseModel):
-    """A module that is gone from the process table, or a start that was cancelled.
+    """Result of a stop: the process is gone from the process table, or its start was cancelled.
 
     Attributes:
-        took_s: from the call to the process reaped.
-        report: the last one that came.
+        took_s: from the call until the process was reaped.
+        report: the last one received.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -126,28 +128,29 @@ class Stopped(BaseModel):
     cancelled_start: bool = Field(default=False, description="it was still starting")
     pid: int | None = None
     exit_code: int | None = Field(default=None, description="negative for the signal that ended it")
-    killed: bool = Field(default=False, description="it did not leave by itself in time")
+    killed: bool = Field(default=False, description="it did not exit in time and was killed")
     took_s: float = 0.0
     report: SkipValidation[Report | None] = Field(default=None, exclude=True)
 
 
 class Modules:
-    """The modules of one server and their processes, as features may read them and be told of them.
+    """The modules of one server and their processes, with events for features.
 
     Args:
-        log_directory: where this server's modules log, one file for each.
+        log_directory: folder of the modules' logs, one file each.
         on_change: called from any thread, with the kind, when a module started, stopped or ended by
             itself.
 
     Attributes:
-        changes: told of all that happens to modules; its lock guards `slots`.
-        slots: by kind, the one of the module that works first; others are about to replace it, or
-            were replaced.
+        changes: notified of every change of a module; its lock guards `slots`.
+        slots: by kind; the first is that of the working module, the others are about to replace it
+            or were replaced.
         log_directory: as given.
-        process_events: what happens to module processes, for listeners.
-        tightened: limits that modules are started with instead of the configured ones, None for
-            these; the feature that tightens them sets it.
-        secret_variables: environment variables that modules do not get; features may add some.
+        process_events: events of module processes, for listeners.
+        tightened: limits for new modules instead of the configured ones, or None; set by the
+            feature that tightens limits.
+        secret_variables: environment variables that are withheld from modules; features may add
+            some.
     """
 
     def __init__(self, log_directory: Path, on_change: Callable[[ModuleKind], object]) -> None:
@@ -158,14 +161,12 @@ class Modules:
         self.secret_variables: set[str] = set()
         self.changes = Changes()
         self.slots = {kind: [Slot(kind, self.changes)] for kind in MODULE_KINDS}
-        # process ids of all that was started, as text: that is how they come in a DiagnosticStatus
+        # process ids of all that was started, as text, which is how they come in a DiagnosticStatus
         self._ours: set[str] = set()
         self._foreign: dict[str, tuple[str, float]] = {}
 
     def slot(self, kind: ModuleKind) -> Slot:
-        """The slot of the module that works now; another one after a replacement, so that it is not
-        to be kept.
-        """
+        """Slot of the module that works now. Do not keep it: a replacement changes it."""
         with self.changes.lock:
             return self.slots[kind][0]
 
@@ -178,10 +179,10 @@ class Modules:
         self.changes.notify()
 
     def _receive(self, status: DiagnosticStatus, now_s: float) -> None:
-        """Keep what a module reports.
+        """Store a module's report.
 
         Args:
-            status: of anybody.
+            status: from any node.
             now_s: monotonic time of its arrival.
         """
         name, pid = status.name, status.hardware_id
@@ -195,7 +196,7 @@ class Modules:
             self._foreign[name] = (pid, now_s)
 
     def foreign(self, name: str) -> str | None:
-        """Pid of a process of somebody else that reported under `name` within the last second, or
+        """Process id of a foreign process that reported under `name` within the last second, or
         None.
         """
         with self.changes.lock:
@@ -203,12 +204,12 @@ class Modules:
         return pid if pid and time.monotonic() - seen_s < _FOREIGN_S else None
 
     def all_slots(self) -> list[Slot]:
-        """Those of every kind."""
+        """Slots of every kind."""
         with self.changes.lock:
             return [slot for kind in MODULE_KINDS for slot in self.slots[kind]]
 
     def view(self, kind: ModuleKind) -> ModuleView:
-        """What is known of a module now; all of it of one instant, because the lock is held."""
+        """State of a module now; consistent, because the lock is held."""
         with self.changes.lock:
             slot = self.slot(kind)
             return ModuleView(
@@ -225,7 +226,7 @@ class Modules:
         return [self.view(kind) for kind in MODULE_KINDS]
 
     def require_running(self, kind: ModuleKind) -> ModuleView:
-        """The view of a running module.
+        """Return the view of a running module.
 
         Raises:
             StateError: it is not running; the message says why and what to do.
@@ -236,12 +237,12 @@ class Modules:
 
 
 class Watch(Periodic):
-    """A thread that looks at all modules and tells of every change of their health.
+    """Thread that checks all modules and reports every change of their health.
 
     Args:
         views: the modules.
-        listener: called from the watching thread with the module, how it was, and how it is; must
-            return quickly.
+        listener: called on the watching thread with the module, its previous health and its present
+            one; must return quickly.
     """
 
     def __init__(
@@ -255,7 +256,7 @@ class Watch(Periodic):
         self._known: dict[str, Health] = {}
 
     def look(self) -> None:
-        """Compare everything with what is known."""
+        """Compare the health of all modules with the last known one."""
         now_s = time.monotonic()
         for view in self._views():
             health, before = view.health(now_s), self._known.get(view.kind, "stopped")

@@ -1,6 +1,4 @@
-"""The standard lifecycle and parameter services of a managed node, called with a bound on the
-time.
-"""
+"""Client of a managed node's standard lifecycle and parameter services, with bounded calls."""
 
 from __future__ import annotations
 
@@ -20,21 +18,23 @@ _TRANSITIONS = {
     "activate": (3, "inactive", "active"),
     "deactivate": (4, "active", "inactive"),
 }
-"""Number of each, and the states before and after it. Source: lifecycle_msgs/msg/Transition."""
+"""Id of each transition, and the states before and after it. Source:
+lifecycle_msgs/msg/Transition.
+"""
 _STATE_CALL_S = 1.0
-"""Bound on one question for the state; a node answers in milliseconds or not at all."""
+"""Timeout of one `get_state` call; a node answers in milliseconds or not at all."""
 _LOST_S = 1.0
-"""A request that is not answered by then, though the node answers others and is where it was, did
-not reach it.
+"""A request without an answer after this time counts as lost if the node answers others and is
+still in the previous state.
 """
 
 
 class NodeClient:
-    """Drives one managed node, and sets its parameters.
+    """Drive one managed node, and set its parameters.
 
     Args:
-        node: its absolute name.
-        announce: tells the node's process the digest of a request before it is sent.
+        node: absolute name of the node.
+        announce: sends the node's process the digest of a request before the request itself.
         check: called while waiting for a transition; raises to give up (the process died, the start
             was cancelled).
     """
@@ -54,10 +54,11 @@ class NodeClient:
         self._check = check
 
     def wait_until_served(self, timeout_s: float) -> bool:
-        """Whether `get_state` answered and `change_state` was discovered within `timeout_s`.
+        """Wait until the node serves its lifecycle services; True if `get_state` answered and
+        `change_state` was discovered in time.
 
-        A node that was killed stays in the graph for some seconds, so only an answer proves that
-        this one serves.
+        A killed node stays in the graph for some seconds, so only an answer proves that this one is
+        alive.
 
         Args:
             timeout_s: for both [s].
@@ -67,7 +68,7 @@ class NodeClient:
         deadline_s = time.monotonic() + timeout_s
 
         def served() -> bool:
-            # In this order: discovery keeps it, so a node that answers `get_state` can also answer
+            # In this order, which discovery keeps: a node that answers `get_state` can also answer
             # `change_state`.
             return self._link.is_service_ready(
                 ChangeState, self._name("change_state")
@@ -81,7 +82,7 @@ class NodeClient:
         return False
 
     def state(self, timeout_s: float = _STATE_CALL_S) -> str | None:
-        """Label of the primary state, or None when nobody answered in time.
+        """Label of the primary state, or None if no answer came in time.
 
         Args:
             timeout_s: bound on the answer [s].
@@ -99,10 +100,10 @@ class NodeClient:
     def transition(self, name: str, timeout_s: float) -> bool | None:
         """Request "configure", "activate" or "deactivate".
 
-        Returns whether the node made it, or None when it did not answer in time.
+        Returns True if the node made it, False if it refused, None without an answer in time.
 
         Args:
-            name: of the transition.
+            name: name of the transition.
             timeout_s: bound on the answer.
         """
         from lifecycle_msgs.msg import Transition  # heavy
@@ -120,8 +121,8 @@ class NodeClient:
             if state == after:
                 made = True  # the answer was lost
                 break
-            # One that was killed is in the graph for some seconds more: a request may have gone to
-            # it alone.
+            # A killed node stays in the graph for some seconds: a request may have gone to it
+            # alone.
             if state == before:
                 self._announce(digest_of(request))
                 calls.append(
@@ -142,10 +143,10 @@ class NodeClient:
         """Request a change of parameters without waiting for the answer; see `finish`.
 
         Args:
-            values: by name; all of one request.
+            values: values by name, all in one request.
 
         Raises:
-            NotReadyError: the process does not read that a request is coming.
+            NotReadyError: the process does not read announcements.
         """
         from rcl_interfaces.srv import SetParameters  # heavy
 
@@ -160,10 +161,10 @@ class NodeClient:
     def finish(
         self, call: Call, timeout_s: float, check: Callable[[], object] = lambda: None
     ) -> str:
-        """Wait for the answer; returns why the node refused, empty when it took the values.
+        """Wait for the answer; return the node's reason for a refusal, empty if it accepted.
 
         Args:
-            call: of `send`.
+            call: returned by `send`.
             timeout_s: bound on the answer [s].
             check: called while waiting; raises to give up.
 
@@ -184,10 +185,10 @@ class NodeClient:
         timeout_s: float,
         check: Callable[[], object] = lambda: None,
     ) -> str:
-        """Wait until the service is known; then `send` and `finish`.
+        """Wait until the service is discovered, then `send` and `finish`.
 
         Raises:
-            NotReadyError: the service was not found in time, or as these.
+            NotReadyError: the service was not discovered in time, or as `send` and `finish`.
         """
         from rcl_interfaces.srv import SetParameters  # heavy
 
@@ -203,10 +204,10 @@ class NodeClient:
 
 
 def _made(calls: Sequence[Call]) -> bool | None:
-    """Whether the node made the transition; None before the first answer.
+    """True if the node made the transition; None before the first answer.
 
-    Answers come in the order in which the node follows requests: a refusal comes first only when
-    none was followed.
+    Answers come in the order of the requests: the first answer is a refusal only if the node made
+    none of them.
     """
     answers = [bool(call.result().success) for call in calls if call.done()]
     return any(answers) if answers else None

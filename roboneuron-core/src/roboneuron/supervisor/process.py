@@ -1,9 +1,9 @@
-"""One module process: spawned in a process group of its own, reaped at once when it ends, killed
-with its children.
+"""One module process: spawned in its own process group, reaped at once when it ends, killed with
+its children.
 
-The group stays in the server's session: when the server dies, the kernel wakes a module that is
-stopped, with SIGHUP and SIGCONT as to every newly orphaned group (POSIX, `_exit`), and it leaves.
-In a session of its own it would stay frozen for ever, deaf to its death signal.
+The group stays in the server's session. So when the server dies, the kernel resumes a stopped
+module with SIGHUP and SIGCONT, as every newly orphaned group (POSIX, `_exit`), and it exits. In a
+session of its own it would stay frozen for ever and never handle its death signal.
 """
 
 from __future__ import annotations
@@ -26,25 +26,26 @@ from roboneuron.supervisor.changes import Event, Lasting
 
 log = logging.getLogger(__name__)
 _LAST_LINES = 15
-"""How much of a dead module's log goes into messages."""
+"""Number of lines of a dead module's log in messages."""
 _TAIL_BYTES = 64 * 1024
-"""Read of a log's end; a model may have logged gigabytes."""
+"""Bytes read from a log's end; a model may have logged gigabytes."""
 KILL_S = 5.0
-"""After SIGKILL the kernel needs no more than this, unless the process hangs in a driver."""
+"""Timeout after SIGKILL; the kernel needs no more unless the process hangs in a driver."""
 _FROZEN_S = 0.3
-"""A debugger or job control may stop a process for a moment."""
+"""Minimum time for a stopped process to count as frozen: a debugger or job control may stop it
+briefly.
+"""
 
 
 class ProcessEvents:
-    """What happens to module processes; listeners are called from any thread and must return
-    quickly.
+    """Events of module processes; listeners are called from any thread and must return quickly.
 
     Attributes:
         spawning: another process is about to be started.
-        seen: the living process of that pid has proved that it works, or is about to be ended: look
-            at it now.
-        ended: the process of that pid and name, and all that it had started, are dead; nobody was
-            told yet.
+        seen: the living process of that pid has passed its readiness check, or is about to be
+            ended: inspect it now.
+        ended: the process of that pid and name, and everything it had started, are dead; no other
+            component was notified yet.
     """
 
     def __init__(self) -> None:
@@ -54,8 +55,8 @@ class ProcessEvents:
 
 
 def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
-    """The last `lines` lines after byte `offset`, of at most the last 64 KiB; empty when there is
-    no such file.
+    """Return the last `lines` lines after byte `offset`, from at most the last 64 KiB; empty if
+    there is no such file.
     """
     try:
         with path.open("rb") as file:
@@ -70,11 +71,11 @@ def read_tail(path: Path, *, lines: int, offset: int = 0) -> tuple[str, ...]:
 
 
 class ModuleProcess:
-    """A running child and, later, how it ended. Made by `spawn`; every method may be called from
-    any thread.
+    """A running child process and, later, its end. Created by `spawn`; every method may be called
+    from any thread.
 
     Attributes:
-        ended_at: when it was reaped; of a running child, when it was started.
+        ended_at: time of reaping; while it runs, time of the start.
     """
 
     def __init__(
@@ -86,11 +87,11 @@ class ModuleProcess:
         events: ProcessEvents,
     ) -> None:
         """Args:
-        name: of its node.
-        child: runs; its stdin is a pipe that does not block.
-        log_path: where its output goes.
-        log_offset: where in that file its own output begins [bytes].
-        events: told of its end.
+        name: name of its node.
+        child: the running process; its stdin is a non-blocking pipe.
+        log_path: file of its output.
+        log_offset: start of its own output in that file [bytes].
+        events: notified of its end.
         """
         self.name = name
         self.pid = child.pid
@@ -98,8 +99,8 @@ class ModuleProcess:
         self.started_at = self.ended_at = datetime.now(UTC)
         self._child = child
         self._log_offset = log_offset
-        # held while the process is signalled, written to or reaped: after that its number and its
-        # pipe may be somebody else's
+        # held while the process is signalled, written to or reaped: after that its pid and its pipe
+        # may belong to another process
         self._reaping = threading.Lock()
         self._exited = threading.Event()
         self._events = events
@@ -111,42 +112,42 @@ class ModuleProcess:
         return self._child.returncode if self._exited.is_set() else None
 
     def is_frozen(self) -> bool:
-        """Whether it has been stopped (SIGSTOP, a debugger) for a while: then it neither works nor
-        answers.
+        """True if it has been stopped (SIGSTOP, a debugger) for a while, so that it neither works
+        nor answers.
         """
         try:
             stat = Path(f"/proc/{self.pid}/stat").read_text(encoding="utf-8", errors="replace")
-            state = stat.rpartition(")")[2].split()[0]  # the name before it may hold blanks
+            state = stat.rpartition(")")[2].split()[0]  # the name before it may contain blanks
         except (OSError, IndexError):
             state = ""
         return self._frozen.held_s(state in ("T", "t")) > _FROZEN_S
 
     def last_lines(self) -> tuple[str, ...]:
-        """The end of what this process has written to its log."""
+        """Last lines that this process has written to its log."""
         return read_tail(self.log_path, lines=_LAST_LINES, offset=self._log_offset)
 
     def note(self, line: str) -> None:
-        """Add a line to its log, so that it stands among its last ones."""
+        """Append a line to its log, so that it is among the last ones."""
         with suppress(OSError), open(self.log_path, "a", encoding="utf-8", opener=opener) as file:
             file.write(f"{escaped(line)}\n")
 
     def show(self) -> None:
-        """Have listeners look at it while it lives."""
+        """Let listeners inspect the process while it is alive."""
         self._events.seen.tell(self.pid)
 
     def beat(self) -> None:
-        """Show the process that the server lives; never waits, and a process that does not read
-        loses nothing.
+        """Send a sign of life to the process; never blocks, and a process that does not read loses
+        nothing.
         """
         self._write(b"\n")
 
     def announce(self, digest: bytes) -> None:
-        """Tell the process that a request comes from its server, before that is sent; see
+        """Announce a request of the server to the process before sending it; see
         `modules.requests`.
 
         Raises:
-            NotReadyError: it has read nothing for so long that its pipe is full: it would take the
-                request for a foreign one.
+            NotReadyError: its pipe is full, because it has not read for a long time; it would
+                refuse the request as foreign.
         """
         if not self._write(digest + b"\n"):
             raise NotReadyError(
@@ -154,8 +155,8 @@ class ModuleProcess:
             )
 
     def _write(self, line: bytes) -> bool:
-        """Write all of it, or return False: the pipe is full (POSIX: up to PIPE_BUF bytes are never
-        cut).
+        """Write the whole line, or return False if the pipe is full (POSIX: up to PIPE_BUF bytes
+        are atomic).
         """
         with self._reaping, suppress(OSError):
             if self._child.returncode is None and self._child.stdin is not None:
@@ -166,13 +167,15 @@ class ModuleProcess:
         return True
 
     def terminate(self) -> None:
-        """SIGTERM to the process: hold, release, leave. Does nothing when it has ended."""
+        """Send SIGTERM: the process holds the robot, releases its resources and exits. Does nothing
+        after its end.
+        """
         with self._reaping:
             self._signal(signal.SIGTERM)
 
     def kill(self) -> None:
-        """SIGKILL to the process and everything it has started in its group. Listeners look at it
-        before: after that, what it held cannot be found any more.
+        """Send SIGKILL to the process and its group. Listeners inspect it before, because its
+        resources cannot be found afterwards.
         """
         self.show()
         with self._reaping:
@@ -181,23 +184,24 @@ class ModuleProcess:
                 self._signal(signal.SIGKILL)  # it leaves its group at its end
 
     def _signal(self, number: signal.Signals) -> None:
-        """Not by Popen: that reaps a process which has ended, and `reap` would wait for nobody."""
+        """Send a signal without Popen, which would reap an ended process, so that `reap` would wait
+        for ever.
+        """
         if self._child.returncode is None:
             with suppress(ProcessLookupError):
                 os.kill(self.pid, number)
 
     def wait(self, timeout_s: float) -> bool:
-        """Whether it ended, was reaped and cleaned up within `timeout_s`."""
+        """Return True if it ended, was reaped and cleaned up within `timeout_s`."""
         return self._exited.wait(timeout_s)
 
     def reap(self, on_exit: Callable[[ModuleProcess], None]) -> None:
-        """Wait for the end on a thread of its own; then kill what it left, reap it, and call
+        """Wait for its end on another thread; then kill the rest of its group, reap it, and call
         `on_exit`.
         """
 
         def watch() -> None:
-            # Until it is reaped its number cannot be given to another process: killing its group is
-            # safe.
+            # Until it is reaped its pid cannot be reused: killing its group is safe.
             os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT)
             with self._reaping:
                 _kill_group(self.pid)
@@ -214,12 +218,14 @@ class ModuleProcess:
 
 
 def end_processes(processes: Sequence[ModuleProcess], timeout_s: float) -> set[int]:
-    """SIGTERM, bounded wait, SIGKILL, reap; returns the pids that had to be killed.
+    """Send SIGTERM, wait for a bounded time, send SIGKILL, reap; return the pids that had to be
+    killed.
 
-    All are asked before one is waited for: they leave side by side, within one bound.
+    All processes get SIGTERM before the first wait, so that they exit in parallel, within one
+    bound.
 
     Args:
-        processes: to be ended; those that have ended are no fault.
+        processes: to be ended; ended ones are ignored.
         timeout_s: from SIGTERM to SIGKILL [s].
 
     Raises:
@@ -249,17 +255,17 @@ def end_processes(processes: Sequence[ModuleProcess], timeout_s: float) -> set[i
 
 
 def _kill_group(group: int) -> None:
-    """SIGKILL to all of a process group; one that is empty, or not ours any more, is left alone."""
+    """Send SIGKILL to a process group; an empty or foreign one is left alone."""
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(group, signal.SIGKILL)
 
 
 Command = Callable[[str | None], Sequence[str]]
-"""How a module process is started under an interpreter; None: this one."""
+"""Command line that starts a module process with an interpreter; None for the present one."""
 
 
 def module_command(python: str | None) -> list[str]:
-    """See `Command`; `-P` keeps the working directory out of its import path."""
+    """Return a `Command`'s result; `-P` keeps the working directory out of the import path."""
     return [python or sys.executable, "-u", "-P", "-m", "roboneuron.modules"]
 
 
@@ -271,19 +277,18 @@ def spawn(
     log_path: Path,
     events: ProcessEvents,
 ) -> ModuleProcess:
-    """Start `command`, write `first_line` to its stdin and keep that open; all its output goes to
+    """Start `command`, write `first_line` to its stdin and keep that open; its output goes to
     `log_path`.
 
-    To be called on a thread that lives as long as the server: PR_SET_PDEATHSIG follows the
-    *thread*.
+    Call it on a thread that lives as long as the server: PR_SET_PDEATHSIG follows the *thread*.
 
     Args:
-        name: of its node.
-        command: with the interpreter.
-        environment: all of it.
-        first_line: without its end.
+        name: name of its node.
+        command: command line with the interpreter.
+        environment: the complete environment.
+        first_line: without a line end.
         log_path: appended to.
-        events: told of the process.
+        events: notified about the process.
 
     Raises:
         OSError: the command cannot be started.
@@ -304,6 +309,6 @@ def spawn(
     with suppress(BrokenPipeError):
         child.stdin.write(first_line.encode() + b"\n\n")  # and a first sign of life
         child.stdin.flush()
-    # from now on: a module that does not read must never keep the server waiting
+    # from now on a module that does not read must never block the server
     os.set_blocking(child.stdin.fileno(), False)
     return ModuleProcess(name, child, log_path, offset, events)

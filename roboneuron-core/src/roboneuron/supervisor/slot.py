@@ -1,4 +1,4 @@
-"""One place for one module: what is in it, and which change of it is allowed now."""
+"""Slot for one module process: its content, and the changes allowed now."""
 
 from __future__ import annotations
 
@@ -15,37 +15,36 @@ from roboneuron.supervisor.changes import Changes
 from roboneuron.supervisor.process import ModuleProcess
 
 Phase = Literal["stopped", "starting", "running", "stopping", "exited"]
-"""What is being done with a module, as the supervisor knows it: "exited" is what ended by itself.
-"""
+"""Phase of a module in the supervisor; "exited" means that it ended by itself."""
 
 
 _NEXT: Mapping[str, str] = {
     "starting": "It is being started: wait for that; get_status tells how far it is.",
     "stopping": "It is being stopped: wait for that, then start it again.",
 }
-"""What to do about a module that does not run yet, or any more."""
+"""Advice for a module that does not run."""
 
 
 class Slot:
-    """The phases of one module; every change is made under the lock of `changes` and announced.
+    """Phases of one module; every change is made under the lock of `changes` and announced.
 
     A start goes from "stopped" or "exited" to "starting" and then to "running", or back to
-    "stopped"; a stop from "running" to "stopping" and "stopped". Whoever begins one of them owns
-    the slot until `settle`.
+    "stopped"; a stop goes from "running" to "stopping" and "stopped". The caller that begins one of
+    them owns the slot until `settle`.
 
     Attributes:
-        kind: of the module.
+        kind: kind of the module.
         phase: see above.
-        process, plan, settings: what runs, or has ended by itself, what it was started with, and
-            what its process was told; None when there is nothing.
-        report: the newest that its process has made; None before the first.
-        started_s: when it was last claimed for a start [monotonic s].
+        process, plan, settings: the process that runs or has ended by itself, its plan, and its
+            settings; None if there is none.
+        report: the newest report of the process; None before the first.
+        started_s: time of the last claim for a start [monotonic s].
     """
 
     def __init__(self, kind: ModuleKind, changes: Changes) -> None:
         """Args:
-        kind: of the module.
-        changes: of the table that the slot is in.
+        kind: kind of the module.
+        changes: changes of the table that holds the slot.
         """
         self.kind = kind
         self.phase: Phase = "stopped"
@@ -62,10 +61,10 @@ class Slot:
 
         Args:
             plan: what is started.
-            settings: what its process is told.
+            settings: settings for its process.
 
         Raises:
-            StateError: something is in it; the message says what.
+            StateError: the slot is occupied; the message says by what.
         """
         with self._changes.lock:
             if self.phase not in ("stopped", "exited"):
@@ -82,12 +81,12 @@ class Slot:
 
     @property
     def stop_timeout_s(self) -> float:
-        """Time that what is in it gets to leave [s]; 0 when there is nothing."""
+        """Time for the process in the slot to exit [s]; 0 if there is none."""
         settings = self.settings
         return 0.0 if settings is None else settings.config.supervisor.stop_timeout_s
 
     def begin_stop(self) -> ModuleProcess:
-        """Claim the slot for a stop: whoever gets the process ends it, and nobody else.
+        """Claim the slot for a stop: only the caller that gets the process ends it.
 
         Raises:
             StateError: nothing is running.
@@ -101,12 +100,12 @@ class Slot:
         return process
 
     def accept(self, status_name: str, pid: str, report: Report) -> bool:
-        """Keep a report if it is one of the process that is here.
+        """Store a report if it comes from the process in this slot.
 
         Args:
-            status_name: under which it was reported; other servers' modules may have the same.
-            pid: of the process that reported it: a predecessor may still do so.
-            report: what it said.
+            status_name: its status name; modules of other servers may have the same.
+            pid: process id of the reporter: a predecessor may still report.
+            report: the report.
         """
         process, settings = self.process, self.settings
         if process is None or settings is None or str(process.pid) != pid:
@@ -117,10 +116,10 @@ class Slot:
         return True
 
     def settle(self, phase: Phase) -> None:
-        """A start or stop has come to its end.
+        """Finish a start or stop.
 
         Args:
-            phase: from now on; "stopped" forgets what ran.
+            phase: the new phase; "stopped" discards the process.
         """
         with self._changes.lock:
             self.phase = phase
@@ -133,12 +132,12 @@ class Slot:
         self._changes.wait_for(lambda: self.phase != "starting", timeout_s)
 
     def cancel(self, reason: str) -> bool:
-        """End a start in progress; returns whether there was one.
+        """Cancel a start in progress; return True if there was one.
 
-        Whoever runs the start notices within 50 ms and ends the process; see `check_not_cancelled`.
+        The starting thread notices within 50 ms and ends the process; see `check_not_cancelled`.
 
         Args:
-            reason: for whoever had asked for the start.
+            reason: for the caller that requested the start.
         """
         with self._changes.lock:
             starting = self.phase == "starting"
@@ -148,16 +147,16 @@ class Slot:
         return starting
 
     def check_not_cancelled(self) -> None:
-        """Do nothing unless the start in progress was cancelled.
+        """Raise if the start in progress was cancelled.
 
         Raises:
-            StateError: it was; says why.
+            StateError: it was; the message says why.
         """
         if self._cancelled:
             raise StateError(f"The start of {self.kind} was cancelled: {self._cancelled}")
 
     def check_running(self, hint: str = "") -> None:
-        """Raises StateError with the reason and `hint` unless the module runs."""
+        """Raise StateError with the reason and `hint` unless the module runs."""
         if self.phase != "running":
             why = (
                 f": {self.explain_exit()}" if self.phase == "exited" else f" (it is {self.phase})."
@@ -165,7 +164,7 @@ class Slot:
             raise StateError(f"{self.kind} is not running{why}", hint=_NEXT.get(self.phase, hint))
 
     def check_alive(self, doing: str) -> None:
-        """Raises NotReadyError when the process has ended, with its last words, or is frozen."""
+        """Raise NotReadyError if the process has ended, with its last words, or is frozen."""
         process = self.process
         if process is not None and process.exit_code is None and process.is_frozen():
             raise NotReadyError(
@@ -182,15 +181,15 @@ class Slot:
             )
 
     def note_exit(self, process: ModuleProcess) -> bool:
-        """The process ended; returns whether nobody had asked for that.
+        """Record the end of the process; return True if no stop was requested.
 
         Args:
-            process: compared with what is here now: a new one may have taken its place.
+            process: compared with the present one: a new process may have replaced it.
         """
         with self._changes.lock:
             unexpected = self.process is process and self.phase == "running"
             if unexpected:
-                # the last words of a dead process tell nothing of the present
+                # the last report of a dead process says nothing about the present
                 self.phase, self.report = "exited", None
         self._changes.notify()
         return unexpected
@@ -207,7 +206,7 @@ class Slot:
         return ", ".join(parts) or "process not spawned yet"
 
     def explain_exit(self) -> str:
-        """How it ended by itself; empty when it did not."""
+        """Explain how the process ended by itself; empty if it did not."""
         process = self.process
         if self.phase != "exited" or process is None:
             return ""
@@ -219,7 +218,7 @@ class Slot:
 
 
 def _ending(code: int) -> str:
-    """An exit code in words; negative ones are signals, as subprocess tells them."""
+    """Describe an exit code; negative codes are signals, as in subprocess."""
     return f"exit code {code}" if code >= 0 else f"signal {-code}"
 
 

@@ -1,6 +1,4 @@
-"""Starts, watches and stops module processes; usable from any thread, and every wait has a
-bound.
-"""
+"""Start, monitor and stop module processes; usable from any thread, and every wait is bounded."""
 
 from __future__ import annotations
 
@@ -39,36 +37,39 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 DEACTIVATE_S = 2.0
-"""Bound on the answer to `deactivate` when a module is stopped; then it is ended all the same."""
+"""Bound on the answer to `deactivate` when a module is stopped; afterwards it is ended in
+any case.
+"""
 _BEAT_S = 0.2
-"""A module whose server has ended sees the end of stdin. One whose server is frozen, so that nobody
-could stop the arm, misses these signs of life on stdin; control holds then.
+"""Period of signs of life on a module's stdin. A module whose server has ended sees the end of
+stdin. If the server is frozen, so that the arm could not be stopped from outside, the signs of life
+are missing and control holds.
 """
 LEAVE_S = 1.5
-"""When the server ends, whatever the configuration says about stops: its modules are gone within 2
-s.
+"""Time for modules to exit when the server ends, whatever the configuration says about stops: they
+are gone within 2 s.
 """
 
 
 class Supervisor(Modules):
-    """At most one process of each kind, and a second one while it is being replaced.
+    """Supervisor of at most one process of each kind, and a second one during a replacement.
 
     Args:
-        state_directory: logs go to its `log` folder, and modules are told it.
-        command: how to start a module under a given interpreter.
+        state_directory: logs go to its `log` folder; modules get it too.
+        command: command line of a module for a given interpreter.
         on_change: called from any thread, with the kind, when a module started, stopped or ended by
             itself.
-        connect: makes the server's node from what receives /diagnostics and the folder for its
+        connect: creates the server's node from the receiver of /diagnostics and the folder for its
             logs.
 
     Attributes:
         log_directory: `<state>/log/<time>-<pid>`.
-        on_join: functions of features that modules call with their node, as "module:attribute"; see
-            `ModuleHost`.
-        needs_start: which stop keeps robot and control still, when they are started, until somebody
-            asks for motion.
+        on_join: functions of features, called in modules with their node,, as "module:attribute";
+            see `ModuleHost`.
+        needs_start: the stop after which newly started robot and control modules refuse motion
+            until it is requested; empty for none.
         connection: the server's node.
-        heartbeat: shows them that the server lives.
+        heartbeat: sends signs of life to the modules.
     """
 
     def __init__(
@@ -97,10 +98,10 @@ class Supervisor(Modules):
         return self.connection.link()
 
     def parameters(self, slot: Slot, check: Callable[[], None] = lambda: None) -> NodeClient:
-        """What drives the node of the process in a slot, and sets its parameters.
+        """Create the client of the node in a slot, which drives it and sets its parameters.
 
         Args:
-            slot: of a module.
+            slot: slot of a module.
             check: called while a transition is waited for; raises to give up.
 
         Raises:
@@ -115,7 +116,7 @@ class Supervisor(Modules):
         )
 
     def open(self) -> None:
-        """Begin to join the ROS graph in the background; returns at once.
+        """Start joining the ROS graph in the background; returns at once.
 
         Raises:
             ConfigurationError: the state directory cannot be written.
@@ -129,19 +130,18 @@ class Supervisor(Modules):
         on_stage: Stage = lambda stage: None,
         beside: Slot | None = None,
     ) -> ModuleView:
-        """Spawn, configure, activate, and wait for the proof that it works; a failing start leaves
-        nothing behind.
+        """Spawn, configure, activate, and wait for readiness; a failed start leaves nothing behind.
 
         Args:
-            plan: which module, with what.
-            on_stage: called with a phrase whenever the start has come further.
-            beside: one of `slots` but the first: it starts there, in shadow, while another one
-                works.
+            plan: the module and its options.
+            on_stage: called with a phrase at each stage of the start.
+            beside: one of `slots` other than the first: the module starts there, in shadow, while
+                another one works.
 
         Raises:
-            StateError: it is already there, or the start was cancelled.
+            StateError: it is already running, or the start was cancelled.
             NotReadyError: it died, or something is missing; the message names it.
-            RoboNeuronError: what the module itself says is wrong.
+            RoboNeuronError: the error that the module itself reports.
         """
         kind = plan.kind
         with self.changes.lock:
@@ -170,7 +170,7 @@ class Supervisor(Modules):
 
         Raises:
             ConfigurationError: it cannot be started, or its log cannot be written.
-            NotReadyError: the system does not start it in time; it is ended when it comes.
+            NotReadyError: the system does not start it in time; it is ended as soon as it appears.
         """
         section = getattr(settings.config, settings.kind)
         python = None if section is None else section.python
@@ -207,8 +207,8 @@ class Supervisor(Modules):
         return process
 
     def _in_shadow(self, settings: ModuleSettings, working: Slot) -> ModuleSettings:
-        """Settings of what is to replace the module in `working`: in its shadow until the handover,
-        under the one of two node names that it does not use, and still for the same stop.
+        """Settings of the successor of the module in `working`: in shadow until the handover, with
+        the other one of two node names, and subject to the same stop.
         """
         kind, report = settings.kind, working.report
         is_named_so = working.settings is not None and working.settings.node_name == kind
@@ -216,7 +216,7 @@ class Supervisor(Modules):
             "shadow": True,
             "node_name": f"{kind}_b" if is_named_so else kind,
         }
-        # newer than what the server has counted: a module may have seen a stop before the server
+        # newer than the server's count: a module may have seen a stop before the server
         if report is not None and kind in ARM_KINDS:
             changes["needs_start"] = report.needs_start
         return settings.model_copy(update=changes)
@@ -250,11 +250,11 @@ class Supervisor(Modules):
         return self._finish({slot: slot.begin_stop()})[0]
 
     def cancel(self, kind: ModuleKind, reason: str) -> bool:
-        """End a start in progress, without waiting for its end; returns whether there was one.
+        """Cancel a start in progress without waiting for its end; return True if there was one.
 
         Args:
-            kind: of the module; what is about to replace it is looked at first.
-            reason: for whoever had asked for the start.
+            kind: kind of the module; its successor is considered first.
+            reason: for the caller that requested the start.
         """
         with self.changes.lock:
             slots = tuple(reversed(self.slots[kind]))
@@ -264,8 +264,8 @@ class Supervisor(Modules):
         """Stop everything in the reverse order of starting; never raises for what is not running.
 
         Args:
-            within_s: kill what has not left by then, where `supervisor.stop_timeout_s` would give
-                it more time.
+            within_s: upper bound on the time before a kill, if `supervisor.stop_timeout_s` is
+                longer.
         """
         slots = self.all_slots()
         for slot in slots:
@@ -280,26 +280,26 @@ class Supervisor(Modules):
     def close(self) -> None:
         """Stop everything, leave the ROS graph, end all threads; idempotent.
 
-        In this order: modules are silenced over ROS, the heartbeat goes on until they are gone so
-        that none of them takes its server for frozen, and the spawning thread ends last.
+        The order matters: modules are deactivated over ROS, the heartbeat continues until they are
+        gone so that none regards its server as frozen, and the spawning thread ends last.
         """
         with self.changes.lock:
             self._closed = True
         self.stop_all(LEAVE_S)
         self.connection.close()
         self.heartbeat.close()
-        self._spawning.shutdown()  # a process that is still there gets its death signal
+        self._spawning.shutdown()  # a process that is still alive gets its death signal
 
     def _finish(
         self, claimed: Mapping[Slot, ModuleProcess], within_s: float = math.inf
     ) -> list[Stopped]:
-        """Silence all in order, then end them together.
+        """Deactivate all modules in order, then end them together.
 
-        Silence first: control holds the arm before any process is ended. Each gets an equal share
-        of the time, and what is left of it goes to the ending.
+        Deactivation comes first, so that control holds the arm before any process is ended. Each
+        gets an equal share of the time; the rest is left for the ends.
 
         Args:
-            claimed: what is ended by its slot, in the order in which it is silenced.
+            claimed: processes by their slots, in the order of deactivation.
             within_s: bound on all of it [s].
         """
         started_s = time.monotonic()
@@ -315,7 +315,9 @@ class Supervisor(Modules):
         ]
 
     def _deactivate(self, slot: Slot, process: ModuleProcess, most_s: float) -> None:
-        """Ask for silence, for at most `most_s`; what does not answer is ended anyway."""
+        """Request deactivation, for at most `most_s`; a module that does not answer is ended
+        anyway.
+        """
         limit_s = min(most_s, slot.stop_timeout_s / 2)
         try:
             client = self.parameters(slot, lambda: slot.check_alive("being deactivated"))
@@ -327,12 +329,12 @@ class Supervisor(Modules):
     def _settle(
         self, slot: Slot, process: ModuleProcess, killed: bool, started_s: float
     ) -> Stopped:
-        """Free the slot of an ended module; tells how its stop went.
+        """Free the slot of an ended module; return the result of the stop.
 
         Args:
             slot, process: what was ended.
             killed: it needed SIGKILL.
-            started_s: when the stop began [monotonic s].
+            started_s: time at which the stop began [monotonic s].
         """
         report = slot.report
         slot.settle("stopped")
@@ -354,14 +356,14 @@ class Supervisor(Modules):
                 process.beat()
 
     def _await_settled(self, slot: Slot) -> None:
-        """Wait for the end of a start that was cancelled: whoever runs it ends the process, which
-        takes as long as any stop, and a second for its thread.
+        """Wait for the end of a cancelled start: its thread ends the process, which takes as long
+        as any stop, and a second more.
         """
         slot.await_settled(slot.stop_timeout_s + KILL_S + 1.0)
 
 
 def _end_late(spawning: Future[ModuleProcess]) -> None:
-    """Kill a process that nobody waits for any more; what could not be started is no matter."""
+    """Kill a process that started too late; a failed start is ignored."""
     if spawning.exception() is None:
         process = spawning.result()
         process.reap(lambda ended: None)

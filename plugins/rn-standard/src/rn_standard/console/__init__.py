@@ -1,1 +1,1 @@
-"""Commands for people at a terminal: run an instruction, status, logs and shell completion."""
+"""Commands for users at a terminal: run an instruction, status, logs and shell completion."""

@@ -52,8 +52,8 @@ class CallCommand:
         )
 
     def run(self, arguments: Namespace) -> int:
-        """Call, print the structured answers as JSON lines; status 1 when one is an error, and no
-        further calls.
+        """Call the tools, print the structured answers as JSON lines; after an error, stop with
+        status 1.
         """
         from roboneuron import ConfigurationError
 
@@ -107,7 +107,7 @@ async def _call_all(arguments: Namespace, calls: list[tuple[str, dict[str, objec
 
 
 async def _end(client: Client, *, stays: bool, quiet: bool) -> None:
-    """Say what ends with the server that this command has started; if it `stays`, wait for Ctrl-C
+    """Print what ends with the server that this command has started; if it `stays`, wait for Ctrl-C
     first.
     """
     found = (await client.call_tool("get_status", {})).structured_content or {}

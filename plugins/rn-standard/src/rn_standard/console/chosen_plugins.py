@@ -1,5 +1,5 @@
-"""Which plugins a command is about: those that a configuration does not disable, and those that a
-name means.
+"""Plugins that a command refers to: those not disabled by a configuration, and those with a given
+name.
 """
 
 from __future__ import annotations
@@ -23,9 +23,7 @@ def add_config(parser: ArgumentParser) -> None:
 
 
 def read_disabled(config: Path | None) -> tuple[str, ...]:
-    """`disabled_plugins` of a configuration file, read without the models that check the rest of
-    it.
-    """
+    """Read `disabled_plugins` of a configuration file, without validating the rest of it."""
     if config is None:
         return ()
     try:
@@ -47,11 +45,11 @@ def read_disabled(config: Path | None) -> tuple[str, ...]:
 def find(
     registry: Registry, name: str, kind: str | None = None
 ) -> list[tuple[PluginRecord, tuple[Offer, ...]]]:
-    """The plugins that `name` means, each with the offers it means: all for a plugin or a
-    distribution, else those so called.
+    """Find the plugins that `name` refers to, with their offers: all for the name of a plugin or
+    distribution, else those with that name.
 
     Raises:
-        ConfigurationError: nothing (of that kind) has the name; names the nearest.
+        ConfigurationError: the name (of that kind) is unknown; suggests the nearest.
     """
     found: list[tuple[PluginRecord, tuple[Offer, ...]]] = []
     names: set[str] = set()

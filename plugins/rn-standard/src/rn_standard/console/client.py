@@ -15,20 +15,22 @@ if TYPE_CHECKING:
     from mcp import Client
 
 TRUTH_SWITCH = "ROBONEURON_SIMULATOR_TRUTH"
-"""Environment variable of a server that is to tell what only a simulator knows."""
+"""Environment variable of a server that makes the simulator's ground truth available."""
 
 
 @asynccontextmanager
 async def spawned_server(options: Sequence[str], log: Path | None = None) -> AsyncIterator[Client]:
-    """A client of a server that this process starts and ends; the simulator's truth is told to it.
+    """Create a client of a server that this process starts and ends; the simulator's ground truth
+    is available to it.
 
     Args:
-        options: of `roboneuron serve`.
-        log: file for what the server writes to its standard error; None for this process's own.
+        options: options of `roboneuron serve`.
+        log: file for the server's standard error; None for this process's own.
 
     Raises:
-        ConfigurationError: the server ended before it answered; its last words are in the message.
-        NotReadyError: it ended later, or answered what the protocol does not know.
+        ConfigurationError: the server ended before it answered; the message contains its last
+            output.
+        NotReadyError: it ended later, or violated the protocol.
     """
     from mcp import Client, StdioServerParameters  # heavy
     from mcp.client.stdio import stdio_client  # heavy
@@ -68,7 +70,7 @@ def _last_words(log: Path | None) -> str:
 
 
 def leaves_of(error: Exception) -> Iterator[Exception]:
-    """The exceptions in a group, however deep; `error` itself when it is none."""
+    """The exceptions in a group, at any depth; `error` itself if it is not a group."""
     if isinstance(error, ExceptionGroup):
         for part in error.exceptions:
             yield from leaves_of(part)

@@ -7,15 +7,15 @@ from pathlib import Path
 
 
 class ConfigCheck:
-    """Say what is wrong with a roboneuron.toml, as `roboneuron serve` would at its start."""
+    """Report errors in a roboneuron.toml, as `roboneuron serve` would at its start."""
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron config check`."""
         parser.add_argument("file", type=Path, help="the roboneuron.toml")
 
     def run(self, arguments: Namespace) -> int:
-        """Refuse what `roboneuron serve` would refuse at its start, but for ports, which a running
-        server may hold.
+        """Refuse what `roboneuron serve` would refuse at its start, except ports in use, which a
+        running server may hold.
         """
         from roboneuron.command import (
             check_configuration,

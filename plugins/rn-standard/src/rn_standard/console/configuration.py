@@ -23,7 +23,7 @@ class ConfigShow:
     """
 
     def configure(self, parser: ArgumentParser) -> None:
-        """There are no arguments."""
+        """No arguments."""
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron config show`."""
@@ -37,7 +37,7 @@ class ConfigReference:
     """Print every key with its type, default and meaning, as Markdown."""
 
     def configure(self, parser: ArgumentParser) -> None:
-        """There are no arguments."""
+        """No arguments."""
 
     def run(self, arguments: Namespace) -> int:
         """Run `roboneuron config reference`."""
@@ -46,8 +46,8 @@ class ConfigReference:
 
 
 def feature_text() -> str:
-    """The sections of the installed features with their defaults; see `ConfigShow` for what # and
-    ## mean.
+    """The sections of the installed features with their defaults; see `ConfigShow` for the meaning
+    of # and ##.
     """
     lines: list[str] = []
     for spec, tables in _feature_tables():
@@ -64,7 +64,7 @@ def feature_text() -> str:
 
 
 def _settings(section: type[BaseModel]) -> Iterator[str]:
-    """The keys of a section as lines of TOML, commented out; those without a default as text."""
+    """The keys of a section as commented-out lines of TOML; keys without a default as text."""
     options = list(describe_options(section))
     unset = [option.key for option in options if option.default in (None, UNSET)]
     for option in options:
@@ -84,7 +84,7 @@ def _settings(section: type[BaseModel]) -> Iterator[str]:
 
 
 def reference() -> str:
-    """docs/configuration.md, generated from the configuration models of core and of the installed
+    """Generate docs/configuration.md from the configuration models of core and of the installed
     features.
     """
     from roboneuron.command import Config, reading
@@ -138,7 +138,7 @@ def reference() -> str:
 
 
 def _feature_tables() -> Iterator[tuple[FeatureSpec, list[tuple[str, type[BaseModel]]]]]:
-    """The installed features that have options, each with its sections."""
+    """The installed features with options, each with its sections."""
     for spec in discover().specs(FeatureSpec).values():
         model = loading.load_options_model(spec)
         if model is not None:
@@ -146,7 +146,7 @@ def _feature_tables() -> Iterator[tuple[FeatureSpec, list[tuple[str, type[BaseMo
 
 
 def _tables(root: type[BaseModel]) -> Iterator[tuple[str, type[BaseModel]]]:
-    """Heading and model of each section, of a model whose fields are sections."""
+    """Heading and model of each section, for a model whose fields are sections."""
     from pydantic import BaseModel
 
     for name, field in root.model_fields.items():
@@ -164,7 +164,7 @@ def _tables(root: type[BaseModel]) -> Iterator[tuple[str, type[BaseModel]]]:
 
 
 def _page_table(heading: str, section: type[BaseModel], told: dict[str, str]) -> list[str]:
-    """A section of the page; `told` has the lines so far, and the section of each."""
+    """Create a section of the page; `told` contains the previous lines, and the section of each."""
     summary = " ".join((section.__doc__ or "").split("\n\n")[0].split())
     purpose = summary.split(": ", 1)[-1].rstrip(".")
     rows: list[tuple[list[str], str]] = []
@@ -186,7 +186,7 @@ def _page_table(heading: str, section: type[BaseModel], told: dict[str, str]) ->
 
 
 def _range(kind: str) -> str:
-    """A type with two bounds, as an interval: "number > 0, ≤ 1" is "number (0, 1]"."""
+    """Format a type with two bounds as an interval: "number > 0, ≤ 1" is "number (0, 1]"."""
     return re.sub(
         r"([>≥]) (\S+), ([<≤]) ([^\s,]+)",
         lambda found: (

@@ -1,4 +1,4 @@
-"""A client of a server: a spawned one, or a running one over HTTP with a token from the
+"""Client of a server: a spawned one, or a running one over HTTP with a token from the
 environment.
 """
 
@@ -40,15 +40,15 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 @asynccontextmanager
 async def connect(arguments: Namespace) -> AsyncIterator[Client]:
-    """A connected client.
+    """Create a connected client.
 
     Raises:
-        ConfigurationError: there is no such server, it refuses the token, or the token's variable
-            is not set.
+        ConfigurationError: the server is not reachable, it refuses the token, or the token's
+            variable is not set.
     """
     if arguments.url is None:
         level = terminal.log_level(arguments)
-        # its warnings also reach us as answers
+        # its warnings are also part of the answers
         options = ["--log-level", "error" if level == "warning" else level]
         if arguments.config is not None:
             options += ["--config", str(arguments.config)]
@@ -60,7 +60,7 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
     from mcp.client.streamable_http import streamable_http_client  # heavy
     from mcp.shared.exceptions import MCPError
 
-    logging.getLogger("mcp").addHandler(logging.NullHandler())  # what it warns of becomes our error
+    logging.getLogger("mcp").addHandler(logging.NullHandler())  # its warnings become our error
     token = _token(arguments.token_variable)
     headers = {} if token is None else {"Authorization": f"Bearer {token}"}
     timeout = httpx2.Timeout(30.0, read=300.0)
@@ -79,12 +79,12 @@ async def connect(arguments: Namespace) -> AsyncIterator[Client]:
 
 
 async def _knock(http: object, url: str) -> None:
-    """Learn what a client library would wrap: nobody listens, or the token is refused."""
+    """Detect errors that a client library would wrap: no server, or a refused token."""
     import httpx2  # heavy
 
     assert isinstance(http, httpx2.AsyncClient)
     try:
-        answer = await http.delete(url)  # of no session: nothing happens
+        answer = await http.delete(url)  # without a session, so that nothing happens
     except httpx2.ConnectError as error:
         raise ConfigurationError(
             f"Nobody answers at {url}: {error}.", hint="Is the server running?"

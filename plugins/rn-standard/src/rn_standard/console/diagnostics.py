@@ -1,9 +1,10 @@
-"""Status without a server's help: what modules say on /diagnostics, and which servers use this
+"""Status without a server: the modules' reports on /diagnostics, and the servers that use this
 state directory.
 
-A server on stdio talks to the client that started it and to nobody else. Its modules report on
+A server on stdio communicates only with the client that started it. Its modules report on
 /diagnostics five times a second, its process id is in the name of its log directory, and the
-emergency stop is a file: that is enough to show how the modules are, without disturbing anybody.
+emergency stop is a file. That is sufficient to show the state of the modules without affecting
+them.
 """
 
 from __future__ import annotations
@@ -31,16 +32,16 @@ if TYPE_CHECKING:
 
 _KINDS: tuple[ModuleKind, ...] = get_args(ModuleKind)
 FORGET_S = 5.0
-"""A module that has been silent for longer, and whose process is gone, is no longer shown."""
+"""Time after which a silent module without a process is no longer shown."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FoundServer:
-    """A server process that is alive.
+    """A running server process.
 
     Attributes:
         domain: its ROS domain.
-        log_directory: of its run.
+        log_directory: log directory of its run.
     """
 
     pid: int
@@ -49,8 +50,8 @@ class FoundServer:
 
 
 def find_servers(state_directory: Path) -> list[FoundServer]:
-    """Servers that log below this state directory and are alive, the newest first; another user's
-    are left out.
+    """Running servers that log below this state directory, newest first; those of other users are
+    left out.
     """
     found = []
     folders = [state_directory, *sorted(reading.robot_folder(state_directory).parent.glob("*"))]
@@ -73,12 +74,12 @@ def find_servers(state_directory: Path) -> list[FoundServer]:
 def _read_proc(pid: int, name: str) -> str:
     try:
         return Path(f"/proc/{pid}/{name}").read_text(encoding="utf-8", errors="replace")
-    except OSError:  # gone, or another user's
+    except OSError:  # ended, or of another user
         return ""
 
 
 class DiagnosticsListener:
-    """Keeps the newest report of every module process in this ROS domain; close it."""
+    """Keeps the newest report of every module process in this ROS domain; to be closed."""
 
     def __init__(self, state_directory: Path) -> None:
         self._state_directory = state_directory
@@ -103,7 +104,7 @@ class DiagnosticsListener:
         self._link.close()
 
     def receive(self, message: DiagnosticArray) -> None:
-        """Keep the reports of modules in a message; from the thread of the ROS link."""
+        """Store the reports of modules in a message; called on the thread of the ROS link."""
         for status in message.status:
             namespace, _, node = status.name.strip("/").rpartition("/")
             values = {pair.key: pair.value for pair in status.values}
@@ -112,13 +113,13 @@ class DiagnosticsListener:
                 or "state" not in values
                 or not status.hardware_id.isdecimal()
             ):
-                continue  # the supervisor's own words, or somebody else's
+                continue  # of the supervisor, or of a foreign node
             report = Report.from_values(values, received_s=time.monotonic())
             with self._lock:
                 self._reports[namespace, node, int(status.hardware_id)] = report
 
     def servers_elsewhere(self) -> list[str]:
-        """A line for each server whose modules cannot be heard from this ROS domain."""
+        """A line for each server whose modules are not visible in this ROS domain."""
         return [
             f"A server (pid {server.pid}) runs in ROS domain {server.domain}: "
             f"ROS_DOMAIN_ID={server.domain} roboneuron status"
@@ -127,8 +128,8 @@ class DiagnosticsListener:
         ]
 
     def read_status(self) -> list[ServerStatus]:
-        """One status for each robot that modules report for, and one without modules when none
-        does.
+        """One status for each robot with reporting modules; if there is none, one without
+        modules.
         """
         now_s = time.monotonic()
         with self._lock:
@@ -167,14 +168,14 @@ class DiagnosticsListener:
         return found
 
     def _folder_of(self, namespace: str, runs: list[Path]) -> Path:
-        """Where the latch of a robot is: a server of several robots notes in each one's folder
-        whose it is.
+        """Folder with the latch of a robot: a server of several robots stores the namespace in each
+        one's folder.
 
-        The state directory itself for a robot that is alone in its server.
+        For a single robot it is the state directory itself.
 
         Args:
-            namespace: of the robot.
-            runs: log directories of its server, `<folder>/log/<run>`; none when the server has
+            namespace: namespace of the robot.
+            runs: log directories of its server, `<folder>/log/<run>`; empty if the server has
                 ended.
         """
         folders = sorted(reading.robot_folder(self._state_directory).parent.glob("*"))
@@ -208,12 +209,12 @@ def _in_order(item: tuple[tuple[str, str, int], Report]) -> tuple[str, int, int]
 
 
 def _kind_of(node: str) -> ModuleKind | None:
-    """Which module a node is: nodes are called as their kind, after a switch with a suffix."""
+    """Kind of a module's node: nodes have the name of their kind, after a switch with a suffix."""
     return next((kind for kind in _KINDS if node == kind or node.startswith(f"{kind}_")), None)
 
 
 def _health(node: str, pid: int, report: Report, now_s: float) -> Health:
-    """As the server judges it, except that a start in progress looks like "waiting"."""
+    """Health as determined by the server, except that a start in progress looks like "waiting"."""
     if not Path(f"/proc/{pid}").exists():
         return "exited"
     kind = _kind_of(node)

@@ -1,4 +1,4 @@
-"""Ctrl-C for what goes on until somebody ends it."""
+"""Ctrl-C handling for commands that run until interrupted."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from contextlib import contextmanager
 
 @contextmanager
 def lasting_interrupt() -> Iterator[Callable[[], bool]]:
-    """A function that says whether Ctrl-C was pressed.
+    """Yield a function that returns True once Ctrl-C was pressed.
 
-    Python drops a KeyboardInterrupt that is raised inside a `__del__` or a callback.
-    Source: docs.python.org, "Note on Signal Handlers and Exceptions".
+    Python drops a KeyboardInterrupt that is raised inside a `__del__` or a callback. Source:
+    docs.python.org, "Note on Signal Handlers and Exceptions".
     """
     pressed = False
 

@@ -1,5 +1,5 @@
-"""When a run is over, and how it went: decided from one status after the other, without any input
-or output.
+"""Decision on the end and the outcome of a run, from successive statuses, without any input or
+output.
 """
 
 from __future__ import annotations
@@ -12,19 +12,17 @@ from rn_standard.console.status import ServerStatus, SimulatedObject, simulated_
 from rn_standard.console.table import fault_text
 
 HELD_S = 1.0
-"""A simulator's object that has been lifted for so long was picked up."""
+"""Time for which a simulated object has to be lifted to count as picked up."""
 PATIENCE_S = 4.0
-"""A fault that is gone sooner does not end the run: a late image on a busy machine, a module that
-is started again.
+"""Duration of a fault that ends the run; shorter ones are, for example, a late image on a busy
+machine or a module being restarted.
 """
 DONE_METRIC = "done"
-"""A backend that knows when it has finished says so with this metric of its action chunks: 1
-finished, 0 not yet.
-"""
+"""Metric of a backend's action chunks that reports its own end: 1 finished, 0 not yet."""
 
 
 class RunOutcome(IntEnum):
-    """How a run went; the value is the exit status."""
+    """Outcome of a run; the value is the exit status."""
 
     DONE = 0
     NOT_DONE = 1
@@ -45,14 +43,14 @@ class RunEnd:
 
 
 class RunJudge:
-    """Looks at each status of a run; not for more than one run.
+    """Evaluates each status of a run; used for one run only.
 
-    The simulator's word counts most, where it knows the object that the instruction names; then the
-    backend's own.
+    The simulator's report takes precedence, if it knows the object in the instruction; otherwise
+    the backend's own report is used.
 
     Args:
-        instruction: what the robot is to do.
-        timeout_s: the run ends after this long.
+        instruction: instruction for the robot.
+        timeout_s: longest duration of the run [s].
     """
 
     def __init__(self, instruction: str, timeout_s: float) -> None:
@@ -63,7 +61,7 @@ class RunJudge:
         self._claimed_since_s = math.inf
 
     def target(self, status: ServerStatus) -> tuple[str, SimulatedObject] | None:
-        """The one simulated object that the instruction names, or None."""
+        """The one simulated object named in the instruction, or None."""
         named = [
             (n, o)
             for n, o in simulated_objects(status.module("robot")).items()
@@ -72,7 +70,7 @@ class RunJudge:
         return named[0] if len(named) == 1 else None
 
     def look(self, status: ServerStatus, elapsed_s: float) -> RunEnd | None:
-        """The verdict at `elapsed_s` after the first action, or None while the run goes on."""
+        """The verdict at `elapsed_s` after the first action, or None while the run continues."""
         if status.emergency_stop:
             cause = f" by {status.emergency_stop_cause}" if status.emergency_stop_cause else ""
             return _not_done(f"the emergency stop was latched{cause}")

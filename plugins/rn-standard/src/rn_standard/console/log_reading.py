@@ -1,4 +1,4 @@
-"""Log files of one run merged by time, and followed while they grow."""
+"""Log files of one run, merged by time, and followed while they grow."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from roboneuron import ConfigurationError
 from roboneuron.command import log_files
 
 _STAMP = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} ([A-Z]+) ")
-"""How an entry begins, see `roboneuron.log_files.FORMAT`; other lines belong to the entry before
-them.
+"""Beginning of an entry, see `roboneuron.log_files.FORMAT`; other lines belong to the previous
+entry.
 """
 _STYLES = {"WARNING": "yellow", "ERROR": "red", "CRITICAL": "bold red", "DEBUG": "dim"}
 _COLOURS = {
@@ -32,7 +32,7 @@ _LOOK_S = 0.2
 
 
 def choose_run(state_directory: Path, name: str | None) -> LogRun:
-    """The run of that name, or the newest.
+    """Return the run of that name, or the newest.
 
     Raises:
         ConfigurationError: there is none.
@@ -53,7 +53,7 @@ def choose_run(state_directory: Path, name: str | None) -> LogRun:
 
 @dataclass(kw_only=True, slots=True)
 class _File:
-    """How far a file has been read."""
+    """Read position in a file."""
 
     path: Path
     module: str
@@ -63,8 +63,8 @@ class _File:
     rest: bytes = b""
 
     def read_lines(self) -> Iterator[tuple[str, str, str]]:
-        """(time, module, line) of each whole line since the last call; from the beginning in a file
-        begun anew.
+        """Yield (time, module, line) for each complete line since the last call; from the beginning
+        in a new file.
         """
         try:
             with self.path.open("rb") as file:
@@ -88,7 +88,7 @@ class LogView:
     """Shows one run.
 
     Args:
-        module: only this one's log; None for all.
+        module: the module whose log is shown; None for all.
 
     Raises:
         ConfigurationError: the run has no log of it.
@@ -113,11 +113,11 @@ class LogView:
         self._print(lines[-count:] if count else lines)
 
     def follow(self, newest_below: Path | None) -> None:
-        """Print what is added until interrupted; with a state directory go over to a newer run when
-        one begins.
+        """Print new lines until interrupted; with a state directory, switch to a newer run when one
+        begins.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C, also where Python would lose it.
+            KeyboardInterrupt: on Ctrl-C, also where Python would lose it.
         """
         with lasting_interrupt() as interrupted:
             while True:

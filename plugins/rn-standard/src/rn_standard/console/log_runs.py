@@ -16,7 +16,7 @@ class LogRun:
 
     Attributes:
         time: as in its name, "20260102-101500".
-        pid: of the server.
+        pid: process id of the server.
     """
 
     time: str
@@ -29,8 +29,8 @@ class LogRun:
 
 
 def log_runs(state_directory: Path) -> list[LogRun]:
-    """All runs, the newest first; of two begun within one second the one that was written to last
-    comes first.
+    """All runs, newest first; of two begun within one second, the one with the latest write comes
+    first.
     """
     found = []
     for path in (state_directory / "log").glob("*/"):

@@ -1,4 +1,4 @@
-"""Options of a pydantic model as text: for `roboneuron config show`, `config reference` and
+"""Options of a pydantic model as text, for `roboneuron config show`, `config reference` and
 `plugins show`.
 """
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pydantic import BaseModel
 
 UNSET = "none"
-"""Default of an option that has no value unless one is given."""
+"""Default of an optional option without a value."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -26,7 +26,7 @@ class Option:
     Attributes:
         key: as in the configuration.
         type: with its bounds or choices.
-        default: as in TOML, or UNSET; None when it must be given.
+        default: as in TOML, or UNSET; None if required.
         meaning: its description.
         restricted: only the configuration may set it.
     """
@@ -39,7 +39,7 @@ class Option:
 
 
 def describe_options(model: type[BaseModel]) -> Iterator[Option]:
-    """The options of a model, in its order; what it has in common with others stands last.
+    """Yield the options of a model, in its order; inherited ones are last.
 
     Those of a table follow it, as `table.key`; in a table of tables as `table.<name>.key`, in a
     list as `list[].key`.
@@ -80,7 +80,7 @@ def _tables(place: str, annotation: object) -> Iterator[tuple[str, type[BaseMode
 
 
 def _literal(value: object) -> str:
-    """As TOML writes it; in a table what is unset is left out."""
+    """Format a value as in TOML; unset values in a table are left out."""
     if value is None:
         return UNSET
     if isinstance(value, bool | int | float):

@@ -1,6 +1,4 @@
-"""All commands of `roboneuron` as one argument parser: for completion and for the reference
-page.
-"""
+"""All commands of `roboneuron` in one argument parser, for completion and the reference page."""
 
 from __future__ import annotations
 
@@ -23,12 +21,12 @@ from roboneuron.command import (
 log = logging.getLogger(__name__)
 _FOLDERS = ("DIRECTORY", "FOLDER")
 ONLY_ACTIONS = "see its actions"
-"""Help of a word that only stands before actions."""
+"""Help of a word that only precedes actions."""
 
 
 def whole_parser() -> ArgumentParser:
-    """Every command with its arguments; one of a plugin that cannot be loaded is logged and left
-    out.
+    """Create the parser of all commands; a plugin's command that cannot be loaded is logged and
+    left out.
     """
     registry = discover()
     parser = ArgumentParser(prog="roboneuron")

@@ -1,6 +1,4 @@
-"""The flag `--option` of every command that makes plugins: options of any of them, in one
-notation.
-"""
+"""The flag `--option` of commands that create plugins: options of any of them, in one notation."""
 
 from __future__ import annotations
 
@@ -16,8 +14,8 @@ FORM = "[PLUGIN.]NAME=VALUE"
 
 
 def add_option(parser: ArgumentParser, own: str) -> None:
-    """Add --option, for `read_options`; `own` says whose options need no plugin's name, such as
-    "the backend".
+    """Add --option, for `read_options`; options of `own`, such as "the backend", need no plugin's
+    name.
     """
     told = (
         "an option of any plugin, VALUE as in TOML or JSON, else text; without PLUGIN one of "
@@ -27,8 +25,8 @@ def add_option(parser: ArgumentParser, own: str) -> None:
 
 
 def read_options(texts: Sequence[str], own: str) -> dict[str, dict[str, object]]:
-    """Options by plugin, of texts such as `oft.unnorm_key=tiny`; without a plugin's name they are
-    those of `own`.
+    """Parse options by plugin from texts such as `oft.unnorm_key=tiny`; without a plugin's name
+    they belong to `own`.
 
     Raises:
         ConfigurationError: a text is not of that form.
@@ -47,7 +45,7 @@ def read_options(texts: Sequence[str], own: str) -> dict[str, dict[str, object]]
 
 
 def read_value(text: str) -> object:
-    """A value as in TOML or JSON where it can be read as such, else the text; dates stay text."""
+    """Parse a value as TOML or JSON if possible, else return the text; dates stay text."""
     try:
         value: object = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

@@ -22,8 +22,8 @@ from roboneuron.command import (
 )
 
 SCHEMA_VERSION = 1
-"""Raised when a key of the JSON document changes its meaning or goes; new keys may come at any
-time.
+"""Version of the JSON document, incremented when a key changes its meaning or is removed; keys may
+be added at any time.
 """
 STYLES = {
     Status.READY: "green",
@@ -37,9 +37,11 @@ STYLES = {
 _CODES = {"bold": "1", "dim": "2", "red": "31", "green": "32", "yellow": "33"}
 _HEADING = ("KIND", "NAME", "STATUS", "PLUGIN", "SUMMARY")
 _MOST_NAMES, _FIRST_NAMES = 40, 12
-"""Of a kind with more than so many, the short list shows the first."""
+"""Number of offers of one kind from which the short list is truncated, and the number it then
+shows.
+"""
 _NARROWEST = 24
-"""Columns a summary gets even on a terminal too narrow for it."""
+"""Minimum width of a summary [columns], even on a narrower terminal."""
 
 
 class PluginsList:
@@ -76,12 +78,12 @@ class PluginsList:
 
 
 def _troubled(registry: Registry) -> tuple[PluginRecord, ...]:
-    """Plugins that are not ready, those left out on purpose aside."""
+    """Plugins that are not ready, without deliberately disabled ones."""
     return tuple(p for p in registry.plugins if p.status not in (Status.READY, Status.DISABLED))
 
 
 def to_document(registry: Registry) -> dict[str, object]:
-    """The listing as plain data; docs/reference/plugins-list.schema.json describes it."""
+    """Convert the listing to plain data; described by docs/reference/plugins-list.schema.json."""
     return {
         "schema_version": SCHEMA_VERSION,
         "core": __version__,
@@ -115,9 +117,7 @@ def _offer_document(offer: Offer) -> dict[str, object]:
 
 
 def print_short(registry: Registry) -> None:
-    """Write what is ready by kind, then all that is not with what to do about it, then what is not
-    installed.
-    """
+    """Print ready offers by kind, then the others with remedies, then uninstalled ones."""
     if not registry.plugins:
         command = availability.install_command()
         print(f"No plugins are installed. For a start: {command}")
@@ -150,10 +150,9 @@ def print_short(registry: Registry) -> None:
 
 
 def print_table(registry: Registry) -> None:
-    """Write the table of all offers, and below it each plugin's trouble.
+    """Print the table of all offers, and below it each plugin's problems.
 
-    Drawn here rather than by rich, whose import and rendering take longer than everything else that
-    listing does.
+    It does not use rich, whose import and rendering would take longer than the rest of the command.
     """
     rows = sorted(row for record in registry.plugins for row in _rows(record))
     widths = [max(len(row[i]) for row in (_HEADING, *rows)) for i in range(4)]
@@ -175,9 +174,7 @@ def print_table(registry: Registry) -> None:
 
 
 def _print_trouble(registry: Registry) -> None:
-    """Each plugin that is not ready, with its reasons, and what it has that is ready all the
-    same.
-    """
+    """Print each plugin that is not ready, with its reasons and its offers that are ready."""
     for record in _troubled(registry):
         print(f"\n{record.name} is {_paint(record.status, STYLES[record.status])}")
         reasons = dict.fromkeys(offer.reason for offer in record.offers if offer.reason) or (
@@ -191,7 +188,7 @@ def _print_trouble(registry: Registry) -> None:
 
 
 def _wrapped(text: str, indent: int) -> str:
-    """The text within the terminal's width; a command in it is not broken within a word."""
+    """Wrap the text to the terminal's width; a command in it is not broken within a word."""
     lead = " " * indent
     return textwrap.fill(
         text,
@@ -219,7 +216,7 @@ def _line(cells: Sequence[str], widths: Sequence[int]) -> str:
 
 
 def _paint(text: str, style: str) -> str:
-    """In colours on a terminal, not with NO_COLOR."""
+    """Add colours on a terminal, unless NO_COLOR is set."""
     has_colour = sys.stdout.isatty() and "NO_COLOR" not in os.environ
     codes = ";".join(_CODES[word] for word in style.split())
     return f"\x1b[{codes}m{text}\x1b[0m" if has_colour else text

@@ -42,7 +42,7 @@ class PluginsShow:
 
 
 def show(registry: Registry, name: str, kind: str | None) -> int:
-    """Print all about `name` and return the exit status."""
+    """Print all facts about `name` and return the exit status."""
     from rich.console import Console
     from rich.text import Text
 
@@ -71,8 +71,8 @@ def show(registry: Registry, name: str, kind: str | None) -> int:
 
 
 def _options(offer: Offer) -> Iterator[str]:
-    """What may stand in `[plugins.<name>]`, of everything in the offer that takes options and can
-    be imported.
+    """Options in `[plugins.<name>]`, for every part of the offer that has options and can be
+    imported.
     """
     if offer.status is not Status.READY:
         return

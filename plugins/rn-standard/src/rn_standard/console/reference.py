@@ -1,6 +1,6 @@
-"""The reference part of docs/command-line.md, from the commands' own parsers.
+"""Generator of the reference part of docs/command-line.md, from the commands' parsers.
 
-`python -m rn_standard.console.reference docs/command-line.md` writes it anew, below the page's last
+`python -m rn_standard.console.reference docs/command-line.md` rewrites it, below the page's last
 line of prose.
 """
 
@@ -21,12 +21,14 @@ _EVERYWHERE = ("--help", "--verbose", "--quiet")
 
 
 def command_reference() -> str:
-    """A section for each command: what it does, and the names of its arguments and options."""
+    """Create a section for each command: its purpose, and the names of its arguments and
+    options.
+    """
     return "\n".join(_section(command) for command in _commands(whole_parser()) if _about(command))
 
 
 def with_reference(page: str) -> str:
-    """The page with its reference part made anew.
+    """Return the page with a regenerated reference part.
 
     Raises:
         ValueError: the page has no mark.
@@ -49,7 +51,7 @@ def _commands(parser: ArgumentParser) -> Iterator[ArgumentParser]:
 
 
 def _about(command: ArgumentParser) -> str:
-    """What a command does, by the first paragraph; empty for a word that only stands before its
+    """Purpose of a command, from its first paragraph; empty for a word that only precedes its
     actions.
     """
     about = " ".join((command.description or "").partition("\n\n")[0].split()).rstrip(".")

@@ -44,7 +44,7 @@ class RunCommand:
             )
         where = f"with the server at {arguments.url}"
         if arguments.url is None:
-            # its errors are ours to tell, before a server is started
+            # its errors are reported here, before a server is started
             config = load_config(arguments.config)
             where = f"with {config.robot.name} ({config.robot.driver})"
         import anyio  # heavy

@@ -1,5 +1,5 @@
-"""What a person sees of a run: a line for each step; on a terminal, what goes on at the moment
-below them.
+"""Terminal output of a run: a line for each step, and below them on a terminal the present
+activity.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ from rich.text import Text
 
 
 class CommandScreen:
-    """Writes lines to a console.
+    """Writer of lines to a console.
 
     Args:
-        is_quiet: only the last line of the run is shown.
+        is_quiet: show only the last line of the run.
     """
 
     def __init__(self, console: Console, is_quiet: bool) -> None:
@@ -24,26 +24,26 @@ class CommandScreen:
         self._is_quiet = is_quiet
 
     def title(self, text: str) -> None:
-        """What is going to happen."""
+        """Print the title of the run."""
         self._line(Text(text, style="bold"))
 
     def say(self, text: str) -> None:
-        """Something has happened."""
+        """Print an event."""
         self._line(Text(f"    {text}"))
 
     def warn(self, text: str) -> None:
-        """Something went wrong that does not end the run."""
+        """Print a problem that does not end the run."""
         self._line(Text(f"  ! {text}", style="yellow"))
 
     def end(self, is_done: bool, text: str) -> None:
-        """How the run went."""
+        """Print the outcome of the run."""
         self._console.print(
             Text(text, style="bold green" if is_done else "bold red"), soft_wrap=True
         )
 
     @contextmanager
     def step(self, what: str) -> Iterator[Callable[[str], None]]:
-        """A step of the run; call what is given with what goes on during it."""
+        """Show a step of the run; call the yielded function with the progress."""
         started_s = time.monotonic()
         with self.live(what) as update:
             try:
@@ -56,8 +56,8 @@ class CommandScreen:
 
     @contextmanager
     def live(self, text: str) -> Iterator[Callable[[str], None]]:
-        """A line that is written anew again and again, on a terminal; call what is given with its
-        text.
+        """Show a line that is rewritten repeatedly on a terminal; call the yielded function with
+        its text.
         """
         if self._is_quiet or not self._console.is_terminal:
             yield lambda text: None

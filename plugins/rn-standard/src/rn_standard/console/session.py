@@ -1,4 +1,4 @@
-"""An MCP client's calls with typed ends: an answer, or an exception with the server's words."""
+"""Typed results for an MCP client's calls: an answer, or an exception with the server's message."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from rn_standard.console.status import ServerStatus
 from roboneuron import NotReadyError
 
 _CALL_TIMEOUT_S = 900.0
-"""A model may load for minutes; the server has its own time-outs for everything it starts."""
+"""Timeout of a call: a model may load for minutes; the server has its own timeouts for everything
+it starts.
+"""
 
 
 class ConsoleSession:
-    """Calls tools of one server.
+    """Client session that calls tools of one server.
 
     Args:
-        source: which server this is, in words.
+        source: description of the server.
     """
 
     def __init__(self, client: Client, source: str) -> None:
@@ -35,7 +37,7 @@ class ConsoleSession:
         """Call a tool.
 
         Raises:
-            NotReadyError: the tool answered with an error; holds its text.
+            NotReadyError: the tool answered with an error; contains its text.
         """
 
         async def progress(progress: float, total: float | None, message: str | None) -> None:
@@ -55,8 +57,7 @@ class ConsoleSession:
         return dict(answer.structured_content or {})
 
     async def robots(self, tool: str) -> list[dict[str, str]]:
-        """What a tool has to be given, for each robot: `robot` where the server has several of
-        them.
+        """Arguments that select each robot for a tool: `robot` if the server has several.
 
         Raises:
             NotReadyError: the server has no such tool.
@@ -72,11 +73,11 @@ class ConsoleSession:
         return [{"robot": name} for name in tools[tool].input_schema["properties"]["robot"]["enum"]]
 
     async def status(self) -> ServerStatus:
-        """The answer of `get_status`."""
+        """Return the answer of `get_status`."""
         return ServerStatus.from_answer(await self.call("get_status"), self._source)
 
     async def statuses(self) -> list[ServerStatus]:
-        """The answers of `get_status`, one for each robot."""
+        """Return the answers of `get_status`, one for each robot."""
         return [
             ServerStatus.from_answer(await self.call("get_status", robot), self._source)
             for robot in await self.robots("get_status")

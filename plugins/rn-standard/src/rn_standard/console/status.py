@@ -1,6 +1,4 @@
-"""What is known of the modules at one moment, from `get_status` or from /diagnostics, as one
-model.
-"""
+"""State of the modules at one moment, from `get_status` or from /diagnostics, as one model."""
 
 from __future__ import annotations
 
@@ -13,7 +11,7 @@ from roboneuron.command import FAULTS, Health, Report
 
 
 class ModuleError(BaseModel):
-    """The newest failure of a module that does not work."""
+    """The newest error of a module that does not work."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -23,7 +21,7 @@ class ModuleError(BaseModel):
 
 
 class ReportedModule(BaseModel):
-    """One module; the fields are those of `get_status`, None when the source does not say."""
+    """One module; the fields are those of `get_status`, None if the source lacks them."""
 
     model_config = ConfigDict(frozen=True, extra="ignore")
 
@@ -46,12 +44,12 @@ class ReportedModule(BaseModel):
 
     @property
     def is_faulty(self) -> bool:
-        """Whether it does not do its work."""
+        """True if it does not work."""
         return self.health in FAULTS
 
     @classmethod
     def from_report(cls, module: str, pid: int, health: Health, report: Report) -> ReportedModule:
-        """What a module says of itself on /diagnostics."""
+        """Create it from a module's report on /diagnostics."""
         failure = ModuleError(code=report.error_code, message=report.error, hint=report.error_hint)
         names = set(cls.model_fields) & {
             "uptime_s",
@@ -80,9 +78,9 @@ class ServerStatus(BaseModel):
     """A server and its modules.
 
     Attributes:
-        source: where this is from, in words.
-        pid: of the server; None when no server is known.
-        emergency_stop: latched.
+        source: description of the source.
+        pid: process id of the server; None if unknown.
+        emergency_stop: True if latched.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")
@@ -102,21 +100,21 @@ class ServerStatus(BaseModel):
 
     @property
     def running(self) -> tuple[ReportedModule, ...]:
-        """Modules that run, and those that have ended by themselves."""
+        """Running modules, and those that have ended by themselves."""
         return tuple(m for m in self.modules if m.health != "stopped")
 
     @classmethod
     def from_answer(cls, answer: Mapping[str, object], source: str) -> ServerStatus:
-        """Read the answer of `get_status`."""
+        """Parse the answer of `get_status`."""
         return cls.model_validate({**answer, "source": source})
 
 
 class SimulatedObject(BaseModel):
-    """What a simulator says of one object.
+    """A simulator's report on one object.
 
     Attributes:
-        lifted_m: height above where it lay.
-        held_s: for how long it has been lifted without a break.
+        lifted_m: height above its initial place.
+        held_s: time since it was lifted without interruption.
     """
 
     model_config = ConfigDict(frozen=True, extra="ignore")

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from rn_standard.console.status import ServerStatus
 
 LISTEN_S = 1.5
-"""Modules report five times a second; the rest is for finding them."""
+"""Listening time: modules report five times a second; the rest is for discovery."""
 
 
 class StatusCommand:
-    """Show how the modules are: health, rates, latencies, ages, drops, and the emergency stop.
+    """Show the state of the modules: health, rates, latencies, ages, drops, and the emergency stop.
 
     With --url it asks a running HTTP server. Without it, it shows what modules report on
     /diagnostics of this shell's ROS domain. Exit status 0 when something runs and nothing is wrong,
@@ -56,7 +56,7 @@ class StatusCommand:
         except KeyboardInterrupt:
             if arguments.watch is None:
                 raise
-            return 0  # how a watch ends
+            return 0  # the regular end of a watch
 
 
 def _show(arguments: Namespace) -> int:
@@ -73,14 +73,14 @@ def _show(arguments: Namespace) -> int:
 
 
 def exit_status(statuses: Sequence[ServerStatus]) -> int:
-    """0 when something runs and nothing is wrong."""
+    """0 if something runs and nothing is wrong."""
     modules = [module for status in statuses for module in status.running]
     is_stopped = any(status.emergency_stop for status in statuses)
     return int(not modules or is_stopped or any(module.is_faulty for module in modules))
 
 
 async def _ask(arguments: Namespace) -> int:
-    """Ask a running server."""
+    """Query a running server."""
     import anyio
 
     from rn_standard.console import connection
@@ -119,7 +119,7 @@ def _listen(arguments: Namespace, directory: Path) -> int:
 
 
 class _Display:
-    """Shows statuses once, or again and again in one place on a terminal."""
+    """Shows statuses once, or repeatedly in one place on a terminal."""
 
     def __init__(self, arguments: Namespace) -> None:
         self._as_json = arguments.json
@@ -144,7 +144,7 @@ class _Display:
         self._stack.close()
 
     def show(self, statuses: Sequence[ServerStatus], more: Sequence[str] = ()) -> None:
-        """Show them, and lines about other servers."""
+        """Show the statuses, and lines about other servers."""
         if self._as_json:
             print(json.dumps([status.model_dump(mode="json") for status in statuses]), flush=True)
             return

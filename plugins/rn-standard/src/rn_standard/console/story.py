@@ -1,5 +1,5 @@
-"""One run: start what is missing, give the instruction, watch until it is over, stop what was
-started.
+"""One run: start missing modules, give the instruction, monitor until the end, stop the started
+modules.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ _KINDS = ("robot", "perception", "control", "inference")
 
 
 async def run_instruction(arguments: Namespace, screen: CommandScreen) -> int:
-    """Do it all; returns the exit status. Raises as `connection.connect`, and NotReadyError for a
-    failed start.
+    """Perform the run; return the exit status. Raises as `connection.connect`, and NotReadyError
+    for a failed start.
     """
     async with connection.connect(arguments) as client:
         session = ConsoleSession(client, arguments.url or "a server of its own")
@@ -62,7 +62,7 @@ async def _cancel_when_interrupted(
 
 
 class Story:
-    """The parts of a run."""
+    """The steps of a run."""
 
     def __init__(
         self, session: ConsoleSession, instruction: str, timeout_s: float, screen: CommandScreen
@@ -74,7 +74,7 @@ class Story:
         self._started: list[str] = []
 
     async def play(self) -> RunEnd:
-        """Everything but the stop.
+        """Perform all steps but the stop.
 
         Raises:
             RefusedError: the emergency stop is latched.
@@ -95,7 +95,7 @@ class Story:
                     await self._session.call(f"start_{kind}", on_progress=update)
         is_running = status.module("inference") is not None
         tool = "set_instruction" if is_running else "start_inference"
-        # stopped in any case: nobody is left to watch what it does
+        # stopped in any case, because the robot is unattended afterwards
         self._started.append("inference")
         with self._screen.step(
             "give the instruction" if is_running else "start inference"
@@ -140,12 +140,12 @@ class Story:
         return " | ".join([*words, "Ctrl-C stops"])
 
     async def stop(self) -> None:
-        """Stop what this run has started, the newest first; a failure is shown and the rest is
-        stopped all the same.
+        """Stop the modules started by this run, newest first; a failure is shown, and the others
+        are stopped all the same.
         """
         try:
             there = {module.module for module in (await self._session.status()).running}
-        except (NotReadyError, MCPError):  # the server is gone, and its modules with it
+        except (NotReadyError, MCPError):  # the server has ended, and its modules with it
             return
         kinds = [kind for kind in reversed(self._started) if kind in there]
         if not kinds:

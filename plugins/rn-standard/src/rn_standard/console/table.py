@@ -1,4 +1,4 @@
-"""A server's status as a table for people; plain text where the output is no terminal."""
+"""A server's status as a table; plain text if the output is not a terminal."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _PLAIN_WIDTH = 110
 _UNBOUNDED = 1000
 _COLUMNS = ("pid", "up", "Hz", "ms", "p99 ms", "age ms", "sent", "dropped")
 _DISPENSABLE = ("sent", "p99 ms", "pid", "up", "dropped", "age ms", "ms", "Hz")
-"""Columns in the order in which a narrow terminal does without them."""
+"""Columns in the order in which they are dropped on a narrow terminal."""
 
 
 def make_console(*, stderr: bool = False) -> Console:
-    """A console for this terminal; without one, no colours and lines that are wide enough for the
+    """Create a console for this terminal; otherwise without colours and wide enough for the
     table.
     """
     console = Console(highlight=False, stderr=stderr, emoji=False, markup=False)
@@ -37,7 +37,7 @@ def make_console(*, stderr: bool = False) -> Console:
 
 
 def status_view(statuses: Sequence[ServerStatus]) -> RenderableType:
-    """All that `roboneuron status` shows."""
+    """The complete output of `roboneuron status`."""
     parts: list[RenderableType] = []
     for status in statuses:
         parts += [_head(status), *_body(status)]
@@ -66,8 +66,8 @@ def _body(status: ServerStatus) -> list[RenderableType]:
 
 
 class _ModuleTable:
-    """One line for each module, with as many columns as there is room for: a number is shown whole
-    or not at all.
+    """One line for each module, with as many columns as fit: a number is shown completely or not at
+    all.
     """
 
     def __init__(self, modules: Sequence[ReportedModule]) -> None:
@@ -111,7 +111,7 @@ def _cells(module: ReportedModule) -> list[str]:
 
 
 def _remarks(module: ReportedModule) -> list[Text]:
-    """What the numbers do not say, one line each."""
+    """Remarks beyond the numbers, one line each."""
     words = []
     if module.instruction:
         words.append(Text(f"{module.module}: instruction {module.instruction!r}"))
@@ -125,7 +125,7 @@ def _remarks(module: ReportedModule) -> list[Text]:
 
 
 def fault_text(module: ReportedModule) -> str:
-    """What is wrong with a module, in one line."""
+    """Fault of a module, in one line."""
     if module.error is not None and module.error.message:
         return " ".join(f"{module.error.message} {module.error.hint}".split())
     return next(
@@ -134,7 +134,7 @@ def fault_text(module: ReportedModule) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Such as "45 s", "3:20" or "2:03:20"."""
+    """Format a duration, such as "45 s", "3:20" or "2:03:20"."""
     whole = int(seconds)
     if whole < 60:
         return f"{whole} s"

@@ -43,12 +43,12 @@ class Tools:
 
 
 def _first_sentence(tool: Tool) -> str:
-    """Of the description: a title that repeats the name is not listed."""
+    """First sentence of the description; a title that repeats the name is not listed."""
     return (tool.description or "").partition(". ")[0].rstrip(".")
 
 
 def _listing(arguments: Namespace) -> list[Tool]:
-    """Of a running server, which may hold tools back from a role; or of a configuration."""
+    """Tools of a running server, which may withhold tools from a role; or of a configuration."""
     if arguments.url is not None:
         import anyio  # heavy
 

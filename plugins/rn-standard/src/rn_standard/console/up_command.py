@@ -20,10 +20,10 @@ _LOOK_S = 0.1
 
 
 class Up:
-    """Start everything that is configured, side by side, and keep it until Ctrl-C or `roboneuron
+    """Start all configured modules in parallel, and keep them running until Ctrl-C or `roboneuron
     down`.
 
-    With --url the server there starts it, keeps it, and the command ends.
+    With --url the server there starts them and keeps them running, and the command ends.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -53,10 +53,10 @@ class Up:
 
 
 class Down:
-    """Stop everything: of the server at --url, or what `roboneuron up` keeps, together with its
+    """Stop all modules: those of the server at --url, or those of `roboneuron up` together with its
     server.
 
-    Exit status 0 when everything is gone, 1 when `roboneuron up` does not run.
+    Exit status 0 when all have ended, 1 if `roboneuron up` is not running.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -89,7 +89,7 @@ class Down:
 
 
 def keeper(path: Path) -> int | None:
-    """Pid of the `roboneuron up` that holds the lock of this file; None when nobody does."""
+    """Process id of the `roboneuron up` that holds the lock of this file; None without one."""
     try:
         with path.open("r+", encoding="utf-8") as file:
             try:
@@ -98,7 +98,7 @@ def keeper(path: Path) -> int | None:
                 return int(json.load(file)["pid"])
     except FileNotFoundError:
         pass
-    except (ValueError, KeyError):  # it is just being written
+    except (ValueError, KeyError):  # it is being written
         time.sleep(_LOOK_S)
         return keeper(path)
     return None
@@ -106,8 +106,8 @@ def keeper(path: Path) -> int | None:
 
 @contextmanager
 def _kept(folder: Path) -> Iterator[None]:
-    """Let `roboneuron down` find this process. The lock ends with the process, so an old file
-    misleads nobody.
+    """Make this process visible to `roboneuron down`. The lock ends with the process, so an old
+    file has no effect.
     """
     from roboneuron import StateError
     from roboneuron.command import log_files

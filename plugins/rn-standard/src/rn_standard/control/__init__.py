@@ -1,1 +1,1 @@
-"""Control modules: actions and measured joints in, joint commands within the limits out."""
+"""Control modules: from actions and measured joints to joint commands within the limits."""

@@ -1,4 +1,4 @@
-"""Control: actions and measured joints in, joint commands within the limits out."""
+"""Control module: from actions and measured joints to joint commands within the limits."""
 
 from __future__ import annotations
 
@@ -45,24 +45,25 @@ from roboneuron.node import (
 )
 
 _POSE_PERIOD_S = 0.02
-"""The pose of the TCP is worked out 50 times a second, not for each of up to 1000 joint states."""
+"""Period of computing the TCP pose, much lower than the rate of joint states (up to 1000 Hz)."""
 _SHARE_OF_REST = 0.5
-"""How much of the time that is left of a row the next one is given beside its own: with all of it
-the arm would stay behind for ever, with none it would catch up at once.
+"""Fraction of a row's remaining time that is added to the next row's time: with all of it the arm
+would lag for ever, with none it would catch up at once.
 """
 log = logging.getLogger(__name__)
 
 
 class ControlModule(HoldingModule):
-    """Works out commands for actions one by one; everything happens in the executor's thread.
+    """Computes a command for each action; runs on the executor's thread.
 
-    A feature may come between an action and its execution.
+    A feature may intercept actions before their execution.
 
     Attributes:
         deliver: executes an action of the policy, as `act`.
-        controller: what works commands out; not thread-safe.
-        spaces: that control executes, by label.
-        space: of the newest action; None before the first, so that its label is always looked at.
+        controller: computes the commands; not thread-safe.
+        spaces: executable spaces, by label.
+        space: space of the newest action; None before the first, so that its label is always
+            checked.
     """
 
     def __init__(self, node: ModuleHost) -> None:
@@ -70,7 +71,7 @@ class ControlModule(HoldingModule):
 
         Raises:
             ConfigurationError: there is no [control] section, the limits do not fit the robot, or
-                the tightened ones are wider than the configured ones.
+                the tightened limits are wider than the configured ones.
             PlanningError: the controller cannot move this robot.
         """
         super().__init__(node)
@@ -98,7 +99,7 @@ class ControlModule(HoldingModule):
         self.status.set_value("controller", spec.name)
 
     def _report_collision_check(self) -> None:
-        """Say whether commands are checked for collisions, which not every controller can."""
+        """Report whether collisions are checked, which not every controller supports."""
         has_bodies = self.profile.collision is not None
         is_checked = has_bodies and isinstance(self.controller, PostureInspector)
         if has_bodies and not is_checked:
@@ -122,10 +123,10 @@ class ControlModule(HoldingModule):
             self.status.set_error(error)
 
     def _publish_pose(self, joints: JointSample) -> None:
-        """Tell where the TCP of each arm is measured, which is what proves that control works.
+        """Publish the measured TCP of each arm, which is the readiness check of control.
 
         Raises:
-            UnsafeError: the controller cannot tell it from these joints.
+            UnsafeError: the controller cannot compute it from these joints.
         """
         poses = self.poses(joints)
         if self.handover.is_shadow(joints.stamp_ns):
@@ -137,19 +138,21 @@ class ControlModule(HoldingModule):
         self.status.set_ready()
 
     def _send_poses(self, poses: tuple[Pose, ...]) -> None:
-        """The first arm's pose goes out as the robot's, and each of several arms' as its own."""
+        """Publish the first arm's pose as the robot's, and that of each of several arms on its own
+        topic.
+        """
         self._ee_pose.publish(messages.to_pose_stamped(poses[0], self.profile.base_link))
         for publisher, pose in zip(self._arm_poses, poses, strict=False):
             publisher.publish(messages.to_pose_stamped(pose, self.profile.base_link))
 
     def _on_action(self, message: Float64MultiArray, info: Mapping[str, int]) -> None:
-        """Execute an action, or count why not. Its age is that since it was sent, by the time stamp
-        that DDS adds: the message has none.
+        """Execute an action, or count the reason for dropping it. Its age is measured from the DDS
+        source time stamp, since the message has none.
         """
         self.deliver(int(info["source_timestamp"]), partial(self._read, message))
 
     def _read(self, message: Float64MultiArray) -> Asked:
-        """What an action asks for.
+        """Return the content of an action.
 
         Raises:
             InvalidInputError: it is malformed, or of a space that this control does not execute.
@@ -164,24 +167,24 @@ class ControlModule(HoldingModule):
         if planned is None:
             return Asked(now=now)
         rows = [space.check(row) for row in planned.rows]
-        # a displacement or a velocity counts from where the arm is measured when it is due: ahead
-        # of its time it would be executed twice
+        # a displacement or a velocity is relative to the measured arm when it is due: executed
+        # ahead of its time it would count twice
         if not space.is_absolute:
             return Asked(now=now)
-        # `_executed_spaces` has looked
+        # checked by `_executed_spaces`
         controller = cast("SpaceController", self.controller)
         later = tuple(partial(_execute, controller, space, row) for row in rows)
         return Asked(now=now, later=later, step_s=planned.step_s)
 
     def _agreed_space(self, label: str) -> ControlSpace:
-        """The space of an action by its label. Raises InvalidInputError for one that this control
-        does not execute.
+        """Return the space of an action by its label. Raises InvalidInputError for a space that
+        this control does not execute.
         """
         name, rate_hz = _split(label)
         space = self.spaces.get(name)
         if space is not None and rate_hz:
             space = replace(space, rate_hz=rate_hz)
-        # the second: a rate that is none, or one of a space that has none
+        # the second: an invalid rate, or one of a space without a rate
         if space is None or space.label != label:
             raise InvalidInputError(
                 f"An action is labelled {label!r}; this control executes "
@@ -197,19 +200,19 @@ class ControlModule(HoldingModule):
     def _compute(
         self, space: ControlSpace, row: F64, joints: JointSample, step_s: float, now_s: float
     ) -> JointCommand | Hold:
-        """The controller's answer to one row."""
+        """Return the controller's command for one row."""
         if space.kind == EE_DELTA.kind:
             return self.controller.compute(Action.from_vector(row), joints, step_s)
-        # `_executed_spaces` has looked
+        # checked by `_executed_spaces`
         controller = cast("SpaceController", self.controller)
-        # A velocity holds for one period of the policy, whenever its message arrives. Positions
-        # are to be reached by when the next row is due.
+        # A velocity lasts for one period of the policy, whenever its message arrives. Positions
+        # have to be reached when the next row is due.
         if space.rate_hz:
             step_s = 1.0 / space.rate_hz
         answer = controller.execute(space, row, self.reference(joints, now_s), step_s)
         if space.rate_hz and isinstance(answer, JointCommand):
-            # Its message came early, or the one before came late: what is left of that one is not
-            # rushed, or the limits would cut off a part of a steady motion.
+            # Its message came early, or the previous one late: the rest of that one is not rushed,
+            # or the limits would cut off a part of a steady motion.
             more_s = _SHARE_OF_REST * self.remaining_s(now_s)
             answer = replace(answer, duration_s=answer.duration_s + more_s)
         return answer
@@ -223,12 +226,14 @@ def _execute(
     step_s: float,
     _now_s: float,
 ) -> JointCommand | Hold:
-    """The controller's answer to a row that is planned."""
+    """Return the controller's command for a planned row."""
     return controller.execute(space, row, joints, step_s)
 
 
 def _split(label: str) -> tuple[str, float]:
-    """The label without its rate, and the rate [Hz]; 0 where it names none, or what is no rate."""
+    """Split a label into the part without the rate, and the rate [Hz]; 0 for a missing or invalid
+    rate.
+    """
     kind, colon, keys = label.partition(":")
     kind, _, rate = kind.partition("@")
     try:
@@ -241,10 +246,10 @@ def _split(label: str) -> tuple[str, float]:
 def _executed_spaces(
     spec: ControllerSpec, controller: Controller, profile: RobotProfile
 ) -> dict[str, ControlSpace]:
-    """Spaces that control executes, by label. Raises ConfigurationError when the controller cannot
-    do what its descriptor says.
+    """Return the executable spaces, by label. Raises ConfigurationError if the controller does not
+    implement its descriptor.
     """
-    # inference resolves `joint_delta`, which never travels; a 7-vector is for one arm
+    # inference resolves `joint_delta`, which is never sent; a 7-vector is for one arm
     never = {"joint_delta", *(("ee_delta",) if profile.arms else ())}
     kinds = [kind for kind in spec.spaces if kind not in never]
     if profile.arms and not (kinds and isinstance(controller, SeveralArms)):

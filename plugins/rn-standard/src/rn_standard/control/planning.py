@@ -1,4 +1,4 @@
-"""Does a controller fit the robot? Answered from descriptors alone."""
+"""Compatibility check of a controller with the robot, from descriptors alone."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from roboneuron.node import find_robot
 
 
 def plan_control(config: Config, registry: Registry) -> Plan:
-    """The plan of `[control]`.
+    """Plan the module of `[control]`.
 
     Raises:
-        ConfigurationError: a name is not installed or cannot be used.
-        PlanningError: the controller does not move this robot.
+        ConfigurationError: a name is not installed or unusable.
+        PlanningError: the controller does not support this robot.
     """
     section = config.control
     assert section is not None
@@ -38,10 +38,10 @@ def plan_control(config: Config, registry: Registry) -> Plan:
 def find_controller(
     registry: Registry, name: str, robot: RobotSpec, *, is_elsewhere: bool = False
 ) -> ControllerSpec:
-    """The controller of that name.
+    """Return the controller of that name.
 
     Raises:
-        ConfigurationError: it is not installed or cannot be used.
+        ConfigurationError: it is not installed or unusable.
         PlanningError: it does not move robots of that kind.
     """
     controller = registry.get(ControllerSpec, name, elsewhere=is_elsewhere)

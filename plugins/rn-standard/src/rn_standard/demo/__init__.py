@@ -1,1 +1,1 @@
-"""`roboneuron demo`: an agent stand-in that uses nothing but MCP, and what a person sees of it."""
+"""`roboneuron demo`: a scripted agent that uses MCP only, and its output."""

@@ -1,5 +1,5 @@
-"""The agent stand-in: a real MCP client that knows only what tools/list and the tools' answers tell
-it.
+"""The scripted agent: a real MCP client whose only information is tools/list and the tools'
+answers.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ _CALL_TIMEOUT_S = 180.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DemoObject:
-    """What the simulator itself says of one object.
+    """The simulator's report on one object.
 
     Attributes:
         name: for instance "red".
-        lifted_m: height above where it lay.
-        held_s: seconds for which it has been lifted by 10 cm or more without a break.
+        lifted_m: height above its initial place.
+        held_s: time since it was lifted by 10 cm or more without interruption [s].
     """
 
     name: str
@@ -34,7 +34,7 @@ class DemoObject:
 
 
 class DemoAgent:
-    """Calls tools and turns MCP errors into exceptions."""
+    """Calls tools and converts MCP errors to exceptions."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -49,7 +49,7 @@ class DemoAgent:
         """Call a tool and return its structured answer.
 
         Raises:
-            NotReadyError: the tool answered with an error; holds its text.
+            NotReadyError: the tool answered with an error; contains its text.
         """
         result = await self._client.call_tool(
             tool, dict(arguments or {}), read_timeout_seconds=_CALL_TIMEOUT_S
@@ -60,7 +60,7 @@ class DemoAgent:
         return dict(result.structured_content or {})
 
     async def image(self, camera: str, robot: str | None = None) -> bytes:
-        """The newest image of a camera, encoded; of one of several robots where it is named."""
+        """The newest image of a camera, encoded; of the named robot if there are several."""
         arguments = {"camera": camera} if robot is None else {"camera": camera, "robot": robot}
         result = await self._client.call_tool("get_camera_image", arguments)
         for part in result.content:
@@ -70,12 +70,12 @@ class DemoAgent:
         raise NotReadyError(f"get_camera_image: {' '.join(texts) or 'no image in the answer'}")
 
     async def status(self) -> dict[str, Any]:
-        """The answer of `get_status`."""
+        """Return the answer of `get_status`."""
         return await self.call("get_status")
 
 
 def module_status(status: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """The part of `get_status` about one module, or an empty dict when it does not run."""
+    """The part of `get_status` about one module, or an empty dict if it does not run."""
     for module in status.get("modules", ()):
         if module.get("module") == name:
             return dict(module)
@@ -83,7 +83,7 @@ def module_status(status: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def simulated_objects(status: Mapping[str, Any]) -> list[DemoObject]:
-    """What the simulator says of its objects; empty for a robot that reports none."""
+    """The simulator's report on its objects; empty for a robot without one."""
     detail = module_status(status, "robot").get("detail") or {}
     objects = json.loads(detail.get("cubes", "{}"))
     return [

@@ -70,7 +70,7 @@ class Demo:
 
 
 def _configuration(arguments: Namespace) -> Path | None:
-    """The configuration file that was named, or that of the learned policy."""
+    """The given configuration file, or that of the learned policy."""
     if arguments.policy is None:
         return arguments.config  # type: ignore[no-any-return]
     if arguments.config is not None:

@@ -1,5 +1,5 @@
-"""A film of the front camera: an animated GIF of everything, and a strip of the most telling
-frames.
+"""A film of the front camera: an animated GIF of all frames, and a strip of the most informative
+ones.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class DemoFilm:
         strip, gif = directory / "film-strip.png", directory / "film.gif"
         sheet = self._strip()
         sheet.save(strip)
-        # One palette for all frames, by coverage: palettes of each frame by frequency lose the
-        # small coloured cubes.
+        # One palette for all frames, by coverage: per-frame palettes by frequency lose the small
+        # coloured cubes.
         palette = sheet.quantize(256, method=Image.Quantize.MAXCOVERAGE)
         images = [
             image.resize((image.width * _SCALE, image.height * _SCALE)).quantize(

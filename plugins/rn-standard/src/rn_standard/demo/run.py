@@ -1,6 +1,4 @@
-"""The demo's story: connect, start, instruct, watch, stop; the simulator says whether it
-succeeded.
-"""
+"""Steps of the demo: connect, start, instruct, monitor, stop; the simulator decides on success."""
 
 from __future__ import annotations
 
@@ -23,19 +21,19 @@ from roboneuron.command import load_config, reading
 
 _LOOK_PERIOD_S = 0.25
 _PATIENCE_S = 3.0
-"""A late image on a busy machine is reported as an error and gone with the next one; what stays
-this long is not.
+"""Duration of a reported error that counts; a late image on a busy machine is reported and cleared
+with the next one.
 """
 _STOPS = ("stop_inference", "stop_control", "stop_perception", "stop_robot")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DemoOptions:
-    """What the user chose.
+    """Options chosen by the user.
 
     Attributes:
-        instruction: for the policy; also tells which object the simulator must see lifted.
-        seed: of the scene; None for what the configuration says.
+        instruction: for the policy; also names the object that has to be lifted.
+        seed: seed of the scene; None for the configured one.
         gui: show the simulator's window.
         timeout_s: give up after this long.
         output: directory for film strip, GIF and server log.
@@ -51,7 +49,7 @@ class DemoOptions:
 
 
 def write_configuration(options: DemoOptions, directory: Path) -> Path:
-    """Write the configuration the server is started with; returns its path."""
+    """Write the configuration of the server; return its path."""
     text = options.config.read_text(encoding="utf-8") if options.config else reading.default_text()
     config = load_config(options.config)
     chosen: dict[str, object] = {}
@@ -82,7 +80,7 @@ def write_configuration(options: DemoOptions, directory: Path) -> Path:
 
 
 def named_object(objects: list[DemoObject], instruction: str) -> DemoObject:
-    """The one object whose name the instruction holds.
+    """The one object named in the instruction.
 
     Raises:
         ConfigurationError: none or several are named.
@@ -105,7 +103,9 @@ def options_quote(text: str) -> str:
 
 
 async def run_demo(options: DemoOptions, console: Console) -> bool:
-    """Play the whole story; returns whether the simulator saw the named object lifted and held."""
+    """Run the demo; return True if the named object was lifted and held according to the
+    simulator.
+    """
     options.output.mkdir(parents=True, exist_ok=True)
     screen = DemoScreen(console)
     screen.title(options.instruction, options.seed)
@@ -157,7 +157,7 @@ async def _play(agent: DemoAgent, options: DemoOptions, screen: DemoScreen, film
 async def _watch(
     agent: DemoAgent, name: str, options: DemoOptions, screen: DemoScreen, film: DemoFilm
 ) -> tuple[bool, dict[str, Any]]:
-    """Look until the simulator reports success, the backend gives up, or time is over."""
+    """Monitor until the simulator reports success, the backend gives up, or the time is over."""
     started_s = time.monotonic()
     status: dict[str, Any] = {}
     last_note = ""
@@ -172,7 +172,7 @@ async def _watch(
                 last_note = note
             thing = next(t for t in simulated_objects(status) if t.name == name)
             live.update(screen.progress(name, thing.lifted_m, thing.held_s, note, elapsed_s))
-            with suppress(NotReadyError):  # a film with a missing frame is still a film
+            with suppress(NotReadyError):  # a missing frame does not matter
                 film.add(elapsed_s, note, await agent.image("front"))
             if thing.held_s >= HOLD_GOAL_S:
                 break
@@ -199,5 +199,5 @@ async def _stop_everything(agent: DemoAgent, screen: DemoScreen) -> None:
     with screen.step("stop everything"):
         for tool in _STOPS:
             if tool.removeprefix("stop_") in running:
-                with suppress(RoboNeuronError):  # the server ends next and takes what is left along
+                with suppress(RoboNeuronError):  # the server ends next and stops the rest
                     await agent.call(tool)

@@ -1,4 +1,4 @@
-"""What a person sees of the demo: steps with ticks, a live line per module, a final table."""
+"""Terminal output of the demo: steps with ticks, a live line per module, a final table."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _MODULES = ("robot", "perception", "control", "inference")
 
 
 class DemoScreen:
-    """Writes to one console; nothing here talks to the robot."""
+    """Writer to one console; independent of the robot."""
 
     def __init__(self, console: Console) -> None:
         self.console = console
 
     def title(self, instruction: str, seed: int | None) -> None:
-        """Say what is going to happen."""
+        """Print the title."""
         scene = "the configured scene" if seed is None else f"scene {seed}"
         self.console.print()
         self.console.print(
@@ -42,7 +42,7 @@ class DemoScreen:
 
     @contextmanager
     def step(self, what: str) -> Iterator[list[str]]:
-        """Show a spinner while the block runs, then a tick and what it appended to the list; a
+        """Show a spinner while the block runs, then a tick and the text it appended to the list; a
         cross if it fails.
         """
         told: list[str] = []
@@ -58,19 +58,19 @@ class DemoScreen:
         )
 
     def say(self, text: str) -> None:
-        """One indented line."""
+        """Print one indented line."""
         self.console.print(f"    {text}", style="dim", highlight=False)
 
     @contextmanager
     def watching(self) -> Iterator[Live]:
-        """A live area for `progress`."""
+        """Show a live area for `progress`."""
         with Live(console=self.console, refresh_per_second=5, transient=True) as live:
             yield live
 
     def progress(
         self, name: str, lifted_m: float, held_s: float, note: str, elapsed_s: float
     ) -> Group:
-        """How far the named object has come."""
+        """Progress of the named object."""
         lift = Table.grid(padding=(0, 1))
         lift.add_row(
             "    lifted", _bar(lifted_m, LIFT_GOAL_M), f"{max(0.0, lifted_m) * 100:5.1f} cm"
@@ -84,7 +84,7 @@ class DemoScreen:
         return Group(head, lift)
 
     def summary(self, modules: Sequence[Mapping[str, object]]) -> None:
-        """Rates and latencies of the modules while they worked."""
+        """Rates and latencies of the modules during the run."""
         table = Table(
             title="While it worked", title_style="bold", title_justify="left", header_style="dim"
         )

@@ -1,3 +1,3 @@
-"""The direct path: one gate that every message, request and goal for an agent passes before it is
+"""The direct path: one gate checks every message, request and goal of an agent before it is
 sent.
 """

@@ -1,5 +1,5 @@
-"""The allow list of direct motion: what the robot's profile and features expose, checked together,
-in force at once.
+"""Allow list of direct motion: endpoints of the robot's profile and of features, checked together,
+effective at once.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _Key = tuple[str, str]
 
 
 class ArmPaths:
-    """Makes a judge of joint motions per arm when the first one comes; usable from any thread."""
+    """Creates a checker of joint motions per arm on first use; usable from any thread."""
 
     def __init__(
         self,
@@ -56,9 +56,10 @@ class ArmPaths:
         limits: Callable[[], models.LimitsConfig] | None = None,
     ) -> None:
         """Args:
-        config: of the server; other arms than its own have the limits' defaults and their profile.
-        registry: the plugins that are installed now.
-        limits: those in force for the server's own robot; its `[limits]` without.
+        config: configuration of the server; other arms than its own get the default limits and
+            their profile.
+        registry: returns the installed plugins.
+        limits: returns the limits in force for the server's own robot; its `[limits]` if None.
         """
         self._config = config
         self._registry = registry
@@ -67,16 +68,16 @@ class ArmPaths:
         self._lock = threading.Lock()
 
     def forget(self) -> None:
-        """Make the judges again: the limits have changed."""
+        """Discard the checkers, because the limits have changed."""
         with self._lock:
             self._made.clear()
 
     def rules(self, robot: str, profile: RobotProfile) -> MotionRules:
-        """The limits of an arm. Raises ConfigurationError as `motion_rules`."""
+        """Return the limits of an arm. Raises ConfigurationError as `motion_rules`."""
         return motion_rules(self._limits(robot), profile)
 
     def limiter(self, robot: str, profile: RobotProfile) -> PathLimiter:
-        """The judge of an arm; imports the controller's libraries the first time.
+        """Return the checker of an arm; imports the controller's libraries the first time.
 
         Raises:
             ConfigurationError, MissingDependencyError, PluginError: there is no controller for it;
@@ -92,8 +93,8 @@ class ArmPaths:
             return self._made[robot, name]
 
     def load(self, robot: str, profile: RobotProfile) -> tuple[Controller, RobotProfile]:
-        """A controller of an arm for one user, and the profile with the collisions in force. Raises
-        as `limiter`.
+        """Create a controller of an arm for one user, and the profile with the collisions in force.
+        Raises as `limiter`.
         """
         limited = replace(profile, collision=self.rules(robot, profile).collision)
         name = self._controller(robot)
@@ -121,13 +122,13 @@ class ArmPaths:
 
 
 class AllowList:
-    """Endpoints by who exposes them; usable from any thread.
+    """Exposed endpoints by owner; usable from any thread.
 
-    Until a feature exposes others instead, these are the endpoints of the robot's profile. Limits
-    belong to topics: two features that expose one topic share every limit of both.
+    Unless a feature exposes others instead, these are the endpoints of the robot's profile. Limits
+    belong to topics: if two features expose one topic, the limits of both apply.
 
     Attributes:
-        exposed: what is in force; the action topic of an arm is among it, hidden.
+        exposed: the endpoints in force; they include the action topic of an arm, hidden.
     """
 
     def __init__(
@@ -139,11 +140,11 @@ class AllowList:
         on_change: Callable[[], object],
     ) -> None:
         """Args:
-        gate: judges by the list.
-        config: the configuration with the present robot.
-        registry: the plugins that are installed now.
+        gate: applies the list.
+        config: returns the configuration with the present robot.
+        registry: returns the installed plugins.
         limits: see `ArmPaths`.
-        on_change: called after each change, on the thread that made it.
+        on_change: called after each change, on the changing thread.
         """
         self._gate = gate
         self._config = config
@@ -158,7 +159,7 @@ class AllowList:
     def expose(
         self, owner: str, endpoints: Sequence[ExposedEndpoint], *, instead_of_profile: bool = False
     ) -> None:
-        """Have these endpoints of an owner and no others of it.
+        """Set the endpoints of an owner; they replace all its previous ones.
 
         Args:
             owner: name of the feature.
@@ -184,7 +185,7 @@ class AllowList:
         self._on_change()
 
     def relimit(self) -> None:
-        """Judge by the limits that are in force now. Raises as `expose`; the old ones stay then."""
+        """Apply the limits that are in force now. Raises as `expose`; the old limits stay then."""
         with self._lock:
             self._apply()
             self._paths.forget()
@@ -239,8 +240,8 @@ class AllowList:
         return profile_endpoints(name, config.namespace, load_profile(registry, name))
 
     def _allowed(self, exposed: ExposedEndpoint) -> AllowedEndpoint:
-        """The entry of the gate; joint motions of an arm with a TCP get the limits that actions
-        have.
+        """Create the gate's entry; joint motions of an arm with a TCP get the limits that apply to
+        actions.
         """
         entry, profile = allowed_endpoint(exposed), exposed.profile
         if not exposed.endpoint.joint_limited or profile is None or not profile.tcp_link:

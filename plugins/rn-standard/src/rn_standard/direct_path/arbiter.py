@@ -1,5 +1,5 @@
-"""Motion that lasts: one owner per robot, ended by the emergency stop, a cancelled call, or a
-policy that starts.
+"""Lasting motions: one owner per robot, ended by the emergency stop, a cancelled call, or a policy
+that starts.
 """
 
 from __future__ import annotations
@@ -18,15 +18,13 @@ from roboneuron import NotReadyError, RefusedError, RoboNeuronError, StateError
 from roboneuron.feature import ClosedLoop, ExposedEndpoint
 
 _FROZEN_S = 2.0
-"""Modules hold the robot after such a silence of the server; a motion looks at its end every 10 ms.
-"""
+"""Modules hold the robot after such a silence of the server; a motion is checked every 10 ms."""
 POLL_S = 0.01
-"""How often lasting motion looks at the latch; together with one publish it is well within 50 ms.
-"""
+"""Period at which a lasting motion checks the latch; with one publish it is well within 50 ms."""
 
 
 class Ending(StrEnum):
-    """What brought a motion to its end; the values are words of messages."""
+    """Cause of a motion's end; the values are words of messages."""
 
     NONE = "nothing could be sent to end it"
     STOP_MESSAGE = "the stop message was sent"
@@ -38,15 +36,15 @@ class Ending(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MotionEnd:
-    """How a motion ended.
+    """End of a motion.
 
     Attributes:
-        after_s: how long it lasted.
-        total_s: how long it was to last; None when nobody knows.
-        ending: what ended it.
-        details: more about that, such as where the arm is.
-        cause: why it ended early; None when it came to its end.
-        sent: messages, the one that ended it included.
+        after_s: its duration [s].
+        total_s: its planned duration [s]; None if unknown.
+        ending: cause of the end.
+        details: additional text, such as the position of the arm.
+        cause: error that ended it early; None if it was completed.
+        sent: number of messages, the one that ended it included.
     """
 
     after_s: float
@@ -57,8 +55,8 @@ class MotionEnd:
     sent: int = 0
 
     def check(self) -> None:
-        """Raise an error of the cause's kind that tells how the motion ended, unless it came to its
-        end.
+        """Raise an error of the cause's kind that describes the end, unless the motion was
+        completed.
         """
         if self.cause is None:
             return
@@ -72,7 +70,7 @@ class MotionEnd:
 
 
 class ActiveMotion:
-    """A motion that is under way; used by the thread that plays it."""
+    """A motion in progress; used by the thread that plays it."""
 
     def __init__(
         self,
@@ -92,20 +90,20 @@ class ActiveMotion:
         self._policy = policy
         self._end_reason = ""
         self.stop_now: Callable[[], object] = lambda: None
-        """Sends the stop message; set while there is one to send. Whoever presses the emergency
-        stop calls it, whether or not the thread that plays this gets to run, and the thread sends
-        it again when it does.
+        """Send the stop message; set while there is one to send. The emergency stop calls it on the
+        triggering thread, independent of the thread that plays the motion, which sends it again
+        when it runs.
         """
         self.watch: Callable[[], object] = lambda: None
-        """Raises RefusedError once the motion has to end for what is measured."""
+        """Raises RefusedError if measurements require the end of the motion."""
 
     def check(self) -> None:
-        """Raise when it has to end.
+        """Raise if the motion has to end.
 
         Raises:
             RefusedError: the emergency stop is latched, the audit failed, or as `watch`.
             StateError: the call was cancelled, a policy took over, the robot was stopped or has
-                lost a module since this motion began, or this process was frozen: it is not
+                lost a module since this motion began, or this process was frozen: the motion is not
                 resumed.
         """
         self._gate.check_running()
@@ -115,7 +113,7 @@ class ActiveMotion:
                 f"The server was frozen for {frozen_s:.1f} s; the motion is not resumed."
             )
         if self._halt.is_set():
-            self._gate.check_running()  # the stop was pressed since the look above
+            self._gate.check_running()  # the stop was triggered since the check above
             raise StateError(self._end_reason or "The call was cancelled.")
         if reason := self._stopped() or self._policy():
             raise StateError(reason)
@@ -131,17 +129,17 @@ class ActiveMotion:
             self._halt.wait(min(POLL_S, remaining_s))
 
     def wake(self) -> None:
-        """Have the thread that plays this look now whether it has to end."""
+        """Make the playing thread check at once if the motion has to end."""
         self._halt.set()
 
     def end(self, reason: str) -> None:
-        """Have it end now; callable from any thread."""
+        """End the motion now; callable from any thread."""
         self._end_reason = reason
         self._halt.set()
 
 
 class MotionArbiter:
-    """Knows who moves which robot. Usable from any thread."""
+    """Exclusive use of each robot by one motion. Usable from any thread."""
 
     def __init__(
         self,
@@ -152,12 +150,11 @@ class MotionArbiter:
         hold_s: float = 2.0,
     ) -> None:
         """Args:
-        gate: asked whether motion may go on.
-        policy: says, in a sentence, which policy moves the endpoint's robot; empty when none
-            does.
-        loop: whose `starts` know of stops.
-        is_followed: whether control still follows actions: it will hold, and a hold would end
-            another motion.
+        gate: checks whether motion may continue.
+        policy: returns a sentence on the policy that moves the endpoint's robot; empty without one.
+        loop: its `starts` record the stops.
+        is_followed: returns True if control still follows actions: it will hold, and the hold would
+            end another motion.
         hold_s: longest wait for that hold.
         """
         self._is_followed, self._hold_s = is_followed, hold_s
@@ -171,19 +168,19 @@ class MotionArbiter:
         gate.latch.on_pressed.append(self._wake)
 
     def _stop_now(self) -> None:
-        """The stop was pressed in this process: send what ends each motion."""
-        # one step of the interpreter: no lock that somebody could hold
+        """Send the end of each motion, because the stop was triggered in this process."""
+        # one step of the interpreter: no lock that another thread could hold
         for motion in list(self._moving.values()):
             motion.stop_now()
 
     def _wake(self) -> None:
-        """Nobody waits for the next look at the latch."""
+        """Wake all motions, which need not wait for their next check of the latch."""
         for motion in list(self._moving.values()):
             motion.wake()
 
     @property
     def is_moving(self) -> bool:
-        """Whether a call moves a robot now."""
+        """True if a call moves a robot now."""
         return any(motion.exposed.moves for motion in list(self._moving.values()))
 
     def check_free(self, exposed: ExposedEndpoint) -> None:
@@ -209,20 +206,20 @@ class MotionArbiter:
     def claim(
         self, exposed: ExposedEndpoint, what: str, halt: threading.Event
     ) -> Iterator[ActiveMotion]:
-        """Own the robot's motion for a while.
+        """Claim exclusive use of the robot's motion.
 
         Args:
-            exposed: through which endpoint.
+            exposed: endpoint of the motion.
             what: the tool, for messages.
             halt: set when the call is cancelled.
 
         Raises:
-            RefusedError: somebody else moves it.
-            NotReadyError: control follows actions, and does not come to its hold.
+            RefusedError: another client or call moves it.
+            NotReadyError: control follows actions and does not reach its hold.
             StateError: as `ActiveMotion.check`.
         """
         if exposed.moves:
-            self._starts.look()  # what stopped the robot before this call is no reason to end it
+            self._starts.look()  # an earlier stop of the robot is no reason to end it
         stops = self._starts.arm_stops
 
         def stopped() -> str:
@@ -252,10 +249,10 @@ class MotionArbiter:
                 self._idle.notify_all()
 
     def watch(self, exposed: ExposedEndpoint, check: Callable[[], object]) -> None:
-        """Ask `check` too whether the motion of an endpoint's robot has to end.
+        """Add a check for the end of the motion of an endpoint's robot.
 
         Args:
-            exposed: has claimed the robot.
+            exposed: endpoint that has claimed the robot.
             check: raises RefusedError; called every 10 ms on the thread that plays the motion.
         """
         self._moving[exposed.robot].watch = check
@@ -277,7 +274,7 @@ class MotionArbiter:
         timeout_s: float,
         which: Callable[[ExposedEndpoint], bool] = lambda exposed: True,
     ) -> bool:
-        """End every motion (through the endpoints that are meant) and wait; False when one did not
+        """End every motion (through the selected endpoints) and wait; return False if one did not
         end in time.
         """
         with self._idle:

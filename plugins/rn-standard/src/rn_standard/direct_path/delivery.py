@@ -1,6 +1,4 @@
-"""Truthful delivery: command by command, when each is due, and brought to an end whatever
-happens.
-"""
+"""Timed sending of commands, with a guaranteed end of the motion."""
 
 from __future__ import annotations
 
@@ -31,9 +29,9 @@ if TYPE_CHECKING:
 
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 _tracer = trace.get_tracer("roboneuron")
-"""Used once a feature has set up the SDK."""
+"""Active once a feature has set up the SDK."""
 _HOLD_S = 0.1
-"""Time that a trajectory gets to bring the joints to where they were measured."""
+"""Time of the trajectory that returns the joints to their measured positions."""
 
 
 def run(
@@ -47,18 +45,17 @@ def run(
     total_s: float,
     details: Callable[[], str],
 ) -> MotionEnd:
-    """Send each command when it is due, and end the motion, whatever happens; see
-    `DirectGate.play`.
+    """Send each command when it is due, and end the motion in every case; see `DirectGate.play`.
 
     Args:
         motion: owned by the caller.
         writer: connected.
-        gate: judges the messages that are not in `request`, which it has allowed.
-        request: holds the messages that are known beforehand.
-        commands: asked for the next one when it is due.
+        gate: checks the messages that are not in `request`, which it has allowed.
+        request: contains the messages that are known beforehand.
+        commands: iterated when the next command is due.
         joints: the measured joints, for the hold at the end.
-        total_s: how long the motion is to last, for messages.
-        details: more to say of a motion that ended early.
+        total_s: planned duration of the motion, for messages.
+        details: additional text for a motion that ended early.
     """
     exposed = motion.exposed
     judged = {id(message) for message in request.messages}
@@ -101,12 +98,12 @@ def run(
 
 
 def send(writer: TopicWriter, message: Any, stamped: bool) -> None:
-    """Publish, with the time of now in the header if it is to be `stamped`."""
+    """Publish, with the present time in the header if `stamped`."""
     if stamped:
         stamp = message.header.stamp
         stamp.sec, stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
     if isinstance(trace.get_tracer_provider(), trace.ProxyTracerProvider):
-        writer.publish(message)  # nobody traces: to enter and leave an empty span costs 20 us
+        writer.publish(message)  # tracing is off: entering and leaving an empty span costs 20 us
         return
     with _tracer.start_as_current_span(f"publish {writer.topic}", kind=trace.SpanKind.PRODUCER):
         writer.publish(message)
@@ -119,11 +116,11 @@ def _end(
     joints: Callable[[], JointSample | None],
     moving: bool,
 ) -> Ending:
-    """Send what ends the motion, where something has to be and can be sent.
+    """Send the end of the motion, if one is necessary and possible.
 
-    The stop message was checked when the endpoint was exposed; no gate holds it or a hold back.
-    Joints that have come to the end of their command need none, unless it was one of velocities.
-    Control holds the arm once actions stop.
+    The stop message was checked when the endpoint was exposed; neither it nor a hold passes the
+    gate. Joints at the end of their command need none, unless it was a velocity command. Control
+    holds the arm once actions stop.
     """
     exposed = motion.exposed
     message = stop_message(exposed, time.time_ns())
@@ -142,8 +139,8 @@ def _end(
 
 
 def _is_velocity(message: Any) -> bool:
-    """Whether a joint command is a JointState of velocities only, which a robot follows until it
-    gets another one.
+    """True if a joint command is a JointState of velocities only, which a robot follows until the
+    next command.
     """
     return (
         hasattr(message, "velocity") and bool(len(message.velocity)) and not len(message.position)
@@ -151,10 +148,11 @@ def _is_velocity(message: Any) -> bool:
 
 
 def _hold(message: Any, joints: JointSample | None, profile: RobotProfile | None) -> Any:
-    """What keeps the joints of a command where they were measured; None when one of them was not.
+    """Create the command that keeps the joints of a command at their measured positions; None if
+    one was not measured.
 
-    Grippers are left to their last command: fingers that are told to be where an object blocks them
-    lose their force.
+    Grippers keep their last command: fingers that are commanded to the position where an object
+    blocks them lose their force.
     """
     if _is_velocity(message):
         return type(message)(name=list(message.name), velocity=[0.0] * len(message.name))

@@ -1,4 +1,4 @@
-"""Models whose JSON schemas are known only at run time, such as from a ROS interface."""
+"""Models whose JSON schemas are determined at run time, for example from a ROS interface."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ M_co = TypeVar("M_co", bound=BaseModel, covariant=True)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Derived(Shape[M_co]):
-    """A model whose JSON schema is known only at run time, such as from a ROS interface.
+    """A model whose JSON schema is determined at run time, for example from a ROS interface.
 
     Attributes:
-        model: what a call is parsed into, or what a tool returns.
-        properties: JSON schema of each field that is used, laid over the model's own; `enum` and
+        model: model of a call's arguments or of a result.
+        properties: JSON schema of each field that is used, merged into the model's own; `enum` and
             `maximum` are checked. Results leave out what their handler did not set.
         required: names of the fields that must be given.
     """
@@ -31,16 +31,14 @@ class Derived(Shape[M_co]):
     required: Sequence[str] = ()
 
     def schema(self, own: JsonSchemaValue) -> JsonSchemaValue:
-        """The strict JSON schema of the fields that are used, with the definitions that they
-        use.
-        """
+        """Return the strict JSON schema of the used fields, with the definitions that they need."""
         definitions: JsonSchemaValue = {}
         properties: dict[str, JsonSchemaValue] = {}
         for name, part in self.properties.items():
             entry = {**own["properties"].get(name, {}), **part}
             definitions |= entry.pop("$defs", {})
             properties[name] = entry
-        # made for each call: costs as much as a small message
+        # done for each call: costs as much as a small message
         used = repr(properties) if "$defs" in own else ""
         definitions |= {
             name: entry
@@ -57,7 +55,7 @@ class Derived(Shape[M_co]):
         return {**schema, "$defs": definitions} if definitions else schema
 
     def check(self, name: str, value: object) -> None:
-        """Raise InvalidInputError for a value that is not in the field's `enum`, or above its
+        """Raise InvalidInputError for a value outside the field's `enum`, or above its
         `maximum`.
         """
         schema = self.properties[name]

@@ -1,6 +1,4 @@
-"""Endpoints that agents may use, each with its limits, which belong to the topic; some topics are
-never exposed.
-"""
+"""Exposed endpoints and their limits, which belong to the topic; some topics are never exposed."""
 
 from __future__ import annotations
 
@@ -37,24 +35,28 @@ _SERVICE_OF_A_NODE = re.compile(
 """Parameter and lifecycle services. Source: rcl_interfaces/srv, lifecycle_msgs/srv."""
 _KINDS = get_args(ModuleKind)
 _TRANSITION = re.compile(rf"({'|'.join(_KINDS)})(_b)?/transition_event")
-"""What the middleware publishes for each module below a robot's namespace."""
+"""Topics that the middleware publishes for each module below a robot's namespace."""
 _SYSTEM_TOPICS = frozenset({topics.DIAGNOSTICS, "/rosout", "/parameter_events"})
-"""Health of the modules, and what ROS itself tells."""
+"""Health of the modules, and topics of ROS itself."""
 ACTION_LABEL, POSES_LABEL = "ee_delta", "ee_pose"
-"""Label of the hidden endpoint that is the action topic of one arm, and of several: each message
-says where all of them are to be.
+"""Labels of the hidden endpoint for the action topic of one arm, and of several: each message
+contains targets for all of them.
 """
 LEAD_LABEL = "lead"
-"""Label of the hidden endpoint of teleoperation, to whose rows control gives way."""
+"""Label of teleoperation's hidden endpoint, whose rows have priority in control."""
 LEAD_TOPIC, ACTING_TOPIC = "lead", "acting"
-"""Rows of a person who leads, for control; and who has moved the arm, by control."""
+"""Topics of a leading person's rows for control, and of the source that moved the arm, published by
+control.
+"""
 ACTION_LABELS = (ACTION_LABEL, POSES_LABEL)
 _FARTHEST_M = 10.0
-"""No TCP is farther from its base; poses of several arms are in the frame of one of them."""
+"""Upper bound of a TCP's distance from its base; poses of several arms are in the frame of one of
+them.
+"""
 
 
 def allowed_endpoint(exposed: ExposedEndpoint) -> AllowedEndpoint:
-    """The entry of the gate's allow list."""
+    """Create the entry of the gate's allow list."""
     return AllowedEndpoint(
         robot=exposed.robot,
         endpoint=exposed.endpoint,
@@ -66,7 +68,7 @@ def allowed_endpoint(exposed: ExposedEndpoint) -> AllowedEndpoint:
 
 
 def stop_message(exposed: ExposedEndpoint, now_ns: int) -> RosMessage | None:
-    """The message that ends a motion, or None."""
+    """Return the message that ends a motion, or None."""
     text = exposed.endpoint.stop_message
     if not text:
         return None
@@ -81,7 +83,7 @@ def stop_message(exposed: ExposedEndpoint, now_ns: int) -> RosMessage | None:
 def profile_endpoints(
     robot: str, namespace: str, profile: RobotProfile | None
 ) -> list[ExposedEndpoint]:
-    """The endpoints that a robot's profile offers; none without a profile."""
+    """Endpoints in a robot's profile; none without a profile."""
     return [
         ExposedEndpoint(
             robot=robot,
@@ -95,8 +97,8 @@ def profile_endpoints(
 
 
 def action_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
-    """The action topic of the robot of `exposed`, when that has a TCP: what control follows. TCP
-    deltas name no arm, so several arms take poses.
+    """Return the action topic, which control follows, of the robot of `exposed` if it has a TCP.
+    TCP deltas name no arm, so several arms use poses.
     """
     profile = exposed.profile
     if profile is None or not (profile.arm_joints and profile.tcp_link):
@@ -122,7 +124,7 @@ def action_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
 
 
 def lead_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
-    """The topic by which a person leads the arm of the robot of `exposed`, when that has one."""
+    """Return the topic by which a person leads the arm of the robot of `exposed`, if it has one."""
     profile = exposed.profile
     if profile is None or not profile.arm_joints:
         return None
@@ -148,7 +150,7 @@ def lead_endpoint(exposed: ExposedEndpoint) -> ExposedEndpoint | None:
 
 
 def check_stop(exposed: ExposedEndpoint) -> None:
-    """Raise ConfigurationError unless the stop message is one that the endpoint takes."""
+    """Raise ConfigurationError unless the endpoint accepts the stop message."""
     if not exposed.endpoint.stop_message:
         return
     where = f"The stop message of {exposed.endpoint.name!r}"
@@ -166,7 +168,7 @@ def check_stop(exposed: ExposedEndpoint) -> None:
 
 
 def check_owner(topic: str, robot: str, namespaces: Mapping[str, str]) -> str:
-    """Return the namespace that a topic or node lies in, of those that are known; empty for none.
+    """Return the known namespace that contains a topic or node; empty for none.
 
     Args:
         topic: absolute name.
@@ -174,7 +176,7 @@ def check_owner(topic: str, robot: str, namespaces: Mapping[str, str]) -> str:
         namespaces: robot by ROS namespace (without slashes at the ends).
 
     Raises:
-        ConfigurationError: it is another robot's, whose limits and whose policy would not count.
+        ConfigurationError: it belongs to another robot, whose limits and policy would be ignored.
     """
     owner = max(
         (space for space in namespaces if topic.startswith(f"/{space}/")), key=len, default=""
@@ -189,8 +191,8 @@ def check_owner(topic: str, robot: str, namespaces: Mapping[str, str]) -> str:
 
 
 def is_module(node: str, owner: str) -> bool:
-    """Whether a node in a robot's namespace `owner` is a module of RoboNeuron, which the supervisor
-    alone sets.
+    """True if a node in a robot's namespace `owner` is a module of RoboNeuron, whose parameters
+    only the supervisor sets.
     """
     return node.removeprefix(f"/{owner}/") in {
         f"{kind}{end}" for kind in _KINDS for end in ("", "_b")
@@ -198,7 +200,7 @@ def is_module(node: str, owner: str) -> bool:
 
 
 def check_reserved(exposed: ExposedEndpoint, namespaces: Mapping[str, str]) -> None:
-    """Raise ConfigurationError unless agents may be given this topic, and through this robot."""
+    """Raise ConfigurationError unless this topic may be exposed to agents, and for this robot."""
     topic, kind = exposed.topic, exposed.endpoint.kind
     owner = check_owner(topic, exposed.robot, namespaces)
     where = f"Endpoint {exposed.label!r}: {topic}"
@@ -231,8 +233,8 @@ def check_reserved(exposed: ExposedEndpoint, namespaces: Mapping[str, str]) -> N
 
 
 def _is_own(topic: str, profile: RobotProfile | None) -> bool:
-    """Whether a topic in a robot's namespace is written by a module, a driver or a simulation of
-    RoboNeuron; a second writer would pass for it.
+    """True if a module, driver or simulation of RoboNeuron publishes a topic in a robot's
+    namespace; another publisher could not be told from it.
     """
     if topic in (LEAD_TOPIC, ACTING_TOPIC):
         return True
@@ -254,7 +256,7 @@ def by_topic(endpoints: Iterable[ExposedEndpoint]) -> dict[Use, list[ExposedEndp
 
 
 def tightened_by(endpoint: Endpoint, other: Endpoint) -> Endpoint:
-    """The endpoint with the limits of another name of the same topic as well.
+    """Return the endpoint with the limits of another endpoint of the same topic added.
 
     Raises:
         ConfigurationError: together they allow nothing, or the types differ.
@@ -290,12 +292,12 @@ def tightened_by(endpoint: Endpoint, other: Endpoint) -> Endpoint:
 def same_for_each_topic(
     drafts: Iterable[ExposedEndpoint], sources: Mapping[Use, Iterable[ExposedEndpoint]]
 ) -> list[ExposedEndpoint]:
-    """Every name of a topic with the limits of all of them.
+    """Give every endpoint of a topic the limits of all endpoints of that topic.
 
     Args:
-        drafts: what is exposed; it moves the robot if one of its names does, and takes only what
-            all may hold.
-        sources: more that limits topics, exposed or not.
+        drafts: exposed endpoints; one moves the robot if any endpoint of its topic does, and
+            accepts only what all accept.
+        sources: additional endpoints with limits on the topics, exposed or not.
     """
     listed = list(drafts)
     names = by_topic(listed)
@@ -336,7 +338,7 @@ def gate_request(
     send_at_s: Sequence[float] = (),
     dry_run: bool = False,
 ) -> GateRequest:
-    """What the gate is asked for this call. Raises RefusedError for a preview."""
+    """Create the request to the gate for this call."""
     check_no_preview(arguments)
     return GateRequest(
         who=context.who,

@@ -1,5 +1,5 @@
-"""The feature: builds the one gate of a server, lends it as `host.gate`, and ends every motion that
-passed it.
+"""The feature: builds the one gate of a server, provides it as `host.gate`, and ends every motion
+that passed it.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ _CLOSE_S = 2.0
 _TRANSFORM_S = 1.0
 """Longest wait for a transform that a place needs."""
 _REPORTED_S = 1.5
-"""Longest from a hold of control until it is known here, on a busy machine."""
+"""Longest delay between a hold of control and its report, on a busy machine."""
 
 
 class DirectPath(Feature[DirectPathOptions]):
-    """The gate of the direct path. It adds no tool: features that do hand what is to be sent to
-    `host.gate`.
+    """The gate of the direct path. It adds no tool: the tools of other features pass their messages
+    to `host.gate`.
 
     Attributes:
         judge: decides on every request.
-        arbiter: who moves which robot.
-        allow_list: what agents may use.
+        arbiter: exclusive use of each robot.
+        allow_list: endpoints that agents may use.
     """
 
     judge: Gate
@@ -48,17 +48,17 @@ class DirectPath(Feature[DirectPathOptions]):
 
     @property
     def gate(self) -> MotionGate | None:
-        """The gate, from the time on when tools are asked for."""
+        """The gate, available from the collection of tools on."""
         return self._gate
 
     @property
     def is_moving(self) -> bool:
-        """Whether a call moves a robot now."""
+        """True if a call moves a robot now."""
         return self._gate is not None and self.arbiter.is_moving
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """None; builds the gate, which allows nothing until something is exposed. Raises
-        InvalidInputError or ConfigurationError for transforms that cannot be looked up.
+        """Return no tools; build the gate, which allows nothing until something is exposed. Raises
+        InvalidInputError or ConfigurationError for an invalid source of transforms.
         """
         self._host = host
         self.judge = Gate(
@@ -91,7 +91,7 @@ class DirectPath(Feature[DirectPathOptions]):
         return ()
 
     def _transforms(self, host: Host) -> FindTransform | None:
-        """What looks transforms up; raises as `check_topic` and `load_type`."""
+        """Return the function that looks up transforms; raises as `check_topic` and `load_type`."""
         topic = self.options.transforms
         if not topic:
             return None
@@ -114,32 +114,32 @@ class DirectPath(Feature[DirectPathOptions]):
         self.allow_list.refresh()
 
     def end_motion(self, reason: str, timeout_s: float) -> bool:
-        """End every motion that passed the gate with its stop message; False when one did not end
-        in time.
+        """End every motion that passed the gate with its stop message; return False if one did not
+        end in time.
         """
         return self._gate is None or self.arbiter.end_all(reason, timeout_s)
 
     def close(self) -> None:
-        """End every motion; nothing passes the gate any more. Idempotent."""
+        """End every motion and close the gate. Idempotent."""
         if self._gate is not None:
             self.judge.replace(())
             self.end_motion("The direct path is closed.", _CLOSE_S)
 
     def _permit(self, exposed: ExposedEndpoint) -> None:
-        """Somebody asks for motion: robot and control obey again after a stop. Raises as
+        """Permit motion again after a stop, on a client's request. Raises as
         `MotionStarts.permit`.
         """
         if exposed.moves and exposed.namespace == self._host.config.namespace:
             self._host.loop.starts.permit()
 
     def _policy(self, exposed: ExposedEndpoint) -> str:
-        """Which policy moves the robot now, as a sentence; empty when none does. A person who leads
-        need not wait for it: control lets one of them act.
+        """Describe the policy that moves the robot now; empty without one. A leading person does
+        not have to wait for it: control lets one of them act.
         """
         if exposed.hidden and exposed.label == LEAD_LABEL:
             return ""
         modules = self._host.modules
-        # asked with every call: the whole view costs as much as the rest of the answer
+        # evaluated for every call: the whole view costs as much as the rest of the answer
         if modules.slot("inference").phase not in ("starting", "running"):
             return ""
         view = modules.view("inference")
@@ -150,8 +150,8 @@ class DirectPath(Feature[DirectPathOptions]):
         return f"The policy {view.plan.names.get('backend', '')!r} moves {exposed.robot!r}."
 
     def _is_followed(self, exposed: ExposedEndpoint) -> bool:
-        """Whether control has acted since it held last; one that is frozen tells nothing, and comes
-        to no hold.
+        """True if control has acted since its last hold; a frozen control module reports nothing
+        and reaches no hold.
         """
         view = self._host.modules.view("control")
         if (
@@ -167,7 +167,7 @@ class DirectPath(Feature[DirectPathOptions]):
         return is_turning and view.report.is_following
 
     def _on_module(self, kind: str) -> None:
-        """Another robot has other interfaces."""
+        """Update the endpoints, because another robot has other interfaces."""
         if kind == "robot":
             try:
                 self.allow_list.refresh()
@@ -176,5 +176,5 @@ class DirectPath(Feature[DirectPathOptions]):
 
 
 def direct_path(host: Host) -> DirectPath:
-    """The direct path of a server. Raises StateError as `Host.feature`."""
+    """Return the direct path of a server. Raises StateError as `Host.feature`."""
     return host.feature(FEATURE.name, DirectPath)

@@ -1,5 +1,5 @@
-"""Fields of rosidl messages: by dotted path through arrays, read, changed and filled without
-knowing the type.
+"""Fields of rosidl messages: read, changed and filled by dotted path through arrays, without the
+type at import time.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from roboneuron import ConfigurationError, InvalidInputError
 
 FLOATS = frozenset({"float", "double"})
 INTEGERS = frozenset(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
-"""Numbers as rosidl writes their types; `octet` and `boolean` are none."""
+"""Integer types in rosidl notation; `octet` and `boolean` are not numbers."""
 _TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv|action)/([A-Z][A-Za-z0-9]*)")
 _ELEMENT = re.compile(r"(?:sequence<)?([\w/]+)")
 _STEP = re.compile(r"(\w+)((?:\[\d{1,9}\])?)")
-"""One step of a path that reads: a field, or one element of it."""
+"""One step of a read path: a field, or one element of it."""
 _FEW = 64
 M = TypeVar("M")
 R = TypeVar("R", bound=RosMessage)
@@ -36,7 +36,7 @@ R = TypeVar("R", bound=RosMessage)
 
 @dataclass(frozen=True, slots=True)
 class MessageNumber:
-    """A number in a message: its path with indices, its value, and how to change it."""
+    """A number in a message: its path with indices, its value, and a setter."""
 
     path: str
     value: float
@@ -50,16 +50,16 @@ def type_name_of(message: object) -> str:
 
 
 def is_message(value: object) -> TypeGuard[RosMessage]:
-    """Whether this is a rosidl message."""
+    """True for a rosidl message."""
     return hasattr(type(value), "get_fields_and_field_types")
 
 
 @functools.cache
 def load_type(name: str) -> Any:
-    """The rosidl class called "package/msg/Name", "package/srv/Name" or "package/action/Name".
+    """Import the rosidl class "package/msg/Name", "package/srv/Name" or "package/action/Name".
 
     Raises:
-        ConfigurationError: the name is written in another way, or nothing installed has it.
+        ConfigurationError: the name has another format, or is not installed.
     """
     parts = _TYPE_NAME.fullmatch(name)
     if parts is None:
@@ -67,7 +67,7 @@ def load_type(name: str) -> Any:
             f"{name[:120]!r}: write the type in full, package/msg/Name, srv or action."
         )
     package, kind, word = parts.groups()
-    spec = find_spec(package)  # nothing but packages of interfaces is imported
+    spec = find_spec(package)  # only packages of interfaces are imported
     folders = (spec.submodule_search_locations if spec is not None else None) or ()
     found = None
     if any((Path(folder) / kind / "__init__.py").is_file() for folder in folders):
@@ -82,11 +82,11 @@ def load_type(name: str) -> Any:
 def nested(
     message: RosMessage, types: Collection[MessageName[M]], path: str = ""
 ) -> Iterator[tuple[str, M]]:
-    """Messages of some types in a message: itself, or those that it holds at any depth, with the
-    path that leads to their fields: "", "pose.", "poses[2].". Nothing within them is looked for.
+    """Yield the messages of some types in a message: itself, or nested at any depth, with the path
+    prefix of their fields: "", "pose.", "poses[2].". The search does not continue inside of them.
     """
     if type_name_of(message) in types:
-        yield path, cast("M", message)  # its name says what it is
+        yield path, cast("M", message)  # its name determines its type
         return
     for name in message.get_fields_and_field_types():
         value = getattr(message, name)
@@ -112,7 +112,7 @@ def walk_fields(ros_type: type[RosMessage], path: str = "") -> Iterator[tuple[st
 
 @functools.cache
 def has_arrays(ros_type: type[RosMessage]) -> bool:
-    """Whether messages of a class hold an array, at whatever depth."""
+    """True if messages of a class contain an array, at any depth."""
     return any(
         _is_array(text) or ("/" in text and has_arrays(_nested(text)))
         for text in ros_type.get_fields_and_field_types().values()
@@ -124,7 +124,7 @@ def check_path(ros_type: type[RosMessage], path: str) -> None:
     a message class.
 
     Raises:
-        InvalidInputError: it names what is no field of the interface, or it leads to no single
+        InvalidInputError: a field does not exist in the interface, or the path leads to no single
             value.
     """
     name, here = _name_of_class(ros_type), ros_type
@@ -156,8 +156,8 @@ def check_path(ros_type: type[RosMessage], path: str) -> None:
 
 
 def read_value(message: object, path: str) -> bool | int | float | str | bytes:
-    """The value at a path that `check_path` has passed for the message's class; nothing but fields
-    is read.
+    """Return the value at a path that passed `check_path` for the message's class; only fields are
+    read.
 
     Raises:
         LookupError: there is no such field, or an array is shorter.
@@ -206,10 +206,10 @@ def _nested(element: str) -> type[RosMessage]:
 
 
 def filled(ros_type: type[R], values: object) -> R:
-    """A message that holds the values of a JSON object; fields that it does not name are zero.
+    """Create a message from the values of a JSON object; missing fields are zero.
 
     Raises:
-        InvalidInputError: there is no such field, or it cannot hold the value.
+        InvalidInputError: there is no such field, or it cannot contain the value.
     """
     message = ros_type(check_fields=True)
     types = message.get_fields_and_field_types()
@@ -242,20 +242,19 @@ def _converted(element: str, value: Any) -> object:
 
 
 def read_number(message: RosMessage, path: str) -> float:
-    """The number at a dotted path without arrays on the way."""
+    """Read the number at a dotted path without arrays."""
     return float(attrgetter(path)(message))
 
 
 def find_outside(
     message: object, path: str, low: float, high: float, prefix: str = ""
 ) -> Iterator[MessageNumber]:
-    """Yield every number outside of low .. high (NaN included) that `path`, written without
-    indices, leads to.
+    """Yield every number at `path`, written without indices, that is outside of low .. high or NaN.
 
     `prefix` is the path of `message` itself.
 
     Raises:
-        AttributeError: there is no such field; `check_endpoint` finds that when the configuration
+        AttributeError: there is no such field; `check_endpoint` detects that when the configuration
             is read.
     """
     head, _, rest = path.partition(".")
@@ -286,15 +285,15 @@ def _item_writer(values: Any, index: int) -> Callable[[float], None]:
 
 
 def find_nonfinite(message: RosMessage, allowed: frozenset[str]) -> str:
-    """Return the path of the first NaN or infinity that is not allowed there; empty when there is
+    """Return the path of the first NaN or infinity that is not allowed there; empty if there is
     none.
     """
     return next((path for plain, path in _nonfinite(message) if plain not in allowed), "")
 
 
 def _nonfinite(message: RosMessage) -> Iterator[tuple[str, str]]:
-    """Yield the path without indices, and the whole path, of each NaN or infinity; of an array of
-    numbers that of the first one. Paths are made for what is found only: every call is looked at.
+    """Yield the path without indices, and the whole path, of each NaN or infinity; for an array of
+    numbers only the first. Paths are built only for these, because every call is checked.
     """
     for name in _names_of_fields(type(message)):
         value = getattr(message, name)
@@ -316,7 +315,7 @@ def _nonfinite(message: RosMessage) -> Iterator[tuple[str, str]]:
 
 @functools.cache
 def _names_of_fields(ros_type: type[RosMessage]) -> tuple[str, ...]:
-    """Kept, because rosidl copies its own table whenever it is asked."""
+    """Cached, because rosidl copies its own table for each access."""
     return tuple(ros_type.get_fields_and_field_types())
 
 

@@ -1,8 +1,8 @@
-"""The one gate: everything an agent sends passes it, and every decision is written down.
+"""The gate: every request of an agent passes it, and every decision is audited.
 
 Order: allow list, role, type, finiteness, frame, bounds, steering, places, goals of a planner,
-joint limits, path, emergency stop, rate, audit. The first rule that does not hold refuses and does
-not count against the rate. Refuse by default, clamp only where configured.
+joint limits, path, emergency stop, rate, audit. The first violated rule refuses; a refused request
+does not count against the rate. Refuse by default, clamp only if configured.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _Key = tuple[str, str]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _GatedEndpoint:
-    """An endpoint of the allow list, with what is ready for its calls."""
+    """An endpoint of the allow list with its prepared checks."""
 
     allowed: AllowedEndpoint
     rate: RateLimit
@@ -51,7 +51,7 @@ class Gate:
 
     Attributes:
         latch: the emergency stop.
-        audit: where decisions are written.
+        audit: log of decisions.
     """
 
     def __init__(
@@ -67,11 +67,11 @@ class Gate:
         """Args:
         allowed: the allow list; nothing else is reachable.
         latch: the emergency stop, shared with every process.
-        audit: where decisions are written.
+        audit: log of decisions.
         clock: monotonic time [s], for rates.
-        dry_run: answer every request, allow none to be sent.
-        transforms: has places in the frame of their endpoint; may block for a second. Without,
-            places in another frame are refused.
+        dry_run: answer every request, but let none be sent.
+        transforms: converts places to the frame of their endpoint; may block for a second. Without
+            it, places in another frame are refused.
 
         Raises:
             ConfigurationError: an endpoint cannot be exposed.
@@ -86,7 +86,7 @@ class Gate:
         self.replace(allowed)
 
     def replace(self, allowed: Iterable[AllowedEndpoint]) -> None:
-        """Change the allow list; rates of endpoints that stay the same go on counting.
+        """Replace the allow list; rate counts of unchanged endpoints are kept.
 
         Raises:
             ConfigurationError: an endpoint cannot be exposed; the old list stays.
@@ -96,7 +96,7 @@ class Gate:
         for entry in allowed:
             endpoint = entry.endpoint
             check_endpoint(endpoint)
-            # Two names of one topic are one stream of messages, whose rate the robot has to take.
+            # Two names of one topic are one stream of messages, to which the robot's rate applies.
             place = (
                 (endpoint.kind, entry.topic)
                 if entry.topic
@@ -111,7 +111,7 @@ class Gate:
         self._entries, self._rates = entries, rates
 
     def may_block(self, endpoint: Endpoint) -> bool:
-        """Whether a request for an endpoint may have to wait for transforms."""
+        """True if a request for an endpoint may have to wait for transforms."""
         return bool(endpoint.frame) and self._transforms is not None
 
     def allowed(self) -> tuple[AllowedEndpoint, ...]:
@@ -119,12 +119,12 @@ class Gate:
         return tuple(entry.allowed for entry in self._entries.values())
 
     def check(self, request: GateRequest) -> Verdict:
-        """Decide, write the decision down, and return it; send only when `Verdict.may_send`.
+        """Decide, audit the decision, and return it; send only if `Verdict.may_send`.
 
-        The messages of an allowed request may have been clamped; the verdict says so.
+        The messages of an allowed request may have been clamped, as listed in the verdict.
 
         Raises:
-            RefusedError: refused. A dry run is answered instead, with `allowed` false and the
+            RefusedError: refused. A dry run gets an answer instead, with `allowed` false and the
                 reason.
         """
         dry_run = request.dry_run or self._dry_run
@@ -135,7 +135,7 @@ class Gate:
         return verdict
 
     def check_next(self, request: GateRequest) -> None:
-        """Judge one more message of a motion that was allowed; only a refusal is written down.
+        """Check one more message of an allowed motion; only a refusal is audited.
 
         Raises:
             RefusedError: refused; the motion has to end.
@@ -146,10 +146,9 @@ class Gate:
             raise cause
 
     def check_running(self) -> None:
-        """Raise RefusedError when motion that is under way has to end: latched, or the audit
-        failed.
+        """Raise RefusedError if motion in progress has to end: latched, or the audit failed.
 
-        Called before every step of a sequence and every repetition; about a microsecond.
+        Called before every step of a sequence and every repetition; about 1 us.
         """
         self.latch.check()
         if self.audit.failed:
@@ -160,10 +159,11 @@ class Gate:
             )
 
     def slowdown(self, request: GateRequest) -> float:
-        """How many times the request's time the TCP needs to keep to its speeds, at least 1.
+        """Factor, at least 1, by which the request's duration must grow to respect the TCP's speed
+        limits.
 
         Raises:
-            RefusedError: the path cannot be judged.
+            RefusedError: the path cannot be evaluated.
         """
         found = self._entries.get((request.robot, request.endpoint))
         if found is None or found.allowed.path is None or request.joints is None:
@@ -174,12 +174,12 @@ class Gate:
     def way_watch(
         self, request: GateRequest, joints: Callable[[], JointSample | None]
     ) -> WayWatch | None:
-        """What has to be asked while a goal runs whose way a planner has chosen; None where the
-        request has none that moves an arm.
+        """Return the checks during a goal whose path a planner has chosen; None for a request
+        without such a path of an arm.
 
         Args:
-            request: was allowed.
-            joints: the newest measured joints.
+            request: an allowed request.
+            joints: returns the newest measured joints.
         """
         found = self._entries.get((request.robot, request.endpoint))
         if found is None or not found.checks.has_plans:
@@ -187,8 +187,8 @@ class Gate:
         return watch_of(found.allowed, request.messages, joints)
 
     def release(self, request: GateRequest) -> None:
-        """Messages of the request that were to be sent later will not be; they no longer count
-        against the rate.
+        """Remove the request's unsent messages from the rate count, because they will not
+        be sent.
         """
         found = self._entries.get((request.robot, request.endpoint))
         if found is not None:
@@ -198,7 +198,7 @@ class Gate:
         rule, clamped = "", list[Clamp]()
         try:
             for name in self._rules(request, dry_run, clamped):
-                rule = name  # the last one named is the one that raises
+                rule = name  # the last name yielded is that of the rule that raises
         except RefusedError as error:
             error.rule = error.limit if isinstance(error, LimitError) else rule
             verdict = Verdict(allowed=False, dry_run=dry_run, reason=str(error), rule=error.rule)
@@ -206,7 +206,7 @@ class Gate:
         return Verdict(allowed=True, dry_run=dry_run, clamped=tuple(clamped)), None
 
     def _rules(self, request: GateRequest, dry_run: bool, clamped: list[Clamp]) -> Iterator[str]:
-        """Apply one rule after the other: each is named before it is applied, and raises
+        """Apply one rule after the other: its name is yielded before it is applied, and it raises
         RefusedError.
         """
         yield "allow_list"
@@ -310,7 +310,7 @@ class Gate:
         )
         try:
             self.audit.write(record)
-        except RefusedError:  # reading goes on and refusals stay refusals when the disk is full
+        except RefusedError:  # reading continues and refusals stay refusals when the disk is full
             found = self._entries.get((request.robot, request.endpoint))
             if found is not None and found.allowed.endpoint.kind != "read" and verdict.may_send:
                 raise
@@ -321,7 +321,7 @@ def _commands(request: GateRequest) -> list[Any]:
 
 
 def _legs(entry: AllowedEndpoint, request: GateRequest) -> list[Leg]:
-    """The path of the joints that a request asks for; raises RefusedError as `check_joints`."""
+    """Return the joint path of a request; raises RefusedError as `check_joints`."""
     commands = _commands(request)
     if entry.profile is None or not commands:
         raise RefusedError(
@@ -335,7 +335,7 @@ def _legs(entry: AllowedEndpoint, request: GateRequest) -> list[Leg]:
 
 @contextmanager
 def _judging() -> Iterator[None]:
-    """What keeps a path from being judged is a refusal."""
+    """Convert errors in evaluating a path to refusals."""
     try:
         yield
     except RefusedError:

@@ -1,4 +1,4 @@
-"""What the server says on /diagnostics of modules that cannot say it themselves."""
+"""Reports on /diagnostics about modules that cannot report themselves."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 class HealthDiagnostics:
-    """Says on /diagnostics what a module cannot say itself when it is frozen or gone: every change
-    of its health.
+    """Publishes every change of a module's health on /diagnostics, for modules that are frozen or
+    gone.
     """
 
     def __init__(self, link: Callable[[], RosLink]) -> None:

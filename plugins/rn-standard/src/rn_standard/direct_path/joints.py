@@ -33,15 +33,16 @@ PLANNER_TYPES: tuple[MessageName[RosMessage], ...] = (
     MessageName("moveit_msgs/msg/PlanningScene"),
     MessageName("moveit_msgs/msg/RobotState"),
 )
-"""Messages whose joints are where the robot is or is thought to be, not where it is sent."""
+"""Messages whose joints describe the robot's present or assumed state, not its target."""
 _SAME = 1e-3
-"""A first point at time 0 may only repeat where the joints are, within a milliradian or millimetre.
+"""Tolerance of a first point at time 0, which may only repeat the present position: a milliradian
+or millimetre.
 """
 
 
 def joint_commands(message: RosMessage) -> Iterator[Any]:
-    """The joint commands in a message, goal or request: itself, or those that it holds at any
-    depth. What a planner is told of the robot is none.
+    """Yield the joint commands in a message, goal or request: itself, or nested at any depth. The
+    robot state given to a planner is not one.
     """
     for _, found in nested(message, (*JOINT_TYPES, *PLANNER_TYPES)):
         if type_name_of(found) in JOINT_TYPES:
@@ -54,22 +55,22 @@ def check_joints(
     joints: JointSample | None,
     durations_s: Sequence[float] = (),
 ) -> list[Leg]:
-    """Raise unless the joints can follow the commands, one after the other, within their limits;
-    return their way.
+    """Check that the joints can follow the commands, one after the other, within their limits;
+    return their path.
 
-    A trajectory must reach each point with the joints' own velocities and accelerations, and rest
-    at the end of the last command. The first step begins where the joints are measured, as fast as
-    they are measured; that of each further command where the one before ends.
+    A trajectory must reach each point within the joints' velocities and accelerations, and rest at
+    the end of the last command. The first step begins at the measured positions and velocities;
+    each further command begins at the end of the previous one.
 
     Args:
         limits: by joint.
         messages: JointTrajectory or JointState.
         joints: newest measured joints.
-        durations_s: how long each command lasts [s]; without, JointState is not checked for how
-            fast it is reached.
+        durations_s: duration of each command [s]; without it, the velocity of a JointState is not
+            checked.
 
     Raises:
-        RefusedError: says which joint, what was asked, what is allowed.
+        RefusedError: names the joint, the requested and the allowed value.
     """
     motion = _JointMotion(limits, joints)
     legs: list[Leg] = []
@@ -88,7 +89,7 @@ def check_joints(
 
 
 class _JointMotion:
-    """Where the joints are after the commands so far, and which velocities they can have there."""
+    """Positions of the joints after the commands so far, and the velocities they can have there."""
 
     def __init__(
         self, limits: Mapping[str, joint_space.JointLimit], joints: JointSample | None
@@ -106,7 +107,7 @@ class _JointMotion:
                 self._speeds.update({name: Speeds(v, v) for name, v in measured if np.isfinite(v)})
 
     def follow(self, message: Any, lasts_s: float | None, *, is_last: bool) -> list[Leg]:
-        """The legs of one command; raises RefusedError for the first limit that it breaks."""
+        """Return the legs of one command; raises RefusedError for the first violated limit."""
         is_trajectory = hasattr(message, "points")
         is_velocity = not is_trajectory and not len(message.position)
         legs = []
@@ -163,8 +164,8 @@ class _JointMotion:
             raise RefusedError(f"The trajectory takes {before_s:g} s, its step only {lasts_s:g} s.")
 
     def _state(self, message: JointState, lasts_s: float | None) -> Iterator[Leg]:
-        """A JointState: positions that are reached within the time, or velocities that are kept for
-        it.
+        """Handle a JointState: positions to be reached within the time, or velocities kept
+        for it.
         """
         names = self._names(message.name)
         if not (len(message.position) or len(message.velocity)):
@@ -187,8 +188,8 @@ class _JointMotion:
         yield Leg(names=names, position=ends, duration_s=lasts_s)
 
     def _commit(self, leg: Leg, is_velocity: bool) -> None:
-        """Whether the joints can follow a leg: their velocities, and the accelerations that these
-        imply.
+        """Check that the joints can follow a leg: their velocities, and the implied
+        accelerations.
         """
         starts, duration_s = self._starts(leg.names), leg.duration_s
         if not duration_s:
@@ -221,7 +222,7 @@ class _JointMotion:
             self._speeds[name] = new
 
     def _rest(self, leg: Leg) -> None:
-        """The joints rest at the end of this leg."""
+        """Check that the joints can rest at the end of this leg."""
         for name in leg.names:
             if self._speeds[name].at(0.0) is None:
                 raise self._too_hard(leg, name, self._distance[name], " and rest there")

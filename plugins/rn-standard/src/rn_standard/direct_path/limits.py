@@ -1,4 +1,4 @@
-"""Types, finiteness and per-field limits."""
+"""Checks of types, finiteness and per-field limits."""
 
 from __future__ import annotations
 
@@ -34,18 +34,18 @@ _TOPIC = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*\Z")
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,59}\Z")
 _TWISTS = {"geometry_msgs/msg/Twist": "", "geometry_msgs/msg/TwistStamped": "twist."}
 _PART = {"srv": "Request", "action": "Goal"}
-"""What is sent of a type that is no message."""
+"""Sent part of a type that is not a message."""
 PARAMETER_QUERIES = frozenset(
     f"rcl_interfaces/srv/{verb}Parameters" for verb in ("Get", "List", "Describe")
 )
-"""Services that change nothing: they may be endpoints of kind "read"."""
+"""Services that change nothing and may be endpoints of kind "read"."""
 
 
 def check_endpoint(endpoint: Endpoint) -> None:
-    """Raise unless an endpoint of a profile or a configuration can be exposed.
+    """Check that an endpoint of a profile or a configuration can be exposed.
 
     Raises:
-        ConfigurationError: its name, kind, topic, type or a bounded field cannot be.
+        ConfigurationError: its name, kind, topic, type or a bounded field is invalid.
     """
     where = f"Endpoint {endpoint.name!r}"
     if not _NAME.match(endpoint.name):
@@ -76,7 +76,7 @@ def check_endpoint(endpoint: Endpoint) -> None:
 
 
 def _check_frame(endpoint: Endpoint, ros_type: type[RosMessage]) -> None:
-    """Raise ConfigurationError unless limits of place mean something for what is sent."""
+    """Raise ConfigurationError unless limits of place apply to the sent type."""
     where = f"Endpoint {endpoint.name!r}"
     if endpoint.zones and not endpoint.frame:
         raise ConfigurationError(
@@ -96,7 +96,7 @@ def _check_frame(endpoint: Endpoint, ros_type: type[RosMessage]) -> None:
 
 
 def sent_type(endpoint: Endpoint) -> type[RosMessage]:
-    """The rosidl class of what an endpoint is sent: its message, request or goal. Raises
+    """Return the rosidl class that is sent to an endpoint: its message, request or goal. Raises
     ConfigurationError.
     """
     ros_type = load_type(endpoint.type)
@@ -111,22 +111,22 @@ def sent_type(endpoint: Endpoint) -> type[RosMessage]:
 
 
 def _are_integers(low: float, high: float) -> bool:
-    """Bounds of an integer field are integers, so that a clamped value lies within."""
+    """True if the bounds of an integer field are integers, so that a clamped value lies within."""
     return all(math.isinf(bound) or bound == int(bound) for bound in (low, high))
 
 
 class MessageChecks:
-    """What each message for one endpoint is checked for; made when that is exposed, because an
-    agent waits for every look at a type.
+    """Prepared checks of messages for one endpoint; created when it is exposed, because inspecting
+    a type delays the agent's call.
 
-    The numbers of a message without arrays are read in one step; only what does not fit is looked
-    at field by field.
+    The numbers of a message without arrays are read in one step; only after a violation they are
+    checked field by field.
 
     Args:
-        allowed: passed `check_endpoint`.
+        allowed: an entry that passed `check_endpoint`.
 
     Attributes:
-        has_plans: goals of a planner may be in what is sent.
+        has_plans: sent messages may contain goals of a planner.
     """
 
     def __init__(self, allowed: AllowedEndpoint) -> None:
@@ -135,7 +135,7 @@ class MessageChecks:
         self.has_plans = has_plans(self._type)
         is_plain = not has_arrays(self._type)
         floats = [path for path, name in walk_fields(self._type) if name in FLOATS]
-        # of one name alone it would not give a tuple
+        # with a single name it would not return a tuple
         self._read_floats = attrgetter(*floats) if is_plain and len(floats) > 1 else None
         bounds = allowed.endpoint.bounds.items() if is_plain else ()
         self._bounds = [(attrgetter(path), low, high) for path, (low, high) in bounds]
@@ -160,7 +160,7 @@ class MessageChecks:
 
 
 def check_type(endpoint: Endpoint, message: RosMessage) -> None:
-    """Raise RefusedError unless the message is of the endpoint's type."""
+    """Raise RefusedError unless the message has the endpoint's type."""
     part = _PART.get(endpoint.type.split("/")[1])
     came, expected = type_name_of(message), f"{endpoint.type}_{part}" if part else endpoint.type
     if came != expected:
@@ -168,18 +168,14 @@ def check_type(endpoint: Endpoint, message: RosMessage) -> None:
 
 
 def check_finite(allowed: AllowedEndpoint, message: RosMessage) -> None:
-    """Raise RefusedError for a NaN or an infinity anywhere but in the fields configured for
-    them.
-    """
+    """Raise RefusedError for a NaN or infinity outside the fields configured for them."""
     path = find_nonfinite(message, allowed.nonfinite)
     if path:
         raise RefusedError(f"{path} is not finite; nothing was sent to {allowed.endpoint.name!r}.")
 
 
 def apply_bounds(allowed: AllowedEndpoint, message: RosMessage) -> tuple[Clamp, ...]:
-    """Raise RefusedError for a value out of bounds; clamp, in the message, where that is
-    configured.
-    """
+    """Raise RefusedError for a value out of bounds; clamp it in the message if configured."""
     clamps = []
     for path, (low, high) in allowed.endpoint.bounds.items():
         for place in find_outside(message, path, low, high):
@@ -194,7 +190,7 @@ def apply_bounds(allowed: AllowedEndpoint, message: RosMessage) -> tuple[Clamp, 
 
 
 def check_steering(endpoint: Endpoint, message: RosMessage) -> None:
-    """Raise RefusedError for a velocity that the base cannot carry out. Source: `check_twist`."""
+    """Raise RefusedError for a velocity that the base cannot execute. Source: `check_twist`."""
     prefix = _TWISTS.get(endpoint.type)
     if prefix is None or endpoint.min_turning_radius_m <= 0.0:
         return

@@ -1,5 +1,5 @@
-"""What is read of ROS messages here: each protocol is the part of a message that limits are about.
-Messages are made at run time from their definitions, so that they have no types of their own.
+"""Protocols of ROS messages: each is the part of a message that limits are about. Message classes
+are created at run time from their definitions, so they have no static types.
 """
 
 from __future__ import annotations
@@ -11,17 +11,17 @@ MessageT_co = TypeVar("MessageT_co", covariant=True)
 
 
 class MessageName(str, Generic[MessageT_co]):
-    """Name of a message type, such as "geometry_msgs/msg/PoseStamped", and what is read of it."""
+    """Name of a message type, such as "geometry_msgs/msg/PoseStamped", with its protocol."""
 
 
 class RosMessage(Protocol):
-    """Any message, and a goal, request or response."""
+    """Any message, goal, request or response."""
 
     def __init__(self, **fields: object) -> None: ...
 
     @classmethod
     def get_fields_and_field_types(cls) -> dict[str, str]:
-        """Fields by name, each with its type as rosidl writes it."""
+        """Fields by name, with their types in rosidl notation."""
         ...
 
 

@@ -1,6 +1,4 @@
-"""The gate as features use it: they say what is to be sent, and it is judged and sent here; nobody
-gets a publisher.
-"""
+"""The gate as features use it: messages are checked and sent here; no feature gets a publisher."""
 
 from __future__ import annotations
 
@@ -34,11 +32,11 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.02
 _LATE_S = 0.25
-"""After a longer wait for a subscriber the gate is asked again."""
+"""Wait for a subscriber after which the gate checks the request again."""
 
 
 class DirectGate:
-    """The gate that features get as `Host.gate`; see `roboneuron.feature.MotionGate`."""
+    """Implementation of `Host.gate`; see `roboneuron.feature.MotionGate`."""
 
     def __init__(
         self,
@@ -111,7 +109,7 @@ class DirectGate:
     ) -> tuple[Verdict, Any]:
         """As `MotionGate.send_goal`."""
         motion.check()
-        verdict = self._gate.check(request)  # first: what is refused waits for nobody
+        verdict = self._gate.check(request)  # first: a refused request must not wait for a server
         if not verdict.may_send:
             return verdict, None
         if not self.is_served(exposed):
@@ -140,8 +138,8 @@ class DirectGate:
                 goal_uuid=goal_id,
             )
 
-        # rclpy notes what it waits for after it has sent: on another thread than its executor's an
-        # answer may come in between, and is lost
+        # rclpy registers a request after sending it: on another thread than its executor's, an
+        # answer may arrive in between and be lost
         return verdict, self._traffic.link().on_executor(send)
 
     def publish_now(

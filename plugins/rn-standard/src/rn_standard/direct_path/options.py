@@ -9,7 +9,7 @@ from roboneuron.feature import models
 
 
 class DirectPathOptions(Section):
-    """`[direct_path]`: what holds for every direct call."""
+    """`[direct_path]`: settings of every direct call."""
 
     dry_run: bool = Field(
         default=False, description="direct calls answer what would happen, nothing is sent"

@@ -1,5 +1,5 @@
-"""Limits of place and speed on joint motions: forward kinematics along the path, by the rules of
-control.
+"""Limits of place and speed on joint motions: forward kinematics along the path, by control's
+rules.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from roboneuron import F64, JointSample, Obstacle, Posture, RefusedError, RobotP
 from roboneuron.feature import MotionRules, Reach, task_space
 
 MAX_POSTURES = 20_000
-"""Longer paths are refused: checking them would take seconds."""
+"""Longest path [postures]; checking a longer one would take seconds."""
 _SLACK = 1e-6
-"""Relative: what rounding may add to a speed."""
+"""Relative tolerance on a speed for rounding."""
 
 
 class LimitError(RefusedError):
-    """A motion breaks a limit; `limit` is its name, from `LIMITS`."""
+    """A motion violates a limit; `limit` is its name, from `LIMITS`."""
 
     def __init__(self, limit: str, message: str, hint: str = "") -> None:
         super().__init__(message, hint=hint, rule=limit)
@@ -31,7 +31,7 @@ class LimitError(RefusedError):
 
 
 def check_zones(lower_m: F64, upper_m: F64, zones: Sequence[Obstacle], where: str) -> None:
-    """Raise LimitError when a box reaches into a zone."""
+    """Raise LimitError if a box intersects a zone."""
     for zone in zones:
         if (lower_m <= zone.upper_m).all() and (upper_m >= zone.lower_m).all():
             raise LimitError("zone", f"{where}The TCP may come into the zone {zone.name!r}.")
@@ -42,12 +42,12 @@ class Leg:
     """A segment of a joint path: some joints move to `position`, the others stay.
 
     Attributes:
-        names: the joints that are commanded.
-        position: where they go, float64 (n,) [rad or m].
-        duration_s: time for it; None when nobody knows, then its speed is not judged.
-        velocity: float64 (n,), at the end of the leg, where the command states one: drivers may
-            take a cubic then.
-        where: place in the command, for messages.
+        names: the commanded joints.
+        position: their targets, float64 (n,) [rad or m].
+        duration_s: its duration; None if unknown, then its speed is not checked.
+        velocity: float64 (n,), at the end of the leg, if the command contains one: drivers may then
+            interpolate with a cubic.
+        where: position in the command, for messages.
     """
 
     names: tuple[str, ...]
@@ -60,15 +60,14 @@ class Leg:
 class PathLimiter:
     """Checks paths in joint space for one robot, the TCP of each of its arms; thread-safe.
 
-    `Reach` says how densely a path is sampled, and the TCP's path between two samples is tested as
-    a line, so that neither a zone nor a link is missed. Singularities are no limit here: joint
+    `Reach` determines the sampling density, and the TCP's path between two samples is tested as a
+    line, so that neither a zone nor a link is missed. Singularities are not limited here: joint
     motions do not depend on the Jacobian's inverse.
 
     Args:
-        rules: the numbers of `[limits]`; a limit that is broken is refused, whatever its reaction
-            is for actions.
-        profile: of the robot, with the `collision` in force.
-        inspect: tells a posture's TCP and distances; raises UnsafeError.
+        rules: the limits of `[limits]`; a violation is refused, whatever the reaction for actions.
+        profile: profile of the robot, with the `collision` in force.
+        inspect: computes a posture's TCP and distances; raises UnsafeError.
     """
 
     def __init__(
@@ -84,8 +83,8 @@ class PathLimiter:
         """Raise LimitError for the first limit that the path violates.
 
         Args:
-            legs: one after the other.
-            joints: where the arm is; every joint of it.
+            legs: in their order.
+            joints: measured state of every joint of the arm.
         """
         ratio, reason = 1.0, ""
         with self._judging():
@@ -104,12 +103,12 @@ class PathLimiter:
             raise LimitError("speed", reason, hint=f"Give it {times:g} times the time.")
 
     def check_stand(self, leg: Leg, joints: JointSample) -> Posture:
-        """The posture at the end of a leg; raises LimitError unless the arm may stand there,
-        whatever way leads there.
+        """Return the posture at the end of a leg; raises LimitError if it is forbidden, whatever
+        path leads to it.
 
         Args:
-            leg: the joints that go somewhere.
-            joints: where the arm is; every joint of it.
+            leg: the moved joints.
+            joints: measured state of every joint of the arm.
         """
         names, here = _finite(joints)
         with self._judging():
@@ -122,13 +121,13 @@ class PathLimiter:
         return there
 
     def posture(self, joints: JointSample) -> Posture:
-        """What a posture amounts to. Raises LimitError when it cannot be evaluated."""
+        """Evaluate a posture. Raises LimitError if that fails."""
         with self._judging():
             return self._evaluate(*_finite(joints))
 
     def slowdown(self, legs: Iterable[Leg], joints: JointSample) -> float:
-        """How many times the legs' durations the TCP needs to stay within its speeds, at least
-        1.
+        """Factor, at least 1, on the legs' durations that the TCP needs to respect its speed
+        limits.
         """
         with self._judging():
             steps = self._walk(legs, joints)
@@ -145,7 +144,7 @@ class PathLimiter:
 
     @contextmanager
     def _judging(self) -> Iterator[None]:
-        """One path at a time; raises LimitError for a posture that cannot be evaluated."""
+        """Lock for one path at a time; raises LimitError for a posture that cannot be evaluated."""
         with self._lock:
             try:
                 yield
@@ -157,9 +156,7 @@ class PathLimiter:
     def _speeds(
         self, before: Posture, there: Posture, duration_s: float
     ) -> Iterator[tuple[float, str]]:
-        """How many times a limit of the TCP's speed is exceeded between two postures, and what is
-        said of it.
-        """
+        """Ratios of the TCP's speeds between two postures to their limits, with a text for each."""
         if not duration_s:
             return
         for start, end in zip(before.arms, there.arms, strict=True):
@@ -173,16 +170,14 @@ class PathLimiter:
     def _walk(
         self, legs: Iterable[Leg], joints: JointSample
     ) -> Iterator[tuple[Leg, Posture, Posture, float]]:
-        """Postures that follow each other on the legs, and the time between them [s], 0 when nobody
-        knows.
-        """
+        """Yield consecutive postures on the legs, and the time between them [s], 0 if unknown."""
         names, here = _finite(joints)
         velocity, left, start = np.zeros_like(here), MAX_POSTURES, self._evaluate(names, here)
         for leg in legs:
             target, end_velocity = _target(leg, names, here)
             change, duration_s = target - here, leg.duration_s or 0.0
             bends: list[tuple[F64, F64] | None] = [None]
-            if leg.velocity is not None and duration_s:  # a driver may take the line or the cubic
+            if leg.velocity is not None and duration_s:  # a driver may follow the line or the cubic
                 bends.append((velocity * duration_s, end_velocity * duration_s))
             for bend in bends:
                 farthest = (
@@ -215,7 +210,7 @@ class PathLimiter:
 
 
 def _finite(joints: JointSample) -> tuple[tuple[str, ...], F64]:
-    """The joints that are measured."""
+    """The measured joints."""
     finite = np.isfinite(joints.position)
     names = tuple(name for name, good in zip(joints.names, finite.tolist(), strict=True) if good)
     return names, np.asarray(joints.position, dtype=np.float64)[finite]
@@ -235,7 +230,7 @@ def _target(leg: Leg, names: tuple[str, ...], here: F64) -> tuple[F64, F64]:
 
 def _shape(change: F64, bend: tuple[F64, F64] | None, count: int) -> F64:
     """Postures after the start, relative to it, float64 (count, n): on a line, or on the cubic with
-    these slopes.
+    these end slopes.
     """
     s = np.arange(1, count + 1)[:, np.newaxis] / count
     if bend is None:

@@ -1,5 +1,5 @@
-"""Who is at the other end of a topic, service or action, and whether both ends fit: another ROS,
-another DDS, another quality of service.
+"""The other ends of a topic, service or action, and their compatibility: another ROS, another DDS,
+another quality of service.
 """
 
 from __future__ import annotations
@@ -23,16 +23,18 @@ HUMBLE_HINT = (
     "update the older one."
 )
 _DISCOVERY = "ros_discovery_info"
-"""The topic on which each process with ROS nodes tells which endpoints are whose."""
+"""The topic on which each process with ROS nodes publishes the endpoints of its nodes."""
 _CYCLONE = "Cyclone DDS"
 _VENDORS = {
     b"\x01\x01": "Connext DDS",
     b"\x01\x0f": "Fast DDS",
     b"\x01\x10": _CYCLONE,
 }
-"""By the first bytes of a GUID. Source: DDSI-RTPS 2.5, 9.3.1; list of vendors of the OMG."""
+"""DDS vendors by the first bytes of a GUID. Source: DDSI-RTPS 2.5, 9.3.1; list of vendors of the
+OMG.
+"""
 _PREFIX = 12
-"""Bytes of a GUID that name its participant."""
+"""Bytes of a GUID that identify its participant."""
 _SERVERS = {
     "service": (("_Request", "rq{}Request"), ("_Response", "rr{}Reply")),
     "action": (
@@ -41,26 +43,26 @@ _SERVERS = {
         ("_FeedbackMessage", "rt{}/_action/feedback"),
     ),
 }
-"""What tells a server's definition: part of the type, and DDS topic. It subscribes to requests
-(`rq`), and publishes the others.
+"""Endpoints that show a server's definition: part of the type, and DDS topic. A server subscribes
+to requests (`rq`), and publishes the others.
 """
 _MOST = 5
 
 
 class DdsGraph(Protocol):
-    """A graph by the names that topics have in DDS: `rt/chatter`, `rq/addRequest`; `Host.graph` is
-    one.
+    """A graph with the DDS names of topics: `rt/chatter`, `rq/addRequest`; implemented by
+    `Host.graph`.
     """
 
     def dds_publishers(self, topic: str) -> Sequence[TopicEndpointInfo]:
-        """Who publishes a topic."""
+        """Publishers of a topic."""
 
     def dds_subscriptions(self, topic: str) -> Sequence[TopicEndpointInfo]:
-        """Who subscribes to a topic."""
+        """Subscriptions to a topic."""
 
 
 class NodeDdsGraph:
-    """The graph as a node sees it."""
+    """The graph as discovered by a node."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
@@ -85,13 +87,13 @@ def participant_of(info: TopicEndpointInfo) -> bytes:
 
 
 def vendor_of(info: TopicEndpointInfo) -> str:
-    """The DDS of an endpoint."""
+    """Vendor of an endpoint's DDS."""
     return _VENDORS.get(bytes(info.endpoint_gid[:2]), "another DDS")
 
 
 def old_participants(graph: DdsGraph) -> frozenset[bytes]:
-    """Those that run ROS 2 Humble or older: they announce their nodes, and give no hash of the
-    message in which they do.
+    """Participants with ROS 2 Humble or older: they announce their nodes, but send no type hash of
+    that message.
     """
     return frozenset(
         participant_of(info)
@@ -101,11 +103,11 @@ def old_participants(graph: DdsGraph) -> frozenset[bytes]:
 
 
 def name_of(info: TopicEndpointInfo, old: frozenset[bytes]) -> str:
-    """An endpoint's node, or what else it is.
+    """Name of an endpoint's node, or a description without a node.
 
     Args:
-        info: of the endpoint.
-        old: from `old_participants`, whose nodes have no names here.
+        info: the endpoint.
+        old: from `old_participants`, whose node names are unknown here.
     """
     if participant_of(info) in old:
         return "a node of ROS 2 Humble or older"
@@ -117,13 +119,13 @@ def name_of(info: TopicEndpointInfo, old: frozenset[bytes]) -> str:
 
 
 def qos_mismatches(graph: DdsGraph, topic: str, old: frozenset[bytes]) -> list[str]:
-    """Publishers from which a node that subscribes gets nothing, with the policies that do not fit;
-    a sentence each.
+    """Publishers with a QoS incompatible with a subscribing node, with the policies; a sentence
+    each.
 
-    A node may subscribe several times, so that one of its subscriptions fits every publisher.
+    A node may subscribe several times, so that each publisher matches one of its subscriptions.
 
     Args:
-        graph: that is looked at.
+        graph: the ROS graph.
         topic: absolute, as in ROS.
         old: from `old_participants`.
     """
@@ -147,23 +149,23 @@ def qos_mismatches(graph: DdsGraph, topic: str, old: frozenset[bytes]) -> list[s
 
 
 def _words(reason: str) -> str:
-    """What rclpy says of two profiles, as words for a sentence."""
+    """Convert rclpy's reason for incompatible profiles to words for a sentence."""
     parts = [part.removeprefix("ERROR: ") for part in reason.split(";")]
     return ", ".join(part[0].lower() + part[1:] for part in parts if part)
 
 
 def check_server(kind: str, name: str, type_name: str, graph: DdsGraph) -> None:
-    """Refuse a service or action whose server cannot be understood.
+    """Refuse a service or action whose server is incompatible.
 
     Args:
-        kind: "service" or "action"; a service that is only read counts as one.
+        kind: "service" or "action"; a read-only service counts as one.
         name: absolute.
         type_name: as in the exposure.
-        graph: that is looked at.
+        graph: the ROS graph.
 
     Raises:
-        ConfigurationError: a server has another definition of the type, or all of them use a DDS
-            whose requests and answers have another form.
+        ConfigurationError: a server has another definition of the type, or all servers use a DDS
+            with another format of requests and answers.
     """
     for part, topic in _server_topics(kind):
         find = graph.dds_subscriptions if topic.startswith("rq") else graph.dds_publishers
@@ -184,8 +186,8 @@ def _server_topics(kind: str) -> tuple[tuple[str, str], ...]:
 
 
 def is_foreign(info: TopicEndpointInfo) -> bool:
-    """Whether an endpoint's requests have another form than this process's: only Cyclone DDS puts
-    who asks in front of what is asked.
+    """True if an endpoint's requests have another format than this process's: only Cyclone DDS puts
+    the client's id before the request.
 
     Source: https://github.com/ros2/rmw_cyclonedds/issues/184.
     """
@@ -199,13 +201,13 @@ def _own_middleware() -> str:
 
 
 def problems_of(kind: str, name: str, type_name: str, graph: DdsGraph) -> list[str]:
-    """Why an exposed endpoint does not work, or not with everybody; a sentence each.
+    """Problems of an exposed endpoint with all or some peers; a sentence each.
 
     Args:
         kind: "publish", "read", "service" or "action".
         name: absolute.
         type_name: as in the exposure.
-        graph: that is looked at.
+        graph: the ROS graph.
     """
     found = []
     is_topic = kind in ("publish", "read")

@@ -1,5 +1,5 @@
-"""Places that a message sends something to: the frame that they have to be in, and zones that they
-have to stay out of. For bases, whose goals are poses on a map.
+"""Target places in messages: their required frame and forbidden zones. For bases, whose goals are
+poses on a map.
 """
 
 from __future__ import annotations
@@ -27,22 +27,24 @@ PLACE_TYPES: tuple[MessageName[PoseStamped | PointStamped], ...] = (
     MessageName("geometry_msgs/msg/PoseStamped"),
     MessageName("geometry_msgs/msg/PointStamped"),
 )
-"""Messages that say where, and in which frame."""
+"""Messages with a place and its frame."""
 FindTransform = Callable[[str, str], Transform]
-"""Where the second frame is in the first; raises NotReadyError."""
+"""Returns the transform from the second frame to the first; raises NotReadyError."""
 _LEAST_NORM, _GREATEST_NORM = 0.99, 1.01
-"""Length of a quaternion that rounding can explain; nav2 takes any, and turns by what it is not."""
+"""Range of quaternion lengths that rounding can explain; nav2 accepts any length and would rotate
+wrongly.
+"""
 
 
 def to_frame(endpoint: Endpoint, message: RosMessage, find: FindTransform) -> list[Clamp]:
-    """Have every place in a message, at any depth, in the frame of the endpoint, by what transforms
-    say now; what is judged is then what is sent.
+    """Convert every place in a message, at any depth, to the frame of the endpoint with the present
+    transforms, so that the checked message is the sent one.
 
     Returns:
-        The coordinates that were changed [m].
+        The changed coordinates [m].
 
     Raises:
-        LimitError: of the limit "frame": a transform is unknown, old, or none.
+        LimitError: of the limit "frame": a transform is unknown, old, or invalid.
     """
     changes: list[Clamp] = []
     for path, place in nested(message, PLACE_TYPES):
@@ -63,7 +65,7 @@ def to_frame(endpoint: Endpoint, message: RosMessage, find: FindTransform) -> li
 
 
 def turn(rotation: Quaternion, found: Transform, path: str) -> None:
-    """Have a quaternion in the target frame of a transform. Raises as `check_rotation`."""
+    """Convert a quaternion to the target frame of a transform. Raises as `check_rotation`."""
     check_rotation(path, rotation)
     turned = Transform(
         rotation=found.rotation @ rotation_of(rotation), translation_m=found.translation_m
@@ -72,7 +74,7 @@ def turn(rotation: Quaternion, found: Transform, path: str) -> None:
 
 
 def shift(point: Vector, found: Transform, path: str) -> list[Clamp]:
-    """Have a point in the target frame of a transform; returns what has changed."""
+    """Convert a point to the target frame of a transform; return the changes."""
     before = (float(point.x), float(point.y), float(point.z))
     point.x, point.y, point.z = (found.rotation @ np.array(before) + found.translation_m).tolist()
     return [
@@ -82,14 +84,14 @@ def shift(point: Vector, found: Transform, path: str) -> list[Clamp]:
 
 
 def check_places(endpoint: Endpoint, message: RosMessage) -> None:
-    """Raise unless every place in a message, at any depth, is in the frame of the endpoint and in
-    none of its zones.
+    """Check that every place in a message, at any depth, is in the frame of the endpoint and
+    outside of its zones.
 
-    Only places are judged: what leads there is the navigation's, which has to know the zones too.
+    Only places are checked; the path is up to the navigation, which must know the zones too.
 
     Raises:
-        LimitError: of the limit "frame" or "zone"; says which place, what was asked, and what is
-            allowed.
+        LimitError: of the limit "frame" or "zone"; names the place, the requested and the allowed
+            value.
     """
     if not endpoint.frame:
         return
@@ -113,8 +115,8 @@ def check_places(endpoint: Endpoint, message: RosMessage) -> None:
 
 
 def check_way(endpoint: Endpoint, feedback: RosMessage) -> None:
-    """Raise RefusedError when a place in the feedback of a goal is in a zone of its endpoint.
-    Places in other frames are not judged.
+    """Raise RefusedError if a place in the feedback of a goal is in a zone of its endpoint. Places
+    in other frames are not checked.
     """
     for path, place in nested(feedback, PLACE_TYPES):
         if place.header.frame_id != endpoint.frame:
@@ -124,7 +126,7 @@ def check_way(endpoint: Endpoint, feedback: RosMessage) -> None:
 
 
 def zones_at(endpoint: Endpoint, place: PoseStamped | PointStamped) -> Iterator[str]:
-    """Names of the zones that a place is in."""
+    """Names of the zones that contain a place."""
     position = np.array(_position(place))
     for zone in endpoint.zones:
         if (zone.lower_m <= position).all() and (position <= zone.upper_m).all():
@@ -137,7 +139,7 @@ def _position(place: PoseStamped | PointStamped) -> tuple[float, float, float]:
 
 
 def check_rotation(path: str, rotation: Quaternion) -> None:
-    """Raise LimitError unless a quaternion is a rotation; `path` leads to it."""
+    """Raise LimitError unless a quaternion is a valid rotation; `path` is its location."""
     norm = math.hypot(rotation.x, rotation.y, rotation.z, rotation.w)
     if not _LEAST_NORM <= norm <= _GREATEST_NORM:
         raise LimitError(

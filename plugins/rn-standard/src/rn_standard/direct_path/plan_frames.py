@@ -1,4 +1,4 @@
-"""Constraints of a motion planner (MoveIt) in the frame that the limits of an arm are in."""
+"""Conversion of a motion planner's (MoveIt) constraints to the frame of the arm's limits."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _CONSTRAINTS: tuple[MessageName[PositionConstraint | OrientationConstraint], ...
 
 
 def constraints_to_frame(message: RosMessage, base_link: str, find: FindTransform) -> list[Clamp]:
-    """Have the constraints of position and orientation in a message in the frame of the arm's base,
-    by what transforms say now; what is judged is then what is sent.
+    """Convert the constraints of position and orientation in a message to the frame of the arm's
+    base with the present transforms, so that the checked message is the sent one.
 
     Returns:
-        The coordinates that were changed [m].
+        The changed coordinates [m].
 
     Raises:
-        LimitError: of the limit "frame": a transform is unknown, old, or none.
+        LimitError: of the limit "frame": a transform is unknown, old, or invalid.
     """
     changes: list[Clamp] = []
     for path, part in nested(message, _CONSTRAINTS):

@@ -1,5 +1,5 @@
-"""What a motion planner (MoveIt) may be asked, and told of the world: nothing that hides a part of
-it.
+"""Restrictions on requests and world updates for a motion planner (MoveIt): nothing may hide a part
+of its world.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ _ADD = b"\x00"
 def check_plans(
     allowed: AllowedEndpoint, messages: Sequence[RosMessage], joints: JointSample | None
 ) -> bool:
-    """Whether a planner is asked for a way; raises RefusedError for what it may not be asked.
+    """Return True if a planner is asked for a path; raises RefusedError for a forbidden request.
 
     Args:
         allowed: the endpoint, with the limits of its arm.
-        messages: what is to be sent.
-        joints: where the arm is measured.
+        messages: messages to be sent.
+        joints: measured state of the arm.
     """
     plans = [found for message in messages for found in plans_in(message)]
     for message in messages:
@@ -40,7 +40,9 @@ def check_plans(
 
 
 def check_bodies(message: RosMessage) -> None:
-    """Raise RefusedError for a trajectory of poses of whole bodies: nothing here can judge it."""
+    """Raise RefusedError for a trajectory of poses of whole bodies, which cannot be checked
+    here.
+    """
     for path, found in nested(message, (BODIES, REQUEST, OPTIONS)):
         if getattr(found, "points", ()) or getattr(found, "joint_names", ()):
             raise RefusedError(
@@ -51,10 +53,10 @@ def check_bodies(message: RosMessage) -> None:
 
 
 def check_options(message: RosMessage) -> None:
-    """Raise RefusedError for what would have a planner know less of the world than it does.
+    """Raise RefusedError for options that would reduce the planner's knowledge of the world.
 
-    Obstacles may be added. Whatever else a planning scene says could take away one, allow a
-    collision, or let go of what the hand holds.
+    Obstacles may be added. Other content of a planning scene could remove an obstacle, allow a
+    collision, or detach a held object.
     """
     missing = []
     for path, request in nested(message, (REQUEST,)):

@@ -1,4 +1,4 @@
-"""What is read of messages of moveit_msgs, as `message_types`."""
+"""Protocols of moveit_msgs messages, like those of `message_types`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class BoundingVolume(Protocol):
 
 
 class LinkConstraint(Protocol):
-    """What PositionConstraint and OrientationConstraint share."""
+    """Common part of PositionConstraint and OrientationConstraint."""
 
     header: MessageHeader
     link_name: str

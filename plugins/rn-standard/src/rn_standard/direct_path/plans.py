@@ -1,8 +1,8 @@
-"""Goals of a motion planner (MoveIt): where they lead to, and what they ask of it.
+"""Goals of a motion planner (MoveIt): their target postures and their options.
 
-A goal names no way, so it is judged by where the arm may stand, and the way by what is measured
-while the arm is on it. Source of the messages: moveit_msgs 2.6 (Jazzy); of what MoveIt does with
-them: its documentation.
+A goal contains no path. So its target postures are checked beforehand, and the path by measurements
+during the motion. Source of the messages: moveit_msgs 2.6 (Jazzy); of MoveIt's behaviour: its
+documentation.
 """
 
 from __future__ import annotations
@@ -34,29 +34,29 @@ REQUEST: MessageName[PlanRequest] = MessageName("moveit_msgs/msg/MotionPlanReque
 OPTIONS: MessageName[PlanningOptions] = MessageName("moveit_msgs/msg/PlanningOptions")
 BODIES: MessageName[RosMessage] = MessageName("trajectory_msgs/msg/MultiDOFJointTrajectory")
 MOST_TOLERANCE = 0.1
-"""Of a joint [rad or m]: a goal with more leaves open where the arm is to stand."""
+"""Largest tolerance of a joint [rad or m]; with a larger one the target posture is undetermined."""
 
 
 def has_plans(ros_type: type[RosMessage]) -> bool:
-    """Whether messages of a class can hold what a planner is asked for, or motions of bodies."""
+    """True if messages of a class can contain requests to a planner, or motions of bodies."""
     types = {name.replace("/", "/msg/") for _, name in walk_fields(ros_type)}
     return not types.isdisjoint((REQUEST, OPTIONS, BODIES))
 
 
 def plans_in(message: RosMessage) -> list[tuple[str, PlanRequest]]:
-    """The requests to a planner that a message, goal or service request holds, each with the path
-    to its fields.
+    """Requests to a planner in a message, goal or service request, each with the path of its
+    fields.
     """
     return list(nested(message, (REQUEST,)))
 
 
 def is_plan_only(message: RosMessage) -> bool:
-    """Whether a goal is only to be planned: nothing moves."""
+    """True if a goal is only to be planned: nothing moves."""
     return any(options.plan_only for _, options in nested(message, (OPTIONS,)))
 
 
 def check_plan_only(message: RosMessage) -> None:
-    """Raise RefusedError for a goal that is to be executed, of an endpoint that moves nothing."""
+    """Raise RefusedError for a goal to be executed, if its endpoint moves nothing."""
     for path, options in nested(message, (OPTIONS,)):
         if not options.plan_only:
             raise RefusedError(
@@ -66,8 +66,8 @@ def check_plan_only(message: RosMessage) -> None:
 
 
 def check_plan_frame(endpoint: Endpoint, base_link: str) -> None:
-    """Raise ConfigurationError when an endpoint whose goals are planned has its zones in another
-    frame than the limits of the arm.
+    """Raise ConfigurationError if an endpoint with planned goals has its zones in another frame
+    than the limits of the arm.
     """
     if not endpoint.frame or endpoint.frame == base_link or endpoint.kind != "action":
         return
@@ -80,11 +80,11 @@ def check_plan_frame(endpoint: Endpoint, base_link: str) -> None:
 
 
 class PlanJudge:
-    """Judges requests to a planner for one arm.
+    """Checks requests to a planner for one arm.
 
     Args:
         allowed: the endpoint, with the limits of its arm.
-        joints: where the arm is measured.
+        joints: measured state of the arm.
     """
 
     def __init__(self, allowed: AllowedEndpoint, joints: JointSample | None) -> None:
@@ -99,12 +99,12 @@ class PlanJudge:
         self._tips = {arm.tcp_link for arm in profile.each_arm}
 
     def check(self, request: PlanRequest, where: str = "") -> None:
-        """Raise RefusedError, of which LimitError is one, for the first thing that is not allowed,
-        or cannot be told.
+        """Raise RefusedError (LimitError for limits) for the first part that is not allowed or
+        cannot be evaluated.
 
         Args:
             request: MotionPlanRequest.
-            where: path to its fields.
+            where: path of its fields.
         """
         for name, most, key in (
             ("velocity", self._rules.velocity_fraction, "velocity_fraction"),
@@ -134,7 +134,7 @@ class PlanJudge:
             )
 
     def _check_goal(self, goal: Constraints, where: str) -> None:
-        """One of the places that the planner may choose among."""
+        """Check one of the alternative goals of the planner."""
         self._check_names(goal, where)
         names = [constraint.joint_name for constraint in goal.joint_constraints]
         if len(set(names)) != len(names):
@@ -216,7 +216,7 @@ class PlanJudge:
             check_zones(lower_m, upper_m, zones, f"{where}: ")
 
     def _check_names(self, constraints: Constraints, where: str) -> None:
-        """Joints, links and frames are those that limits are known of."""
+        """Check that limits are known for the joints, links and frames."""
         for index, joint in enumerate(constraints.joint_constraints):
             if joint.joint_name not in self._limits:
                 raise RefusedError(

@@ -14,8 +14,8 @@ class RateLimit:
 
     def __init__(self, rate_hz: float, clock: Callable[[], float]) -> None:
         """Args:
-        rate_hz: most messages per second; 0 for no bound. Below 1 the window is as long as the
-            time between two.
+        rate_hz: most messages per second; 0 for no bound. Below 1 the window is the time between
+            two messages.
         clock: monotonic time [s].
         """
         self.rate_hz = rate_hz
@@ -26,16 +26,16 @@ class RateLimit:
         self._lock = threading.Lock()
 
     def wait_s(self, at_s: Sequence[float] = (0.0,)) -> float:
-        """Seconds until messages would be accepted; 0 for now, infinite for never. Takes nothing.
+        """Time until messages would be accepted [s]; 0 for now, infinite for never. Counts nothing.
 
         Args:
-            at_s: when each is to be sent, in seconds from now, in order.
+            at_s: time of each message, in seconds from now, in order.
         """
         with self._lock:
             return self._wait_s(self._clock(), at_s)
 
     def take(self, at_s: Sequence[float] = (0.0,), owner: object = None) -> float:
-        """Count messages if all are accepted now; returns 0, or as `wait_s`."""
+        """Count messages if all are accepted now; return 0, or as `wait_s`."""
         if not self._most:
             return 0.0
         with self._lock:
@@ -46,7 +46,7 @@ class RateLimit:
             return wait
 
     def release(self, owner: object) -> None:
-        """Forget the owner's messages whose time has not come: they will not be sent."""
+        """Remove the owner's future messages, because they will not be sent."""
         with self._lock:
             now = self._clock()
             self._sent = [entry for entry in self._sent if entry[0] <= now or entry[1] is not owner]
@@ -62,9 +62,7 @@ class RateLimit:
         return 0.0 if late is None else max(1e-9, late - now)
 
     def _late(self, times: Sequence[float]) -> float | None:
-        """When the window of the last message that comes too early has passed; None when none
-        does.
-        """
+        """End of the window for the last message that comes too early; None if none does."""
         most, window_s = self._most, self._window_s
         pairs = zip(times, times[most:], strict=False)
         # rounding of sums

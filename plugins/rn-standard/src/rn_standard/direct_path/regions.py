@@ -16,7 +16,7 @@ _SPHERE, _BOX, _CYLINDER, _CONE = 2, 1, 3, 4
 
 
 def boxes_of(region: BoundingVolume, where: str) -> Iterator[tuple[F64, F64]]:
-    """The corners of boxes along the axes that hold the shapes of a BoundingVolume."""
+    """Yield the corners of axis-aligned boxes that contain the shapes of a BoundingVolume."""
     if region.meshes:
         raise RefusedError(
             f"{where}.constraint_region.meshes cannot be checked.", hint="Give primitives."
@@ -39,7 +39,7 @@ def boxes_of(region: BoundingVolume, where: str) -> Iterator[tuple[F64, F64]]:
 
 
 def _half_m(shape: Primitive, where: str) -> F64:
-    """Half of the edges of a box that holds a shape, along its own axes."""
+    """Half of the edges of a box that contains a shape, along its own axes."""
     counts: Mapping[int, int] = {_BOX: 3, _SPHERE: 1, _CYLINDER: 2, _CONE: 2}
     sizes = [float(size) for size in shape.dimensions]
     if len(sizes) != counts.get(shape.type, -1) or min(sizes) < 0.0:

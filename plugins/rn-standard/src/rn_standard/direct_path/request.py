@@ -1,4 +1,4 @@
-"""Entries of the allow list, and the role that each kind of endpoint needs."""
+"""Entries of the allow list, and the role required for each kind of endpoint."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROLE_BY_KIND = {
     "service": Role.OPERATOR,
     "action": Role.OPERATOR,
 }
-"""Least role by endpoint kind. Everything but reading may move the robot."""
+"""Required role by endpoint kind. Everything except reading may move the robot."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -23,16 +23,16 @@ class AllowedEndpoint:
     """An entry of the allow list.
 
     Attributes:
-        robot: name under which the robot is configured.
-        endpoint: what may be used and how, already tightened by the configuration.
-        profile: the robot's facts; None for endpoints that belong to no robot.
+        robot: configured name of the robot.
+        endpoint: the endpoint with its limits, already tightened by the configuration.
+        profile: the robot's profile; None for endpoints without a robot.
         clamp: field paths whose values are moved to the nearest bound instead of refused.
         nonfinite: field paths (without indices) that may hold NaN and infinities.
         topic: absolute name; entries of one topic and kind share its rate. Empty: the entry has a
-            rate of its own.
-        rules: the numbers of `[limits]` for the robot; None for its profile's alone.
-        path: gives what judges joint motions of an arm in task space; None for robots without a
-            TCP. Raises RoboNeuronError when it cannot be had, and the motion is refused.
+            separate rate.
+        rules: the limits of `[limits]` for the robot; None for its profile's only.
+        path: returns the checker of an arm's joint motions in task space; None for robots without a
+            TCP. If it raises RoboNeuronError, the motion is refused.
     """
 
     robot: str

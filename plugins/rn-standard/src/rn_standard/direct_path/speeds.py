@@ -1,6 +1,4 @@
-"""Velocities that a joint can have on its way through points at times, by its limit of
-acceleration.
-"""
+"""Reachable velocities of a joint on its way through timed points, by its acceleration limit."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ def shortest_s(distance: float, acceleration: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Speeds:
-    """Velocities that one joint may have at a time, lowest to highest."""
+    """Range of velocities that one joint may have at a time."""
 
     low: float
     high: float
@@ -25,13 +23,13 @@ class Speeds:
     def after(
         self, distance: float, duration_s: float, acceleration: float, velocity: float
     ) -> Speeds | None:
-        """Velocities after `distance` in `duration_s`, from any of these; None when it cannot be
+        """Velocities after `distance` in `duration_s`, from any of these; None if it cannot be
         covered.
 
-        With |acceleration| <= a, a joint that leaves with u covers the distance d in T if |d - u T|
-        <= a T^2 / 2. It ends fastest when it first brakes and then accelerates: u + a (2 sqrt(T^2 /
-        2 + (d - u T) / a) - T), slowest the other way round. Both fall with u, so the ends of the
-        interval give the ends of the next one.
+        With |acceleration| <= a, a joint with initial velocity u covers the distance d in T if |d -
+        u T| <= a T^2 / 2. It ends fastest when it first brakes and then accelerates: u + a (2
+        sqrt(T^2 / 2 + (d - u T) / a) - T), slowest in the opposite order. Both decrease with u, so
+        the ends of the interval give the ends of the next one.
 
         Args:
             distance: signed [rad or m].
@@ -48,8 +46,8 @@ class Speeds:
             return None
 
         def change(excess: float) -> float:
-            """Of the velocity, by braking and accelerating: `excess` is the mean above the velocity
-            at the start.
+            """Change of the velocity by braking and accelerating: `excess` is the mean above the
+            initial velocity.
             """
             root = math.sqrt(max(0.0, duration_s * duration_s / 2.0 + excess * duration_s / limit))
             return limit * (2.0 * root - duration_s)
@@ -61,7 +59,7 @@ class Speeds:
         return Speeds(slowest, fastest) if slowest <= fastest else None
 
     def at(self, velocity: float, tolerance: float = joint_space.JointLimit.SLACK) -> Speeds | None:
-        """Only this velocity; None when it is not among them."""
+        """Restrict to this velocity; None if it is not in the range."""
         return (
             Speeds(velocity, velocity)
             if self.low - tolerance <= velocity <= self.high + tolerance

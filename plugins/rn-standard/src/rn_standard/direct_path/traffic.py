@@ -1,5 +1,5 @@
-"""The ROS side of direct motion: writers, action clients and measured joints, made when they are
-first needed.
+"""ROS entities of direct motion: writers, action clients and measured joints, created on
+first use.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
     from roboneuron.feature import RosLink
 
 JOINTS_AGE_S = 0.5
-"""Older measurements are as good as none."""
+"""Maximum age of measurements."""
 _POLL_S = 0.01
 _SETTLE_S = 0.1
-"""After the first sight of an action server: until it has matched our side too, its answer would be
-lost.
+"""Wait after the discovery of an action server: until it has matched this side too, its answer
+would be lost.
 """
 
 
 class Traffic:
-    """Keeps what was made; usable from any thread.
+    """Keeps the created entities; usable from any thread.
 
     Attributes:
-        link: the open link; may block for the second that joining the graph takes, and raises as
+        link: returns the open link; may block for a second while joining the graph, and raises as
             `Connection.link`.
     """
 
@@ -47,11 +47,11 @@ class Traffic:
         self._joints: dict[str, NewestMessage] = {}
 
     def known_writer(self, exposed: ExposedEndpoint) -> TopicWriter | None:
-        """The writer if there is one; never blocks."""
+        """Return the existing writer, if any; never blocks."""
         return self._writers.get((exposed.topic, exposed.endpoint.type))
 
     def writer(self, exposed: ExposedEndpoint) -> TopicWriter:
-        """The writer of a topic."""
+        """Return the writer of a topic."""
         from rn_standard.direct_path.writer import TopicWriter  # heavy
 
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)
@@ -63,8 +63,7 @@ class Traffic:
             return self._writers[key]
 
     def is_served(self, exposed: ExposedEndpoint) -> bool:
-        """Whether somebody serves the service or action; blocks for a moment when that is new of an
-        action.
+        """True if the service or action has a server; blocks for a moment for a new action.
 
         Raises:
             ConfigurationError: as `check_server`.
@@ -79,22 +78,20 @@ class Traffic:
             self._settled.discard(exposed.topic)
             return False
         if exposed.topic not in self._settled:
-            # so that it is known once it is needed
+            # so that it is discovered before it is needed
             link.is_service_ready(CancelGoal, _cancel_name(exposed))
             time.sleep(_SETTLE_S)
             self._settled.add(exposed.topic)
         return True
 
     def check_server(self, exposed: ExposedEndpoint) -> None:
-        """Refuse what serves a service or action and cannot be understood; see
-        `peers.check_server`.
-        """
+        """Refuse an incompatible server of a service or action; see `peers.check_server`."""
         endpoint = exposed.endpoint
         graph = NodeDdsGraph(self.link().node)
         check_server(endpoint.kind, exposed.topic, endpoint.type, graph)
 
     def action_client(self, exposed: ExposedEndpoint) -> ActionClient:
-        """The rclpy client of an action, for as long as the link is open."""
+        """Return the rclpy client of an action, valid while the link is open."""
         from rclpy.action import ActionClient  # heavy
 
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)
@@ -106,7 +103,7 @@ class Traffic:
             return self._actions[key]
 
     def cancel_goal(self, exposed: ExposedEndpoint, goal_id: UUID) -> None:
-        """Ask the server of an action to end a goal, by its id: also when the answer to the goal
+        """Ask the server of an action to end a goal, by its id, also when the answer to the goal
         was lost.
 
         Returns at once.
@@ -118,9 +115,7 @@ class Traffic:
         self.link().call(CancelGoal, _cancel_name(exposed), request, lambda: None)
 
     def newest_joints(self, exposed: ExposedEndpoint) -> JointSample | None:
-        """The measured joints of the endpoint's robot, None when there are no recent ones; never
-        blocks.
-        """
+        """Measured joints of the endpoint's robot, None without recent ones; never blocks."""
         watch = self._joints.get(exposed.namespace)
         message = watch.newest(JOINTS_AGE_S) if watch is not None else None
         if message is None:
@@ -133,8 +128,8 @@ class Traffic:
             return None
 
     def joints(self, exposed: ExposedEndpoint, timeout_s: float) -> JointSample | None:
-        """Like `newest_joints`, and waits for a recent measurement: on a busy machine states may
-        come late.
+        """Like `newest_joints`, but wait for a recent measurement: on a busy machine states may be
+        late.
         """
         link, space = self.link(), exposed.namespace
         from sensor_msgs.msg import JointState  # heavy

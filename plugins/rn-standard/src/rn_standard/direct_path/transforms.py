@@ -1,8 +1,7 @@
-"""Transforms between frames, from what is published on `/tf` and `/tf_static` when they are asked
-for.
+"""Transforms between frames, from the topics `/tf` and `/tf_static` at the time of the request.
 
-A frame has one parent; the frames of a robot are one tree. Source: REP 105, and the
-documentation of tf2.
+A frame has one parent; the frames of a robot form one tree. Source: REP 105, and the documentation
+of tf2.
 """
 
 from __future__ import annotations
@@ -27,24 +26,26 @@ from roboneuron import F64, Host, NotReadyError, StateError
 
 TYPE = "tf2_msgs/msg/TFMessage"
 STATIC = "_static"
-"""Ending of the topic on which transforms are kept that do not change."""
+"""Suffix of the topic with static transforms."""
 _DEPTH = 100
-"""Several nodes may keep a static transform each, and they come at once."""
+"""Queue depth: several nodes may each publish a static transform, and all arrive at once."""
 _POLL_S = 0.02
 _MOST_FRAMES = 2000
 _AHEAD_S = 5.0
-"""Transforms are stamped ahead by as much as their publisher vouches for; more is another clock."""
+"""Largest lead of a stamp: publishers stamp ahead by the validity of a transform; more means
+another clock.
+"""
 _LEAST_NORM, _GREATEST_NORM = 0.99, 1.01
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Transform:
-    """Where a frame is in another: p_target = rotation @ p_source + translation.
+    """Pose of a frame in another: p_target = rotation @ p_source + translation.
 
     Attributes:
         rotation: float64 (3, 3).
         translation_m: float64 (3,).
-        age_s: since the oldest stamp on the way; 0 where all of them are static.
+        age_s: age of the oldest stamp in the chain; 0 if all are static.
         frames: from the source to the target.
     """
 
@@ -74,7 +75,9 @@ class Transform:
 
 
 def rotation_of(quaternion: Quaternion) -> F64:
-    """The rotation matrix, float64 (3, 3), of a quaternion message of about the length 1."""
+    """Return the rotation matrix, float64 (3, 3), of a quaternion message with a length of
+    about 1.
+    """
     x, y, z, w = np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w]) / math.hypot(
         quaternion.x, quaternion.y, quaternion.z, quaternion.w
     )
@@ -89,7 +92,7 @@ def rotation_of(quaternion: Quaternion) -> F64:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Edge:
-    """A frame in its parent; `stamp_s` is None for one that does not change."""
+    """Pose of a frame in its parent; `stamp_s` is None for a static one."""
 
     parent: str
     rotation: F64
@@ -105,9 +108,7 @@ class FrameTree:
         self._faults: dict[str, str] = {}
 
     def add(self, transforms: Iterable[TransformStamped], *, is_static: bool) -> None:
-        """Take TransformStamped messages; what is no transform is remembered as a fault of its
-        frame.
-        """
+        """Add TransformStamped messages; an invalid one is stored as a fault of its frame."""
         for message in transforms:
             child, parent = (
                 name.removeprefix("/") for name in (message.child_frame_id, message.header.frame_id)
@@ -133,7 +134,7 @@ class FrameTree:
             )
 
     def find(self, target: str, source: str, now_s: float, max_age_s: float) -> Transform:
-        """Where `source` is in `target`.
+        """Return the transform from `source` to `target`.
 
         Args:
             target, source: frames.
@@ -141,8 +142,8 @@ class FrameTree:
             max_age_s: oldest stamp that is used.
 
         Raises:
-            NotReadyError: a frame is unknown, the frames are in trees that are not connected or go
-                in a circle, or a transform is old or none.
+            NotReadyError: a frame is unknown, the frames are in unconnected trees or form a cycle,
+                or a transform is old or invalid.
         """
         edges = dict(self._edges)
         known = edges.keys() | {edge.parent for edge in edges.values()}
@@ -219,19 +220,19 @@ def find_transform(
     timeout_s: float,
     halt: threading.Event | None = None,
 ) -> Transform:
-    """Where `source` is in `target`, from what is published now; blocks until it is known.
+    """Return the transform from `source` to `target`, from the topics published now; blocks until
+    it is available.
 
     Args:
-        host: whose ROS node listens.
-        topic: of moving transforms; those that do not change are on the topic of that name with
-            "_static".
+        host: provides the ROS node.
+        topic: topic of moving transforms; static ones are on the same name with "_static".
         target, source: frames.
         max_age_s: oldest stamp that is used.
         timeout_s: longest wait.
         halt: set when the call is cancelled.
 
     Raises:
-        NotReadyError: as `FrameTree.find`, once the time is over.
+        NotReadyError: as `FrameTree.find`, after the timeout.
         ConfigurationError: the type of the topics is not known.
         StateError: `halt` was set.
     """
@@ -263,7 +264,7 @@ def _follow(
     tree: FrameTree,
     subscribed: dict[str, tuple[frozenset[object], Callable[[], None]]],
 ) -> None:
-    """Subscribe as those publish who are there now; what they keep comes at once."""
+    """Subscribe with the QoS of the present publishers; kept messages arrive at once."""
     infos = host.graph.publishers(topic)
     offered: frozenset[object] = frozenset(
         (str(info.endpoint_gid), info.qos_profile.durability) for info in infos
@@ -282,7 +283,7 @@ def _follow(
 
 
 def _fault(child: str, parent: str, transform: TransformParts) -> str:
-    """Why a message is no transform; empty when it is one."""
+    """Reason why a message is not a valid transform; empty if it is."""
     if not child or not parent or child == parent:
         return f"The frame {child!r} has the parent {parent!r}: that is no transform."
     q = transform.rotation

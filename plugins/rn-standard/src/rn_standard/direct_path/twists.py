@@ -1,5 +1,5 @@
-"""What a mobile base can be asked to do, told by its endpoint; the gate and the base's driver ask
-alike.
+"""Permitted velocities of a mobile base, from its endpoint; used by the gate and the base's
+driver.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from geometry_msgs.msg import Twist
 
 TWIST_FIELDS = ("linear.x", "linear.y", "linear.z", "angular.x", "angular.y", "angular.z")
-"""Paths of a geometry_msgs/Twist, in the base frame: forward x, left y, up z [m/s], turning about
+"""Paths of a geometry_msgs/Twist, in the base frame: forward x, left y, up z [m/s], rotation about
 them [rad/s].
 """
 CMD_VEL = "cmd_vel"
@@ -27,12 +27,12 @@ _TOLERANCE = 1e-9
 def base_endpoints(
     summary: str, bounds: Mapping[str, tuple[float, float]], *, min_turning_radius_m: float = 0.0
 ) -> tuple[Endpoint, Endpoint]:
-    """The endpoint that drives a base, and the one that tells its odometry.
+    """Create the endpoints for driving a base and for reading its odometry.
 
     Args:
-        summary: how the base moves, for the agent.
+        summary: description of the base's motion for the agent.
         bounds: lowest and highest value by path of `TWIST_FIELDS`; every other one has to be 0.
-        min_turning_radius_m: as of `Endpoint`.
+        min_turning_radius_m: see `Endpoint`.
     """
     velocity = Endpoint(
         name="velocity",
@@ -65,11 +65,10 @@ def twist_fields(twist: Twist) -> dict[str, float]:
 
 
 def check_twist(endpoint: Endpoint, twist: Mapping[str, float]) -> None:
-    """Raise unless the base behind `endpoint` can move as `twist` says.
+    """Check that the base behind `endpoint` can execute `twist`.
 
     Args:
-        endpoint: its `bounds` limit each field, its `min_turning_radius_m` how sharply the base
-            turns.
+        endpoint: its `bounds` limit each field, its `min_turning_radius_m` the curvature.
         twist: value by path, some of TWIST_FIELDS; absent ones are 0.
 
     Raises:

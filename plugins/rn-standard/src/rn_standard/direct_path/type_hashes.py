@@ -1,4 +1,4 @@
-"""Whether others mean the same type by its name: the RIHS01 hashes of REP 2016."""
+"""Comparison of type definitions between peers, by the RIHS01 hashes of REP 2016."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 KNOWN = "RIHS01_"
-"""Begin of a hash; ROS 2 before Iron and programs without ROS send none."""
+"""Prefix of a hash; ROS 2 before Iron and programs without ROS send none."""
 NAMELESS = "_NODE_NAME_UNKNOWN_"
 """rcl's name for the node of an endpoint that was discovered before its node."""
 BARE = "_CREATED_BY_BARE_DDS_APP_"
@@ -25,9 +25,7 @@ BARE = "_CREATED_BY_BARE_DDS_APP_"
 
 @cache
 def _own_hash(type_name: str, part: str) -> str:
-    """Of a part of the type as this process has it, empty where nothing says it; kept, as the class
-    is.
-    """
+    """Hash of a part of the type in this process, empty if unknown; cached like the class."""
     for prefix in [*os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]:
         path = Path(prefix, "share", f"{type_name}.json")
         if prefix and path.is_file():
@@ -42,16 +40,16 @@ def check_type_hash(
 ) -> None:
     """Refuse a topic, service or action whose other end has another definition of the type.
 
-    ROS 2 before Iron and other vendors send no hash; nothing can be said about them.
+    ROS 2 before Iron and other vendors send no hash; they cannot be checked.
 
     Args:
         topic: for the message.
         type_name: as in the exposure, package/msg/Name.
         infos: the publishers or subscriptions.
-        part: of a service or action, as it is called in the hash: `_Request`.
+        part: part of a service or action, as named in the hash: `_Request`.
 
     Raises:
-        ConfigurationError: names the node and what to do.
+        ConfigurationError: names the node and a remedy.
     """
     own = _own_hash(type_name, part)
     for info in infos:

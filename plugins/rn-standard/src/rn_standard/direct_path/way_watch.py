@@ -1,4 +1,4 @@
-"""The way of an arm that a planner has chosen, judged by what is measured while it goes."""
+"""Checks of an arm on a path chosen by a planner, by measurements during the motion."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from rn_standard.direct_path.request import AllowedEndpoint
 from roboneuron import F64, JointSample, Obstacle, RefusedError
 
 _PERIOD_S = 0.05
-"""How often the way is looked at."""
+"""Period of the checks."""
 _SILENCE_S = 1.0
-"""Without a measurement for so long a way that somebody else has planned ends."""
+"""Time without a measurement after which a planned motion is ended."""
 _TREMBLE = 1e-3
-"""Change of a joint [rad or m] that is no motion; an arm that rests in a zone has not come into it.
+"""Change of a joint [rad or m] below which it is at rest; an arm at rest in a zone has not entered
+it.
 """
 
 
@@ -27,12 +28,12 @@ def watch_of(
     messages: Sequence[RosMessage],
     joints: Callable[[], JointSample | None],
 ) -> WayWatch | None:
-    """The watch over what a planner is asked to carry out; None where no arm is to be moved.
+    """Create the watch over a planner's motion; None if no arm is moved.
 
     Args:
         allowed: the endpoint, with the limits of its arm.
-        messages: were allowed.
-        joints: the newest measured joints.
+        messages: the allowed messages.
+        joints: returns the newest measured joints.
     """
     is_moving = any(plans_in(message) and not is_plan_only(message) for message in messages)
     if allowed.path is None or not is_moving:
@@ -41,12 +42,12 @@ def watch_of(
 
 
 class WayWatch:
-    """Watches an arm on a way that somebody else has planned, by its measured joints.
+    """Watches an arm on an externally planned path, by its measured joints.
 
     Args:
-        limiter: judges the way from one measurement to the next.
-        zones: boxes beside its own that no TCP may come into.
-        joints: the newest measured joints; None when there are no recent ones.
+        limiter: checks the path between two measurements.
+        zones: additional boxes that no TCP may enter.
+        joints: returns the newest measured joints; None without recent ones.
         now_s: monotonic time [s].
     """
 
@@ -63,7 +64,7 @@ class WayWatch:
         self._seen_s = now_s()
 
     def check(self) -> None:
-        """Raise RefusedError once the arm is where it may not be, or is not measured any more."""
+        """Raise RefusedError if the arm is in a forbidden posture, or is no longer measured."""
         now_s = self._now_s()
         if now_s < self._due_s:
             return
@@ -101,7 +102,7 @@ class WayWatch:
 
 
 def _has_moved(before: F64, now: F64) -> bool:
-    """Whether joints have moved more than measurements tremble."""
+    """True if joints have moved more than the measurement noise."""
     return bool((np.abs(now - before) > _TREMBLE).any())
 
 

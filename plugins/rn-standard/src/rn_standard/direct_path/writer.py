@@ -1,6 +1,4 @@
-"""Publishing and hearing with the quality of service of whoever is at the other end of the
-topic.
-"""
+"""Publishing and subscribing with the quality of service of the peers."""
 
 from __future__ import annotations
 
@@ -34,18 +32,17 @@ _DEPTH = 10
 _UNSHOWN = "a setting of its DDS that ROS does not show, such as ownership"
 _POLL_S = 0.005
 _REPLACE_S = 0.5
-"""Longest wait of a publisher that replaces another, for the subscriptions of that one."""
+"""Longest wait of a publisher that replaces another for the subscriptions of that one."""
 _SETTLE_S = 0.03
-"""After the first match: until the other side has matched too, a volatile message would be lost
-there.
+"""Wait after the first match: until the other side has matched too, a volatile message would be
+lost there.
 """
 
 
 def offered_qos(subscriptions: Sequence[TopicEndpointInfo]) -> QoSProfile:
-    """The profile of a publisher that every given subscription matches.
+    """Return the profile of a publisher that matches every given subscription.
 
-    Reliable always fits; durability, deadline and liveliness are the strictest that anybody asks
-    for.
+    Reliable always matches; durability, deadline and liveliness are the strictest requested.
     """
     profile = QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
@@ -72,7 +69,7 @@ def offered_qos(subscriptions: Sequence[TopicEndpointInfo]) -> QoSProfile:
 
 
 def qos_key(profile: QoSProfile) -> tuple[object, ...]:
-    """What has to be the same for a publisher to be kept."""
+    """Values that must be equal for a publisher to be reused."""
     return (
         profile.durability,
         profile.deadline.nanoseconds,
@@ -82,11 +79,11 @@ def qos_key(profile: QoSProfile) -> tuple[object, ...]:
 
 
 class TopicWriter:
-    """One topic; made without touching ROS, usable from any thread.
+    """Publisher of one topic; created without access to ROS, usable from any thread.
 
     Attributes:
-        misfit: what the last subscription that does not fit asks for; empty when all fit.
-        has_new_misfit: it came after `connect`, which may find a profile that fits all.
+        misfit: policies requested by the last incompatible subscription; empty if all match.
+        has_new_misfit: it came after `connect`, which may find a profile that matches all.
     """
 
     def __init__(self, link: RosLink, message_type: type, type_name: str, topic: str) -> None:
@@ -106,18 +103,18 @@ class TopicWriter:
         self.misfit = ""
 
     def matched(self) -> int:
-        """Number of subscriptions that the next message goes to; about 5 us."""
+        """Number of subscriptions that the next message reaches; about 5 us."""
         return 0 if self._publisher is None else int(self._publisher.get_subscription_count())
 
     def listening(self) -> int:
-        """Number of subscriptions on the topic, whether matched or not; makes no publisher."""
+        """Number of subscriptions on the topic, matched or not; creates no publisher."""
         return len(self._subscriptions())
 
     def connect(self, timeout_s: float) -> int:
-        """Wait for a matched subscription; returns how many there are, 0 after `timeout_s`.
+        """Wait for a matched subscription; return their number, 0 after `timeout_s`.
 
         Raises:
-            ConfigurationError: the topic carries another type.
+            ConfigurationError: the topic has another type.
         """
         deadline_s = time.monotonic() + timeout_s
         with self._lock:
@@ -135,12 +132,12 @@ class TopicWriter:
                 time.sleep(_POLL_S)
 
     def publish(self, message: object) -> None:
-        """Send; `connect` has been called."""
+        """Publish; requires a previous `connect`."""
         assert self._publisher is not None
         self._publisher.publish(message)
 
     def publish_if_possible(self, message: object) -> None:
-        """Send, unless ROS refuses: nothing is connected, or the context is closed."""
+        """Publish, unless nothing is connected or the context is closed."""
         publisher = self._publisher
         if publisher is not None:
             self._link.send_if_possible(publisher, message)
@@ -156,8 +153,8 @@ class TopicWriter:
         return found
 
     def _offer(self, profile: QoSProfile) -> None:
-        """Have a publisher with this profile. One with another is replaced as soon as the new one
-        has matched as many subscriptions: others may be sending.
+        """Create a publisher with this profile. One with another profile is replaced as soon as the
+        new one has matched as many subscriptions, because other threads may be publishing.
         """
         key = qos_key(profile)
         if self._publisher is not None and key == self._key:
@@ -187,7 +184,7 @@ class TopicWriter:
 
 
 class NewestMessage:
-    """A subscription that is kept, for facts that are needed at once (measured joints). Usable from
+    """A permanent subscription for values that are needed at once (measured joints). Usable from
     any thread.
     """
 
@@ -201,9 +198,7 @@ class NewestMessage:
         self._is_open = False
 
     def newest(self, max_age_s: float) -> Any:
-        """The newest message if it is that young, else None; None as long as `open` was not
-        called.
-        """
+        """Return the newest message if it is young enough, else None; None before `open`."""
         newest = self._newest
         return (
             newest[1] if newest is not None and time.monotonic() - newest[0] <= max_age_s else None

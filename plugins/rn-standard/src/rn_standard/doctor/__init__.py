@@ -1,3 +1,3 @@
-"""`roboneuron doctor`: is this machine ready? Every check is data (id, question) and answers with
-one finding.
+"""`roboneuron doctor`: checks whether this machine is ready. Each check is data (id, question) with
+one finding as its answer.
 """

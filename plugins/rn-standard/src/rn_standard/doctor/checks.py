@@ -1,4 +1,4 @@
-"""The checks, in the order in which one needs the other."""
+"""Checks of `roboneuron doctor`, in the order of their dependencies."""
 
 from __future__ import annotations
 
@@ -39,17 +39,19 @@ from roboneuron.command import (
 )
 
 MIN_SHARED_MEMORY_MIB = 256
-"""A segment of 32 MiB for each of the five processes, and as much again for a switch and for what
-others use.
+"""Required shared memory: a segment of 32 MiB for each of the five processes, and as much again for
+a switch and for other programs.
 """
 MIN_DISK_MIB = 100
 LATE_MS = 20.0
-"""A 640x480 image takes about 2 ms between processes on an idle laptop."""
+"""Latency above which images count as late; a 640x480 image takes about 2 ms between processes on
+an idle laptop.
+"""
 _MIB = 1 << 20
 
 
 def run_checks(config: Config) -> Iterator[tuple[Check, Finding]]:
-    """Yield each check with what it found; an error is a finding too."""
+    """Yield each check with its finding; an error is a finding too."""
     lost = set()
     for check in CHECKS:
         if check.needs in lost:
@@ -69,9 +71,7 @@ def run_checks(config: Config) -> Iterator[tuple[Check, Finding]]:
 
 
 def _of_commands(config: Config) -> Iterator[tuple[Check, Finding]]:
-    """What commands of plugins know of this machine that have a method `findings`; see
-    `Examining`.
-    """
+    """Findings of plugins' commands that have a method `findings`; see `Examining`."""
     registry = discover(config.disabled_plugins)
     for name in sorted(all_commands(registry)):
         try:
@@ -98,7 +98,7 @@ def _answer(check: Check, config: Config) -> Finding:
         return check.answer(config)
     except RoboNeuronError as error:
         return failed(error.message, error.hint)
-    except Exception as error:  # what is looked at may be broken in any way
+    except Exception as error:  # the examined part may be broken in any way
         words = str(error).strip().splitlines() or ["no message"]
         return failed(
             f"{check.question} {type(error).__name__}: {words[0]}", "Look at what this names."
@@ -244,9 +244,7 @@ def _configuration(config: Config) -> Finding:
 
 
 def _chosen(config: Config, registry: Registry) -> str:
-    """Which of the modules the robot's driver can choose from are installed; it takes the first
-    unless told.
-    """
+    """Installed modules that the robot's driver can choose from; by default it uses the first."""
     driver = registry.get(RobotSpec, config.robot.name).driver(config.robot.driver)
     choices = (
         [

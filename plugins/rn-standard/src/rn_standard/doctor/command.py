@@ -24,7 +24,7 @@ class Doctor:
         parser.add_argument("--json", action="store_true", help="write the findings as JSON")
 
     def run(self, arguments: Namespace) -> int:
-        """Run `roboneuron doctor`; exit status 1 when something will not work."""
+        """Run `roboneuron doctor`; exit status 1 if a check has failed."""
         import json
 
         from rn_standard.doctor.checks import run_checks

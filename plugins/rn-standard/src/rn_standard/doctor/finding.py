@@ -1,4 +1,4 @@
-"""What a check found."""
+"""Findings of the checks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from roboneuron.command import Config
 
 
 class Severity(StrEnum):
-    """How bad it is: only FAILED keeps RoboNeuron from working."""
+    """Severity of a finding: only FAILED keeps RoboNeuron from working."""
 
     OK = "ok"
     WARNING = "warning"
@@ -20,12 +20,12 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Finding:
-    """An answer.
+    """Answer of a check.
 
     Attributes:
-        verdict: how bad it is.
-        text: what was seen, one sentence.
-        hint: what to do; empty when nothing is to be done.
+        verdict: its severity.
+        text: the observation, one sentence.
+        hint: a remedy; empty if none is necessary.
     """
 
     verdict: Severity
@@ -35,13 +35,13 @@ class Finding:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Check:
-    """A question with a way to answer it.
+    """A question and the function that answers it.
 
     Attributes:
         id: stable word, for programs.
-        question: for people.
-        answer: looks; whatever it raises counts as failed.
-        needs: id of an earlier check without which this one would only fail again.
+        question: for users.
+        answer: performs the check; any exception counts as failed.
+        needs: id of an earlier check on which this one depends.
     """
 
     id: str
@@ -52,24 +52,24 @@ class Check:
 
 @runtime_checkable
 class Examining(Protocol):
-    """What a plugin's command may offer so that `roboneuron doctor` asks it too."""
+    """Optional interface of a plugin's command, for checks in `roboneuron doctor`."""
 
     def findings(self) -> Iterable[tuple[bool, str, str]]:
-        """Whether all is well, what was seen, one sentence, and what to do; none where the plugin
-        has nothing to look at. Raises RoboNeuronError for what is broken.
+        """Return findings: success, observation in one sentence, and remedy; empty if the plugin
+        has nothing to check. Raises RoboNeuronError for a broken part.
         """
 
 
 def ok(text: str) -> Finding:
-    """All is well."""
+    """Create a finding without problems."""
     return Finding(verdict=Severity.OK, text=text)
 
 
 def warning(text: str, hint: str) -> Finding:
-    """It works, but something is to be known."""
+    """Create a finding that works, but with a warning."""
     return Finding(verdict=Severity.WARNING, text=text, hint=hint)
 
 
 def failed(text: str, hint: str) -> Finding:
-    """It will not work."""
+    """Create a finding of a failure."""
     return Finding(verdict=Severity.FAILED, text=text, hint=hint)

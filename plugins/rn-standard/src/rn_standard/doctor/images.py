@@ -1,4 +1,4 @@
-"""Images from a second process: does the transport work, and how long do they take?"""
+"""Test of the image transport from a second process, with its latency."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _TIMEOUT_S = 20.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ImageTransport:
-    """What was seen.
+    """Result of the test.
 
     Attributes:
-        sent, received: images.
-        median_ms, worst_ms: age at arrival; 0 when none arrived.
-        neighbours: full names of all nodes in the domain, ours included.
+        sent, received: number of images.
+        median_ms, worst_ms: age at arrival; 0 if none arrived.
+        neighbours: full names of all nodes in the domain, including this process's.
     """
 
     sent: int
@@ -36,12 +36,12 @@ class ImageTransport:
 
 
 def measure_image_transport() -> ImageTransport:
-    """Receive images that another process sends; takes about 3 s.
+    """Receive images from another process; takes about 3 s.
 
     Raises:
-        NotReadyError: the other process did not do its part.
+        NotReadyError: the other process failed.
     """
-    # the message package must not be needed to import this module
+    # importing this module must not require the message package
     from sensor_msgs.msg import Image
 
     from roboneuron.command import RosLink, messages
@@ -81,7 +81,7 @@ def measure_image_transport() -> ImageTransport:
         link.close()
     received = list(ages_ms)
     return ImageTransport(
-        sent=int(sender.stdout.split()[-1]),  # what Fast DDS has to say goes to stdout too
+        sent=int(sender.stdout.split()[-1]),  # Fast DDS prints to stdout too
         received=len(received),
         median_ms=statistics.median(received) if received else 0.0,
         worst_ms=max(received, default=0.0),
@@ -90,8 +90,8 @@ def measure_image_transport() -> ImageTransport:
 
 
 def send_images(topic: str) -> int:
-    """Publish images once somebody subscribes to `topic`; returns how many (all of them, subscriber
-    or not).
+    """Publish images after a subscription to `topic` appeared; return the number sent (all of them,
+    with or without a subscriber).
     """
     import numpy as np
 
@@ -110,7 +110,7 @@ def send_images(topic: str) -> int:
         end_s = time.monotonic() + _DISCOVERY_S
         while link.node.count_subscribers(topic) == 0 and time.monotonic() < end_s:
             time.sleep(_PERIOD_S)
-        time.sleep(0.2)  # the subscription's side matches a little later than the publisher's
+        time.sleep(0.2)  # the subscription's side matches slightly later than the publisher's
         width, height = _SIZE_PX
         pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), dtype=np.uint8)
         for _ in range(IMAGES):

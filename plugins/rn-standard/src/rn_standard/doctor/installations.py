@@ -1,4 +1,6 @@
-"""Whether one ROS installation alone is used: what a process loads, and what brings others."""
+"""Check that a single ROS installation is used: the files that a process loads, and the origin of
+others.
+"""
 
 from __future__ import annotations
 
@@ -27,15 +29,17 @@ print(json.dumps({"module": rclpy.__file__, "libraries": sorted(paths)}))
 _OF_ROS = re.compile(r"lib(fastrtps|fastdds|fastcdr|rcl|rmw|rosidl_typesupport)[a-z_]*\.so")
 _OF_DDS = re.compile(r"lib(fastrtps|fastdds)\.so")
 _MARKS = {"LD_LIBRARY_PATH": "librcl.so", "PYTHONPATH": "rclpy/__init__.py"}
-"""What a folder holds that belongs to a ROS, by the variable that names the folder."""
+"""File by which a folder of a ROS installation is recognised, by the variable that contains the
+folder.
+"""
 
 
 class UsedInstallation(Protocol):
-    """What `prepare_environment` says about the installation that is used."""
+    """Result of `prepare_environment`: the installation in use."""
 
     @property
     def choice(self) -> tuple[str, str]:
-        """Its kind, and why it is that one."""
+        """Its kind, and the reason for the choice."""
 
     @property
     def roots(self) -> tuple[Path, ...]:
@@ -43,7 +47,7 @@ class UsedInstallation(Protocol):
 
 
 def look(used: UsedInstallation) -> Finding:
-    """Which installation this environment has, or what is mixed in it and what to type."""
+    """Report the installation of this environment, or mixed parts with a remedy."""
     roots = used.roots
     foreign = foreign_folders(os.environ, roots)
     if foreign:
@@ -81,11 +85,11 @@ def look(used: UsedInstallation) -> Finding:
 def foreign_folders(
     environment: Mapping[str, str], roots: Iterable[Path]
 ) -> tuple[tuple[str, str], ...]:
-    """Folders with libraries or modules of another ROS, each after the variable that brings it.
+    """Folders with libraries or modules of another ROS, each with the variable that contains it.
 
     Args:
-        environment: of the process.
-        roots: of the installation that is used, and of workspaces over it.
+        environment: environment of the process.
+        roots: folders of the installation in use, and of workspaces over it.
     """
     own = tuple(roots)
     return tuple(
@@ -99,11 +103,11 @@ def foreign_folders(
 
 
 def mixed(libraries: Iterable[Path], roots: Iterable[Path]) -> str:
-    """What is wrong with the libraries that one process has loaded; empty when nothing is.
+    """Describe the fault in the libraries loaded by one process; empty without one.
 
     Args:
         libraries: files.
-        roots: of the installation that is used, and of workspaces over it.
+        roots: folders of the installation in use, and of workspaces over it.
     """
     real = {path.resolve() for path in libraries if _OF_ROS.match(path.name)}
     middleware = sorted(str(path) for path in real if _OF_DDS.match(path.name))
@@ -119,8 +123,8 @@ def mixed(libraries: Iterable[Path], roots: Iterable[Path]) -> str:
 
 
 def _loaded() -> tuple[Path, list[Path]] | str:
-    """The file of rclpy and the libraries that it loads, or why it cannot be started. In a process
-    of its own: rcl may end the one it runs in.
+    """File of rclpy and the libraries that it loads, or the reason why it does not start. Evaluated
+    in a separate process, because rcl may end it.
     """
     command = [sys.executable, "-P", "-c", _PROBE]
     try:

@@ -1,4 +1,4 @@
-"""Who else is on the ROS graph: other distributions, other DDS, publishers that do not fit
+"""Other participants on the ROS graph: other distributions, other DDS, publishers incompatible with
 subscriptions.
 """
 
@@ -24,16 +24,20 @@ from rn_standard.direct_path.peers import (
 from rn_standard.doctor.finding import Finding, ok, warning
 
 DISCOVERY_S = 3.5
-"""Fast DDS announces a participant every 3 s, and the first answers to a new one may be lost."""
+"""Discovery time: Fast DDS announces a participant every 3 s, and the first answers to a new one
+may be lost.
+"""
 QUIET_S = 1.0
-"""Without anything new: a busy machine discovers slowly."""
+"""Time without a change after which discovery counts as complete: a busy machine discovers
+slowly.
+"""
 LONGEST_S = 12.0
 _LOOK_S = 0.2
 _MOST = 5
 
 
 def look_around() -> Finding:
-    """Join the graph, wait until it is discovered, and look; takes 4 to 12 s."""
+    """Join the graph, wait for its discovery, and examine it; takes 4 to 12 s."""
     from roboneuron.command import RosLink
 
     link = RosLink(f"roboneuron_doctor_peers_{os.getpid()}")
@@ -56,7 +60,7 @@ def wait_settled(
     now_s: Callable[[], float] = time.monotonic,
     sleep: Callable[[float], None] = time.sleep,
 ) -> None:
-    """Wait until `picture` has stayed the same for a while: 3.5 s at least, 12 s at most."""
+    """Wait until `picture` has not changed for a while: at least 3.5 s, at most 12 s."""
     begun_s = changed_s = now_s()
     seen = picture()
     while (at_s := now_s()) - begun_s < LONGEST_S:
@@ -68,11 +72,11 @@ def wait_settled(
 
 
 def judge(names: Iterable[str], graph: DdsGraph) -> Finding:
-    """What of a graph does not fit.
+    """Find incompatible parts of a graph.
 
     Args:
-        names: of its topics, in DDS.
-        graph: that is looked at.
+        names: DDS names of its topics.
+        graph: the ROS graph.
     """
     old = old_participants(graph)
     vendors: dict[bytes, str] = {}

@@ -1,3 +1,3 @@
-"""Execution of chunks without pauses: rules that decide when to predict and which rows to send. No
-thread, no ROS.
+"""Execution of chunks without pauses: rules for when to predict and which rows to send. No threads,
+no ROS.
 """

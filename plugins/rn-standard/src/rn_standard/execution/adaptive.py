@@ -1,6 +1,6 @@
-"""Execution by the measured latency: chunks overlap where that keeps the arm moving.
+"""Execution by the measured latency: chunks overlap if that keeps the arm moving.
 
-As in `ChunkExecutor`, everything is decided under one lock, and time comes from outside.
+As in `ChunkExecutor`, all decisions are made under one lock, and time is an argument.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from roboneuron import EE_DELTA, F64, ActionChunk, Ahead, JointSample, Observati
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Execution:
-    """What the status tells of execution.
+    """Execution in the status.
 
     Attributes:
         choice: mode in force and its reason.
-        latency_p50_ms, latency_p99_ms: capture to answer [ms]; None when unknown.
-        delay_rows: rows played during one inference at the worst; None when unknown.
-        rows: that wait to be sent.
-        delivery: how rows were sent.
+        latency_p50_ms, latency_p99_ms: capture to answer [ms]; None if unknown.
+        delay_rows: rows played during one inference in the worst case; None if unknown.
+        rows: number of rows to be sent.
+        delivery: statistics of sent rows.
     """
 
     choice: ModeChoice
@@ -36,7 +36,7 @@ class Execution:
     delivery: RowDelivery
 
     def to_values(self) -> dict[str, str | float | int]:
-        """Numbers and words by name, without those that are unknown."""
+        """Values by name, without unknown ones."""
         delivery = self.delivery
         values = {
             "mode": self.choice.mode,
@@ -55,12 +55,12 @@ class Execution:
 
 
 class AdaptiveExecutor(execution.ChunkExecutor):
-    """Decides for one backend by the measured latency, or in a fixed mode. Thread-safe.
+    """Executor that chooses the mode by the measured latency, or uses a fixed one. Thread-safe.
 
     Args:
-        abilities: of the backend.
-        fixed: the configured mode; None chooses by latency.
-        bounds: ages of images.
+        abilities: abilities of the backend.
+        fixed: the configured mode; None to choose by latency.
+        bounds: bounds of image ages.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class AdaptiveExecutor(execution.ChunkExecutor):
         self._is_fallback = False
 
     def wants_prediction(self, now_s: float) -> bool:
-        """As ChunkExecutor; not in `sequential`, while there are rows left."""
+        """As ChunkExecutor; in modes other than `sequential` also while rows are left."""
         with self.changed:
             rows, mode = len(self._rows), self._selector.current.mode
             if self._step_s is None or mode == "sequential" or self._is_fallback:
@@ -85,14 +85,12 @@ class AdaptiveExecutor(execution.ChunkExecutor):
             delay_rows = self._delay_rows(self._step_s)
             if mode == "predicted-state":
                 return rows <= delay_rows + 1
-            # As late as the latency allows: what is predicted later has seen more. The fade needs
-            # old rows too.
+            # As late as the latency allows, because later images are newer. The fade needs old rows
+            # too.
             return rows <= delay_rows + 1 + fade_rows_of(self._horizon)
 
     def begin(self, observation: Observation, captured_ns: int) -> execution.Prediction:
-        """As ChunkExecutor; the backend is told what is played meanwhile, if its mode is made for
-        that.
-        """
+        """As ChunkExecutor; adds the rows played meanwhile, if the mode uses them."""
         with self.changed:
             mode = self._selector.current.mode
             step_s = self._step_s
@@ -106,7 +104,7 @@ class AdaptiveExecutor(execution.ChunkExecutor):
             )
 
     def measure(self, prediction: execution.Prediction, chunk: ActionChunk, now_ns: int) -> None:
-        """As ChunkExecutor: its latency may change the mode."""
+        """As ChunkExecutor; the latency may change the mode."""
         with self.changed:
             super().measure(prediction, chunk, now_ns)
             self._is_fallback = prediction.mode == execution.FALLBACK
@@ -155,7 +153,7 @@ class AdaptiveExecutor(execution.ChunkExecutor):
         return self.status().to_values()
 
     def status(self) -> Execution:
-        """How it goes."""
+        """Present state of the execution."""
         with self.changed:
             p50_s, p99_s = self._latency.p50_s, self._latency.p99_s
             return Execution(
@@ -181,7 +179,7 @@ class AdaptiveExecutor(execution.ChunkExecutor):
         self._queue.pop(sent_ns)
 
     def _delay_rows(self, step_s: float) -> int:
-        """Rows played during one inference at the worst."""
+        """Rows played during one inference in the worst case."""
         return rows_in(self._latency.p99_s or 0.0, step_s)
 
     def _rolled(self, observation: Observation, step_s: float) -> Observation:

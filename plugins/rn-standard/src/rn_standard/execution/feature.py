@@ -1,6 +1,4 @@
-"""The feature: nothing to do in the server, an executor for the process of every inference
-module.
-"""
+"""The feature: an executor in the process of every inference module; no part in the server."""
 
 from __future__ import annotations
 
@@ -16,21 +14,21 @@ if TYPE_CHECKING:
 
 
 class ExecutionFeature(Feature[None]):
-    """Works in the modules alone, see `join`."""
+    """Works only in modules, see `join`."""
 
 
 def join(host: ModuleHost) -> None:
-    """Give a module the executor of this package; called in every module process, see
+    """Install this package's executor in a module; called in every module process, see
     `FeatureSpec.on_join`.
     """
     host.lent[MAKE_EXECUTOR] = make_executor
 
 
 def make_executor(backend: BackendSpec, execution: str, bounds: Bounds) -> ChunkExecutor:
-    """An executor for that backend, a `MakeExecutor`.
+    """Create an executor for that backend; a `MakeExecutor`.
 
     Raises:
-        ConfigurationError: `execution` fixes a mode that the backend cannot do.
+        ConfigurationError: `execution` fixes a mode that the backend does not support.
     """
     abilities = abilities_of(backend)
     fixed = None if execution == "auto" else cast("Mode", execution)

@@ -1,4 +1,4 @@
-"""How long answers take, and how many rows are played meanwhile."""
+"""Latency of answers, and the number of rows played meanwhile."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import statistics
 from collections import deque
 
 WINDOW = 50
-"""Answers that are looked back on. Sliding: an old spike (a recording, a page fault) must not slow
-the arm for ever.
+"""Number of answers in the sliding window: an old spike (a recording, a page fault) must not slow
+the arm permanently.
 """
 
 
@@ -16,7 +16,7 @@ class LatencyWindow:
     """Latencies from capture to answer [s], the newest `WINDOW` of them. Used from one thread.
 
     The first answer after a load, a reset or a handover is not typical (caches, allocations).
-    `skip_next` leaves it out, unless nothing else is known.
+    `skip_next` excludes it, unless it is the only one.
     """
 
     def __init__(self, size: int = WINDOW) -> None:
@@ -25,11 +25,11 @@ class LatencyWindow:
         self._skip = True
 
     def skip_next(self) -> None:
-        """Leave the next value out."""
+        """Exclude the next value."""
         self._skip = True
 
     def add(self, latency_s: float) -> None:
-        """Keep one latency [s]."""
+        """Add one latency [s]."""
         if self._skip:
             self._skip, self._first = False, latency_s
         else:
@@ -37,7 +37,7 @@ class LatencyWindow:
 
     @property
     def is_known(self) -> bool:
-        """More is known than the first answer."""
+        """True if there is more than the first answer."""
         return bool(self._values)
 
     @property
@@ -47,12 +47,10 @@ class LatencyWindow:
 
     @property
     def p99_s(self) -> float | None:
-        """99th percentile [s], which of so few values is the greatest; None before the first
-        answer.
-        """
+        """99th percentile [s], for so few values the maximum; None before the first answer."""
         return max(self._values) if self._values else self._first
 
 
 def rows_in(duration_s: float, step_s: float) -> int:
-    """Rows of `step_s` that are played, at the most, in `duration_s`."""
+    """Largest number of rows of `step_s` played in `duration_s`."""
     return math.ceil(duration_s / step_s - 1e-9)

@@ -1,4 +1,4 @@
-"""How evenly rows are sent: rate, starved periods, gaps, jumps at borders."""
+"""Regularity of sent rows: rate, starved periods, gaps, jumps at chunk borders."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from dataclasses import dataclass
 from rn_standard.inference import execution
 
 _WINDOW = 512
-"""Rows that rate and jumps are taken over; counters go on for ever."""
+"""Window of rows for the rate and jumps; counters are unlimited."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RowDelivery:
-    """How rows were sent.
+    """Statistics of sent rows.
 
     Attributes:
-        rate: rows sent to rows wanted, 0 .. 1, over the last rows; pauses without an instruction do
-            not count.
-        starved_periods: periods in which no row was there, since the start.
+        rate: ratio of sent to wanted rows, 0 .. 1, over the last rows; pauses without an
+            instruction do not count.
+        starved_periods: periods without a row, since the start.
         longest_gap_s: between two rows [s], since the start.
         border_jump_mm, inner_jump_mm: mean change of the translation from row to row [mm], at the
             first row of an answer and elsewhere; None without data.
@@ -34,7 +34,7 @@ class RowDelivery:
 
 
 class DeliveryMeter:
-    """Collects what was sent. Used under its owner's lock."""
+    """Collects sent rows. Used under its owner's lock."""
 
     def __init__(self) -> None:
         self._spent_s: deque[float] = deque(maxlen=_WINDOW)
@@ -48,11 +48,11 @@ class DeliveryMeter:
         self.longest_gap_s = 0.0
 
     def pause(self) -> None:
-        """Nothing is wanted for now; the time until the next row is no gap."""
+        """Pause the measurement: the time until the next row is not a gap."""
         self._last = None
 
     def add(self, row: execution.Row, now_s: float, *, moves_tcp: bool = True) -> None:
-        """A row was sent at that monotonic time [s]; `moves_tcp`: it is a TCP delta."""
+        """Add a row sent at that monotonic time [s]; `moves_tcp`: it is a TCP delta."""
         if self._last is not None:
             last_s, last = self._last
             gap_s = now_s - last_s
@@ -67,7 +67,7 @@ class DeliveryMeter:
         self._last = (now_s, row)
 
     def delivery(self) -> RowDelivery:
-        """Everything so far."""
+        """Statistics since the start."""
         spent_s, wanted_s = sum(self._spent_s), sum(self._wanted_s)
         border, inner = (
             statistics.fmean(j) if j else None for j in (self._jumps[True], self._jumps[False])

@@ -1,4 +1,4 @@
-"""How chunks are executed: chosen from the measured latency and from what the backend can do."""
+"""Choice of the execution mode by the measured latency and the backend's abilities."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rn_standard.execution.latency import LatencyWindow, rows_in
 from roboneuron import BackendSpec, ConfigurationError
 
 Mode = Literal["sequential", "overlap", "rtc", "predicted-state"]
-"""How chunks are executed.
+"""Execution mode of chunks.
 
 - `sequential`: predict, play the chunk, predict again.
 - `overlap`: predict while the last chunk plays; stale rows are skipped, the seam is cross-faded.
@@ -19,14 +19,14 @@ Mode = Literal["sequential", "overlap", "rtc", "predicted-state"]
 """
 MODES: tuple[Mode, ...] = ("sequential", "overlap", "rtc", "predicted-state")
 _AGREEING = 10
-"""So many answers in a row must ask for another mode before it changes: no flapping at the border
-of two modes.
+"""Number of consecutive answers that must agree on another mode before it changes, against
+oscillation.
 """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Abilities:
-    """What a backend's descriptor declares (see `BackendSpec`).
+    """Abilities declared in a backend's descriptor (see `BackendSpec`).
 
     Attributes:
         conditions_on_rows: continues `Ahead.rows` (real-time chunking).
@@ -40,7 +40,7 @@ class Abilities:
 
 
 def abilities_of(backend: BackendSpec) -> Abilities:
-    """What that backend's descriptor declares."""
+    """Return the abilities declared in a backend's descriptor."""
     return Abilities(
         conditions_on_rows=backend.conditions_on_rows,
         max_committed_rows=backend.max_committed_rows,
@@ -50,10 +50,10 @@ def abilities_of(backend: BackendSpec) -> Abilities:
 
 @dataclass(frozen=True, slots=True)
 class ModeChoice:
-    """A mode and the numbers that decided.
+    """A mode and the numbers behind the choice.
 
     Attributes:
-        mode: what is done.
+        mode: the mode.
         reason: one sentence for the status.
     """
 
@@ -62,21 +62,22 @@ class ModeChoice:
 
 
 def choose(horizon: int, typical_rows: int, worst_rows: int, abilities: Abilities) -> ModeChoice:
-    """Return the mode that fits.
+    """Return the suitable mode.
 
     Args:
         horizon: rows of a chunk.
         typical_rows, worst_rows: rows played during one inference, by the median and by the 99th
             percentile.
-        abilities: of the backend.
+        abilities: abilities of the backend.
 
-    An inference uses up d rows and brings H - d new ones, so overlap keeps the arm moving as long
-    as 2 d + 1 <= H, the 1 being the row that is due when the answer arrives. Beyond that it pauses,
-    yet less than sequential execution does, as long as the typical answer brings any row in time.
+    During an inference d rows are played, and its answer adds H - d new ones. So overlap keeps the
+    arm moving as long as 2 d + 1 <= H, where 1 is the row that is due when the answer arrives. For
+    larger d it pauses, but less than sequential execution, as long as the typical answer adds any
+    row in time.
     """
     d, h = worst_rows, horizon
     overlapped: Mode = "rtc" if _can_condition(abilities, d) else "overlap"
-    if h == 1:  # its answer would be stale as soon as the row before it is sent
+    if h == 1:  # its answer would be stale as soon as the previous row is sent
         return ModeChoice("sequential", "chunks of one row have nothing to overlap")
     if 2 * d + 1 <= h:
         return ModeChoice(overlapped, f"2 x {d} + 1 rows of latency fit into chunks of {h}")
@@ -84,7 +85,7 @@ def choose(horizon: int, typical_rows: int, worst_rows: int, abilities: Abilitie
         return ModeChoice(
             "sequential", f"{typical_rows} rows of latency, chunks of {h}: no row would be in time"
         )
-    # a late answer starves the arm, but still continues where the rows ended
+    # a late answer starves the arm, but still continues at the end of the rows
     if abilities.takes_predicted_state:
         return ModeChoice(
             "predicted-state", f"{d} rows of latency: whole chunks of {h}, the state rolled forward"
@@ -101,7 +102,7 @@ def _can_condition(abilities: Abilities, delay_rows: int) -> bool:
 
 
 def check_mode(mode: Mode, abilities: Abilities, backend: str) -> None:
-    """Raise ConfigurationError when a backend cannot be executed in a mode that the configuration
+    """Raise ConfigurationError if a backend does not support a mode that the configuration
     fixes.
     """
     lacks = (mode == "rtc" and not abilities.conditions_on_rows) or (
@@ -115,10 +116,10 @@ def check_mode(mode: Mode, abilities: Abilities, backend: str) -> None:
 
 
 class ModeSelector:
-    """The mode in force: a fixed one, or the chosen one after ten answers that agree on it.
+    """Mode in force: a fixed one, or the chosen one after ten answers that agree on it.
 
     Until a typical latency is known each answer decides at once, so that a fast backend does not
-    play ten chunks one by one.
+    play ten chunks sequentially.
     """
 
     def __init__(self, fixed: Mode | None, abilities: Abilities) -> None:
@@ -133,11 +134,11 @@ class ModeSelector:
         self._is_decided = False
 
     def update(self, horizon: int, step_s: float, latency: LatencyWindow) -> ModeChoice:
-        """Take one more answer into account; returns the choice in force.
+        """Add one more answer; return the choice in force.
 
         Args:
             horizon, step_s: of its chunk.
-            latency: that answer's included.
+            latency: latencies, that of this answer included.
         """
         p50_s, p99_s = latency.p50_s, latency.p99_s
         if self._fixed or p50_s is None or p99_s is None:

@@ -1,5 +1,5 @@
-"""Rows that are still to be sent, and what was sent: a chunk's rows are counted when they are sent,
-never timed.
+"""Queue of rows to be sent, and memory of sent rows: a chunk's rows are counted when they are sent,
+not timed.
 """
 
 from __future__ import annotations
@@ -18,21 +18,22 @@ from roboneuron import EE_DELTA, GRIPPER, ActionChunk, Ahead, ControlSpace
 
 F64 = NDArray[np.float64]
 FADE_ROWS = 4
-"""Rows over which old deltas are cross-faded into new ones; more make the seam hardly any smoother
-(simulated).
+"""Rows over which old deltas are cross-faded into new ones; more rows hardly make the transition
+smoother (simulated).
 """
 Outcome = Literal["accepted", "late", "unconditioned"]
-"""What became of an answer. `late`: more rows were sent since its image than it has.
-`unconditioned`: it continues rows that were not played as promised (trained prefixes).
+"""Result of an answer. `late`: more rows were sent since its image than it has. `unconditioned`: it
+continues rows that were not played as promised (trained prefixes).
 """
 _MEMORY = 512
-"""Sent rows that are remembered; an answer that is older is dropped by its image's age long before.
+"""Number of sent rows that are remembered; an older answer is dropped by its image's age long
+before.
 """
 
 
 @dataclass(slots=True)
 class _Sent:
-    """A row that was sent; its vector is None for one of a predecessor in another space."""
+    """A sent row; its vector is None for a predecessor's row in another space."""
 
     sent_ns: int
     vector: F64 | None
@@ -40,13 +41,13 @@ class _Sent:
 
 @dataclass
 class SentRowQueue:
-    """The rows to be sent, oldest first, and what was sent, so that a newer answer can take over in
-    mid-chunk.
+    """The rows to be sent, oldest first, and the sent rows, so that a newer answer can replace the
+    rest of a chunk.
 
     Not thread-safe: its owner holds a lock.
 
     Attributes:
-        rows: of the executor.
+        rows: rows to be sent.
         fade_rows: length of the cross-fade.
     """
 
@@ -57,51 +58,51 @@ class SentRowQueue:
     _was_unconditioned: bool = False
 
     def begin_epoch(self) -> None:
-        """Forget every row; those that were sent no longer count as played."""
+        """Discard every row; sent rows no longer count as played."""
         self._sent.clear()
         self.drop()
 
     def drop(self) -> None:
-        """Forget the rows that are to be sent."""
+        """Discard the rows to be sent."""
         self.rows.clear()
         self._context = None
 
     def pop(self, sent_ns: int) -> execution.Row:
-        """Take the next row out, as sent at that time [ns, clock of the stamps]."""
+        """Take the next row, as sent at that time [ns, clock of the stamps]."""
         row = self.rows.popleft()
         self._sent.append(_Sent(sent_ns, row.vector))
         return row
 
     def note_sent(self, vector: F64 | None, sent_ns: int) -> None:
-        """Another module (the predecessor in a handover) sent a row: it moved the arm in place of
-        our next one. None: a row of another space.
+        """Record a row sent by another module (the predecessor in a handover), which moved the arm
+        in place of this queue's next row. None for a row of another space.
         """
         self._sent.append(_Sent(sent_ns, vector))
         if self.rows:
             self.rows.popleft()
 
     def append(self, chunk: ActionChunk, *, oldest_ns: int = 0) -> Outcome:
-        """Let an answer follow whole after the rows that are there.
+        """Append a whole answer to the present rows.
 
         Args:
             chunk: the answer.
-            oldest_ns: capture time of the oldest image that it answers [ns].
+            oldest_ns: capture time of the oldest image behind it [ns].
         """
         self.rows.extend(execution.rows_of(chunk.actions, chunk, oldest_ns, first=0))
         self._context = chunk.context
         return "accepted"
 
     def sent_since(self, captured_ns: int) -> int:
-        """Rows that were sent after that time."""
+        """Number of rows sent after that time."""
         return len(self._sent_after(captured_ns))
 
     def ahead(self, captured_ns: int, committed_rows: int, step_s: float) -> Ahead | None:
-        """What a backend that conditions on rows is told: the rows since the capture; None when
-        there are none.
+        """Input of a backend that conditions on rows: the rows since the capture; None if there are
+        none.
 
         Args:
-            captured_ns: of the observation's image [ns].
-            committed_rows: rows that will have been sent when the answer comes, at the worst.
+            captured_ns: capture time of the observation's image [ns].
+            committed_rows: rows that will have been sent when the answer comes, in the worst case.
             step_s: period of the rows [s].
         """
         sent = self._sent_after(captured_ns)
@@ -109,7 +110,7 @@ class SentRowQueue:
         if not rows or any(row is None for row in rows):
             return None
         # A chunk's row k is aligned with the k-th row sent since its capture, so the running
-        # chunk's context is aligned with what was sent before its border too.
+        # chunk's context is also aligned with the rows sent before its border.
         start = self.rows[0].index - len(sent) if self.rows else -1
         has_context = self._context is not None and start >= 0
         return Ahead(
@@ -121,15 +122,15 @@ class SentRowQueue:
         )
 
     def rows_to_roll(self, measured_ns: int, step_s: float) -> tuple[F64, float]:
-        """What will have moved the TCP between a measurement and the end of the queue.
+        """Rows that move the TCP between a measurement and the end of the queue.
 
         Args:
-            measured_ns: when the pose was measured [ns].
+            measured_ns: measurement time of the pose [ns].
             step_s: period of the rows [s].
 
         Returns:
-            float64 (N, n), oldest first, and the share of the first that was carried out at the
-            measurement, 0 .. 1. No rows where one of another space is among them.
+            float64 (N, n), oldest first, and the fraction of the first that was executed at the
+            measurement, 0 .. 1. Empty if one of them is of another space.
         """
         period_ns = step_s * 1e9
         under_way = [sent for sent in self._sent if sent.sent_ns > measured_ns - period_ns]
@@ -149,13 +150,13 @@ class SentRowQueue:
         oldest_ns: int = 0,
         max_committed_rows: int = 0,
     ) -> Outcome:
-        """Let an answer take over from the row that is next.
+        """Replace the rows from the next one on by an answer.
 
         Args:
-            chunk: its row 0 is meant for the moment of the capture.
-            captured_ns: of the leading image that it answers [ns].
-            oldest_ns: of the oldest image [ns].
-            max_committed_rows: greatest prefix that the backend was trained for; 0 for no bound.
+            chunk: its row 0 corresponds to the time of the capture.
+            captured_ns: capture time of the leading image [ns].
+            oldest_ns: capture time of the oldest image [ns].
+            max_committed_rows: longest prefix that the backend was trained for; 0 for no bound.
         """
         played = self.sent_since(captured_ns)
         if played >= len(chunk.actions):
@@ -180,10 +181,10 @@ class SentRowQueue:
 
 
 def fade_rows_of(horizon: int, most: int = FADE_ROWS) -> int:
-    """Rows of a chunk that are faded: `most`, but the others are to be at least as many.
+    """Number of a chunk's rows that are cross-faded: at most `most`, with at least `most` others.
 
-    The motion of a faded row is older than its gripper, so a short chunk that is faded all along
-    grasps too early.
+    The motion of a faded row is older than its gripper value, so a short chunk that is faded
+    completely would grasp too early.
     """
     return max(0, min(most, horizon - most))
 
@@ -191,15 +192,15 @@ def fade_rows_of(horizon: int, most: int = FADE_ROWS) -> int:
 def cross_fade(old: Sequence[F64], new: F64, rows: int, space: ControlSpace = EE_DELTA) -> F64:
     """Return `new` with its first rows faded in from `old`.
 
-    Deltas and velocities are blended as rates of motion, so the arm neither jumps nor catches up;
-    positions and poses as places, so it goes over from one path to the other. The gripper's opening
-    is a decision and is never taken half-way: the new value counts from the seam.
+    Deltas and velocities are blended as rates of motion, so the arm neither jumps nor catches up.
+    Positions and poses are blended as places, so the arm moves from one path to the other. The
+    gripper's opening is a decision and is not blended: the new value applies from the start.
 
     Args:
-        old: float64 (n,) each: what would be played without the new chunk.
+        old: float64 (n,) each: rows that would be played without the new chunk.
         new: float64 (N, n).
-        rows: length of the fade; at most as many as both have.
-        space: of both.
+        rows: length of the fade; at most the length of both.
+        space: space of both.
     """
     count = min(rows, len(old), len(new))
     if count == 0:
@@ -218,7 +219,7 @@ def cross_fade(old: Sequence[F64], new: F64, rows: int, space: ControlSpace = EE
 
 
 def _align_quaternions(before: F64, after: F64, space: ControlSpace) -> None:
-    """Turn the signs of quaternions in place so that a blend takes the shorter way."""
+    """Flip the signs of quaternions in place so that a blend uses the shorter rotation."""
     for part in space.quaternions:
         opposite = np.einsum("ij,ij->i", before[:, part], after[:, part]) < 0.0
         before[np.ix_(opposite, part)] *= -1.0

@@ -1,5 +1,5 @@
-"""The state that a backend trained on predicted states gets: the measured one after the rows still
-to be played.
+"""Predicted state for backends trained on it: the measured state after the rows still to be
+played.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ def roll_forward(
 ) -> Observation:
     """Return the observation with the state after `rows`.
 
-    What the space moves is rolled: the TCP poses by TCP deltas and poses, the joints by joint
-    positions and velocities, and the grippers; of several arms each that it moves. The rest
-    stays as measured, since joints cannot be told from TCP deltas nor the TCP from joints here.
-    Commands overstate motion where the arm lags behind.
+    Only quantities that the space moves are predicted: TCP poses by TCP deltas and poses, joints by
+    joint positions and velocities, and the grippers, for each arm that it moves. The rest stays as
+    measured, since neither joints can be computed from TCP deltas nor the TCP from joints here.
+    Commands overestimate the motion of an arm that lags behind.
 
     Args:
         observation: measured.
         rows: float64 (N, n), N >= 1, oldest first, contract units.
-        done_share: of the first row, carried out when the state was measured, 0 .. 1; of a TCP
-            delta the rotation vector is scaled.
-        space: of the rows.
+        done_share: fraction of the first row executed at the measurement, 0 .. 1; it scales the
+            rotation vector of a TCP delta.
+        space: space of the rows.
         step_s: their period [s].
 
-    Source: VLASH, arXiv 2512.01031, for absolute actions; here for every space.
+    Source: VLASH, arXiv 2512.01031, for absolute actions; extended here to every space.
     """
     left = np.ones(len(rows))
     left[0] -= done_share

@@ -1,8 +1,8 @@
-"""Chunk execution by a virtual clock: a policy, a latency and an arm, without processes, ROS or
-waiting.
+"""Simulation of chunk execution with a virtual clock: a policy, a latency and an arm, without
+processes, ROS or waiting.
 
-It runs the executor that the inference module runs. The task: follow a target that circles in
-either sense while it drifts, so that two chunks made from different images disagree.
+It uses the executor of the inference module. The task is to follow a target that circles in either
+direction while it drifts, so that chunks from different images disagree.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _LAG_S = 0.020
 _RADIUS_M, _TURN_RAD_S = 0.040, 2.0
 _TICK_S = 0.002
 _GAIN = 0.15
-"""Share of its distance to the target that the policy makes good in one row."""
+"""Fraction of its distance to the target that the policy covers in one row."""
 _DOWN = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trial:
-    """What a run is made with.
+    """Parameters of a run.
 
     Attributes:
         horizon: rows of a chunk.
@@ -39,10 +39,10 @@ class Trial:
         jitter: standard deviation of its logarithm.
         mode: fixed mode; None to choose.
         abilities: of the policy. With `conditions_on_rows` it continues the committed rows exactly
-            and bends from there to its own plan, as a conditioned flow policy does.
+            and then blends into its own plan, as a conditioned flow policy does.
         step_s: period of the rows [s].
-        duration_s: of the run [s].
-        seed: of latency and policy.
+        duration_s: duration of the run [s].
+        seed: seed of latency and policy.
     """
 
     horizon: int = 8
@@ -57,13 +57,13 @@ class Trial:
 
 @dataclass(slots=True)
 class Outcomes:
-    """What a run came to.
+    """Results of a run.
 
     Attributes:
-        delivery: as the status tells it.
-        rate: rows sent to rows wanted, from the second row on, 0 .. 1.
+        delivery: statistics as in the status.
+        rate: ratio of sent to wanted rows, from the second row on, 0 .. 1.
         mode: in force at the end.
-        outcomes: answers by what became of them.
+        outcomes: number of answers by result.
         rms_error_m: distance from arm to target [m].
         played: (prediction's number, row) of every row sent, in order.
         image_age_s: mean age of the image behind a row when it was sent [s].
@@ -79,7 +79,7 @@ class Outcomes:
 
 
 def target_m(at_s: float, sense: float) -> F64:
-    """Where the target is, circling in that sense, 1 or -1: float64 (3,)."""
+    """Position of the target circling in that sense, 1 or -1: float64 (3,)."""
     angle = _TURN_RAD_S * at_s * sense
     drift_m = 0.05 * math.sin(0.3 * at_s)
     return np.array([_RADIUS_M * math.cos(angle) + drift_m, _RADIUS_M * math.sin(angle), 0.0])
@@ -87,14 +87,14 @@ def target_m(at_s: float, sense: float) -> F64:
 
 @dataclass(slots=True)
 class VirtualPolicy:
-    """The policy: deltas that lead from the observed TCP to where the target will be.
+    """Policy with deltas that lead from the observed TCP to the target's future position.
 
     Attributes:
         horizon: rows of a chunk.
         step_s: their period [s].
         conditions_on_rows: it continues the committed rows.
-        random: draws the sense of rotation anew.
-        sense: of the newest prediction, 1 or -1.
+        random: draws the sense of rotation.
+        sense: sense of the newest prediction, 1 or -1.
     """
 
     horizon: int
@@ -104,7 +104,7 @@ class VirtualPolicy:
     sense: float = 1.0
 
     def predict(self, at_s: float, tcp_m: F64, ahead: Ahead | None) -> ActionChunk:
-        """The chunk for an image captured at that time, with the TCP there."""
+        """Return the chunk for an image captured at that time, with the TCP there."""
         start_s = at_s + (ahead.state_ahead_s if ahead is not None else 0.0)
         if self.random.random() < 0.2:
             self.sense = -self.sense
@@ -118,7 +118,7 @@ class VirtualPolicy:
             delta_m = next_m - here_target_m + _GAIN * (here_target_m - here_m)
             if i < len(committed):
                 delta_m, conditioned = committed[i][:3], conditioned + 1
-            elif len(committed):  # bends from the last committed row to the plan over four rows
+            elif len(committed):  # blends from the last committed row into the plan over four rows
                 share = min(1.0, (i - len(committed) + 1) / 5.0)
                 delta_m = (1.0 - share) * committed[-1][:3] + share * delta_m
             rows.append([*delta_m, 0.0, 0.0, 0.0, float(self.sense > 0)])
@@ -134,7 +134,7 @@ class _Cell:
 
 
 def run(trial: Trial) -> Outcomes:
-    """Run one trial; the same trial gives the same outcome."""
+    """Run one trial; equal trials have equal results."""
     executor = AdaptiveExecutor(
         trial.abilities, fixed=trial.mode, bounds=execution.Bounds(first_s=60.0, tail_s=60.0)
     )

@@ -1,10 +1,11 @@
-"""What a killed process leaves in shared-memory ports, put right before anybody waits for it.
+"""Release locks held by dead processes in Fast DDS ports, and silence the ports of dead processes.
 
-Locks that it held in its neighbours' ports: Fast DDS waits a second for each, with each message
-anew, and then makes the port anew, from which it may come out deaf (see `lost_ports`). Its own
-port: who writes there finds after a second that its listener does not move, and makes that port
-anew too (for what can go wrong then see Fast DDS issue 6484). Measured without this: a robot that
-reported nothing for three seconds after control had been killed.
+A killed process may leave locks in the ports of other processes. Fast DDS waits a second for each,
+with every message, and then recreates the port, which may receive nothing afterwards (see
+`lost_ports`). In the dead process's own port, a sender finds after a second that the listener does
+not respond, and recreates that port too (for possible consequences see Fast DDS issue 6484).
+Measured without this module: a robot that reported nothing for three seconds after control had been
+killed.
 """
 
 from __future__ import annotations
@@ -33,23 +34,22 @@ from rn_standard.fastdds.segments import LOCK_SUFFIX, PORT_PREFIX, SHARED_MEMORY
 
 log = logging.getLogger(__name__)
 LEASE_S = 25.0
-"""After this long nobody writes to a killed process any more: the lease of a participant is 20 s.
-"""
+"""Time after which no process writes to a killed one: the lease of a participant is 20 s."""
 _LOOKS, _PAUSE_S = 5, 0.01
-"""A living thread holds such a lock for microseconds. One that is not seen here may live in another
-container.
+"""Number and interval of checks of a lock: a living thread holds it for microseconds. An invisible
+thread may live in another container.
 """
 
 
 def release_dead_locks(names: Iterable[str] | None = None, directory: Path = SHARED_MEMORY) -> int:
-    """Release the locks of threads that are gone.
+    """Release the locks of threads that have ended.
 
     Args:
-        names: of the ports' files; None for every port of the machine that may be written.
-        directory: where they are.
+        names: names of the ports' files; None for every writable port of the machine.
+        directory: their folder.
 
     Returns:
-        How many were released.
+        The number of released locks.
     """
     released = 0
     for name in (
@@ -57,17 +57,17 @@ def release_dead_locks(names: Iterable[str] | None = None, directory: Path = SHA
     ):
         port = port_number(name)
         if port is not None:
-            with suppress(OSError, ValueError):  # gone, somebody else's, or empty: being made
+            with suppress(OSError, ValueError):  # removed, of another user, or empty: new
                 released += _release(directory / name, port)
     return released
 
 
 class SilentPorts:
-    """The ports of a process that is gone, as places where messages vanish without anybody waiting.
+    """Ports of a dead process, made to discard messages without blocking the senders.
 
-    They must not stay so: a successor at one of these ports, long after, would not be looked for.
-    `retire` tells those who still have them open that they are broken; by then nobody may write
-    there any more.
+    They must not stay in that state: senders would never check the listener of a much later process
+    that reuses such a port. `retire` marks them as broken for the processes that still have them
+    open; by then no process may write to them any more.
     """
 
     def __init__(self, names: Iterable[str], directory: Path = SHARED_MEMORY) -> None:
@@ -83,7 +83,7 @@ class SilentPorts:
             path.with_name(f"{path.name}{LOCK_SUFFIX}").open("rb") as lock,
             path.open("r+b") as file,
         ):
-            # an OSError when somebody else has the port by now
+            # an OSError if another process has the port by now
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             memory = mmap.mmap(file.fileno(), 0)
         record = find_record(memory[:], port)
@@ -95,7 +95,7 @@ class SilentPorts:
         self._ports.append((memory, record.offset))
 
     def retire(self) -> None:
-        """Have everybody close them."""
+        """Make all processes close them."""
         for memory, offset in self._ports:
             memory[offset + FLAGS] &= ~IS_OK & 0xFF
             memory.close()
@@ -108,7 +108,7 @@ def _release(path: Path, port: int) -> int:
         with mmap.mmap(descriptor, 0) as memory:
             if not _held_by_the_dead(memory, port):
                 return 0
-            # two that release at once would release the lock of a living one
+            # two processes that release at once would release the lock of a living one
             fcntl.flock(descriptor, fcntl.LOCK_EX)
             held = _held_by_the_dead(memory, port)
             for _ in range(_LOOKS):
@@ -133,7 +133,7 @@ def _release(path: Path, port: int) -> int:
 
 
 def _held_by_the_dead(memory: mmap.mmap, port: int) -> set[tuple[int, int]]:
-    """Offsets and holders of locks whose holder is gone."""
+    """Offsets and holders of locks whose holder has ended."""
     content = memory[:]
     record = find_record(content, port)
     if record is None:
@@ -143,13 +143,11 @@ def _held_by_the_dead(memory: mmap.mmap, port: int) -> set[tuple[int, int]]:
 
 
 def _may_hold(thread: int, port: int) -> bool:
-    """Whether the thread lives and has that port mapped; the number of a dead one is given to
-    somebody else.
-    """
+    """True if the thread is alive and has that port mapped; thread ids are reused."""
     try:
         maps = Path(f"/proc/{thread}/maps").read_text(encoding="utf-8", errors="replace")
     except (FileNotFoundError, ProcessLookupError):
         return False
-    except OSError:  # somebody else's
+    except OSError:  # of another user
         return True
     return f"{PORT_PREFIX}{port}" in maps

@@ -1,4 +1,4 @@
-"""The feature: cleans up at the start, follows every module process, and looks after the server's
+"""The feature: cleanup at the start, monitoring of module processes, and of the server's
 own ports.
 """
 
@@ -22,14 +22,14 @@ log = logging.getLogger(__name__)
 
 
 class SharedMemoryRepair(Feature[None]):
-    """Nobody waits for a killed process, and no shared memory stays behind."""
+    """Keeps senders from blocking on killed processes, and removes their shared memory."""
 
     _cleaner: ProcessCleaner | None = None
     _record: SegmentRecord | None = None
     _ports: PortWatch | None = None
 
     def start(self, host: Host) -> None:
-        """Clean up after servers and programs that were killed; follow the modules from now on."""
+        """Clean up after killed servers and programs, and start monitoring module processes."""
         directory = host.modules.log_directory
         clean_recorded(directory.parent.glob(f"*/{RECORD_NAME}"))
         removed, size = clean_abandoned()
@@ -50,7 +50,7 @@ class SharedMemoryRepair(Feature[None]):
         self._ports.start()
 
     def close(self) -> None:
-        """Close the ports of ended modules and remove what is left of their files."""
+        """Close the ports of ended modules and remove the rest of their files."""
         if self._ports is not None:
             self._ports.close()
         if self._cleaner is not None and self._record is not None:

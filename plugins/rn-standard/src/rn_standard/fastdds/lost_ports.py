@@ -1,12 +1,12 @@
-"""Shared-memory ports that a process listens to and nobody else can find any more: noticed, and
-given back.
+"""Detection and repair of lost shared-memory ports: a process listens to one, but others open
+another file of the same name.
 
-A process that is killed in the middle of a message leaves a lock in the port of the one it wrote
-to. After a second everybody makes that port anew, its owner too, and sometimes one of them removes
-what the owner has just made (Fast DDS 2.14; seen once in about 300 kills). Who opens the port
-afterwards writes to another file of the same name: the owner hears nothing from there any more,
-while all else about it looks well. The owner's listener opens the port again when the file that it
-waits at is marked as broken; nobody marks a file that has no name, so that is done here.
+A process that is killed in the middle of a message leaves a lock in the receiver's port. After a
+second all processes recreate that port, its owner included, and sometimes one of them removes the
+file that the owner has just created (Fast DDS 2.14; seen once in about 300 kills). Processes that
+open the port afterwards write to another file of the same name: the owner receives nothing from
+them, without any other symptom. The owner's listener reopens the port if the file that it waits on
+is marked as broken. Nothing else marks a file without a name, so this module does.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ LOOK_S = 0.5
 
 @dataclass(frozen=True, slots=True)
 class _PortRecord:
-    """A port's record in this process's memory: the file's inode, the address of its flags, and
-    what it says.
+    """A port's record in this process's memory: the file's inode, the address of its flags, and its
+    content.
     """
 
     inode: int
@@ -47,7 +47,8 @@ def _records(port: int, memory: int) -> Iterator[_PortRecord]:
     """Records of all files of that port that this process has mapped.
 
     Args:
-        memory: descriptor of /proc/self/mem: what is unmapped meanwhile is an OSError there.
+        memory: descriptor of /proc/self/mem; reading memory that was unmapped meanwhile is an
+            OSError.
     """
     with open("/proc/self/maps", encoding="utf-8", errors="replace") as maps:
         lines = [line.split() for line in maps if f"/{PORT_PREFIX}{port}" in line]
@@ -64,17 +65,17 @@ def _records(port: int, memory: int) -> Iterator[_PortRecord]:
 
 
 class LostPorts:
-    """Looks after the ports of this process; not for several threads."""
+    """Monitors the ports of this process; not thread-safe."""
 
     def __init__(self) -> None:
         self._good: dict[int, int] = {}
         self._doubtful: set[int] = set()
 
     def look(self) -> list[int]:
-        """Give back the ports that are lost for the second time in a row (the first may be a change
-        under way).
+        """Repair the ports that are lost for the second check in a row (the first may be a change
+        in progress).
 
-        Locks in them that a killed neighbour held are released first.
+        Locks in them held by a killed process are released first.
 
         Returns:
             Their numbers.
@@ -103,8 +104,8 @@ class LostPorts:
         return bool(heard)
 
     def _give_back(self, port: int) -> bool:
-        """Mark as broken what is listened to without a name; its listener looks within a third of a
-        second.
+        """Mark the unnamed file that is listened to as broken; its listener checks within a third
+        of a second.
         """
         memory = os.open("/proc/self/mem", os.O_RDWR | os.O_CLOEXEC)
         marked = False
@@ -127,7 +128,7 @@ def _inode(port: int) -> int | None:
 
 
 class PortWatch(Periodic):
-    """Looks after this process's ports on a thread of its own, from `start` to `close`."""
+    """Monitors this process's ports on a background thread, from `start` to `close`."""
 
     def __init__(self) -> None:
         super().__init__("lost-ports", LOOK_S, self._look)
@@ -136,7 +137,7 @@ class PortWatch(Periodic):
     def _look(self) -> None:
         try:
             given_back = self._ports.look()
-        except OSError as error:  # no /proc, or none to write to: Fast DDS is as it is
+        except OSError as error:  # no /proc, or not writable: Fast DDS stays as it is
             log.warning("Shared-memory ports are not looked after: %s", error)
             self.close()
             return
@@ -145,5 +146,5 @@ class PortWatch(Periodic):
 
 
 def watch_ports(_: ModuleHost) -> None:
-    """Look after this process's ports until it ends; every module process calls it once."""
+    """Monitor this process's ports until its end; every module process calls it once."""
     PortWatch().start()

@@ -1,4 +1,4 @@
-"""The record with which a shared-memory port of Fast DDS begins.
+"""Record at the beginning of a Fast DDS shared-memory port.
 
 Source: Fast DDS 2.14.5, SharedMemGlobal::PortNode ("port_node_abi5") and
 RobustInterprocessCondition; offsets measured on its files. Locks are `pthread_mutex_t` of glibc,
@@ -11,12 +11,12 @@ import struct
 from typing import NamedTuple
 
 WAITING, FLAGS = 20, 24
-"""Offsets of how many wait, and of the flags; the lowest of them says that the port works."""
+"""Offsets of the number of waiters, and of the flags; the lowest flag means that the port works."""
 IS_OK = 1
 LOCKS = (20532, 20572)
-"""Offsets of the lock of those who wait, and of the port's own."""
+"""Offsets of the waiters' lock, and of the port's own."""
 LISTENER = 20612
-"""Offset of a word about the first listener, the only one of a port of one process: in use (1),
+"""Offset of the state of the first listener, the only one in a port of one process: in use (1),
 waiting, processing.
 """
 IN_USE = 1
@@ -24,7 +24,7 @@ _ABI = b"port_node_abi5"
 _HEAD = struct.Struct("<7I")
 _LOCK = struct.Struct("<iIiIi")
 _PLAIN_SHARED = 128
-"""Kind of a plain lock that is shared between processes."""
+"""Kind of a plain process-shared lock."""
 
 
 class PortRecord(NamedTuple):
@@ -36,10 +36,10 @@ class PortRecord(NamedTuple):
 
 
 def find_record(content: bytes, port: int) -> PortRecord | None:
-    """The record of the port with that number; None when the layout is not the known one.
+    """Find the record of the port with that number; None for an unknown layout.
 
     It starts with the number, the listeners, two timeouts (the second a third of the first), the
-    capacity, how many wait, and the flags.
+    capacity, the number of waiters, and the flags.
     """
     offset = -1 if _ABI in content else len(content)
     while (offset := content.find(struct.pack("<I", port), offset + 1)) >= 0:
@@ -52,8 +52,6 @@ def find_record(content: bytes, port: int) -> PortRecord | None:
 
 
 def lock_owner(content: bytes, offset: int) -> int:
-    """Thread that holds the lock at `offset`; 0 when nobody does, or what is there is no such
-    lock.
-    """
+    """Thread that holds the lock at `offset`; 0 if it is free, or not such a lock."""
     locked, _, owner, _, kind = _LOCK.unpack_from(content, offset)
     return int(owner) if locked and kind == _PLAIN_SHARED else 0

@@ -1,5 +1,5 @@
-"""Shared memory of module processes: noted while they live, repaired and removed when they have
-ended.
+"""Shared memory of module processes: recorded while they live, repaired and removed after their
+end.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from rn_standard.fastdds.shared_memory import SegmentRecord, remove_stale
 
 log = logging.getLogger(__name__)
 _RECENT = 10
-"""The ports of this many ended processes are kept silent until their lease ends: port numbers come
-again after 15.
+"""Number of ended processes whose ports stay silenced until their lease ends: port numbers repeat
+after 15.
 """
 
 
@@ -23,7 +23,7 @@ class ProcessCleaner:
     """A listener of `roboneuron.supervisor.process.ProcessEvents`; callable from any thread.
 
     Args:
-        record: names what is owned, for the next server if this one is killed.
+        record: stores the owned names, for the next server if this one is killed.
     """
 
     def __init__(self, record: SegmentRecord) -> None:
@@ -33,11 +33,11 @@ class ProcessCleaner:
         self._ended: list[tuple[float, SilentPorts]] = []
 
     def spawning(self) -> None:
-        """Close the ports of the dead before their numbers are used again, and release what
-        strangers' dead hold.
+        """Close the ports of dead processes before their numbers are reused, and release the locks
+        of dead foreign processes.
 
-        Those are not observed, and whoever opens such a port hangs there: a process that starts
-        opens all it hears of.
+        Foreign processes are not observed, but a starting process opens every port it discovers,
+        and would hang at such a lock.
         """
         release_dead_locks()
         now_s = time.monotonic()
@@ -52,9 +52,7 @@ class ProcessCleaner:
             self._ended = kept
 
     def observe(self, pid: int) -> None:
-        """Remember which shared-memory files the process owns, in case it has no time to remove
-        them itself.
-        """
+        """Record the process's shared-memory files, in case it cannot remove them itself."""
         names = owned_segments(pid)
         with self._lock:
             known = self._owned.get(pid, frozenset())
@@ -76,7 +74,7 @@ class ProcessCleaner:
             )
 
     def close(self) -> None:
-        """Close all ports of the dead; idempotent."""
+        """Close all ports of dead processes; idempotent."""
         with self._lock:
             for _, ports in self._ended:
                 ports.retire()

@@ -1,8 +1,8 @@
-"""Which shared-memory files of Fast DDS belong to a living process.
+"""Ownership of Fast DDS shared-memory files by living processes.
 
 A participant holds an exclusive flock on `<name>_el` for each segment and port it owns (measured:
-/proc/locks shows one FLOCK WRITE for each; readers hold none). So the `_el` files that a process
-has open name what is its own.
+/proc/locks shows one FLOCK WRITE for each; readers hold none). So the open `_el` files of a process
+identify its own files.
 """
 
 from __future__ import annotations
@@ -17,15 +17,13 @@ PORT_PREFIX = f"{PREFIX}port"
 
 
 def port_number(name: str) -> int | None:
-    """Number of the port that a file of that name holds; None when it is no port's."""
+    """Port number of a file name; None if it is not a port's."""
     number = name.removeprefix(PORT_PREFIX)
     return int(number) if name.startswith(PORT_PREFIX) and number.isdecimal() else None
 
 
 def owned_segments(pid: int) -> frozenset[str]:
-    """Names of the segments and ports that the living process `pid` owns; empty when it cannot be
-    looked at.
-    """
+    """Names of the segments and ports that the living process `pid` owns; empty if inaccessible."""
     names = set()
     with suppress(OSError):
         for entry in os.scandir(f"/proc/{pid}/fd"):

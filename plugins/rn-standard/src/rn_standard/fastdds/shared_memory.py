@@ -1,8 +1,8 @@
-"""Shared-memory files that Fast DDS leaves behind when a process is killed: found while it lives,
-removed afterwards.
+"""Shared-memory files that Fast DDS leaves behind when a process is killed: identified while it
+lives, removed afterwards.
 
-Its owner holds a lock on `<name>_el` (see `segments.py`): one that can be taken after the owner's
-death proves that nobody else has taken the name over.
+The owner holds a lock on `<name>_el` (see `segments.py`). If the lock can be taken after the
+owner's death, no other process has reused the name.
 """
 
 from __future__ import annotations
@@ -24,30 +24,31 @@ log = logging.getLogger(__name__)
 _NAME = re.compile(r"^fastrtps_[A-Za-z0-9]+$", re.MULTILINE)
 _SEGMENT = re.compile(r"^fastrtps_([0-9a-f]{16}|port\d+)$")
 LEAST_AGE_S = 60.0
-"""A segment is made, locked and mapped one after the other: a young one may be on its way."""
+"""Minimum age of removed segments: one is created, locked and mapped in steps, so a young one may
+be incomplete.
+"""
 RECORD_NAME = "shared_memory"
-"""Of the record in a server run's log folder."""
+"""Name of the record in a server run's log folder."""
 
 
 def remove_stale(names: frozenset[str]) -> int:
-    """Remove those segments whose owner is dead; returns how many were removed."""
+    """Remove those segments whose owner is dead; return their number."""
     return sum(_remove_if_stale(name) for name in names)
 
 
 def clean_abandoned(
     directory: Path = SHARED_MEMORY, least_age_s: float = LEAST_AGE_S
 ) -> tuple[int, int]:
-    """Remove files of this user whose owners were killed, of whatever program; returns how many,
-    and their bytes.
+    """Remove this user's files whose owners were killed, of any program; return their number and
+    size [bytes].
 
-    Only what was made at least `least_age_s` ago, is locked by nobody and mapped by no living
-    process. Ports matter most: their names are used again, and who opens a dead one waits for its
-    listener.
+    Only files that are at least `least_age_s` old, unlocked and mapped by no living process. Ports
+    matter most: their names are reused, and a process that opens a dead one waits for its listener.
     """
     files = directory.glob(f"{PREFIX}*")
     names = {p.name.removesuffix(LOCK_SUFFIX) for p in files if _is_old(p, least_age_s)}
     if not names:
-        return 0, 0  # a start waits for the look at every process, which takes 30 ms
+        return 0, 0  # the scan of all processes takes 30 ms and would delay the start
     removed = size = 0
     for name in names - _mapped(directory):
         with suppress(OSError):
@@ -60,7 +61,7 @@ def clean_abandoned(
 
 
 def _is_old(path: Path, least_age_s: float) -> bool:
-    """Whether it is a segment or a lock of this user that was made that long ago [s]."""
+    """True for a segment or lock of this user that is at least that old [s]."""
     try:
         found = path.stat()
     except OSError:
@@ -70,7 +71,7 @@ def _is_old(path: Path, least_age_s: float) -> bool:
 
 
 def _mapped(directory: Path) -> set[str]:
-    """Names of files in the directory that a living process maps, as far as this one may look."""
+    """Names of files in the directory that a living, accessible process maps."""
     names = set()
     for entry in os.scandir("/proc"):
         if entry.name.isdigit():
@@ -113,7 +114,7 @@ class SegmentRecord:
     up after a kill.
 
     Args:
-        path: one file for each server run; made with the first name, gone after `close`.
+        path: one file for each server run; created with the first name, removed by `close`.
     """
 
     def __init__(self, path: Path) -> None:
@@ -121,7 +122,7 @@ class SegmentRecord:
         self._lock = threading.Lock()
 
     def add(self, names: frozenset[str]) -> None:
-        """Remember names; a disk that cannot be written only costs the cleaning after a kill."""
+        """Add names; if the disk cannot be written, only the cleanup after a kill is missing."""
         with self._lock:
             try:
                 with open(self._path, "a", encoding="ascii", opener=log_files.opener) as file:
@@ -130,14 +131,13 @@ class SegmentRecord:
                 log.warning("The names of shared-memory files cannot be recorded: %s", error)
 
     def close(self) -> None:
-        """Everything has ended in order: remove what is stale all the same, and the file."""
+        """Remove stale segments and the file, after an orderly end."""
         with self._lock:
             _clean(self._path)
 
 
 def clean_recorded(records: Iterable[Path]) -> int:
-    """Remove the stale segments of servers that are gone, and their records; returns how many
-    segments that were.
+    """Remove the stale segments of ended servers, and their records; return the number of segments.
 
     Args:
         records: files of `SegmentRecord`, in folders whose names end in "-<pid>".
@@ -148,7 +148,7 @@ def clean_recorded(records: Iterable[Path]) -> int:
 
 
 def _clean(record: Path) -> int:
-    """What is left afterwards belongs to the living."""
+    """Remove the stale segments of one record; the others belong to living processes."""
     try:
         names = frozenset(_NAME.findall(record.read_text(encoding="ascii")))
     except (OSError, UnicodeDecodeError):

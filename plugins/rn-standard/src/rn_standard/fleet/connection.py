@@ -1,5 +1,5 @@
-"""One ROS node for all robots of a server: a node of its own for each would use up the participants
-of a host.
+"""One ROS node shared by all robots of a server: separate nodes would use up the participants of a
+host.
 """
 
 from __future__ import annotations
@@ -14,16 +14,15 @@ if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray
 
 PARTICIPANTS = "ROBONEURON_PARTICIPANTS"
-"""Environment variable: how many participants of this host each looks for in the range LOCALHOST.
-"""
+"""Environment variable: number of participants of this host probed in the range LOCALHOST."""
 _MOST = 115
-"""A domain has 250 ports, of which each participant takes two. Source: RTPS 2.2, 9.6.1.1."""
+"""A domain has 250 ports, of which each participant uses two. Source: RTPS 2.2, 9.6.1.1."""
 _OTHERS = 8
-"""The server, and programs beside it such as `roboneuron status` or a recorder."""
+"""The server, and other programs such as `roboneuron status` or a recorder."""
 
 
 def participants_of(robots: Iterable[Config]) -> int:
-    """How many participants have to find each other: the modules of all robots, and a few
+    """Number of participants that have to discover each other: the modules of all robots, and a few
     others.
     """
     kinds = get_args(ModuleKind)
@@ -32,7 +31,7 @@ def participants_of(robots: Iterable[Config]) -> int:
 
 
 class SharedConnection(Connection):
-    """Opens the node once, and hands each robot what is reported under its namespace.
+    """Open the node once, and pass each robot the reports in its namespace.
 
     Args:
         log_directory: for the logs of ROS itself.
@@ -43,7 +42,7 @@ class SharedConnection(Connection):
         self._receivers: dict[str, Callable[[object], None]] = {}
 
     def of_robot(self, namespace: str) -> Callable[[Callable[[object], None], Path], Connection]:
-        """What the supervisor of the robot with that namespace makes its connection from."""
+        """Return the factory of a robot's connection for its supervisor."""
 
         def connect(on_status: Callable[[object], None], log_directory: Path) -> Connection:
             self._receivers[namespace] = on_status
@@ -52,15 +51,15 @@ class SharedConnection(Connection):
         return connect
 
     def close(self) -> None:
-        """One robot has ended; the others go on with the node."""
+        """Keep the node open when one robot ends, because the others use it."""
 
     def end(self) -> None:
-        """All robots have ended: leave the graph; idempotent."""
+        """Leave the graph when all robots have ended; idempotent."""
         super().close()
 
     def _receive(self, message: DiagnosticArray) -> None:
-        """Take a DiagnosticArray; a module reports its own robot only, so the first entry tells
-        whose it is.
+        """Distribute a DiagnosticArray by its first entry's robot; a module reports its own robot
+        only.
         """
         for status in message.status[:1]:
             receiver = self._receivers.get(status.name.strip("/").rpartition("/")[0])

@@ -1,4 +1,4 @@
-"""The feature as every server loads it: what it does begins with `[robots.<name>]`, see
+"""The feature as every server loads it; its work begins with `[robots.<name>]`, see
 `rn_standard.fleet.fleet`.
 """
 

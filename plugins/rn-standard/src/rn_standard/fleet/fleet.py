@@ -1,8 +1,7 @@
 """Several robots in one server process: an application for each, one MCP server in front of all.
 
-What belongs to a robot exists once for each: supervisor, gate, limits, leases, emergency stop,
-audit, incidents, all in a folder of its own. What belongs to the process exists once: the ROS node,
-the transport, SIGUSR1, the end.
+Each robot has its own supervisor, gate, limits, leases, emergency stop, audit and incidents, in its
+own folder. The process has one ROS node, transport, SIGUSR1 handler and shutdown.
 """
 
 from __future__ import annotations
@@ -35,19 +34,21 @@ from roboneuron.feature import (
 
 log = logging.getLogger(__name__)
 NAMESPACE_FILE = "namespace"
-"""In a robot's folder: its ROS namespace, for `roboneuron status`, which has no configuration."""
+"""File in a robot's folder with its ROS namespace, for `roboneuron status`, which has no
+configuration.
+"""
 _LOOK_S = 0.02
-"""As often as modules look at the latches of their robots."""
+"""Period of checking the common latch, equal to that of the modules."""
 
 
 class Fleet:
-    """Everything `roboneuron serve` consists of for several robots, a
+    """All parts of `roboneuron serve` for several robots; implements
     `roboneuron.server.surface.Served`.
 
     Args:
-        config: with `robots`.
+        config: configuration with `robots`.
         state: the state directory; each robot has a folder in it.
-        plugins, command: others than usual, for tests.
+        plugins, command: replacements for tests.
 
     Attributes:
         robots: the application of each robot by its name.
@@ -94,7 +95,7 @@ class Fleet:
             "list_fleet shows how they are; emergency_stop without `robot` stops all."
         )
         first = next(iter(self.robots.values()))
-        # those of the first robot ask the person behind a client: that depends on no robot
+        # those of the first robot ask the client's user, which is independent of the robot
         self.features = first.features
         self.server = make_server(self, config.server.name)
         self.server.introduce(robots, tools)
@@ -121,13 +122,11 @@ class Fleet:
                 ) from error
 
     def listen(self, wire: tuple[int, int]) -> Transport:
-        """Begin to listen for the clients of all robots; for `wire` see `Host`."""
+        """Start listening for the clients of all robots; for `wire` see `Host`."""
         return self.features.listen(replace(self._host, wire=wire))
 
     def open(self) -> None:
-        """Begin to join the ROS graph; stop all robots whenever the latch of the whole state
-        directory is pressed.
-        """
+        """Start joining the ROS graph, and watching the common latch, which stops all robots."""
         self._note_namespaces()
         wanted, given = (
             participants_of(r.loop.config for r in self.robots.values()),
@@ -145,9 +144,7 @@ class Fleet:
             await robot.settle()
 
     def press(self, who: str, reason: str) -> None:
-        """Latch the emergency stop of all robots without waiting for anything; what fails is told
-        by `latch`.
-        """
+        """Latch the emergency stop of all robots without waiting; `latch` reports failures."""
         estop.EmergencyStopLatch.press_together(
             [robot.loop.emergency_stop.file for robot in self.robots.values()],
             who=who,
@@ -155,12 +152,12 @@ class Fleet:
         )
 
     def latch(self, who: str, reason: str = "") -> tuple[list[str], float]:
-        """Stop all motion of all robots; returns which modules confirmed it, and after how many
-        seconds.
+        """Stop all motion of all robots; return the modules that confirmed it, and the time that
+        took [s].
 
         Raises:
-            UnsafeError: some robot's modules did not confirm it, or its latch cannot be written;
-                all others were stopped nevertheless.
+            UnsafeError: a robot's modules did not confirm it, or its latch cannot be written; all
+                others were stopped nevertheless.
         """
         started_s = time.monotonic()
         self.press(who, reason)
@@ -184,7 +181,7 @@ class Fleet:
         ], time.monotonic() - started_s
 
     def close(self) -> None:
-        """Stop all motion, modules and threads of all robots side by side; idempotent."""
+        """Stop all motion, modules and threads of all robots in parallel; idempotent."""
         self._watch.close()
         with ThreadPoolExecutor(
             max_workers=max(1, len(self.robots)), thread_name_prefix="close"
@@ -194,7 +191,7 @@ class Fleet:
             ]:
                 try:
                     closed.result()
-                except Exception:  # one robot that cannot be closed keeps no other
+                except Exception:  # one robot that cannot be closed must not block the others
                     log.exception("The robot %r could not be closed.", name)
         self._threads.shutdown(wait=False)
         self._connection.end()
@@ -229,8 +226,8 @@ class Fleet:
                 file.write(robot.loop.config.namespace)
 
     def _look(self) -> None:
-        """A stop of the whole, written by `roboneuron estop`: each robot is then stopped until it
-        is reset itself.
+        """Check the common latch, written by `roboneuron estop`: each robot is then stopped until
+        it is reset itself.
         """
         is_latched = self._latch.is_latched()
         if is_latched and not self._was_latched:

@@ -1,4 +1,4 @@
-"""The tools of the whole fleet: list_fleet, and emergency_stop of all robots."""
+"""Tools of the whole fleet: list_fleet, and emergency_stop of all robots."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 class StoppedTogether(Protocol):
-    """Robots that have one emergency stop beside their own.
+    """Robots with a common emergency stop, in addition to their own.
 
     Attributes:
-        robots: by name.
+        robots: robots by name.
     """
 
     robots: dict[str, Application]
@@ -28,7 +28,7 @@ class StoppedTogether(Protocol):
         """Latch the stop of all robots at once."""
 
     def latch(self, who: str, reason: str) -> tuple[list[str], float]:
-        """Latch, and return what has confirmed it and how long that took [s]."""
+        """Latch, and return the confirmations and the time they took [s]."""
 
 
 class FleetRobot(Result):
@@ -60,7 +60,7 @@ class FleetStop(Arguments):
 
 
 class FleetStopResult(Result):
-    """The latches, as the modules themselves report them."""
+    """State of the latches, as reported by the modules themselves."""
 
     latched: bool
     confirmed_by: list[str] = Field(description="running modules that report it")
@@ -91,10 +91,10 @@ def list_fleet_tool(robots: Mapping[str, Application]) -> Tool[NoArguments]:
 
 
 def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
-    """emergency_stop of all robots; a call that names one goes to that robot's own tool."""
+    """emergency_stop of all robots; a call for one robot is passed to that robot's own tool."""
 
     def press(arguments: Mapping[str, object], context: CallContext) -> None:
-        """Latch all before anything else: also when the arguments are wrong."""
+        """Latch all robots before anything else, also with invalid arguments."""
         fleet.press(context.who, str(arguments.get("reason") or ""))
 
     async def latch(arguments: FleetStop, context: CallContext) -> FleetStopResult:
@@ -130,7 +130,7 @@ def emergency_stop_tool(fleet: StoppedTogether) -> Tool[FleetStop]:
         destructive=True,
         idempotent=True,
         open_world=True,
-        role=Role.VIEWER,  # whoever sees a robot may stop it
+        role=Role.VIEWER,  # every role that sees a robot may stop it
         always=True,
         urgent=press,
     )

@@ -1,6 +1,4 @@
-"""Middleware of one robot's server, applied to the calls of that robot: what its features count and
-show.
-"""
+"""Middleware of each robot's features, applied to the calls of that robot."""
 
 from __future__ import annotations
 
@@ -19,13 +17,13 @@ if TYPE_CHECKING:
 class RobotMiddleware:
     """Middleware of the fleet's server (`mcp.server.context.ServerMiddleware`).
 
-    Each robot's features append to a server of their own, which no client reaches. What they have
-    appended is applied to a call that means their robot; they see it as in a server of one robot,
-    without `robot`, and may hand on another call of it.
+    The features of each robot add their middleware to a separate server that no client reaches. It
+    is applied to calls for that robot, which then look as in a server of one robot, without
+    `robot`.
 
     Args:
-        tools: tells which robot a call means.
-        robots: all of them, before their features have appended anything.
+        tools: determines the robot of a call.
+        robots: all of them, before their features have added anything.
     """
 
     def __init__(self, tools: FleetTools, robots: Iterable[Application]) -> None:
@@ -33,7 +31,7 @@ class RobotMiddleware:
         self._given = {id(robot): len(robot.server.middleware) for robot in robots}
 
     async def __call__(self, ctx: ServerRequestContext, call_next: CallNext) -> HandlerResult:
-        """Hand the request on, through the middleware of the robot that it means."""
+        """Pass the request on, through the middleware of its robot."""
         params: Mapping[str, Any] = ctx.params or {} if ctx.method == "tools/call" else {}
         arguments = params.get("arguments") or {}
         robot, name = None, str(params.get("name"))

@@ -1,4 +1,4 @@
-"""`[robots.<name>]` of roboneuron.toml: a whole configuration for each robot."""
+"""Parsing of `[robots.<name>]` in roboneuron.toml: a complete configuration for each robot."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from roboneuron.feature import Config, Registry, reading
 
 
 def read_robots(raw: Mapping[str, object], source: str, registry: Registry) -> Config:
-    """Each `[robots.<name>]` with the tables that all share, as a configuration of its own; in
-    `robots` of the whole.
+    """Combine each `[robots.<name>]` with the shared tables to a complete configuration, in
+    `robots` of the result.
 
     Args:
         raw: the tables of the file.
         source: its name for messages.
-        registry: what is installed.
+        registry: the installed plugins.
 
     Raises:
         ConfigurationError: as `parse_config`; names the robot.

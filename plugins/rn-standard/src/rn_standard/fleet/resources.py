@@ -1,4 +1,4 @@
-"""The resources of all robots, each with the robot's name behind the scheme:
+"""Resources of all robots, each with the robot's name after the scheme:
 roboneuron://left/status.
 """
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def uri_of(robot: str, uri: str) -> str:
-    """The URI of a robot's resource in the server of several."""
+    """URI of a robot's resource in a server of several robots."""
     scheme, _, rest = uri.partition("://")
     return f"{scheme}://{robot}/{rest}"
 

@@ -1,8 +1,8 @@
-"""One listed tool for several robots: a schema that takes what any of them takes, and `robot`
-before all else.
+"""Tools shared by several robots: a schema that accepts the arguments of each, and `robot` as the
+first argument.
 
-Every agent reads the whole list, so it holds what a call needs: what answers hold is the same as
-with one robot, and in docs/tools.md.
+Every agent reads the whole list, so it contains only what a call needs; results are the same as
+with one robot, and described in docs/tools.md.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from pydantic.json_schema import JsonSchemaValue
 _WIDER = {"minimum": min, "exclusiveMinimum": min, "minLength": min, "minItems": min}
 _WIDER |= {"maximum": max, "exclusiveMaximum": max, "maxLength": max, "maxItems": max}
 _MOST_VARIANTS = 4
-"""Descriptions that differ are quoted for so many kinds of robots at most."""
+"""Maximum number of different descriptions that are quoted."""
 
 
 def merged_tool(
     shown: Mapping[str, types.Tool], namespaces: Mapping[str, str], *, required: bool
 ) -> types.Tool:
-    """A tool as it is listed for several robots.
+    """Create the list entry of a tool for several robots.
 
     Args:
         shown: the tool of each robot that has it, by the robot's name.
-        namespaces: of all robots by name; in texts they stand as `<robot>`.
+        namespaces: of all robots by name; written as `<robot>` in texts.
         required: a call has to name the robot.
     """
     first = next(iter(shown.values()))
@@ -49,8 +49,8 @@ def merged_tool(
 
 
 def without_summaries(entry: JsonSchemaValue) -> JsonSchemaValue:
-    """An argument without the summaries of its choices: list_* has them, and every robot would add
-    its own.
+    """Remove the summaries of an argument's choices: list_* has them, and every robot would add its
+    own.
     """
     items = entry.get("items")
     if "enum" not in entry and not (isinstance(items, dict) and "enum" in items):
@@ -63,8 +63,8 @@ def without_summaries(entry: JsonSchemaValue) -> JsonSchemaValue:
 
 
 def widest(schemas: Sequence[JsonSchemaValue]) -> JsonSchemaValue:
-    """A JSON schema that accepts whatever one of them accepts; each robot checks exactly what it
-    takes itself.
+    """Merge schemas to one that accepts whatever one of them accepts; each robot validates its own
+    arguments exactly.
     """
     first, *others = schemas
     if all(other == first for other in others):
@@ -99,7 +99,9 @@ def widest(schemas: Sequence[JsonSchemaValue]) -> JsonSchemaValue:
 
 
 def merged_text(texts: Mapping[str, str]) -> str:
-    """The sentences that all robots share, and behind them, for each kind of robot, the others."""
+    """Merge texts: the sentences shared by all robots, followed by the others for each kind of
+    robot.
+    """
     variants: dict[str, list[str]] = {}
     for name, text in texts.items():
         variants.setdefault(text, []).append(name)

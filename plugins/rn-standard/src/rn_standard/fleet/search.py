@@ -1,5 +1,5 @@
-"""Tools that few requests need: found by words and called by name, so that the list of several
-robots stays short.
+"""Rarely needed tools: found by search and called by name, so that the list of several robots stays
+short.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class FindRobotTools(Arguments):
 
 
 class FoundRobotTool(Result):
-    """A tool for call_robot_tool; what it takes is left out where all are named."""
+    """A tool for call_robot_tool; its arguments are left out when all are listed."""
 
     sparse = True
 
@@ -42,7 +42,7 @@ class FoundRobotTool(Result):
 
 
 class FoundRobotTools(Result):
-    """Tools that fit, best first."""
+    """Matching tools, best first."""
 
     sparse = True
 
@@ -61,7 +61,9 @@ class CallRobotTool(Arguments):
 
 
 def search_tools(seldom: Callable[[str], Sequence[types.Tool]]) -> list[Tool]:
-    """find_robot_tools and call_robot_tool, over what `seldom` returns for clients of a role."""
+    """Create find_robot_tools and call_robot_tool for the tools that `seldom` returns for clients
+    of a role.
+    """
 
     async def find(arguments: FindRobotTools, context: CallContext) -> FoundRobotTools:
         words = re.findall(r"[a-z0-9]+", arguments.query.lower())
@@ -107,7 +109,7 @@ def search_tools(seldom: Callable[[str], Sequence[types.Tool]]) -> list[Tool]:
             handler=call,
             destructive=True,
             open_world=True,
-            role=Role.VIEWER,  # what it calls has a role of its own
+            role=Role.VIEWER,  # the called tool has its own role
         ),
     ]
 

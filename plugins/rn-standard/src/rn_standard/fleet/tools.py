@@ -1,4 +1,4 @@
-"""The tools of all robots under one list: a call names the robot, and goes to that robot's own
+"""Tools of all robots in one list: a call names the robot, and is passed to that robot's own
 registry.
 """
 
@@ -21,10 +21,10 @@ T = TypeVar("T")
 
 
 class RobotContext:
-    """CallContext of a call to one of several robots: a person who is asked is told which.
+    """CallContext of a call to one of several robots: questions to the user name the robot.
 
     Args:
-        context: of the request.
+        context: context of the request.
         robot: the robot's name.
     """
 
@@ -50,18 +50,18 @@ class RobotContext:
 
 
 def unwrapped(call: CallRobotTool) -> tuple[str, dict[str, object]]:
-    """Name and arguments of the call that a call of call_robot_tool stands for."""
+    """Name and arguments of the call inside a call of call_robot_tool."""
     return call.tool, {**call.arguments, "robot": call.robot}
 
 
 class FleetTools(ToolRegistry):
-    """Lists the tools of all robots, and hands each call on.
+    """Lists the tools of all robots, and passes each call on.
 
     Args:
         robots: by name.
-        own: tools of the whole fleet. One of a robot's name is called when no robot of the fleet is
+        own: tools of the whole fleet. One with the name of a robot's tool is called if no robot is
             named.
-        on_client: told of the client of each call.
+        on_client: called with the client of each call.
     """
 
     def __init__(
@@ -75,8 +75,8 @@ class FleetTools(ToolRegistry):
         self._on_client = on_client
 
     def listing(self, role: str = Role.ADMIN) -> list[types.Tool]:
-        """What `tools/list` answers to clients of a role; of several robots without what is seldom
-        needed.
+        """Tools in the answer to `tools/list` for clients of a role; for several robots without
+        rarely needed ones.
         """
         shared = self._shared(role)
         return [
@@ -94,7 +94,7 @@ class FleetTools(ToolRegistry):
         return len(self._robots) > 1 and all(tool.seldom for tool in tools)
 
     def _shared(self, role: str) -> list[types.Tool]:
-        """The tools of all robots, each once."""
+        """The tools of all robots, without duplicates."""
         by_name: dict[str, dict[str, types.Tool]] = {}
         for name, robot in self._robots.items():
             for tool in robot.tools.listing(role):
@@ -109,7 +109,7 @@ class FleetTools(ToolRegistry):
     async def call(
         self, name: str, arguments: Mapping[str, object], context: CallContext
     ) -> types.CallToolResult:
-        """Have the named robot do it; every failure is an MCP error result."""
+        """Call the tool of the named robot; every failure is an MCP error result."""
         caller = self.get(CALL)
         if name == CALL and caller is not None:
             try:
@@ -134,7 +134,7 @@ class FleetTools(ToolRegistry):
     def meant_call(
         self, name: str, arguments: Mapping[str, object]
     ) -> tuple[str, Mapping[str, object]]:
-        """The call that a client makes, also when it makes it with call_robot_tool."""
+        """Resolve a client's call, also if made with call_robot_tool."""
         caller = self.get(CALL)
         if name != CALL or caller is None:
             return name, arguments
@@ -144,8 +144,8 @@ class FleetTools(ToolRegistry):
             return name, arguments
 
     def meant_robot(self, tool: str, arguments: Mapping[str, object]) -> Application | None:
-        """The robot whose tool a call means; None for a call of the whole fleet, and for one that
-        will be refused.
+        """The robot of a call; None for a call of the whole fleet, and for one that will be
+        refused.
         """
         robot = arguments.get("robot")
         if self.get(tool) is not None and not (isinstance(robot, str) and robot in self._robots):
@@ -156,11 +156,11 @@ class FleetTools(ToolRegistry):
             return None
 
     def _choose(self, tool: str, robot: object) -> str:
-        """The robot that a call means.
+        """Choose the robot of a call.
 
         Raises:
-            InvalidInputError: no robot has the tool, or none or another one is named; lists the
-                choices.
+            InvalidInputError: no robot has the tool, or the named one is missing or unknown; lists
+                the choices.
         """
         having = [name for name, one in self._robots.items() if one.tools.get(tool) is not None]
         if not having:

@@ -1,5 +1,5 @@
-"""The address that a section names: this machine's, kept to this machine unless tokens guard it,
-and free.
+"""Check of a configured listening address: local, restricted to this machine unless tokens protect
+it, and free.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from roboneuron import ConfigurationError
 def check_address(
     section: str, host: str, port: int, tokens: TokenTable
 ) -> tuple[int, int, int, tuple[object, ...]]:
-    """Check that the address may be listened on, whether or not somebody does so already.
+    """Check that listening on the address is permitted, whether or not it is in use.
 
     Args:
-        section: of roboneuron.toml that holds `host` and `port`, for the messages.
-        tokens: who may connect; without any, only this machine may.
+        section: section of roboneuron.toml with `host` and `port`, for messages.
+        tokens: the permitted clients; without tokens, only this machine's.
 
     Returns:
-        Family, kind, protocol and address, as `socket.socket` and its `bind` take them.
+        Family, kind, protocol and address, as for `socket.socket` and its `bind`.
 
     Raises:
-        ConfigurationError: it is no address, or it is not loopback and there are no tokens.
+        ConfigurationError: it is not an address, or it is not loopback and there are no tokens.
     """
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
@@ -45,7 +45,8 @@ def check_address(
 
 
 def bind(section: str, host: str, port: int, tokens: TokenTable) -> socket.socket:
-    """A TCP socket bound to the address, not listening yet; arguments as for `check_address`.
+    """Create a TCP socket bound to the address, not listening yet; arguments as for
+    `check_address`.
 
     Raises:
         ConfigurationError: as `check_address`; or it cannot be bound.

@@ -1,8 +1,8 @@
-"""Backends of starlette's AuthenticationMiddleware: clients with a token of `[[http.tokens]]`, and
-clients of this machine where there are none.
+"""Backends of starlette's AuthenticationMiddleware: clients with a token of `[[http.tokens]]`, or
+without tokens clients of this machine.
 
-Both name the SDK's AuthenticatedUser. The SDK binds a session to its `client_id`, so that a session
-of one token cannot be used with another.
+Both return the SDK's AuthenticatedUser. The SDK binds a session to its `client_id`, so a session of
+one token cannot be used with another.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _CLIENT = "client"
 
 
 class TableVerifier(TokenVerifier):
-    """Looks a token up in a TokenTable, in constant time."""
+    """Verifies a token with a TokenTable, in constant time."""
 
     def __init__(self, tokens: TokenTable) -> None:
         self._tokens = tokens
@@ -37,7 +37,7 @@ class TableVerifier(TokenVerifier):
 
 
 class TokenBackend(BearerAuthBackend):
-    """Every request needs the token of a holder."""
+    """Requires a valid token for every request."""
 
     def __init__(self, tokens: TokenTable) -> None:
         super().__init__(TableVerifier(tokens))
@@ -46,8 +46,8 @@ class TokenBackend(BearerAuthBackend):
         """See AuthenticationBackend.
 
         Raises:
-            AuthenticationError: no valid token. Not left to RequireAuthMiddleware of the SDK,
-                because its answer does not say what to send, and keeps the connection open.
+            AuthenticationError: no valid token. RequireAuthMiddleware of the SDK is not used,
+                because its answer does not name the expected header, and keeps the connection open.
         """
         # of two headers the SDK reads the first, because it expects one; a proxy may read the other
         found: tuple[AuthCredentials, AuthenticatedUser] | None = None
@@ -61,13 +61,13 @@ class TokenBackend(BearerAuthBackend):
 
 
 class LocalBackend(AuthenticationBackend):
-    """Everybody who gets here is a process of this machine with every role; `server.listen` sees to
-    it that this is so on loopback only.
+    """Accepts every client as a process of this machine with every role; `server.listen` ensures
+    that this is used on loopback only.
 
-    Clients are told apart by their session or, where the protocol has none, by their process.
+    Clients are distinguished by their session or, in protocols without sessions, by their process.
 
     Args:
-        connections: told that a connection needs not give way to others.
+        connections: notified that a connection must not be dropped in favour of others.
     """
 
     def __init__(self, connections: ConnectionTable) -> None:
@@ -77,7 +77,7 @@ class LocalBackend(AuthenticationBackend):
         """See AuthenticationBackend."""
         protocol = protocol_of(conn)
         if protocol is not None:
-            # before its process is looked up, which takes milliseconds
+            # before the look-up of its process, which takes milliseconds
             self._connections.keep(protocol)
         session = conn.headers.get(SESSION_HEADER)
         name = await _process_of(conn, protocol) if session is None else session_name(session)
@@ -86,7 +86,7 @@ class LocalBackend(AuthenticationBackend):
 
 
 def holder_of(user: AuthenticatedUser) -> Holder:
-    """The Holder whom one of these backends has found."""
+    """Return the Holder that one of these backends has determined."""
     token = user.access_token
     if token.claims is not None:
         return Holder.local(token.claims[_CLIENT])
@@ -94,13 +94,13 @@ def holder_of(user: AuthenticatedUser) -> Holder:
 
 
 def protocol_of(conn: HTTPConnection) -> BoundedProtocol | None:
-    """The connection that a request came on; None on another server than BoundedServer."""
+    """The connection of a request; None on another server than BoundedServer."""
     found = conn.scope.get("state", {}).get(PROTOCOL_KEY)
     return found if isinstance(found, BoundedProtocol) else None
 
 
 def session_name(session: str) -> str:
-    """What a client without a token is called after its session."""
+    """Name of a client without a token, from its session."""
     return f"session {''.join(c for c in session[:8] if c.isalnum())}"
 
 
@@ -110,9 +110,7 @@ def _access_token(holder: Holder) -> AccessToken:
 
 
 async def _process_of(conn: HTTPConnection, protocol: BoundedProtocol | None) -> str:
-    """ "pid 123" for the process at the other end of a loopback connection; empty where that is not
-    known.
-    """
+    """ "pid 123" for the process at the other end of a loopback connection; empty if unknown."""
     if protocol is None or conn.client is None:
         return ""
     if protocol.peer is None:

@@ -1,6 +1,4 @@
-"""The HTTP server of uvicorn with bounds: on connections, and on the time in which a request
-arrives.
-"""
+"""uvicorn server with bounds on connections and on the time in which a request arrives."""
 
 from __future__ import annotations
 
@@ -17,19 +15,19 @@ from rn_standard.http.connections import BoundedProtocol, ConnectionTable
 from rn_standard.http.listener import BACKLOG, BoundedListener
 
 _LEAVE_S = 1
-"""Open streams get this long when the server ends; then they are cut."""
+"""Time for open streams when the server ends; then they are closed."""
 
 
 class BoundedServer(uvicorn.Server):
-    """Serve it with a BoundedListener.
+    """uvicorn server to be used with a BoundedListener.
 
-    It leaves signals to us: uvicorn would raise them again and end the process before the modules
-    are stopped.
+    It does not handle signals: uvicorn would raise them again and end the process before the
+    modules are stopped.
 
     Args:
-        app: what is served.
-        connections: of this server.
-        lifespan: "on" for an application that has to begin and end with the server.
+        app: the ASGI application.
+        connections: connections of this server.
+        lifespan: "on" for an application with startup and shutdown handlers.
     """
 
     def __init__(

@@ -20,9 +20,7 @@ class RequestConnection:
         self._is_lost = False
 
     async def receive(self) -> Message:
-        """The ASGI channel that the application listens on; a response that is streamed always
-        does.
-        """
+        """The ASGI channel of the application; a streamed response always listens on it."""
         message = await self._receive()
         if message["type"] == "http.disconnect" and not self._is_lost:
             self._is_lost = True
@@ -34,7 +32,7 @@ class RequestConnection:
 
     @contextmanager
     def watched(self, listener: Callable[[], object]) -> Iterator[None]:
-        """Call `listener` when the connection is lost within the block, or was before."""
+        """Call `listener` if the connection is lost within the block, or was lost before."""
         self._listeners.append(listener)
         try:
             if self._is_lost:

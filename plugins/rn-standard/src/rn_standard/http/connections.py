@@ -1,6 +1,8 @@
-"""Connections of the HTTP server: bounded time for a request to arrive, and shares for each holder.
+"""Connections of the HTTP server: bounded time for a request to arrive, and a share for each
+holder.
 
-A connection is unproven until a request with a right came on it. See `BoundedListener` for those.
+A connection is unproven until it has carried an authorised request. See `BoundedListener` for
+those.
 """
 
 from __future__ import annotations
@@ -17,17 +19,18 @@ from rn_standard.http.listener import BoundedListener, handle_limit, network_of
 
 log = logging.getLogger(__name__)
 PROTOCOL_KEY = "roboneuron.transport"
-"""Where the ASGI scope's `state` has the BoundedProtocol of a request."""
+"""Key of a request's BoundedProtocol in the ASGI scope's `state`."""
 HEADERS_S = 5.0
-"""From the first byte of a request (of a connection: from its beginning) to the end of its headers.
+"""Timeout from the first byte of a request (or from the start of a connection) to the end of its
+headers.
 """
 BODY_S = 30.0
 MOST, MOST_OF_ONE = 512, 128
-"""Proven connections: of all holders, and of each; no more than a quarter and an eighth of the
-process' handles.
+"""Maximum number of proven connections, of all holders and of each; at most a quarter and an eighth
+of the process' handles.
 """
 RESERVED = 8
-"""So many each holder may have though all others together have the most."""
+"""Number of connections guaranteed to each holder even if all others together have the maximum."""
 
 
 class ConnectionTable:
@@ -38,10 +41,10 @@ class ConnectionTable:
         self._counts: Counter[str] = Counter()
         self._limit = handle_limit()
         self.listeners: list[BoundedListener] = []
-        """Told which connections are proven."""
+        """Listeners to be notified of proven connections."""
 
     def remove(self, connection: BoundedProtocol) -> None:
-        """It is gone; nothing happens when that is known."""
+        """Remove a closed connection; no effect if already removed."""
         who = self._proven.pop(connection, None)
         if who is not None:
             self._counts[who] -= 1
@@ -49,19 +52,19 @@ class ConnectionTable:
                 del self._counts[who]
 
     def keep(self, connection: BoundedProtocol) -> None:
-        """It needs not give way to connections that are unproven."""
+        """Protect a connection from being dropped in favour of unproven ones."""
         for listener in self.listeners:
             if connection.client is not None:
                 listener.prove(connection.client)
 
     def prove(self, connection: BoundedProtocol, who: str, *, is_stop: bool = False) -> bool:
-        """Whether a request of `who` is served: it came on a connection that is, or is now, one of
+        """Mark a connection as proven; return True if a request of `who` on it may be served within
         its share.
 
         Args:
-            connection: where it came from.
+            connection: connection of the request.
             who: its holder.
-            is_stop: serve it however many there are.
+            is_stop: serve it regardless of the number of connections.
         """
         if self._proven.get(connection) != who:
             if self._is_full(who) and not self._drop_idle(who, connection) and not is_stop:
@@ -69,7 +72,7 @@ class ConnectionTable:
             self.remove(connection)
             self._counts[who] += 1
         self._proven.pop(connection, None)
-        self._proven[connection] = who  # the last used is the last to go
+        self._proven[connection] = who  # the most recently used one is dropped last
         self.keep(connection)
         return True
 
@@ -88,8 +91,8 @@ class ConnectionTable:
 
 
 class BoundedProtocol(H11Protocol):
-    """HTTP/1.1 of uvicorn, known to a ConnectionTable, and closed when a request does not arrive in
-    time.
+    """uvicorn's HTTP/1.1 protocol, registered in a ConnectionTable, and closed when a request does
+    not arrive in time.
     """
 
     def __init__(self, table: ConnectionTable, **arguments: Any) -> None:
@@ -98,13 +101,13 @@ class BoundedProtocol(H11Protocol):
         self.table = table
         self.address = ""
         self.peer: str | None = None
-        """Its client's process, once that was asked."""
+        """Process of its client, once determined."""
         self._timer: asyncio.TimerHandle | None = None
         self._waits_for: object = None
 
     @property
     def is_idle(self) -> bool:
-        """No request is being answered."""
+        """True if no request is being answered."""
         return self.cycle is None or self.cycle.response_complete
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -131,7 +134,7 @@ class BoundedProtocol(H11Protocol):
         self._look()
 
     def drop(self, why: str) -> None:
-        """Close it at once."""
+        """Close the connection at once."""
         if not self.transport.is_closing():
             log.debug("A connection from %s is closed: %s.", self.address, why)
             self.transport.abort()
@@ -144,7 +147,7 @@ class BoundedProtocol(H11Protocol):
         self._wait_for(state if has_begun else None)
 
     def _wait_for(self, state: object) -> None:
-        """Begin to wait for the end of headers or body; goes on waiting where it does already."""
+        """Start the timeout for headers or body, unless it is already running."""
         if state is self._waits_for:
             return
         self._waits_for = state

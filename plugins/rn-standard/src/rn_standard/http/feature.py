@@ -1,4 +1,4 @@
-"""The feature: the transport `http`, and the admission of one operator on every transport."""
+"""The feature: the transport `http`, and admission of one operator on every transport."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from roboneuron import Feature, Host, Tool, Transport
 from roboneuron.feature import Config
 
 _LAPSE_S = 2.0
-"""Longest wait for the end of motion when a lease lapsed."""
+"""Longest wait for the end of motion after a lapsed lease."""
 
 
 class HttpFeature(Feature[HttpOptions]):
-    """Serves HTTP when `[server] transport` asks for it; lets one client at a time operate the
-    robot always.
+    """Serves HTTP if `[server] transport` selects it; on every transport, admits one operator at a
+    time.
     """
 
     lease: OperatorLease | None = None
@@ -30,24 +30,24 @@ class HttpFeature(Feature[HttpOptions]):
 
     @property
     def identifies_clients(self) -> bool:
-        """There are tokens."""
+        """True if there are tokens."""
         return bool(self.options.tokens)
 
     def check(self, config: Config) -> None:
-        """Check tokens, hosts and origins, when they will be used."""
+        """Check tokens, hosts and origins, if they will be used."""
         if config.server.transport == "http":
             read_tokens(self.options.tokens, os.environ)
             HostRules(self.options)
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """take_over and heartbeat; every call passes the lease from now on."""
+        """Return take_over and heartbeat; every call is checked by the lease from now on."""
         variables = [token.variable for token in self.options.tokens if token.variable is not None]
         host.modules.secret_variables.update(variables)
 
         def end_motion(reason: str) -> None:
             was_moving = host.is_moving
             host.end_motion(reason, _LAPSE_S)
-            if was_moving:  # somebody who looked at a robot at rest, and went, is no incident
+            if was_moving:  # a client that only watched a robot at rest, and left, is no incident
                 host.events.fault.tell("inference", "lease", {"explanation": reason})
 
         self.lease = OperatorLease(
@@ -63,12 +63,12 @@ class HttpFeature(Feature[HttpOptions]):
         return self.lease.tools()
 
     def start(self, host: Host) -> None:
-        """Watch the lease."""
+        """Start watching the lease."""
         if self.lease is not None:
             self.lease.start()
 
     def listen(self, host: Host) -> Transport:
-        """Read the tokens and bind the address; what is returned serves clients."""
+        """Read the tokens and bind the address; return the function that serves clients."""
         from rn_standard.http.server import listen, make_server  # heavy
 
         rules, tokens = HostRules(self.options), TokenFiles(self.options.tokens, os.environ)
@@ -88,7 +88,7 @@ class HttpFeature(Feature[HttpOptions]):
         return serve
 
     def close(self) -> None:
-        """End the watch, and free the address."""
+        """Stop watching the lease, and release the address."""
         if self.lease is not None:
             self.lease.close()
         if self.listener is not None:

@@ -1,14 +1,14 @@
-"""A listening socket that keeps what says nothing away from the server behind it, whose handles it
-leaves free.
+"""Listening socket that protects the server behind it from silent connections, and keeps handles
+free.
 
-A server of asyncio takes each connection at once, with a protocol and a handle for it, and writes a
-traceback for each one that finds no handle. This socket hands a connection over when its first
-bytes are there. Silent ones cost little, the oldest gives way to the newest, and some handles of
-the process are never used for any of them.
+An asyncio server accepts each connection at once, with a protocol and a handle for it, and logs a
+traceback for each one without a handle. This socket passes a connection on when its first bytes
+have arrived. Silent connections cost little, the oldest is dropped for the newest, and some handles
+of the process are never used for them.
 
-It serves every server that takes a socket: asyncio, uvicorn, websockets. Their own bounds
-(`limit_concurrency`, `open_timeout`) hold after a connection was taken, and refuse a stop like
-everything else.
+It works with every server that accepts a socket: asyncio, uvicorn, websockets. Their own bounds
+(`limit_concurrency`, `open_timeout`) apply after a connection was accepted, and would refuse an
+emergency stop like everything else.
 """
 
 from __future__ import annotations
@@ -31,34 +31,34 @@ log = logging.getLogger(__name__)
 SocketAddress = tuple[str, int] | tuple[str, int, int, int]
 """Of IPv4, and of IPv6 with flow and scope."""
 SILENT_S = 5.0
-"""A connection that has said nothing for so long is closed."""
+"""Time after which a silent connection is closed."""
 _PEEK_BYTES = 4096
 _MOST_AT_ONCE = 32
-"""New connections in one turn of the event loop, about 1 ms: calls are served between two turns."""
-BACKLOG = 2048
-"""Connections that wait in the kernel; when it is full, a new client tries again after a second
-only.
+"""New connections per iteration of the event loop, about 1 ms: calls are served between two
+iterations.
 """
+BACKLOG = 2048
+"""Length of the kernel's queue; if it is full, a new client retries only after a second."""
 _WINDOW_S = 1.0
 _LOG_S = 60.0
 _NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _MOST_HANDLES = 65536
-"""Where the limit of handles is higher, or there is none."""
+"""Assumed limit of handles if it is higher or absent."""
 Peer = tuple[str, int]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ConnectionBounds:
-    """How many connections a port has.
+    """Limits on the connections of a port.
 
     Attributes:
-        silent: that have said nothing yet.
-        unproven: that have said something, and were not proven.
+        silent: connections that have sent nothing yet.
+        unproven: connections that have sent data, but are not proven.
         unproven_of_one: the same, from one address.
-        new: of unknown ones in a second from one address; twice as many from all.
-        handle: from this number of a new handle on, the oldest silent connection goes, or else the
-            new one.
-        handle_known: from this number on, known connections are refused, too.
+        new: unknown connections per second from one address; twice as many from all.
+        handle: number of a new handle from which the oldest silent connection is dropped, or else
+            the new one.
+        handle_known: number of a new handle from which known connections are refused too.
     """
 
     silent: int
@@ -70,11 +70,11 @@ class ConnectionBounds:
 
 
 def stop_bounds(limit: int | None = None) -> ConnectionBounds:
-    """Bounds of the port on which stops come: an eighth of the handles stays free, half of it for
-    the known.
+    """Bounds of the port for emergency stops: an eighth of the handles stays free, half of it for
+    known connections.
 
     Args:
-        limit: handles of the process; RLIMIT_NOFILE by default.
+        limit: number of handles of the process; RLIMIT_NOFILE by default.
     """
     limit = handle_limit() if limit is None else limit
     quarter = min(1024, limit // 4)
@@ -89,10 +89,10 @@ def stop_bounds(limit: int | None = None) -> ConnectionBounds:
 
 
 def other_bounds(most: int, limit: int | None = None) -> ConnectionBounds:
-    """Bounds of any other port: it uses no handle of the upper half, however many it has.
+    """Bounds of any other port: it never uses the upper half of the handles.
 
     Args:
-        most: silent ones, and unproven ones.
+        most: maximum of silent, and of unproven connections.
         limit: as in `stop_bounds`.
     """
     limit = handle_limit() if limit is None else limit
@@ -108,21 +108,21 @@ def other_bounds(most: int, limit: int | None = None) -> ConnectionBounds:
 
 
 def handle_limit() -> int:
-    """Handles that this process may have open at once."""
+    """Number of handles that this process may have open at once."""
     return min(resource.getrlimit(resource.RLIMIT_NOFILE)[0] % (1 << 63), _MOST_HANDLES)
 
 
 class BoundedListener(socket.socket):
-    """Give it to an asyncio server in place of the socket; used on its event loop only.
+    """Replacement for an asyncio server's socket; used on its event loop only.
 
-    The lowest free number is a new handle's, so the number tells how many are open in the whole
-    process, whoever has them. Source: POSIX, "File Descriptor Allocation".
+    A new handle gets the lowest free number, so the number indicates how many are open in the whole
+    process. Source: POSIX, "File Descriptor Allocation".
 
     Args:
-        bound: a bound TCP socket; this one takes it over.
-        bounds: how many connections.
-        is_known: whether the first bytes of a connection show a right, such as a token. Known ones
-            are not counted.
+        bound: a bound TCP socket, whose ownership is transferred.
+        bounds: limits on connections.
+        is_known: returns True if the first bytes of a connection show an authorisation, such as a
+            token. Known connections are not counted.
     """
 
     def __init__(
@@ -149,14 +149,14 @@ class BoundedListener(socket.socket):
         self._told_s = -_LOG_S
 
     def fileno(self) -> int:
-        """Readable when `accept` has something to do: at the listening socket, or at a silent
-        connection.
+        """Descriptor that is readable when `accept` has work: from the listening socket, or a
+        silent connection.
         """
         return -1 if self._poll.closed else self._poll.fileno()
 
     def accept(self) -> tuple[socket.socket, SocketAddress]:
-        """A connection whose first bytes are there. Raises BlockingIOError when none is left in
-        this turn.
+        """Return a connection whose first bytes have arrived. Raises BlockingIOError if none is
+        left in this iteration.
         """
         if not self._ready and not self._has_looked:
             self._has_looked = True
@@ -167,7 +167,7 @@ class BoundedListener(socket.socket):
         raise BlockingIOError
 
     def close(self) -> None:
-        """Close it with what has not been handed over; idempotent."""
+        """Close it with all connections that were not passed on; idempotent."""
         if self._poll.closed:
             return
         if self._timer is not None:
@@ -183,9 +183,7 @@ class BoundedListener(socket.socket):
         super().close()
 
     def prove(self, peer: Peer) -> None:
-        """The connection from there has a right to be: it does not have to give way here any
-        more.
-        """
+        """Mark the connection of that peer as authorised: it is no longer dropped for others."""
         self._unproven.pop(peer, None)
 
     def _look(self) -> None:
@@ -212,9 +210,7 @@ class BoundedListener(socket.socket):
             self._hear(connection, address)
 
     def _hear(self, connection: socket.socket, address: SocketAddress) -> None:
-        """Hand over a connection that says something, keep one that does not, close one that is
-        gone.
-        """
+        """Pass on a connection with data, keep a silent one, close a dead one."""
         try:
             first = connection.recv(_PEEK_BYTES, socket.MSG_PEEK)
         except BlockingIOError:
@@ -258,18 +254,18 @@ class BoundedListener(socket.socket):
         return True
 
     def _drop_silent(self) -> bool:
-        """Close the oldest silent connection; whether there was one."""
+        """Close the oldest silent connection; return True if there was one."""
         for handle, (connection, _, _) in self._silent.items():
             del self._silent[handle]
-            connection.close()  # epoll forgets it by that
+            connection.close()  # this also removes it from epoll
             return True
         return False
 
     def _drop_unproven(self, source: str) -> None:
-        """Have the oldest unproven connection closed if there is one too many: of `source`, or of
-        the busiest address.
+        """Shut down the oldest unproven connection if there is one too many: of `source`, or of the
+        busiest address.
 
-        Whoever took it over notices the end of the stream, and closes it.
+        Its server notices the end of the stream, and closes it.
         """
         counts = Counter(other for _, other in self._unproven.values())
         is_full = counts.total() >= self._bounds.unproven
@@ -285,12 +281,12 @@ class BoundedListener(socket.socket):
             source = counts.most_common(1)[0][0]
         peer = next(peer for peer, (_, other) in self._unproven.items() if other == source)
         connection, _ = self._unproven.pop(peer)
-        with suppress(OSError):  # it has gone by itself
+        with suppress(OSError):  # already closed
             connection.shutdown(socket.SHUT_RDWR)
 
     def _do_without(self, error: OSError) -> None:
-        """No handle is left: make room for the next one, and take this one from the queue, which
-        would stay full.
+        """Handle the lack of handles: make room for the next connection, and remove this one from
+        the queue, which would stay full.
         """
         now_s = time.monotonic()
         if now_s - self._told_s >= _LOG_S:
@@ -304,7 +300,7 @@ class BoundedListener(socket.socket):
         if self._drop_silent():
             return
         self._close_spare()
-        with suppress(OSError):  # somebody else has taken the handle, or the connection has gone
+        with suppress(OSError):  # another thread has taken the handle, or the connection is closed
             super().accept()[0].close()
         with suppress(OSError):
             self._spare = _open_spare()
@@ -327,14 +323,16 @@ class BoundedListener(socket.socket):
 
 
 def _open_spare() -> int:
-    """A handle that is given up when there is no other: a connection can be taken and refused with
-    it.
+    """Open a spare handle, which is released when there is no other: then a connection can be
+    accepted and refused with it.
     """
     return os.open(os.devnull, os.O_RDONLY | os.O_CLOEXEC)
 
 
 def network_of(address: str) -> str:
-    """The address; of IPv6 the /64 network, of which one machine may have every address."""
+    """Return the address; for IPv6 the /64 network, since one machine may have all of its
+    addresses.
+    """
     try:
         found = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:

@@ -1,4 +1,4 @@
-"""Access middleware: checks hosts, origins, tokens and the share of connections of each client."""
+"""Access middleware: checks hosts, origins, tokens and each client's share of connections."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from roboneuron.feature import Holder
 log = logging.getLogger(__name__)
 _MOST_STOP_BYTES = 65536
 _CLOSE = {"Connection": "close"}
-"""Who was refused keeps no connection."""
+"""Headers of a refusal, which closes the connection."""
 
 
 class AccessMiddleware:
-    """ASGI application around another: checks Host and Origin, then who sends the request, and
-    notes the Holder in the scope. Whoever has a request or a stream open is `present`.
+    """ASGI middleware: checks Host and Origin, then authenticates the client, and stores its Holder
+    in the scope. A client with an open request or stream is `present`.
     """
 
     def __init__(
@@ -90,16 +90,16 @@ class AccessMiddleware:
 
 
 class _Pages(CORSMiddleware):
-    """Answers preflights and adds the headers by which a browser lets an allowed page read the
-    answer.
+    """Answers preflight requests and adds the headers with which a browser lets an allowed page
+    read the answer.
     """
 
     def __init__(self, app: ASGIApp, rules: HostRules) -> None:
         super().__init__(
             app,
-            allow_origins=["null"],  # any entry but "*": which ones is asked below
+            allow_origins=["null"],  # any entry but "*": the allowed ones are checked below
             allow_methods=["GET", "POST", "DELETE"],
-            allow_headers=["*"],  # what the preflight asks for: Authorization, Mcp-* and others
+            allow_headers=["*"],  # those of the preflight request: Authorization, Mcp-* and others
             expose_headers=["Mcp-Session-Id", "WWW-Authenticate"],
             allow_private_network=True,
         )
@@ -111,7 +111,9 @@ class _Pages(CORSMiddleware):
 
 
 async def _look_for_stop(receive: Receive) -> tuple[bool, Receive]:
-    """Whether the body is an emergency stop, and the channel with the body still to come."""
+    """Detect an emergency stop in the body; return the result, and a channel with the whole
+    body.
+    """
     messages: list[Message] = []
     body = b""
     while True:

@@ -1,4 +1,4 @@
-"""Admission of one operator at a time and, under a lease, only while it is there."""
+"""Admission of one operator at a time, under a lease only while it is present."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TAKE_OVER, HEARTBEAT = "take_over", "heartbeat"
 
 
 class OperatorResult(Result):
-    """Who operates the robot now."""
+    """The present operator of the robot."""
 
     operator: str = Field(description="the only client that may act")
     before: str = Field(default="", description="previous operator; empty if there was none")
@@ -30,19 +30,20 @@ class OperatorResult(Result):
 
 
 class OperatorLease:
-    """Admits calls. The first client that calls what acts is the operator until another takes over.
+    """Admission of calls. The first client that calls an acting tool is the operator until another
+    one takes over.
 
-    With a lease, every call of the operator renews it, and so does what it holds open (`present`);
-    when it lapses, `on_lapse` is called once, on a thread of its own, and anybody may become the
-    operator. Methods may be called from any thread.
+    With a lease, every call of the operator renews it, and so do its open requests and streams
+    (`present`). When it lapses, `on_lapse` is called once, on another thread, and any client may
+    become the operator. Methods may be called from any thread.
 
     Args:
-        lease_s: longest silence of the operator; None: no lease.
-        audit: gets a record of each take-over and lapse.
-        on_lapse: ends all motion; told why.
+        lease_s: longest silence of the operator [s]; None for no lease.
+        audit: records each take-over and lapse.
+        on_lapse: ends all motion; called with the reason.
         clock: monotonic time [s].
-        has_left: whether a client is gone for good, so that nobody has to take over from it.
-        by_streams: whether `present` renews.
+        has_left: returns True if a client is gone for good, so that no take-over is necessary.
+        by_streams: `present` renews the lease.
     """
 
     def __init__(
@@ -68,10 +69,10 @@ class OperatorLease:
         self._thread = Periodic("lease", _LOOK_S, self.look)
 
     def admit(self, tool: Tool, context: CallContext) -> None:
-        """Let a call through, or not. What reads and what stops is for everybody.
+        """Admit or refuse a call. Tools that read or stop are open to all clients.
 
         Raises:
-            RefusedError: somebody else operates the robot.
+            RefusedError: another client operates the robot.
         """
         acts = not tool.read_only and not tool.always and tool.name not in (TAKE_OVER, HEARTBEAT)
         with self._lock:
@@ -88,7 +89,8 @@ class OperatorLease:
                 )
 
     def take_over(self, who: str, role: str) -> str:
-        """Make `who` the operator; returns who was. Motion goes on, what was started stays.
+        """Make `who` the operator; return the previous one. Motion continues, and started modules
+        keep running.
 
         Raises:
             RefusedError: the audit cannot be written.
@@ -108,7 +110,7 @@ class OperatorLease:
             return before if before != who else ""
 
     def note_client(self, who: str, is_here: bool) -> None:
-        """A client has made a call, of whatever robot, or has left."""
+        """Record that a client has called a tool, of any robot, or has disconnected."""
         if not is_here:
             self.release(who)
             return
@@ -117,8 +119,8 @@ class OperatorLease:
                 self._renewed_s = self._clock()
 
     def release(self, who: str) -> None:
-        """A client has left; if it was the operator, the next one that acts is. A lease goes on
-        until it lapses.
+        """Handle a client's end; if it was the operator, the next acting client becomes it. A lease
+        continues until it lapses.
         """
         with self._lock:
             if who == self._operator:
@@ -126,7 +128,9 @@ class OperatorLease:
 
     @contextmanager
     def present(self, who: str) -> Iterator[None]:
-        """A client has a request, a stream or a page open within the block: it is not silent."""
+        """Count a request, a stream or a page as open within the block: its client is not
+        silent.
+        """
         self.note_presence(who, 1)
         try:
             yield
@@ -134,7 +138,7 @@ class OperatorLease:
             self.note_presence(who, -1)
 
     def note_presence(self, who: str, change: int) -> None:
-        """A client has opened (1) or closed (-1) something."""
+        """Count a request or stream that a client has opened (1) or closed (-1)."""
         if not self._by_streams:
             return
         with self._lock:
@@ -152,7 +156,7 @@ class OperatorLease:
         self._is_vacant = False
 
     def look(self) -> None:
-        """End motion when the lease has lapsed."""
+        """End motion if the lease has lapsed."""
         with self._lock:
             if not self._operator or self._lease_s is None or self._open[self._operator]:
                 return
@@ -171,13 +175,11 @@ class OperatorLease:
             record = AuditRecord(who=who, role="", tool="lease", verdict="lapsed", reason=reason)
             try:
                 self._audit.write(record)
-            except (
-                RefusedError
-            ) as error:  # motion has ended; a missing record changes nothing about that
+            except RefusedError as error:  # motion has ended; a missing record does not change that
                 log.error("The lapse is not in the audit: %s", error)
 
     def start(self) -> None:
-        """Watch the lease, if there is one."""
+        """Start watching the lease, if there is one."""
         if self._lease_s is not None:
             self._thread.start()
 
@@ -186,7 +188,7 @@ class OperatorLease:
         self._thread.close()
 
     def tools(self) -> list[Tool]:
-        """take_over and heartbeat."""
+        """Create take_over and heartbeat."""
 
         async def take_over(_: NoArguments, context: CallContext) -> OperatorResult:
             before = self.take_over(context.who, context.role)

@@ -11,7 +11,7 @@ from roboneuron.feature import Config, models
 
 
 class TokenConfig(Section):
-    """One entry of `http.tokens`: where a bearer token is found, never the token itself."""
+    """One entry of `http.tokens`: the place of a bearer token, never the token itself."""
 
     name: models.Name = Field(description="who holds it; for the audit")
     role: Literal["viewer", "operator", "admin"] = Field(
@@ -24,12 +24,13 @@ class TokenConfig(Section):
 
 
 DEFAULT_LEASE_S = 120.0
-"""Agents think for up to a minute or two between calls; the robot keeps its own limits meanwhile.
+"""Default lease: agents may think for a minute or two between calls; the robot keeps its own limits
+meanwhile.
 """
 
 
 class HttpOptions(Section):
-    """`[http]`: the server over HTTP, and who operates the robot."""
+    """`[http]`: the server over HTTP, and the robot's operator."""
 
     host: str = Field(
         default="127.0.0.1", min_length=1, max_length=253, description="address to listen on"
@@ -68,11 +69,13 @@ class HttpOptions(Section):
 
     @classmethod
     def of(cls, config: Config) -> Self:
-        """Those of a configuration: its section was checked when it was read."""
+        """Return the options of a configuration, which were checked when it was read."""
         return cls.model_validate(config.sections.get("http", {}))
 
     def lease_on(self, transport: str) -> float | None:
-        """Longest silence of the operator of a server with this transport [s]; None: no lease."""
+        """Longest silence of the operator of a server with this transport [s]; None for no
+        lease.
+        """
         if self.lease_s == "auto":
             return DEFAULT_LEASE_S if transport == "http" else None
         return None if self.lease_s == "never" else self.lease_s

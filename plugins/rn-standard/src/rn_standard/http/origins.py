@@ -1,6 +1,4 @@
-"""Which Host and Origin headers a server answers to: both are parsed, never matched by how they
-begin.
-"""
+"""Allowed Host and Origin headers of a server; both are parsed, not compared by prefix."""
 
 from __future__ import annotations
 
@@ -25,11 +23,11 @@ _PORTS = {"http": 80, "https": 443}
 
 
 class HostRules:
-    """What the configuration allows.
+    """Allowed hosts and origins of the configuration.
 
     Raises:
         ConfigurationError: the server listens on every address and no name of this machine is
-            given, or an entry of allowed_hosts or allowed_origins is none.
+            given, or an entry of allowed_hosts or allowed_origins is invalid.
     """
 
     def __init__(self, options: HttpOptions) -> None:
@@ -48,7 +46,7 @@ class HostRules:
         self._origins = {_configured(_origin(text), "allowed_origins", text) for text in origins}
 
     def allows_host(self, headers: Sequence[str]) -> bool:
-        """Whether the request's Host headers are one, and name this server."""
+        """True if the request has exactly one Host header, and it names this server."""
         found = _authority(headers[0]) if len(headers) == 1 else None
         if found is None or found[1] == _ANY_PORT:
             return False
@@ -59,7 +57,7 @@ class HostRules:
         )
 
     def allows_origin(self, text: str) -> bool:
-        """Whether pages of this origin may connect."""
+        """True if pages of this origin may connect."""
         found = _origin(text)
         if found is None or found[2] == _ANY_PORT:
             return False
@@ -67,12 +65,12 @@ class HostRules:
 
 
 def _bracketed(name: str) -> str:
-    """An IPv6 address as it stands in a Host header; anything else as it is."""
+    """Format an IPv6 address as in a Host header; return anything else unchanged."""
     return f"[{name}]" if name.count(":") > 1 and not name.startswith("[") else name
 
 
 def _authority(text: str) -> tuple[str, int | None] | None:
-    """Name in one spelling, and port; None for what is no authority."""
+    """Parse a normalised name, and the port; None for an invalid authority."""
     match = _AUTHORITY.fullmatch(text)
     if match is None:
         return None
@@ -85,7 +83,7 @@ def _authority(text: str) -> tuple[str, int | None] | None:
 
 
 def _origin(text: str) -> tuple[str, str, int] | None:
-    """Scheme, name and port, with the scheme's own where none is written."""
+    """Parse scheme, name and port, with the scheme's default port if none is given."""
     scheme, separator, rest = text.partition("://")
     found = _authority(rest) if separator and scheme.lower() in _PORTS else None
     if found is None:

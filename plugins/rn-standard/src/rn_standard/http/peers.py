@@ -1,4 +1,4 @@
-"""Which process is at the other end of a loopback connection."""
+"""Process at the other end of a loopback connection."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ proc_pid_net(5).
 
 
 def peer_process(peer_port: int, own_port: int) -> int | None:
-    """Process id of who holds the local socket from `peer_port` to `own_port`; None where that
-    cannot be seen.
+    """Process id of the owner of the local socket from `peer_port` to `own_port`; None if
+    invisible.
 
-    Takes milliseconds: it looks through the descriptors of every process of this user.
+    Takes milliseconds: it searches the descriptors of every process of this user.
     """
     inodes = set(_inodes(peer_port, own_port))
     for folder in Path("/proc").iterdir() if inodes else ():

@@ -1,6 +1,4 @@
-"""The server over streamable HTTP: one MCP server for all clients, however many sessions there
-are.
-"""
+"""The server over streamable HTTP: one MCP server for all clients and sessions."""
 
 from __future__ import annotations
 
@@ -37,7 +35,7 @@ from roboneuron.feature import Events, Holder
 log = logging.getLogger(__name__)
 PATH = "/mcp"
 _KEEP_ALIVE = {"TCP_KEEPIDLE": 2, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 5000}
-"""Socket options: s, s, probes, ms. A silent peer is gone after 5 s."""
+"""Socket options: s, s, probes, ms. A silent peer is detected after 5 s."""
 
 
 def make_server(
@@ -47,10 +45,11 @@ def make_server(
     tokens: TokenTable,
     events: Events,
 ) -> BoundedServer:
-    """The HTTP server around an MCP server; `serve` it with a socket.
+    """Create the HTTP server around an MCP server; `serve` it with a socket.
 
     Args:
-        events: told who has something open, and which client without a token has ended its session.
+        events: receive the opening and closing of requests, and the end of a tokenless client's
+            session.
     """
 
     def release(session: str) -> None:
@@ -69,8 +68,8 @@ def make_server(
         max_request_body_size=options.max_request_bytes,
         session_idle_timeout=IDLE_S,
         max_sessions=MOST_SESSIONS,
-        # AccessMiddleware does it, because the SDK compares how the text begins: "robot.lan:evil"
-        # would pass, "ROBOT.LAN" would not; starlette's TrustedHostMiddleware knows no IPv6
+        # AccessMiddleware checks them, because the SDK compares prefixes: "robot.lan:evil" would
+        # pass, "ROBOT.LAN" would not; starlette's TrustedHostMiddleware does not support IPv6
         transport_security=TransportSecuritySettings(enable_dns_rebinding_protection=False),
     )
     server.middleware.append(note_handled)
@@ -83,7 +82,8 @@ def make_server(
 
 
 def listen(options: HttpOptions, tokens: TokenTable) -> BoundedListener:
-    """A socket bound to the configured address, on which stops come through whoever else connects.
+    """Create a socket bound to the configured address, on which emergency stops arrive whatever
+    other clients connect.
 
     Raises:
         ConfigurationError: as `bind`.
@@ -94,8 +94,8 @@ def listen(options: HttpOptions, tokens: TokenTable) -> BoundedListener:
 
 
 def _keep_alive(listener: socket.socket) -> None:
-    """Notice within seconds that a client's machine or cable is gone; connections inherit it where
-    that is known.
+    """Detect within seconds that a client's machine or cable has failed; connections inherit it
+    where supported.
     """
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for name, value in _KEEP_ALIVE.items():
@@ -105,7 +105,7 @@ def _keep_alive(listener: socket.socket) -> None:
 
 class _HttpServer(BoundedServer):
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-        """Say where it serves once it does."""
+        """Log the address once the server is running."""
         await super().startup(sockets)
         for listener in sockets or ():
             host, port = listener.getsockname()[:2]

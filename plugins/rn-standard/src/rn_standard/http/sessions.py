@@ -1,5 +1,5 @@
-"""Sessions of the 2025 protocols over HTTP: a share for each holder, and no request id twice at
-work.
+"""Sessions of the 2025 protocols over HTTP: a share for each holder, and unique ids of requests in
+progress.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class _HttpSession:
 
 @dataclass(eq=False, slots=True)
 class _SessionRequest:
-    """A request of a session: at work until it was answered, or its handler and its HTTP exchange
-    have both ended.
+    """A request of a session: in progress until it was answered, or its handler and its HTTP
+    exchange have both ended.
     """
 
     free: Callable[[], object]
@@ -59,13 +59,13 @@ class _SessionRequest:
 
 
 class Sessions:
-    """ASGI application around the SDK's.
+    """ASGI middleware around the SDK's application.
 
     Args:
-        app: the SDK's.
+        app: the SDK's application.
         most_bytes: largest body.
-        most_of_one: most sessions of one holder.
-        on_end: told the id of a session that ended.
+        most_of_one: maximum number of sessions of one holder.
+        on_end: called with the id of an ended session.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class Sessions:
                 session.used_s = time.monotonic()
 
     def _check_share(self, scope: Scope, holder: str) -> None:
-        """Raise EnvelopeError when a holder would open one session too many."""
+        """Raise EnvelopeError if a holder would open one session too many."""
         version = Headers(scope=scope).get("mcp-protocol-version", "")
         count = sum(session.holder == holder for session in self._sessions.values())
         if count >= self._most_of_one and version < "2026":
@@ -157,7 +157,7 @@ class Sessions:
             self._on_end(name)
 
     def _forget_idle(self) -> None:
-        """As the SDK does with sessions in which nothing is open for so long."""
+        """Discard sessions that were idle for the SDK's idle time."""
         now_s = time.monotonic()
         idle = [n for n, s in self._sessions.items() if not s.open and now_s - s.used_s > IDLE_S]
         for name in idle:
@@ -166,7 +166,7 @@ class Sessions:
 
 
 async def note_handled(ctx: ServerRequestContext, call_next: CallNext) -> HandlerResult:
-    """Middleware of the SDK's server: tells the Sessions that the handler of a request has
+    """Middleware of the SDK's server: notifies the Sessions that the handler of a request has
     ended.
     """
     try:
@@ -178,7 +178,7 @@ async def note_handled(ctx: ServerRequestContext, call_next: CallNext) -> Handle
 
 
 def _begin(session: _HttpSession, request_id: int | str) -> _SessionRequest:
-    """Raises EnvelopeError for an id that is at work."""
+    """Register a request. Raises EnvelopeError for an id in use."""
     from mcp.shared.dispatcher import coerce_request_id
 
     key = coerce_request_id(request_id)
@@ -189,11 +189,10 @@ def _begin(session: _HttpSession, request_id: int | str) -> _SessionRequest:
 
 
 def _request_id(body: bytes) -> int | str | None:
-    """The id of a request; None for what is none, or for what the SDK will say that it is nothing
-    at all.
+    """The id of a request; None for other messages, or for bodies that the SDK will refuse.
 
     Raises:
-        EnvelopeError: it has one that cannot be.
+        EnvelopeError: its id is invalid.
     """
     try:
         raw = from_json(body)
@@ -205,7 +204,7 @@ def _request_id(body: bytes) -> int | str | None:
 
 
 def _again(message: Message, receive: Receive) -> Receive:
-    """`receive` with a message before the rest."""
+    """Return a `receive` that yields a message before the rest."""
     first: list[Message] = [message]
 
     async def replay() -> Message:

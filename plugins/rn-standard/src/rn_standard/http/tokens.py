@@ -24,7 +24,7 @@ _NEW = "Make one with: python -c 'import secrets; print(secrets.token_urlsafe(32
 
 
 class TokenTable:
-    """Holders by token; keeps digests, not tokens."""
+    """Holders by token; stores digests, not tokens."""
 
     def __init__(self, entries: Sequence[tuple[str, Holder]]) -> None:
         self._entries = _digests(entries)
@@ -33,7 +33,7 @@ class TokenTable:
         return bool(self._entries)
 
     def find(self, token: str) -> Holder | None:
-        """Whose token it is; takes equally long whichever it is, or none."""
+        """Return the holder of a token; constant time for all tokens, valid or not."""
         given, found = _digest(token), None
         for digest, holder in self._entries:
             if hmac.compare_digest(given, digest):
@@ -42,25 +42,25 @@ class TokenTable:
 
 
 class TokenFiles(TokenTable):
-    """The tokens of a running server: a file that changes is read again at the next request.
+    """Tokens of a running server: a changed file is read again at the next request.
 
-    A file that is gone, or holds no good token any more, leaves its holder without one; the others
-    keep theirs.
+    If a file is missing, or contains no valid token any more, its holder loses access; the others
+    are not affected.
     """
 
     def __init__(self, sections: Sequence[TokenConfig], environment: Mapping[str, str]) -> None:
-        """Raises ConfigurationError as `read_tokens`."""
+        """Read the tokens. Raises ConfigurationError as `read_tokens`."""
         self._sections = sections
         self._environment = environment
         self._marks = self._look()
         super().__init__(_entries(sections, environment))
 
     def __bool__(self) -> bool:
-        """Whether a token is asked for; also when none is good at the moment."""
+        """True if a token is required, even if none is valid at the moment."""
         return bool(self._sections)
 
     def find(self, token: str) -> Holder | None:
-        """As `TokenTable.find`, by what the files hold now."""
+        """As `TokenTable.find`, with the present content of the files."""
         marks = self._look()
         if marks != self._marks:
             self._marks = marks
@@ -79,7 +79,7 @@ class TokenFiles(TokenTable):
         return super().find(token)
 
     def _look(self) -> list[tuple[int, ...] | None]:
-        """What tells that a file has changed; None without one."""
+        """Attributes by which a change of each file is detected; None for a missing file."""
         return [_mark(section.file) for section in self._sections if section.file is not None]
 
 
@@ -92,8 +92,8 @@ def _mark(name: str) -> tuple[int, ...] | None:
 
 
 def shows_right(tokens: TokenTable, first: bytes) -> bool:
-    """Whether the first bytes of a connection hold a valid token, or where there are none, the name
-    of the stop.
+    """True if the first bytes of a connection contain a valid token, or without tokens the name of
+    the stop tool.
     """
     if not tokens:
         return _STOP in first
@@ -102,11 +102,11 @@ def shows_right(tokens: TokenTable, first: bytes) -> bool:
 
 
 def read_tokens(sections: Sequence[TokenConfig], environment: Mapping[str, str]) -> TokenTable:
-    """Read the tokens that the configuration points to.
+    """Read the configured tokens.
 
     Raises:
-        ConfigurationError: one is absent, short, readable by others, or the same as another; never
-            shows it.
+        ConfigurationError: one is missing, too short, readable by others, or a duplicate; the token
+            is never shown.
     """
     return TokenTable(_entries(sections, environment))
 
@@ -116,7 +116,7 @@ def _entries(
     environment: Mapping[str, str],
     before: Sequence[tuple[str, Holder]] = (),
 ) -> list[tuple[str, Holder]]:
-    """Tokens and holders, after those before."""
+    """Read tokens and holders, and append them to `before`."""
     entries = list(before)
     for section in sections:
         token = _read(section, environment)

@@ -1,1 +1,1 @@
-"""Inference modules: images and states in, the actions of a policy out."""
+"""Inference modules: from images and states to the actions of a policy."""

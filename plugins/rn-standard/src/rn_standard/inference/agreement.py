@@ -1,5 +1,5 @@
-"""Agreement on a control space: what a backend declares beside what a robot and its controller
-execute, compared by names, units and frames before anything heavy is loaded.
+"""Agreement on a control space between a backend and the robot with its controller, by channel
+names, units and frames, before anything heavy is loaded.
 """
 
 from __future__ import annotations
@@ -31,16 +31,19 @@ from roboneuron.feature import Registry
 from roboneuron.node import load_profile, loading, models
 
 _RATE_SHARE = 0.02
-"""How far the period of a chunk may be from the declared rate: rates are told in whole Hz."""
+"""Relative tolerance between a chunk's period and the declared rate: rates are given in
+whole Hz.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SpaceAgreement:
-    """What becomes of a backend's rows on their way to control.
+    """Conversion of a backend's rows for control.
 
     Attributes:
-        declared: by the backend.
-        executed: by the robot: the same channels in its own order; positions for `joint_delta`.
+        declared: the backend's space.
+        executed: the robot's space: the same channels in its own order; positions for
+            `joint_delta`.
         columns: the declared column of each executed channel.
     """
 
@@ -49,15 +52,15 @@ class SpaceAgreement:
     columns: tuple[int, ...]
 
     def convert(self, chunk: ActionChunk, joints: JointSample | None) -> ActionChunk:
-        """The chunk as control gets it.
+        """Convert a chunk to the executed space.
 
         Args:
             chunk: answer of the backend.
-            joints: measured with the observation that it answers; needed for `joint_delta`.
+            joints: measured with the observation of the chunk; needed for `joint_delta`.
 
         Raises:
             InvalidInputError: the chunk has another space or period than the backend declares, or
-                the joints do not hold those of the space.
+                joints of the space are missing.
         """
         if chunk.space is EE_DELTA and self.declared is EE_DELTA:
             return chunk
@@ -80,7 +83,7 @@ class SpaceAgreement:
         return replace(chunk, actions=actions, space=self.executed)
 
     def _offsets(self, joints: JointSample | None) -> F64:
-        """What is added to each column: the measured joint; 0 for a gripper."""
+        """Offset of each column: the measured joint; 0 for a gripper."""
         measured = {GRIPPER: 0.0}
         if joints is not None:
             measured |= dict(zip(joints.names, joints.position.tolist(), strict=True))
@@ -107,14 +110,14 @@ def agree(
     """Compare both sides by the names of their channels.
 
     Args:
-        declared: by the backend.
-        profile: of the robot.
-        kinds: which spaces the controller executes.
+        declared: the backend's space.
+        profile: profile of the robot.
+        kinds: spaces that the controller executes.
         backend, controller: their names, for messages.
-        longest_s: time without an action after which control holds [s]; None: not known.
+        longest_s: time without an action after which control holds [s]; None if unknown.
 
     Raises:
-        PlanningError: names both sides, and every channel that is missing, too much or different.
+        PlanningError: names both sides, and every missing, extra or different channel.
     """
     kind = "joint_position" if declared.kind == "joint_delta" else declared.kind
     if kind not in kinds:
@@ -162,11 +165,12 @@ def agree(
 
 
 def check_same_space(first: SpaceAgreement, second: SpaceAgreement, name: str) -> None:
-    """Raise PlanningError when two policies cannot take turns: rows of both go through one control.
+    """Raise PlanningError unless two policies have the same space: rows of both pass through one
+    control.
 
     Args:
-        first, second: what each yields.
-        name: of the second's backend.
+        first, second: agreement of each policy.
+        name: name of the second's backend.
     """
     if first.executed.keys != second.executed.keys or first.executed.kind != second.executed.kind:
         raise PlanningError(
@@ -185,17 +189,18 @@ def _described(space: ControlSpace) -> str:
 def declared_space(
     registry: Registry, backend: BackendSpec, options: Mapping[str, object], robot: str
 ) -> ControlSpace | None:
-    """The space that the backend declares with these options; None: only the server of its model
-    knows it, which the loaded backend asks (`ServedElsewhere`).
+    """Return the space that the backend declares with these options; None if only its model's
+    server knows it (`ServedElsewhere`).
 
     Args:
-        registry: what is installed.
+        registry: the installed plugins.
         backend: its descriptor.
-        options: of the backend, with its checkpoint.
+        options: options of the backend, with its checkpoint.
         robot: name of the robot.
 
     Raises:
-        ConfigurationError, PluginError: something named cannot be used; as what declares the space.
+        ConfigurationError, PluginError: a named part is unusable, or as the function that declares
+            the space.
     """
     if backend.space is None:
         return EE_DELTA
@@ -219,18 +224,18 @@ def agree_on_space(
     robot: str,
     control: models.ControlConfig | None,
 ) -> SpaceAgreement:
-    """What the backend yields with these options, as the configured controller executes it.
+    """Agree on a backend's space with these options and the configured controller.
 
     Args:
-        registry: what is installed.
+        registry: the installed plugins.
         backend: its descriptor.
-        options: of the backend, with its checkpoint.
+        options: options of the backend, with its checkpoint.
         robot: name of the robot.
-        control: section of the configuration; None: every space is taken.
+        control: section of the configuration; None to accept every space.
 
     Raises:
         PlanningError: they do not fit, see `agree`.
-        ConfigurationError: only the server of the model knows its space.
+        ConfigurationError: only the model's server knows its space.
         ConfigurationError, PluginError: as `declared_space` and `agree_with_control`.
     """
     declared = declared_space(registry, backend, options, robot)
@@ -250,19 +255,19 @@ def agree_with_control(
     robot: str,
     control: models.ControlConfig | None,
 ) -> SpaceAgreement:
-    """The space that a backend declares, as the configured controller executes it.
+    """Agree on a declared space with the configured controller.
 
     Args:
-        registry: what is installed.
+        registry: the installed plugins.
         backend: its descriptor.
-        declared: by it, or by the server of its model.
+        declared: space declared by it, or by its model's server.
         robot: name of the robot.
-        control: section of the configuration; None: every space is taken.
+        control: section of the configuration; None to accept every space.
 
     Raises:
         PlanningError: they do not fit, see `agree`.
-        ConfigurationError, PluginError: something named cannot be used, or the descriptor does not
-            fit its space.
+        ConfigurationError, PluginError: a named part is unusable, or the descriptor does not fit
+            its space.
     """
     profile = load_profile(registry, robot)
     if declared.kind == "joint_delta" and not backend.needs_state:

@@ -1,10 +1,8 @@
-"""Execution of action chunks, one whole chunk after the other: when to predict, which row to send
-and when.
+"""Sequential execution of action chunks: when to predict, which row to send, and when.
 
-Everything is decided here under one lock; the threads that call it, one to predict and one to play,
-hold no state. Time comes from outside, so that tests and simulations run it by a virtual clock. A
-feature may put an executor of its own, derived from this one, in its place
-(`MAKE_EXECUTOR`).
+All decisions are made here under one lock; the calling threads, one to predict and one to play,
+have no state. Time is an argument, so that tests and simulations use a virtual clock. A feature may
+provide another executor, derived from this one (`MAKE_EXECUTOR`).
 """
 
 from __future__ import annotations
@@ -23,25 +21,27 @@ if TYPE_CHECKING:
     from roboneuron.node import ModuleHost
 
 _PACE = 0.8
-"""The next image may be taken after this share of a step since the last row went out: the arm has
-then carried out most of it.
+"""Fraction of a step after the last row from which the next image may be used: the arm has then
+executed most of that row.
 """
 _LEAST_WAIT_S = 0.001
-"""Of the predicting thread: a wait of nothing at all would keep the lock from the playing one."""
+"""Shortest wait of the predicting thread: without a wait it would keep the lock from the playing
+thread.
+"""
 _RESYNC = 0.5
-"""A row that is later than this share of a period starts the period anew; less is jitter, and the
-grid is kept.
+"""Delay of a row, as a fraction of a period, that restarts the period; a smaller one is jitter, and
+the time grid is kept.
 """
 
 _ROUNDING = 1e-6
-"""Of a horizon that is a whole number of periods."""
+"""Tolerance for a horizon that is a whole number of periods."""
 SEQUENTIAL, OVERLAP = "sequential", "overlap"
-"""Modes of predictions: the rows follow those that are there, or replace them."""
+"""Modes of predictions: the rows follow the present ones, or replace them."""
 FALLBACK = "fallback"
-"""As `sequential`, by the second policy, see `rn_standard.inference.fallback`."""
+"""Like `sequential`, but by the second policy, see `rn_standard.inference.fallback`."""
 ACTING, REASON, COUNT = "fallback.acting", "fallback.reason", "fallback.count"
-"""In the status, where there is a second policy: which one acts, why not the first, and how often
-the second has taken over.
+"""Keys of the status with a second policy: the acting policy, the reason why it is not the first,
+and the number of takeovers by the second.
 """
 
 
@@ -51,10 +51,10 @@ class Row:
 
     Attributes:
         vector: float64 (n,), contract units, in the space of its chunk.
-        index, horizon: place in its chunk, and rows of that chunk.
-        oldest_ns: capture time of the oldest image that it answers [ns].
+        index, horizon: position in its chunk, and number of rows of that chunk.
+        oldest_ns: capture time of the oldest image behind it [ns].
         step_s: period of its chunk [s].
-        is_border: the first of its chunk that is played.
+        is_border: the first played row of its chunk.
     """
 
     vector: F64
@@ -66,7 +66,7 @@ class Row:
 
 
 def rows_of(vectors: F64, chunk: ActionChunk, oldest_ns: int, first: int) -> list[Row]:
-    """`vectors`, float64 (N, n), as the rows of `chunk` from number `first` on."""
+    """Create the rows of `chunk` from `vectors`, float64 (N, n), numbered from `first`."""
     return [
         Row(vector, first + i, len(chunk.actions), oldest_ns, chunk.step_s, is_border=i == 0)
         for i, vector in enumerate(vectors)
@@ -75,13 +75,13 @@ def rows_of(vectors: F64, chunk: ActionChunk, oldest_ns: int, first: int) -> lis
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Prediction:
-    """One prediction under way.
+    """One prediction in progress.
 
     Attributes:
-        observation: what the backend gets.
+        observation: input of the backend.
         captured_ns: capture time of the leading image [ns].
-        epoch: in which it was captured.
-        mode: how its answer will be used.
+        epoch: epoch of the capture.
+        mode: use of its answer.
     """
 
     observation: Observation
@@ -92,25 +92,25 @@ class Prediction:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Bounds:
-    """How old the image behind a row may be when the row is sent.
+    """Bounds of the age of the image behind a row at the time of sending.
 
     Attributes:
         first_s: for the first row of an answer [s].
-        tail_s: for the rows after it [s]; None: `first_s` and the length of the chunk.
+        tail_s: for the later rows [s]; None for `first_s` plus the length of the chunk.
     """
 
     first_s: float
     tail_s: float | None = None
 
     def of(self, row: Row) -> float:
-        """The bound of that row [s]."""
+        """Bound for that row [s]."""
         if row.is_border:
             return self.first_s
         return self.first_s + row.horizon * row.step_s if self.tail_s is None else self.tail_s
 
 
 class ChunkExecutor:
-    """Decides for one backend. Thread-safe.
+    """Executor of one backend's chunks. Thread-safe.
 
     Every instruction, emergency stop and handover begins a new epoch. Answers to observations of an
     earlier epoch are dropped.
@@ -119,7 +119,7 @@ class ChunkExecutor:
         bounds: ages of images.
 
     Attributes:
-        changed: held while anything is decided; notified when rows arrive or are sent, and when an
+        changed: held during every decision; notified when rows arrive or are sent, and when an
             epoch begins.
     """
 
@@ -132,10 +132,10 @@ class ChunkExecutor:
         self._predecessor_s = -math.inf
         self.changed = threading.Condition(threading.RLock())
 
-    # -- who predicts
+    # -- prediction
 
     def wants_prediction(self, now_s: float) -> bool:
-        """Whether the next image is to be predicted on, at that monotonic time [s]."""
+        """True if a prediction on the next image is wanted at that monotonic time [s]."""
         with self.changed:
             if self._step_s is None:
                 return True
@@ -151,8 +151,7 @@ class ChunkExecutor:
                     return True
                 if now_s >= end_s:
                     break
-                # Between two chunks of sequential execution nothing but time makes a prediction
-                # wanted.
+                # Between two chunks of sequential execution only time makes a prediction wanted.
                 is_paced = not self._rows and self._step_s is not None
                 wait_s = (
                     self._due_s - (1.0 - _PACE) * (self._step_s or 0.0) - now_s
@@ -163,7 +162,7 @@ class ChunkExecutor:
         return False
 
     def begin(self, observation: Observation, captured_ns: int) -> Prediction:
-        """Say what the backend is given of an observation that is there now.
+        """Begin a prediction; return the backend's input.
 
         Args:
             observation: measured, without `ahead`.
@@ -173,13 +172,14 @@ class ChunkExecutor:
             return Prediction(observation=observation, captured_ns=captured_ns, epoch=self._epoch)
 
     def answer(self, prediction: Prediction, chunk: ActionChunk, now_ns: int) -> str:
-        """Take an answer over; returns "accepted", or a word for why the rows stay as they are.
+        """Accept an answer; return "accepted", or a word for the reason why the rows stay
+        unchanged.
 
         "withdrawn": it was made for an earlier instruction or before a stop. A feature's executor
-        has words of its own.
+        has additional words.
 
         Args:
-            prediction: what `begin` returned.
+            prediction: returned by `begin`.
             chunk: the backend's answer.
             now_ns: the time, by the clock of the stamps [ns].
         """
@@ -192,11 +192,13 @@ class ChunkExecutor:
             return outcome
 
     def measure(self, prediction: Prediction, chunk: ActionChunk, now_ns: int) -> None:
-        """Learn from an answer that is not played, in shadow, as `answer` does from every one."""
+        """Update the measurements from an answer that is not played, in shadow, as `answer`
+        does.
+        """
         with self.changed:
             self._step_s = chunk.step_s
 
-    # -- who plays
+    # -- playing
 
     @property
     def step_s(self) -> float:
@@ -219,16 +221,15 @@ class ChunkExecutor:
             return due_s + sum(row.step_s for row in self._rows) - self._rows[0].step_s
 
     def lead_s(self, chunk: ActionChunk) -> float:
-        """How long before the end of such a chunk the next prediction begins at the earliest
+        """Time before the end of such a chunk at which the next prediction begins at the earliest
         [s].
         """
         return (1.0 - _PACE) * chunk.step_s
 
     def planned(self, step_s: float, horizon_s: float) -> list[F64]:
-        """Rows that are to be sent within `horizon_s` after the one that was taken last, at its
-        period `step_s`.
+        """Rows to be sent within `horizon_s` after the row taken last, at its period `step_s`.
 
-        Rows that the predecessor of a handover plays are none of them.
+        Rows that the predecessor of a handover plays are excluded.
         """
         with self.changed:
             count = int(horizon_s / step_s + _ROUNDING)
@@ -236,7 +237,7 @@ class ChunkExecutor:
             return [row.vector for row in rows[:count]]
 
     def play(self, now_s: float, now_ns: int) -> Row | None:
-        """Take the row that is due, to be sent at once while the caller holds `changed`.
+        """Take the row that is due; the caller sends it at once while holding `changed`.
 
         Args:
             now_s: monotonic time [s].
@@ -270,34 +271,32 @@ class ChunkExecutor:
             return row
 
     def note_sent(self, vector: F64 | None, now_s: float, now_ns: int) -> None:
-        """Count a row that the predecessor of a handover sent; the next row is due a period after
-        it. None: a row of another space.
+        """Count a row that the predecessor of a handover sent; the next row is due a period later.
+        None for a row of another space.
         """
         with self.changed:
             self._predecessor_s = now_s
             if self._rows:
                 self._rows.popleft()
 
-    # -- what interrupts
+    # -- interruptions
 
     def begin_epoch(self) -> None:
-        """Begin with another instruction, after a stop or a start: no row and no answer of before
-        is played.
+        """Begin a new epoch after another instruction, a stop or a start: earlier rows and answers
+        are not played.
         """
         with self.changed:
             self._epoch += 1
             self.drop()
 
     def drop(self) -> None:
-        """Send no more of the rows; the successor of a handover plays."""
+        """Discard the remaining rows; the successor of a handover plays."""
         with self.changed:
             self._rows.clear()
             self.changed.notify_all()
 
     def values(self) -> dict[str, str | float | int]:
-        """What the status tells of execution: numbers and words by name, without those that are
-        unknown.
-        """
+        """Status values of the execution by name, without unknown ones."""
         with self.changed:
             reason = (
                 "no feature that executes chunks in another way is installed where this module runs"
@@ -313,12 +312,12 @@ class ChunkExecutor:
 
 
 def make_sequential(backend: BackendSpec, execution: str, bounds: Bounds) -> ChunkExecutor:
-    """The executor of a module that no feature has given another one.
+    """Create the default executor of a module, used unless a feature provides one.
 
     Args:
-        backend: descriptor of what predicts.
+        backend: descriptor of the backend.
         execution: `inference.execution` of the configuration.
-        bounds: ages of images.
+        bounds: bounds of image ages.
 
     Raises:
         ConfigurationError: another mode is configured.
@@ -333,11 +332,11 @@ def make_sequential(backend: BackendSpec, execution: str, bounds: Bounds) -> Chu
 
 
 MakeExecutor = Callable[[BackendSpec, str, Bounds], ChunkExecutor]
-"""Makes what executes the chunks of a backend, called as `make_sequential`."""
+"""Creates the executor of a backend's chunks; called as `make_sequential`."""
 MAKE_EXECUTOR = "make_executor"
-"""Under this name in `ModuleHost.lent` a feature puts a MakeExecutor of its own."""
+"""Key in `ModuleHost.lent` under which a feature provides its own MakeExecutor."""
 
 
 def executor_maker(host: ModuleHost) -> MakeExecutor:
-    """What makes the executor of a module: a feature's, or `make_sequential`."""
+    """Return a feature's MakeExecutor, or `make_sequential`."""
     return cast("MakeExecutor", host.lent.get(MAKE_EXECUTOR, make_sequential))

@@ -1,10 +1,9 @@
-"""A second policy that acts while the first one does not answer in time.
+"""Fallback policy that acts while the first one does not answer in time.
 
-The first may run on another machine, whose link or process comes and goes. Both move the arm
-through the same executor, the same control and the same limits, so that a change from one to the
-other is a change of chunks within one motion. An answer of the first that comes after the second
-has taken over moves nothing: from then on its answers are only timed, until they have come in time
-for a while.
+The first may run on another machine, whose link or process may fail. Both move the arm through the
+same executor, control and limits, so a change of policy is a change of chunks within one motion.
+After the second has taken over, answers of the first move nothing: they are only timed, until they
+have been in time for a while.
 """
 
 from __future__ import annotations
@@ -37,32 +36,36 @@ from roboneuron.feature import Config
 from roboneuron.node import StatusWriter
 
 BACK_S = 3.0
-"""The first policy acts again when its answers have come in time for this long ..."""
+"""The first policy acts again after its answers were in time for this long ..."""
 BACK_ANSWERS = 5
-"""... and when they were at least so many."""
+"""... and were at least this many."""
 FIRST_S = 2.0
-"""Longest wait for the first answer to an instruction: the arm stands, and nothing is lost by
-waiting.
+"""Longest wait for the first answer to an instruction: the arm does not move yet, so waiting costs
+nothing.
 """
 HOLD_AFTER_S = 0.375
-"""When control holds by default; for a module whose configuration names no control."""
+"""Default time after which control holds, for a module whose configuration has no control
+section.
+"""
 _RESERVE_S = 0.05
-"""Kept for a busy machine, beside the time of the next image and that of the second policy."""
+"""Reserve for a busy machine, in addition to the time of the next image and of the second
+policy.
+"""
 _LEAST_SHARE = 0.25
-"""The first policy has at least this share of the time until control holds."""
+"""Minimum fraction of the time until control holds that the first policy gets."""
 _LOOK_S = 0.05
-"""How often a wait looks whether it is to end."""
+"""Polling period of a wait."""
 _RECENT = 20
 log = logging.getLogger(__name__)
 
 
 class Turn:
-    """Whose turn it is; time comes from outside.
+    """State of the switch between two policies; time is an argument.
 
     Attributes:
         is_first: the first policy acts.
         reason: why it does not; empty while it does.
-        count: how often the second has taken over.
+        count: number of takeovers by the second.
     """
 
     def __init__(self) -> None:
@@ -73,15 +76,15 @@ class Turn:
         self._good = 0
 
     def take_over(self, reason: str) -> None:
-        """The second policy acts from now on."""
+        """Switch to the second policy."""
         self.is_first = False
         self.reason = reason
         self.count += 1
         self._good = 0
 
     def note(self, in_time: bool, now_s: float) -> bool:
-        """An answer of the first policy has come while the second acts; whether the first may act
-        again.
+        """Record an answer of the first policy while the second acts; return True if the first may
+        act again.
 
         Args:
             in_time: it came early enough to be executed.
@@ -96,14 +99,14 @@ class Turn:
         return self._good >= BACK_ANSWERS and now_s - self._good_since_s >= BACK_S
 
     def give_back(self) -> None:
-        """The first policy acts again."""
+        """Switch back to the first policy."""
         self.is_first = True
         self.reason = ""
 
 
 @dataclass(frozen=True, slots=True)
 class _PendingRequest:
-    """What the first policy was asked, when, and what it answers."""
+    """Request to the first policy, its time, and its answer."""
 
     prediction: Prediction
     asked_s: float
@@ -111,7 +114,7 @@ class _PendingRequest:
 
 
 class PolicyThread:
-    """Asks one policy on a thread of its own, one request after the other."""
+    """Runs one policy on a background thread, one request after the other."""
 
     def __init__(self, policy: LoadedPolicy) -> None:
         self._policy = policy
@@ -120,18 +123,18 @@ class PolicyThread:
         self._thread.start()
 
     def ask(self, prediction: Prediction, resets: bool) -> _PendingRequest:
-        """Ask; the answer comes with the monotonic time at which it was there.
+        """Start a request; the answer includes the monotonic time of its completion.
 
         Args:
-            prediction: what to answer.
-            resets: forget what was before.
+            prediction: the input.
+            resets: reset the policy first.
         """
         request = _PendingRequest(prediction, time.monotonic(), Future())
         self._requests.put((request, resets))
         return request
 
     def close(self) -> bool:
-        """End after the request in progress; whether it has ended within two seconds."""
+        """End after the request in progress; return True if it ended within two seconds."""
         self._requests.put(None)
         self._thread.join(2.0)
         return not self._thread.is_alive()
@@ -143,7 +146,7 @@ class PolicyThread:
                 if resets:
                     self._policy.backend.reset()
                 chunk = self._policy.answer(request.prediction.observation)
-            except Exception as error:  # told to whoever waits, as if raised there
+            except Exception as error:  # raised again in the waiting thread
                 request.answer.set_exception(error)
             else:
                 request.answer.set_result((chunk, time.monotonic()))
@@ -157,11 +160,11 @@ class FallbackPolicies:
         second: acts otherwise.
         executor: plays the rows of both.
         hold_after_s: time after the last row at which control holds [s].
-        max_age_s: of the image behind a row [s].
-        status: where to report.
+        max_age_s: largest age of the image behind a row [s].
+        status: receives the reports.
 
     Attributes:
-        on_wait: called while an answer is waited for.
+        on_wait: called while waiting for an answer.
     """
 
     def __init__(
@@ -200,7 +203,7 @@ class FallbackPolicies:
         config: Config,
         status: StatusWriter,
     ) -> FallbackPolicies:
-        """Two policies by what is configured.
+        """Create both policies from the configuration.
 
         Raises:
             PlanningError: their rows are of different spaces.
@@ -223,20 +226,20 @@ class FallbackPolicies:
         resets: bool,
         stop: threading.Event,
     ) -> tuple[Prediction, ActionChunk] | None:
-        """The answer of the policy whose turn it is, with what it answers.
+        """Return the answer of the acting policy, with its input.
 
         Args:
-            prediction: the newest, as the first policy is to get it.
-            measured: its observation without what the executor has added or rolled forward.
-            resets: the instruction is new; what was before is forgotten.
+            prediction: the newest, as input of the first policy.
+            measured: its observation without additions and predictions of the executor.
+            resets: the instruction is new; the policies are reset.
             stop: ends the wait.
 
         Returns:
-            None when there is none: the first policy was too late, or `stop` is set. The next image
-            is to be asked about then.
+            None without an answer: the first policy was too late, or `stop` is set. Continue with
+            the next image then.
 
         Raises:
-            RoboNeuronError: what the policy says against the observation.
+            RoboNeuronError: the policy refuses the observation.
         """
         if resets:
             self._first_resets, self._has_acted = True, False
@@ -250,15 +253,15 @@ class FallbackPolicies:
         return found
 
     def close(self) -> bool:
-        """End the thread of the first policy; whether it has ended."""
+        """End the thread of the first policy; return True if it has ended."""
         return self._thread.close()
 
     def _of_first(
         self, prediction: Prediction, stop: threading.Event
     ) -> tuple[Prediction, ActionChunk] | None:
-        """The first policy's answer; None when it is too late, and the second takes over."""
+        """Return the first policy's answer; None if it is too late and the second takes over."""
         end_s = self._deadline_s()
-        if not self._wait(end_s, stop):  # still at work on what was withdrawn
+        if not self._wait(end_s, stop):  # still busy with a withdrawn request
             return None
         request = self._ask(prediction)
         if not self._wait(end_s, stop):
@@ -272,7 +275,7 @@ class FallbackPolicies:
         return prediction, chunk
 
     def _of_either(self, prediction: Prediction) -> tuple[Prediction, ActionChunk]:
-        """The first policy's newest answer when its turn has come again, else the second's."""
+        """Return the first policy's newest answer if it acts again, else the second's."""
         request = self._request
         if request is not None and request.answer.done():
             self._request = None
@@ -283,8 +286,8 @@ class FallbackPolicies:
                 self._tell()
                 return request.prediction, chunk
         if self._request is None:
-            # Rows of the second have another period: the first is not told of them, and its answer
-            # is faded into them.
+            # Rows of the second have another period: the first does not get them, and its answer is
+            # cross-faded into them.
             is_sequential = prediction.mode == SEQUENTIAL
             self._ask(prediction if is_sequential else replace(prediction, mode=OVERLAP))
         began_s = time.monotonic()
@@ -295,7 +298,7 @@ class FallbackPolicies:
         return replace(prediction, mode=FALLBACK), told
 
     def _judged(self, request: _PendingRequest) -> ActionChunk | None:
-        """The answer to execute from now on; None as long as the second policy acts."""
+        """Return the answer to execute from now on; None as long as the second policy acts."""
         try:
             chunk, at_s = request.answer.result()
         except Exception as error:
@@ -314,8 +317,8 @@ class FallbackPolicies:
         return self._request
 
     def _wait(self, end_s: float, stop: threading.Event) -> bool:
-        """Wait for the request in progress; False when the second policy has taken over, or `stop`
-        is set.
+        """Wait for the request in progress; return False if the second policy has taken over, or
+        `stop` is set.
         """
         while self._request is not None and not stop.is_set():
             left_s = end_s - time.monotonic()
@@ -332,7 +335,7 @@ class FallbackPolicies:
         return not stop.is_set()
 
     def _deadline_s(self) -> float:
-        """Monotonic time until which the second policy can still go on before control holds [s]."""
+        """Monotonic time until which the second policy can continue before control holds [s]."""
         now_s = time.monotonic()
         if not self._has_acted:
             return now_s + FIRST_S
@@ -340,7 +343,7 @@ class FallbackPolicies:
         return max(now_s, now_s if end_s is None else end_s) + self._slack_s()
 
     def _slack_s(self) -> float:
-        """How long after the last row an answer of the first policy is waited for [s]."""
+        """Time after the last row for which an answer of the first policy is awaited [s]."""
         reserve_s = _RESERVE_S + 2.0 * statistics.median(self._took_s)
         if self._intervals_s:
             reserve_s += statistics.median(self._intervals_s)
@@ -349,7 +352,7 @@ class FallbackPolicies:
     def _note_image(self, captured_ns: int) -> None:
         interval_s = (captured_ns - self._captured_ns) / 1e9
         self._captured_ns = captured_ns
-        # a longer pause is no camera's period
+        # a longer pause is not a camera's period
         if 0.0 < interval_s < self._max_age_s:
             self._intervals_s.append(interval_s)
 

@@ -1,4 +1,4 @@
-"""Whether the parts of a policy fit the robot and each other, one question each; see `planning`."""
+"""Compatibility checks of the parts of a policy with the robot and each other; see `planning`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ def _listed(names: Iterable[object]) -> str:
 
 
 def require(fits: bool, otherwise: str) -> None:
-    """Raise PlanningError, with the sentence `otherwise`, unless it fits."""
+    """Raise PlanningError, with the sentence `otherwise`, if `fits` is false."""
     if not fits:
         raise PlanningError(otherwise)
 
 
 def check_action_width(backend: BackendSpec, robot: RobotSpec) -> None:
-    """Raise PlanningError when the robot executes no actions of the backend's width."""
+    """Raise PlanningError if the robot cannot execute actions of the backend's width."""
     width = backend.action_space.width
     require(
         bool(robot.action_widths),
@@ -37,8 +37,9 @@ def check_action_width(backend: BackendSpec, robot: RobotSpec) -> None:
 def resolve_cameras(
     backend: BackendSpec, robot: RobotSpec, cameras: Mapping[str, str]
 ) -> dict[str, str]:
-    """Camera name by role, for every role the backend needs and each optional one that the robot
-    has. Raises PlanningError for a camera or role that does not exist, or one that is missing.
+    """Return the camera name by role, for every required role and each optional one of the robot.
+
+    Raises PlanningError for an unknown camera or role, or a missing one.
     """
     known = [c.name for c in robot.cameras]
     for role, name in cameras.items():
@@ -53,7 +54,7 @@ def resolve_cameras(
             role in roles,
             f"Backend {backend.name!r} uses no camera role {role!r}; it uses: {_listed(roles)}.",
         )
-    # of several cameras with one role the first
+    # the first of several cameras with one role
     found = {camera.role: camera.name for camera in reversed(robot.cameras)} | dict(cameras)
     absent = [role for role in backend.cameras if role not in found]
     has = _listed(f"{c.name} (role {c.role})" for c in robot.cameras)
@@ -68,8 +69,8 @@ def resolve_cameras(
 def resolve_runtime(
     registry: Registry, backend: BackendSpec, name: str | None, is_elsewhere: bool
 ) -> RuntimeSpec | None:
-    """The runtime of that name, or the backend's default; None when it takes none. Raises
-    PlanningError when it does not fit the backend's family.
+    """Return the runtime of that name, or the backend's default; None if it uses none. Raises
+    PlanningError if it does not fit the backend's family.
     """
     fitting = [
         r.name
@@ -104,9 +105,9 @@ def check_acceleration(
     backend: BackendSpec,
     runtime: RuntimeSpec | None,
 ) -> None:
-    """Raise PlanningError when an acceleration does not fit.
+    """Raise PlanningError if an acceleration does not fit.
 
-    The capability is offered by what executes the decoder: the runtime, or the backend when it runs
+    The capability is offered by the executor of the decoder: the runtime, or the backend if it runs
     without one.
     """
     require(

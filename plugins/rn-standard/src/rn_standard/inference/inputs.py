@@ -1,4 +1,4 @@
-"""The newest of everything a backend needs, handed out to the predicting thread."""
+"""Newest inputs of a backend, passed to the predicting thread."""
 
 from __future__ import annotations
 
@@ -30,18 +30,17 @@ _IMAGE_TYPE = "sensor_msgs/msg/Image"
 
 
 class CalibratedCamera:
-    """Turns a camera's images into frames.
+    """Converter of a camera's images to frames.
 
-    Where the camera is mounted comes from the robot's profile; its intrinsics come from the
-    `camera_info` published beside the images, and from the profile, scaled to the image, as long as
-    none was published for that image size.
+    The mounting of the camera comes from the robot's profile. Its intrinsics come from the
+    `camera_info` of that image size; until one is published, from the profile, scaled to the image.
 
     Used from one thread.
     """
 
     def __init__(self, profile: CameraProfile) -> None:
         """Args:
-        profile: of the camera; without a calibration, frames have none.
+        profile: profile of the camera; without a calibration, frames have none.
         """
         self._profile = profile
         self._shape: tuple[int, ...] = ()
@@ -49,10 +48,10 @@ class CalibratedCamera:
         self._published: dict[tuple[int, int], tuple[float, ...]] = {}
 
     def set_info(self, message: CameraInfo) -> None:
-        """Take the intrinsics of images of this size.
+        """Store the intrinsics for images of this size.
 
         Raises:
-            InvalidInputError: the message holds no calibration.
+            InvalidInputError: the message contains no calibration.
         """
         size = (int(message.width), int(message.height))
         values = tuple(np.asarray(message.k).tolist())
@@ -69,9 +68,8 @@ class CalibratedCamera:
         """sensor_msgs/Image -> Frame; `rgb8` shares the message's memory.
 
         Raises:
-            InvalidInputError: the image is damaged, or of another size than the first one: a camera
-                that changes its size is another camera, and what was calibrated for it no longer
-                holds.
+            InvalidInputError: the image is damaged, or of another size than the first one, for
+                which the calibration is invalid.
         """
         size = (int(message.width), int(message.height))
         if size not in self._calibrations:
@@ -90,21 +88,21 @@ class CalibratedCamera:
 
 
 class NewestInputs:
-    """Holds one frame per role and the newest proprioception; older ones are overwritten, never
-    queued.
+    """Stores the newest frame per role and the newest proprioception; older ones are overwritten,
+    never queued.
 
-    `wait` hands out an observation when the first role has a frame that was not handed out before,
-    all else is there, and nothing is older than `max_age_s` or from the future.
+    `wait` returns an observation when the first role has a new frame, all other inputs are present,
+    and none is older than `max_age_s` or from the future.
 
-    Images come and observations go on the predicting thread. Joints and poses come on the
-    executor's, which replaces each as a whole.
+    Images and observations are handled on the predicting thread. Joints and poses arrive on the
+    executor's thread, which replaces each as a whole.
 
     Args:
         cameras: camera by role of the backend; the first role paces the loop.
-        optional: roles without which the backend works too.
-        needs_state: whether the backend needs joints and the pose of the TCP.
-        gripper: to tell the opening from a joint; None when there is none.
-        max_age_s: older images and states are never handed out [s].
+        optional: roles that the backend can do without.
+        needs_state: the backend needs joints and the pose of the TCP.
+        gripper: converts a joint to the opening; None without one.
+        max_age_s: maximum age of images and states [s].
         status: where refusals are counted.
         now_ns: ROS time [ns].
         take_images: waits for images for at most a time [s], and calls `on_camera_info` and
@@ -144,8 +142,8 @@ class NewestInputs:
         self._leading = next(iter(self.cameras), "")
 
     def on_image(self, role: str, message: Image) -> None:
-        """Subscription callback for the camera with that role; a damaged image is counted, and the
-        one before it kept until it is too old.
+        """Subscription callback for the camera with that role. A damaged image is counted, and the
+        previous one kept until it is too old.
         """
         try:
             self._frames[role] = self._calibrated[role].to_frame(message)
@@ -179,14 +177,14 @@ class NewestInputs:
 
     def check_types(self, types: Mapping[str, list[str]], namespace: str) -> None:
         """Compare the graph's types with the contract's: DDS does not connect different types, and
-        says nothing about that.
+        reports nothing.
 
         Args:
-            types: of the graph, by absolute topic.
-            namespace: of the robot.
+            types: types of the graph, by absolute topic.
+            namespace: namespace of the robot.
 
         Raises:
-            ConfigurationError: somebody publishes an image topic with another type.
+            ConfigurationError: an image topic is published with another type.
         """
         for camera in self.cameras.values():
             topic = f"{namespace.rstrip('/')}/{topics.camera_image(camera.name)}"
@@ -197,7 +195,7 @@ class NewestInputs:
                 )
 
     def missing(self) -> str:
-        """What has not arrived yet, as a phrase; empty when everything has."""
+        """Inputs that have not arrived yet, as a phrase; empty if none is missing."""
         absent = [
             f"images on {topics.camera_image(self.cameras[role].name)}"
             for role in self.cameras
@@ -211,18 +209,16 @@ class NewestInputs:
         return " and ".join(absent)
 
     def captured_ns(self, observation: Observation) -> int:
-        """Capture time of the first role's image: the one that paces the loop, the same for every
-        backend.
-        """
+        """Capture time of the first role's image, which paces the loop for every backend."""
         return observation.frames[self._leading].stamp_ns
 
     def silence_s(self) -> float:
-        """Monotonic time since the last observation was handed out, or since the start [s]."""
+        """Monotonic time since the last observation was returned, or since the start [s]."""
         return time.monotonic() - self._usable_s
 
     def unusable(self) -> str:
-        """What keeps observations from being handed out: "image", also when none comes,
-        "joint_state" or "ee_pose".
+        """Input that prevents observations: "image", also when none comes, "joint_state" or
+        "ee_pose".
         """
         frame = self._frames.get(self._leading)
         return (
@@ -232,11 +228,9 @@ class NewestInputs:
         )
 
     def wait(self, timeout_s: float) -> Observation | None:
-        """Return the newest observation not handed out yet, without its instruction; None after
-        `timeout_s`.
-        """
+        """Return the newest new observation, without its instruction; None after `timeout_s`."""
         end_s = time.monotonic() + timeout_s
-        # first: what is here was looked at, and something newer may have come
+        # first: the present inputs were checked, and a newer one may have arrived
         self._take_images(timeout_s)
         while not self._is_fresh():
             left_s = end_s - time.monotonic()
@@ -281,10 +275,10 @@ class NewestInputs:
         )
 
     def _doubt(self, stamp_ns: int, now_ns: int) -> str:
-        """Word for what is wrong with a stamp; empty when nothing is.
+        """Word for the fault of a stamp; empty if it is valid.
 
         Args:
-            stamp_ns: when the input was captured or measured [ROS time, ns].
+            stamp_ns: capture or measurement time of the input [ROS time, ns].
             now_ns: the present [ROS time, ns].
         """
         if stamp_ns < now_ns - int(self.max_age_s * 1e9):
@@ -296,7 +290,7 @@ class NewestInputs:
         self._refused = what
 
     def _is_fresh(self) -> bool:
-        """Whether every role that is needed has a frame, the first one a new one."""
+        """True if every required role has a frame, and the first role a new one."""
         needed = [role for role in self.cameras if role not in self._optional]
         if any(role not in self._frames for role in needed) or self._leading not in self._frames:
             return False
@@ -304,7 +298,7 @@ class NewestInputs:
 
 
 def _opening(joints: JointSample | None, gripper: GripperProfile | None) -> float | None:
-    """Measured opening of a gripper, 0 closed .. 1 open; None when it is not measured."""
+    """Measured opening of a gripper, 0 closed .. 1 open; None if not measured."""
     if joints is None or gripper is None or gripper.joint not in joints.names:
         return None
     return gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))
@@ -344,7 +338,7 @@ def frame_from_message(
 
 
 def pose_from_message(message: PoseStamped) -> Pose:
-    """geometry_msgs/PoseStamped -> Pose in the message's frame, which is not looked at: that of
+    """geometry_msgs/PoseStamped -> Pose in the message's frame, which is not checked: that of
     `ee_pose` is the robot's base.
     """
     p, q = message.pose.position, message.pose.orientation

@@ -1,4 +1,6 @@
-"""The instruction of an inference module: a ROS parameter, so that it changes without a restart."""
+"""The instruction of an inference module: a ROS parameter, so that it can change without a
+restart.
+"""
 
 from __future__ import annotations
 
@@ -10,22 +12,22 @@ from roboneuron.node import ModuleHost, settings
 
 
 class Instruction:
-    """What to do now, how often that was changed, and how many actions it has led to.
+    """The present instruction, its number of changes, and the number of resulting actions.
 
     Attributes:
-        text: empty when there is nothing to do.
-        count: changes since the start; who remembers it notices the next change.
+        text: empty for none.
+        count: changes since the start, by which a change is detected.
         is_new: the backend has not been reset for it yet.
     """
 
     def __init__(self, node: ModuleHost, text: str, on_change: Callable[[], None]) -> None:
         """Args:
         node: gets the parameter.
-        text: the first one.
+        text: the initial instruction.
         on_change: called after each change, on the executor's thread.
 
         Raises:
-            InvalidInputError: the first one is none.
+            InvalidInputError: the initial instruction is invalid.
         """
         self._node = node
         self._status = node.status
@@ -39,18 +41,18 @@ class Instruction:
         node.resources.callback(
             node.add_parameter(settings.INSTRUCTION_PARAMETER, text, self._take, self._refusal)
         )
-        # After a stop while the backend was loaded, the instruction of the start counts no more:
-        # motion needs a new one.
+        # If a stop came while the backend was loaded, the instruction of the start is void: motion
+        # needs a new one.
         self._take("" if node.needs_start else text)
 
     def restart(self) -> None:
-        """Begin with the same instruction again."""
+        """Restart the same instruction."""
         self._actions = 0
         self.is_new = True
         self._status.set(actions_for_instruction=0)
 
     def forget(self) -> None:
-        """A stop has come: motion needs a new instruction."""
+        """Discard the instruction after a stop: motion needs a new one."""
         self._take("")
 
     def note_action(self) -> None:
@@ -59,10 +61,10 @@ class Instruction:
         self._status.set(actions_for_instruction=self._actions)
 
     def _take(self, text: str) -> None:
-        """Begin with a new instruction, or with none; an old failure no longer counts.
+        """Begin a new instruction, or none; an earlier error is cleared.
 
-        Whoever gives an instruction asks for motion, so it also ends `needs_start` of this module.
-        That of robot and control is ended by the server, see `MotionStarts.permit`.
+        An instruction is a request for motion, so it also ends `needs_start` of this module. That
+        of robot and control is ended by the server, see `MotionStarts.permit`.
         """
         self.text = text.strip()
         if self.text:
@@ -76,7 +78,9 @@ class Instruction:
         self._status.changed.set()
 
     def _refusal(self, text: str) -> str:
-        """Why an instruction cannot be taken; empty when it can. None (empty) is always taken."""
+        """Reason to refuse an instruction; empty if it is accepted. An empty instruction
+        always is.
+        """
         if text.strip() and self._node.stopped:
             return "the emergency stop is latched"
         return instruction_problem(text)

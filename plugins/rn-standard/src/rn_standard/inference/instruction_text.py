@@ -1,4 +1,4 @@
-"""What an instruction may be; light, for whoever takes one."""
+"""Validation of instruction texts; light to import."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from pydantic import AfterValidator, Field
 from roboneuron import InvalidInputError
 
 MAX_INSTRUCTION_LENGTH = 1000
-"""Characters: models read a few dozen words, and the status repeats it five times a second."""
+"""Maximum length [characters]: models read a few dozen words, and the status repeats it five times
+a second.
+"""
 _BREAKS = "\t\n\r"
-"""Control characters that may stand between the words of an instruction."""
+"""Control characters allowed between the words of an instruction."""
 
 
 def instruction_problem(text: str) -> str:
-    """Why a text can be no instruction; empty when it can be one. ROS ends a text at NUL."""
+    """Reason why a text is not a valid instruction; empty if it is. ROS ends a text at NUL."""
     if len(text) > MAX_INSTRUCTION_LENGTH:
         return (
             f"The instruction is {len(text)} characters long, at most {MAX_INSTRUCTION_LENGTH} "
@@ -35,7 +37,7 @@ def check_instruction(text: str) -> str:
     """Return the instruction without blanks around it.
 
     Raises:
-        InvalidInputError: nothing is left, or it is too long or holds a control character.
+        InvalidInputError: it is empty, too long or contains a control character.
     """
     if problem := instruction_problem(text):
         raise InvalidInputError(
@@ -53,4 +55,4 @@ def check_instruction(text: str) -> str:
 InstructionText = Annotated[
     str, Field(max_length=MAX_INSTRUCTION_LENGTH), AfterValidator(check_instruction)
 ]
-"""An argument `instruction` of a tool, as `check_instruction` returns it."""
+"""Tool argument `instruction`, validated by `check_instruction`."""

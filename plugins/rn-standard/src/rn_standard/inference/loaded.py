@@ -1,6 +1,4 @@
-"""A policy that is loaded in a module's process: what answers observations in the space of the
-robot.
-"""
+"""A policy loaded in a module's process, which answers observations in the space of the robot."""
 
 from __future__ import annotations
 
@@ -31,26 +29,26 @@ from roboneuron.node import StatusWriter, build, load_profile
 
 @runtime_checkable
 class ServedElsewhere(Protocol):
-    """A backend whose model may be on another machine, where more is known of it than here."""
+    """A backend whose model may be on another machine, where its properties are known."""
 
     def served_spec(self, profile: RobotProfile) -> tuple[BackendSpec, ControlSpace] | None:
-        """What the server tells of its model to this robot: needs and chunks as a descriptor, and
-        the space of its rows. None for a model of this machine. Called once it is loaded.
+        """Return the properties of the server's model for this robot: a descriptor with its needs
+        and chunks, and the space of its rows. None for a local model. Called after loading.
 
         Raises:
-            RoboNeuronError: it does not tell, or this robot cannot use the model.
+            RoboNeuronError: the server does not report them, or this robot cannot use the model.
         """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LoadedPolicy:
-    """A backend with its runtime, and what becomes of its rows.
+    """A backend with its runtime and the conversion of its rows.
 
     Attributes:
-        policy: its descriptors, as the server of its model tells them where there is one.
-        backend, runtime: what predicts, and what executes it; None for a backend without runtime.
-        agreement: on the space of its rows.
-        load_s: how long it took to load.
+        policy: its descriptors, as reported by its model's server if there is one.
+        backend, runtime: the backend, and its runtime or None.
+        agreement: agreement on the space of its rows.
+        load_s: time of loading [s].
     """
 
     policy: ResolvedPolicy
@@ -61,11 +59,11 @@ class LoadedPolicy:
 
     @property
     def name(self) -> str:
-        """Of the backend."""
+        """Name of the backend."""
         return self.policy.backend.name
 
     def report(self, status: StatusWriter) -> None:
-        """What is loaded, for the status."""
+        """Report the loaded parts in the status."""
         runtime, acceleration = self.policy.runtime, self.policy.acceleration
         status.set_value("space", self.agreement.executed.label)
         status.set_value("load_s", self.load_s)
@@ -74,10 +72,11 @@ class LoadedPolicy:
         status.set_value("acceleration", acceleration.name if acceleration else "")
 
     def answer(self, observation: Observation) -> ActionChunk:
-        """A chunk in the space that control executes.
+        """Return a chunk in the space that control executes.
 
         Args:
-            observation: may hold images of more cameras than this policy takes; it gets its own.
+            observation: may contain images of more cameras than this policy uses; it gets its own
+                only.
 
         Raises:
             RoboNeuronError: as `Backend.predict` and `SpaceAgreement.convert`.
@@ -99,16 +98,16 @@ def load_policy(
     """Build the parts of a policy and load its backend, weights and warm-up included.
 
     Args:
-        config: of the module; the options of runtime and acceleration come from it.
-        registry: what is installed.
-        policy: what to load.
-        options: of the backend, with its checkpoint.
-        resources: gets what closes the backend.
+        config: configuration of the module, with the options of runtime and acceleration.
+        registry: the installed plugins.
+        policy: the policy to load.
+        options: options of the backend, with its checkpoint.
+        resources: closes the backend.
 
     Raises:
         PlanningError: the space of its rows does not fit, see `agree`, or the robot lacks a camera
-            that the server of its model asks for.
-        ConfigurationError: that server tells another space than is declared here.
+            that its model's server requires.
+        ConfigurationError: that server reports another space than is declared here.
         RoboNeuronError: it cannot be built or loaded.
     """
     spec, robot = policy.backend, config.robot.name
@@ -137,11 +136,11 @@ def load_policy(
 def _as_served(
     policy: ResolvedPolicy, backend: Backend, declared: ControlSpace | None, profile: RobotProfile
 ) -> tuple[ResolvedPolicy, ControlSpace]:
-    """The policy and its space as the server of its model tells them, or as they are declared here.
+    """Return the policy and its space as reported by its model's server, or else as declared here.
 
     Raises:
         PlanningError, ConfigurationError: as `load_policy`.
-        PluginError: nobody says what the space is.
+        PluginError: neither declares the space.
     """
     name = policy.backend.name
     told = backend.served_spec(profile) if isinstance(backend, ServedElsewhere) else None
@@ -170,8 +169,8 @@ def _as_served(
 def resolved_cameras(
     policies: Iterable[ResolvedPolicy], profile: RobotProfile
 ) -> dict[str, CameraProfile]:
-    """Camera by role, for all that any of the policies takes. Raises ConfigurationError for one
-    that the descriptor of the robot names and its profile does not.
+    """Return the camera by role, for all roles of the policies. Raises ConfigurationError for a
+    camera that the robot's descriptor names but its profile does not.
     """
     cameras: dict[str, CameraProfile] = {}
     for policy in policies:

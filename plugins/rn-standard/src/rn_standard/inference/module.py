@@ -1,5 +1,5 @@
-"""Inference: newest images and proprioception in, actions out, one for each step of the backend's
-chunks.
+"""Inference module: from the newest images and proprioception to actions, one for each step of the
+backend's chunks.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ from roboneuron.node import (
 )
 
 _WAIT_S = 0.1
-"""Longest wait for an image or for the wish for a prediction; a stop is seen within it."""
+"""Longest wait for an image or for a wanted prediction; bounds the delay of a stop."""
 _FIRST_LIMIT_S, _LEAST_LIMIT_S, _LIMIT_RATIO = 5.0, 0.4, 3.0
 _RECENT = 20
-"""A backend is stalled when it takes three times as long as it usually does; before the first
-prediction, after 5 s.
+"""Number of predictions for the usual time. A backend counts as stalled after three times that;
+before the first prediction, after 5 s.
 """
 SILENCE_S = 1.0
-"""Without a usable observation for this long, inference reports an error (it has stopped acting
+"""Time without a usable observation after which inference reports an error (actions have stopped
 long before).
 """
 _SOURCES = {
@@ -66,21 +66,22 @@ log = logging.getLogger(__name__)
 class InferenceModule(Module):
     """Runs one backend on the newest observation, and publishes its actions one per step.
 
-    Two threads: one observes and predicts, one plays (`RowPlayer`). `ChunkExecutor` decides when
-    each does what. With a fallback, the first policy has a third (`FallbackPolicies`).
+    It has two threads: one observes and predicts, one plays (`RowPlayer`). `ChunkExecutor` decides
+    what each does when. With a fallback, the first policy has a third thread (`FallbackPolicies`).
 
-    A feature may come between an image and its prediction (`accepts`), and between an answer and
-    its execution (`deliver`).
+    A feature may intercept images before the prediction (`accepts`), and answers before their
+    execution (`deliver`).
 
     Attributes:
-        backend, runtime: what predicts, and what executes it; None for a backend that takes no
-            runtime.
-        executor: what decides when to predict and what to send.
+        backend, runtime: the backend, and its runtime or None.
+        executor: decides when to predict and what to send.
         before_prediction: called on the predicting thread between two predictions.
-        accepts: say whether to predict on an image of that capture time [ns]; called there.
-        deliver: executes an answer, until the event that ends the work; called there.
-        on_prediction: called there after each prediction with what the backend was given, how its
-            answer is executed, whether it was reset before, and its answer or why there is none.
+        accepts: return True to predict on an image of that capture time [ns]; called on the
+            predicting thread.
+        deliver: executes an answer, until the event that ends the work; called on the predicting
+            thread.
+        on_prediction: called on the predicting thread after each prediction, with the backend's
+            input, the execution mode, a flag for a reset before it, and its answer or the error.
     """
 
     def __init__(self, node: ModuleHost) -> None:
@@ -89,7 +90,7 @@ class InferenceModule(Module):
         Raises:
             ConfigurationError: there is no [inference] section, the robot has no such camera, or
                 chunks cannot be executed as configured.
-            PlanningError: backend, runtime, acceleration and robot do not fit together.
+            PlanningError: backend, runtime, acceleration and robot are incompatible.
             RoboNeuronError: the backend cannot be loaded.
         """
         super().__init__(node)
@@ -111,7 +112,7 @@ class InferenceModule(Module):
         self.accepts: list[Callable[[int], bool]] = []
         self.deliver = self._deliver
         self._took_s: deque[float] = deque(maxlen=_RECENT)
-        # read by the predicting thread: handing each over to it took longer than all of our work
+        # read by the predicting thread: passing each image on to it took longer than all other work
         self._images = PolledSubscriptions(node)
         needs_state = any(one.backend.needs_state for one in both)
         needed = {role for one in both for role in one.backend.cameras}
@@ -153,14 +154,14 @@ class InferenceModule(Module):
 
     @property
     def space(self) -> ControlSpace:
-        """What the rows are that are published."""
+        """Space of the published rows."""
         return self._policy.agreement.executed
 
     def activate(self) -> None:
-        """Start acting on the instruction, when there is one.
+        """Start acting on the instruction, if there is one.
 
         Raises:
-            ConfigurationError: somebody publishes images of another type on the backend's topics.
+            ConfigurationError: images of another type are published on the backend's topics.
         """
         self._inputs.check_types(
             dict(self.node.get_topic_names_and_types()), self.node.get_namespace()
@@ -172,7 +173,7 @@ class InferenceModule(Module):
         self._worker.start()
 
     def deactivate(self) -> None:
-        """Stop publishing at once; a prediction in progress is given up, or thrown away.
+        """Stop publishing at once; a prediction in progress is cancelled or discarded.
 
         Raises:
             NotReadyError: the backend hangs, and its thread cannot be ended.
@@ -183,26 +184,24 @@ class InferenceModule(Module):
             raise NotReadyError("The backend hangs in predict(); its process must be ended.")
 
     def emergency_stop(self, latched: bool) -> None:
-        """Forget what was planned; after a release, a new instruction is acted on by what is
-        captured from then on.
-        """
-        # also for a release: what was captured during the stop shows a robot that stood still
+        """Discard the plan. After a release, a new instruction is based on later images."""
+        # also for a release: images captured during the stop show a robot at rest
         self._not_before_ns = self.node.now_ns()
         self.executor.begin_epoch()
 
     def stop(self, code: str) -> None:
-        """See `Module.stop`: after a stop, the policy waits for a new instruction."""
+        """See `Module.stop`: after a stop, the policy needs a new instruction."""
         self._instruction.forget()
 
     def _give_up(self) -> None:
-        """End a prediction that a runtime works on, so that no server goes on with what nobody
-        wants.
+        """Cancel a prediction in the runtime, so that a server does not continue with a useless
+        request.
         """
         if self.runtime is None:
             return
         try:
             self.runtime.abort()
-        # the module border: silence matters more than what a plugin says about it
+        # the module border: the stop matters more than a plugin's error
         except Exception:
             log.exception("the runtime could not give up its prediction")
 
@@ -227,7 +226,7 @@ class InferenceModule(Module):
                 self.node.subscribe(PoseStamped, topic, take)
 
     def _step(self, stop: threading.Event) -> None:
-        """Observe and predict once, when a prediction is wanted."""
+        """Observe and predict once, if a prediction is wanted."""
         for step in self.before_prediction:
             step()
         if not self.executor.wait_until_wanted(stop, _WAIT_S):
@@ -243,10 +242,10 @@ class InferenceModule(Module):
         if not instruction:
             since = f" after a stop ({self.node.needs_start})" if self.node.needs_start else ""
             self.status.set(note=f"waiting for an instruction{since}")
-            # during a stop too: what is started then has proved all that it can
+            # during a stop too: a module started then has passed all possible checks
             self.status.set_ready()
             return
-        if self.node.stopped:  # what was asked for before the stop is being forgotten
+        if self.node.stopped:  # the request from before the stop is being discarded
             stop.wait(_WAIT_S)
             return
         instructed = replace(observation, instruction=instruction)
@@ -261,11 +260,11 @@ class InferenceModule(Module):
         try:
             self.deliver(prediction, chunk, stop)
         finally:
-            # when the action is out: to tell all this takes as long as to publish it
+            # after the action was sent: reporting all this takes as long as publishing it
             self._note_prediction(chunk, took_s)
 
     def _deliver(self, prediction: Prediction, chunk: ActionChunk, stop: threading.Event) -> None:
-        with self.executor.changed:  # so that the player's thread does not come between
+        with self.executor.changed:  # so that the player's thread does not run in between
             outcome = self.executor.answer(prediction, chunk, self.node.now_ns())
             self._player.play_due(stop)
         self.status.set(note=chunk.note)
@@ -273,7 +272,8 @@ class InferenceModule(Module):
             self.status.drop(f"{outcome}_chunk")
 
     def _observe(self) -> Observation | None:
-        """The newest observation, without its instruction; None when there is none to act on now.
+        """Return the newest observation, without its instruction; None if there is none to act on
+        now.
 
         Raises:
             NotReadyError: there was none for `SILENCE_S`; actions have stopped long before.
@@ -290,9 +290,7 @@ class InferenceModule(Module):
                     f"No usable {what} for {self._inputs.silence_s():.1f} s; actions have stopped.",
                     hint=f"Is {source} running, and is its clock right?",
                 )
-        elif (
-            self._is_blind
-        ):  # without an instruction no action follows that would say that all is well
+        elif self._is_blind:  # without an instruction no action follows that would clear the error
             self._is_blind = False
             self.status.clear_error()
         return observation
@@ -300,10 +298,10 @@ class InferenceModule(Module):
     def _predict(
         self, prediction: Prediction, measured: Observation, stop: threading.Event
     ) -> tuple[Prediction, ActionChunk, float] | None:
-        """Ask the policy; what it answers, its answer, and how long it took [s]. None: not in time,
-        and the fallback is to be asked about the next image.
+        """Run the policy; return the answered prediction, its answer, and the time it took [s].
+        None if it was not in time and the fallback has to be used for the next image.
 
-        What the backend raises goes to the status as it is, after the rows of earlier answers were
+        An exception of the backend is reported unchanged, after the rows of earlier answers were
         dropped.
         """
         resets = self._instruction.is_new
@@ -321,19 +319,19 @@ class InferenceModule(Module):
                 chunk = self._policy.answer(prediction.observation)
         except Exception as error:
             self._notify(prediction, resets, error)
-            # rows that were planned before must not go on when the newest image is refused
+            # earlier rows must not continue when the newest image is refused
             self.executor.drop()
             raise
         took_s = time.monotonic() - started_s
-        # before its actions: a recording tells them in this order
+        # before its actions: a recording needs this order
         self._notify(prediction, resets, chunk)
         return prediction, chunk, took_s
 
     def _note_prediction(self, chunk: ActionChunk, took_s: float) -> None:
-        """Tell of an answer in the status.
+        """Report an answer in the status.
 
-        The time after which the thread counts as stalled follows what predictions take: never less
-        than 0.4 s, three times their median, or two steps.
+        The time after which the thread counts as stalled depends on the predictions: at least 0.4
+        s, three times their median, or two steps.
         """
         self._took_s.append(took_s)
         self._worker.limit_s = max(
@@ -343,7 +341,7 @@ class InferenceModule(Module):
         self.status.set_value("inference_ms", took_s * 1e3)
         for name, value in chunk.metrics.items():
             self.status.set_value(f"backend.{name}", float(value))
-        # how chunks are executed, and the numbers that decided
+        # the execution mode, and the numbers that decided
         for name, executed in self.executor.values().items():
             self.status.set_value(f"execution.{name}", executed)
 
@@ -354,7 +352,7 @@ class InferenceModule(Module):
             listener(prediction.observation, prediction.mode, resets, answer)
 
     def _send(self, row: Row) -> None:
-        """Publish one row, and what is planned after it; called by the player, which holds the
+        """Publish one row and the rows planned after it; called by the player, which holds the
         executor's lock.
         """
         message = messages.to_action_message(row.vector, self.space, self._planned_after(row))
@@ -367,7 +365,7 @@ class InferenceModule(Module):
         self.status.set_value("chunk_rows", row.horizon)
 
     def _planned_after(self, row: Row) -> messages.PlannedRows | None:
-        """Rows that come after `row` within the horizon of control."""
+        """Rows that follow `row` within the horizon of control."""
         control = self.config.control
         if control is None or not (control.horizon_s and self.space.is_absolute):
             return None
@@ -377,8 +375,8 @@ class InferenceModule(Module):
         return messages.PlannedRows(rows=np.array(vectors), step_s=row.step_s)
 
     def note_first(self, oldest_ns: int) -> None:
-        """The first action of a chunk is out, or would be: measure, and that is the proof of
-        readiness.
+        """Record that the first action of a chunk was sent, or would have been: update the latency
+        and report readiness.
         """
         age_ms = (self.node.now_ns() - oldest_ns) / 1e6
         self.status.latency.append(age_ms)

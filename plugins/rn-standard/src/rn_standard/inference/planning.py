@@ -1,5 +1,5 @@
-"""Does this combination of backend, runtime, acceleration and cameras fit the robot? Answered from
-descriptors alone, in one sentence, before anything heavy is imported.
+"""Compatibility check of backend, runtime, acceleration and cameras with the robot, from
+descriptors alone, before anything heavy is imported.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from roboneuron.feature import Config, ModuleKind, Plan, Registry, loading
 from roboneuron.node import find_robot
 
 CHECKPOINT_START_S = 900.0
-"""Longest start of a policy with a checkpoint: 15 GB from a slow disk, and the warm-up of a large
-model, take several minutes.
+"""Longest start of a policy with a checkpoint: reading 15 GB from a slow disk and the warm-up of a
+large model take several minutes.
 """
 _EMPTY: Mapping[str, str] = MappingProxyType({})
 
@@ -50,12 +50,11 @@ class ResolvedPolicy:
     """A policy that fits a robot, resolved to descriptors.
 
     Attributes:
-        robot, driver: what it moves.
-        backend: the policy itself.
-        runtime: the one asked for, or the backend's default; None when the backend takes none.
-        acceleration: None when not asked for.
-        cameras: camera name by role, for every role the backend needs and each optional one the
-            robot has.
+        robot, driver: the robot and its driver.
+        backend: the backend.
+        runtime: the requested one, or the backend's default; None if the backend uses none.
+        acceleration: None if not requested.
+        cameras: camera name by role, for every required role and each optional one of the robot.
     """
 
     robot: RobotSpec
@@ -67,7 +66,7 @@ class ResolvedPolicy:
 
     @property
     def takes_checkpoint(self) -> bool:
-        """Whether the backend needs a checkpoint, or has an option for one; raises as
+        """True if the backend needs a checkpoint, or has an option for one; raises as
         `load_options_model`.
         """
         if self.backend.needs_checkpoint:
@@ -88,21 +87,21 @@ def find_policy(
     is_driver_elsewhere: bool = False,
     is_elsewhere: bool = False,
 ) -> ResolvedPolicy:
-    """Return the policy of these names.
+    """Return the policy with these names.
 
     Args:
-        registry: what is installed.
+        registry: the installed plugins.
         robot, driver, backend: names.
         runtime: None for the backend's default.
         acceleration: None for none.
-        cameras: camera name by role, where the robot's own roles are not to be used.
+        cameras: camera name by role, instead of the robot's own roles.
         is_driver_elsewhere: the driver runs under another interpreter: modules that it needs may be
             absent here.
-        is_elsewhere: likewise of the backend, its runtime and acceleration.
+        is_elsewhere: the same for the backend, its runtime and acceleration.
 
     Raises:
-        ConfigurationError: a name is not installed or cannot be used.
-        PlanningError: the parts do not fit; the message says which two and what would.
+        ConfigurationError: a name is not installed or unusable.
+        PlanningError: the parts are incompatible; the message says which two and what would fit.
     """
     robot_spec, driver_spec = find_robot(registry, robot, driver, is_elsewhere=is_driver_elsewhere)
     spec = registry.get(BackendSpec, backend, elsewhere=is_elsewhere)
@@ -126,16 +125,16 @@ def find_policy(
 def find_policies(
     config: Config, registry: Registry, *, in_module: bool = False
 ) -> tuple[ResolvedPolicy, ResolvedPolicy | None]:
-    """The policy of `[inference]`, and its fallback, if there is one.
+    """Return the policy of `[inference]`, and its fallback, if there is one.
 
     Args:
-        config: of the server or module.
-        registry: what is installed.
-        in_module: asked where the policies are to run, so that all of their parts must be here; the
-            driver runs elsewhere.
+        config: configuration of the server or module.
+        registry: the installed plugins.
+        in_module: called in the process that runs the policies, so that all of their parts must be
+            installed here; the driver runs elsewhere.
 
     Raises:
-        ConfigurationError, PlanningError: as `find_policy`; the fallback is the policy itself.
+        ConfigurationError, PlanningError: as `find_policy`, or the fallback equals the policy.
     """
     section, robot = config.inference, config.robot
     if section is None:
@@ -166,11 +165,11 @@ def find_policies(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class InferencePlan(Plan):
-    """A module of this feature, see `roboneuron.feature.Plan`.
+    """Plan of an inference module, see `roboneuron.feature.Plan`.
 
     Attributes:
-        policy: what acts.
-        fallback: what acts while that does not answer in time; None: nothing does.
+        policy: the first policy.
+        fallback: the policy that acts while the first does not answer in time; None without one.
     """
 
     policy: ResolvedPolicy
@@ -178,7 +177,7 @@ class InferencePlan(Plan):
 
     @property
     def options(self) -> Mapping[str, object]:
-        """Of the backend, with its checkpoint."""
+        """Options of the backend, with its checkpoint."""
         section, options = self.config.inference, self.config.options(self.plugin)
         if section is None or section.checkpoint is None:
             return options
@@ -194,8 +193,8 @@ class InferencePlan(Plan):
         """See `Plan.checked`.
 
         Raises:
-            InvalidInputError: the instruction is none, or a checkpoint is missing.
-            CheckpointError: the checkpoint's path does not exist, or the backend takes none.
+            InvalidInputError: the instruction is invalid, or a checkpoint is missing.
+            CheckpointError: the checkpoint's path does not exist, or the backend uses none.
             PlanningError: the space of the backend does not fit, see `agree_on_space`.
         """
         section = self.config.inference
@@ -210,13 +209,13 @@ class InferencePlan(Plan):
         return plan
 
     def _check_spaces(self, registry: Registry, options: Mapping[str, object]) -> None:
-        """That control executes what the backend yields, and its fallback the same."""
+        """Check that control can execute the rows of the policy and of its fallback."""
         backend, second = self.policy.backend, self.fallback
         if backend.space is None and second is None:
             return
         robot, control = self.robot.name, self.config.control
         declared = declared_space(registry, backend, options, robot)
-        if declared is None:  # its server tells it when the module has reached it
+        if declared is None:  # its server reports it once the module is connected
             return
         agreed = agree_with_control(registry, backend, declared, robot, control)
         if second is not None:
@@ -225,8 +224,8 @@ class InferencePlan(Plan):
             check_same_space(agreed, other, second.backend.name)
 
     def _with_checkpoint(self) -> InferencePlan:
-        """The plan with an absolute path, for the module may run in another working directory, and
-        with the time that a large model needs.
+        """Return the plan with an absolute path, since the module may have another working
+        directory, and with the start time for a large model.
         """
         backend, section = self.policy.backend, self.config.inference
         assert section is not None

@@ -1,4 +1,4 @@
-"""The rows of chunks, each sent when it is due, by a thread of their own."""
+"""Thread that sends each row of a chunk when it is due."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from roboneuron.node import ModuleHost, Worker
 _WAIT_S = 0.1
 """Longest wait for a row; well below the 0.4 s after which a thread counts as stalled."""
 _LOOK_S = 0.002
-"""How often the successor in a handover looks whether the predecessor has finished."""
+"""Polling period of the successor in a handover for the end of the predecessor."""
 
 
 class RowPlayer:
-    """Plays what an executor holds between `start` and `stop`.
+    """Play an executor's rows between `start` and `stop`.
 
-    Two threads send rows: the player's own, and the predicting one by `play_due`. Both hold the
-    executor's lock from the question which row is due until that row is out, so that rows keep
-    their order and none follows a stop.
+    Two threads send rows: the player's own, and the predicting one with `play_due`. Both hold the
+    executor's lock from the choice of the row until it is sent, so that rows keep their order and
+    none follows a stop.
     """
 
     def __init__(
         self, node: ModuleHost, executor: ChunkExecutor, send: Callable[[Row], None]
     ) -> None:
         """Args:
-        node: of the inference module.
-        executor: says which row is due.
-        send: publishes a row; the executor's lock is held, so that no instruction or stop comes
-            between.
+        node: node of the inference module.
+        executor: provides the row that is due.
+        send: publishes a row; called with the executor's lock held, so that no instruction or stop
+            can intervene.
         """
         self._node = node
         self._executor = executor
@@ -41,25 +41,25 @@ class RowPlayer:
         node.resources.callback(self.stop)
 
     def start(self) -> None:
-        """Play from now on."""
+        """Start playing."""
         self._is_playing = True
         self._worker.start()
 
     def stop(self) -> bool:
-        """Send nothing more, on whichever thread; False when the player's thread hangs."""
+        """Stop sending, on every thread; return False if the player's thread hangs."""
         with self._executor.changed:
             self._is_playing = False
-        # without the lock: the player's thread needs it to come to its end
+        # without the lock: the player's thread needs it to end
         return self._worker.stop()
 
     def play_due(self, stop: threading.Event) -> None:
         """Send the row that is due, if one is, on the caller's thread.
 
-        The thread that has just predicted calls this, because waking the player's thread would take
-        longer than all else between an answer and its first action.
+        The predicting thread calls this after an answer, because waking the player's thread would
+        dominate the time to the first action.
 
         Args:
-            stop: of the caller's work.
+            stop: ends the caller's work.
 
         Raises:
             NotReadyError: the image behind the row has become too old.
@@ -75,14 +75,15 @@ class RowPlayer:
         with executor.changed:
             due_s = executor.due_s()
             wait_s = _WAIT_S if due_s is None else min(_WAIT_S, due_s - time.monotonic())
-            # both waits give the lock away, and end early when rows come or an epoch begins
+            # both waits release the lock, and end early when rows arrive or an epoch begins
             if wait_s > 0:
                 executor.changed.wait(wait_s)
             elif not self._send_due(stop):
                 executor.changed.wait(_LOOK_S)
 
     def _send_due(self, stop: threading.Event) -> bool:
-        """Send the row that is due; False when the predecessor in a handover is to send before.
+        """Send the row that is due; return False if the predecessor in a handover has to send
+        before.
 
         The executor's lock is held, and a row is due.
 

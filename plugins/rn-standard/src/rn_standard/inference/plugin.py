@@ -1,4 +1,4 @@
-"""What this package offers; standard library and descriptors only."""
+"""Descriptors of this package; standard library only."""
 
 from roboneuron import FeatureSpec, hookimpl
 
@@ -9,7 +9,7 @@ FEATURE = FeatureSpec(
     module="rn_standard.inference.module:InferenceModule",
     module_plan="rn_standard.inference.planning:plan_inference",
 )
-"""Descriptor of the feature; it has nothing to do in the server."""
+"""Descriptor of the feature; it has no part in the server."""
 
 
 @hookimpl

@@ -1,4 +1,4 @@
-"""Subscriptions that a thread reads by itself, past the node's executor."""
+"""Subscriptions that a thread polls directly, without the node's executor."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from rclpy.task import Task
 
 
 class PolledSubscriptions(ReentrantCallbackGroup):  # type: ignore[misc]
-    """A callback group that the executor leaves alone.
+    """A callback group that the executor ignores.
 
     A message stays in the middleware, where a newer one replaces it, until `take` calls its
-    callback on the caller's thread: no other thread has to wake for it. Used from one thread, which
-    has ended before a subscription is destroyed.
+    callback on the caller's thread: no other thread has to wake. Used from one thread, which must
+    end before a subscription is destroyed.
     """
 
     def __init__(self, node: Node) -> None:
         """Args:
-        node: makes the subscriptions.
+        node: creates the subscriptions.
         """
         super().__init__()
         self._context = node.context
@@ -36,14 +36,14 @@ class PolledSubscriptions(ReentrantCallbackGroup):  # type: ignore[misc]
         kept.append(entity)
 
     def can_execute(self, entity: Subscription | EventHandler) -> bool:
-        """Called by rclpy. An executor that waited for the events alone would wake for messages
-        too, over and over until they are taken.
+        """Called by rclpy. An executor that waited for the events alone would also wake for
+        messages, repeatedly until they are taken.
         """
         return False
 
     def take(self, timeout_s: float) -> None:
-        """Block until there is a message, or for `timeout_s` > 0; call the callbacks of what has
-        come, in the order in which the subscriptions were made.
+        """Block until there is a message, or for `timeout_s` > 0; call the callbacks of the
+        received messages, in the order of the subscriptions' creation.
         """
         with ExitStack() as held:
             wait_set = rclpy_implementation.WaitSet(

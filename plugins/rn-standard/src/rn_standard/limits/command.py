@@ -1,4 +1,4 @@
-"""The command `roboneuron limits`: show tightened limits, and loosen them as a person in a
+"""The command `roboneuron limits`: show tightened limits, and loosen them by a person at a
 terminal.
 """
 
@@ -34,7 +34,7 @@ class Limits:
         )
 
     def run(self, arguments: Namespace) -> int:
-        """Run `roboneuron limits`; exit status 1 when a person did not agree."""
+        """Run `roboneuron limits`; exit status 1 if the person did not agree."""
         from rn_standard.tools_arm.tightening import FILE_NAME, TighteningFile
         from roboneuron import ConfigurationError
         from roboneuron.command import environment, reading

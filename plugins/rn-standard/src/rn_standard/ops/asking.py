@@ -1,7 +1,7 @@
-"""Ask the person behind a client, by MCP elicitation.
+"""Questions to the user of a client, by MCP elicitation.
 
 Up to revision 2025-11-25 the server sends the question while the call waits. From 2026-07-28 on the
-call is answered with the question, and the client makes it again with the person's answer.
+call is answered with the question, and the client repeats it with the user's answer.
 """
 
 from __future__ import annotations
@@ -34,9 +34,7 @@ _MOST = 64
 
 
 class Questions:
-    """Asks, and remembers what was asked: an answer to a question that was not asked counts for
-    nothing.
-    """
+    """Asks questions and stores them: an answer to an unknown question is ignored."""
 
     def __init__(self) -> None:
         self._open: deque[tuple[str, str]] = deque(maxlen=_MOST)
@@ -48,7 +46,7 @@ class Questions:
         text: str,
         what: str = "",
     ) -> str | types.InputRequiredResult | None:
-        """See `roboneuron.server.surface.Ask`; None also when nobody answered in time."""
+        """See `roboneuron.server.surface.Ask`; also returns None if no answer came in time."""
         declared = request.session.client_capabilities
         elicitation = declared.elicitation if declared is not None else None
         if elicitation is None or (elicitation.form is None and elicitation.url is not None):
@@ -60,7 +58,7 @@ class Questions:
                 return _told(
                     await request.session.elicit_form(text, _schema(what), request.request_id), what
                 )
-            except MCPError:  # such as no way back to the client
+            except MCPError:  # for example no channel back to the client
                 return None
         return None
 
@@ -79,7 +77,7 @@ class Questions:
 
 
 def _schema(what: str) -> dict[str, object]:
-    """A box to tick, or what is to be typed in."""
+    """Schema of a checkbox, or of a text to be typed."""
     if not what:
         return _SCHEMA
     return {
@@ -90,7 +88,7 @@ def _schema(what: str) -> dict[str, object]:
 
 
 def _told(answer: object, what: str) -> str:
-    """What was typed, or "yes"; empty without agreement."""
+    """Return the typed text, or "yes"; empty without agreement."""
     if not isinstance(answer, types.ElicitResult) or answer.action != "accept":
         return ""
     content = answer.content or {}

@@ -1,4 +1,4 @@
-"""The feature: clients hear of changes, and ask the person behind them."""
+"""The feature: notifications for clients, and questions to their users."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from roboneuron import Feature, Host
 
 class Clients(Feature[None]):
     """Announces changes of tools and resources to the clients of one server, and asks their
-    persons.
+    users.
     """
 
     def __init__(self, options: None) -> None:
@@ -23,7 +23,7 @@ class Clients(Feature[None]):
         self._questions = Questions()
 
     def attach(self, host: Host) -> None:
-        """What clients may subscribe to is known from here on."""
+        """Register the subscriptions, since all resources are known from here on."""
         host.events.tools.listen(self._notices.tools_changed)
         host.events.resource.listen(self._notices.resource_updated)
         notices, server = self._notices, host.server

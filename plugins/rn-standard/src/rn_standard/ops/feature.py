@@ -21,13 +21,11 @@ from roboneuron.feature import EXPLANATIONS, FAULTS, Health, ModuleKind, ModuleV
 log = logging.getLogger(__name__)
 _ACTIONS = 30
 _ORDINARY = frozenset({"ungrounded"})
-"""An instruction that a backend cannot follow is an answer, not a fault."""
+"""Errors that are not faults: an instruction that a backend cannot follow is a regular answer."""
 
 
 class Operations(Feature[OpsOptions]):
-    """Records what goes wrong in one server, and restarts and ends module processes as
-    configured.
-    """
+    """Records the faults of one server, and restarts and ends module processes as configured."""
 
     _incidents: Incidents
     _restarts: Restarts | None = None
@@ -35,7 +33,7 @@ class Operations(Feature[OpsOptions]):
     _faults: SafetyFaults | None = None
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """get_logs and list_incidents."""
+        """Return get_logs and list_incidents."""
         self._host = host
         self._incidents = Incidents(host.state_directory / FOLDER)
         self._restarts = Restarts(host.loop, self.options, self._note_restart, self._before_restart)
@@ -54,7 +52,7 @@ class Operations(Feature[OpsOptions]):
         return record_tools(host.modules, self._incidents)
 
     def resources(self, host: Host) -> Sequence[Resource]:
-        """The logs of modules and of the server."""
+        """Return the logs of modules and of the server."""
         return [log_resource(host.modules, source) for source in get_args(Source)]
 
     def _tell_of_other_servers(self) -> None:
@@ -70,14 +68,14 @@ class Operations(Feature[OpsOptions]):
             )
 
     def start(self, host: Host) -> None:
-        """Begin to watch the memory of modules, and what is counted."""
+        """Start watching the memory of modules, and the counters."""
         assert self._memory is not None
         assert self._faults is not None
         self._memory.start()
         self._faults.start()
 
     def close(self) -> None:
-        """End restarts and what watches; the log goes on until the server has ended."""
+        """Stop restarts and watches; the log continues until the server has ended."""
         if self._restarts is not None:
             self._restarts.close()
         for watch in (self._memory, self._faults):

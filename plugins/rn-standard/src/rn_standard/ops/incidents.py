@@ -1,5 +1,5 @@
-"""One JSON file for each fault: what, when, the module's last status and log, and the last
-actions.
+"""Incident records, one JSON file for each fault: kind, time, the module's last status and log, and
+the last actions.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ log = logging.getLogger(__name__)
 FOLDER = "incidents"
 _KEPT = 200
 _AGAIN_S = 5.0
-"""The same fault of the same module is one incident when it comes and goes within this time."""
+"""Time within which the same recurring fault of the same module is one incident."""
 
 
 class Incidents:
     """Writes and lists the records; the newest 200 are kept. Usable from any thread.
 
     Args:
-        directory: where the files are; made on the first record.
+        directory: folder of the files; created with the first record.
         clock: wall-clock time [s], for the stamps.
-        monotonic: time [s] by which a repetition is known.
+        monotonic: time [s] for the detection of repetitions.
     """
 
     def __init__(
@@ -46,8 +46,8 @@ class Incidents:
         self._count = 0
 
     def record(self, module: str, what: str, facts: Mapping[str, object]) -> Path | None:
-        """Write one; None when it repeats a recent one, or cannot be written (that goes to the
-        log).
+        """Write a record; return None if it repeats a recent one, or cannot be written (which is
+        logged).
         """
         now_s, seen_s = self._clock(), self._monotonic()
         with self._lock:

@@ -1,6 +1,4 @@
-"""Memory limits of module processes: a leaking plugin must not starve the processes that hold the
-arm.
-"""
+"""Per-module memory limit: a leaking plugin must not starve the processes that control the arm."""
 
 from __future__ import annotations
 
@@ -17,14 +15,14 @@ from roboneuron.feature import ModuleKind, ModuleProcess, Modules, Periodic
 log = logging.getLogger(__name__)
 _LOOK_S = 0.05
 GRACE_S = 0.5
-"""Between SIGTERM, which lets a module hold the robot, and SIGKILL."""
+"""Time between SIGTERM, upon which a module holds the robot, and SIGKILL."""
 Record = Callable[[ModuleKind, str], None]
-"""Told which module was ended, and why."""
+"""Called with the ended module and the reason."""
 
 
 def own_memory_mb(pid: int) -> float | None:
-    """Memory of a process that nobody else uses [MB]: resident, without files and shared memory;
-    None when it is gone.
+    """Private memory of a process [MB]: resident, without files and shared memory; None after its
+    end.
 
     Source: proc_pid_statm(5).
     """
@@ -36,10 +34,10 @@ def own_memory_mb(pid: int) -> float | None:
 
 
 class MemoryWatch(Periodic):
-    """Ends modules that hold more than `[ops.memory_limit_mb]` allows; looks every 50 ms, at
-    starting ones too.
+    """Ends modules that use more memory than `[ops.memory_limit_mb]` allows; checks every 50 ms,
+    starting modules included.
 
-    Memory of children of a module (a served engine) is not counted, nor is that of a GPU.
+    Memory of a module's children (a served engine) is not counted, nor is that of a GPU.
     """
 
     def __init__(self, modules: Modules, limits: MemoryOptions, record: Record) -> None:

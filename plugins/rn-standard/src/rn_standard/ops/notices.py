@@ -1,4 +1,6 @@
-"""Telling clients of both protocol eras that the tools or a resource changed, from any thread."""
+"""Notifications of changed tools or resources for clients of both protocol eras, from any
+thread.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +17,13 @@ from mcp.shared.exceptions import MCPError
 log = logging.getLogger(__name__)
 _MOST_SESSIONS = 64
 _FIRST_WITHOUT_HANDSHAKE = "2026"
-"""Revisions from here on deliver changes to those that listen; older ones to every session."""
+"""First revision that delivers changes only to listening clients; older ones deliver to every
+session.
+"""
 
 
 class ToolNotices:
-    """Remembers who listed the tools.
+    """Notifications, with the clients that have listed the tools.
 
     Attributes:
         bus: events for clients of the 2026 revisions; give it to a `ListenHandler`.
@@ -33,7 +37,7 @@ class ToolNotices:
         self._subscribers: dict[str, dict[int, ServerSession]] = {}
 
     def remember(self, request: ServerRequestContext) -> None:
-        """A client listed the tools; called on the event loop."""
+        """Store a client that listed the tools; called on the event loop."""
         self._loop = asyncio.get_running_loop()
         if request.protocol_version < _FIRST_WITHOUT_HANDSHAKE:
             self._sessions[id(request.session)] = request.session
@@ -41,18 +45,18 @@ class ToolNotices:
                 del self._sessions[next(iter(self._sessions))]
 
     def subscribe(self, request: ServerRequestContext, uri: str) -> None:
-        """A client of an older revision wants to know when the resource `uri` changes; called on
-        the event loop.
+        """Add a subscription of a client of an older revision to the resource `uri`; called on the
+        event loop.
         """
         self._loop = asyncio.get_running_loop()
         self._subscribers.setdefault(uri, {})[id(request.session)] = request.session
 
     def unsubscribe(self, request: ServerRequestContext, uri: str) -> None:
-        """It does not want to any more."""
+        """Remove a subscription."""
         self._subscribers.get(uri, {}).pop(id(request.session), None)
 
     def resource_updated(self, uri: str) -> None:
-        """Tell those who want to know; callable from any thread."""
+        """Notify the subscribers of a resource; callable from any thread."""
         subscribers = self._subscribers.setdefault(uri, {})
         self._tell(
             ResourceUpdated(uri=uri),
@@ -61,7 +65,7 @@ class ToolNotices:
         )
 
     def tools_changed(self) -> None:
-        """Tell everybody; callable from any thread, does nothing before the first client."""
+        """Notify all clients; callable from any thread, does nothing before the first client."""
         self._tell(
             ToolsListChanged(), self._sessions, lambda session: session.send_tool_list_changed()
         )

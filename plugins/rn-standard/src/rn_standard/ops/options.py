@@ -16,7 +16,7 @@ Megabytes = Annotated[int, Field(ge=64, le=10_000_000)]
 
 
 class RestartOptions(Section):
-    """`[ops.restart]`: which modules are restarted after a failure."""
+    """`[ops.restart]`: modules to be restarted after a failure."""
 
     robot: Restart = Field(default="never", description="whether it is restarted; it holds then")
     perception: Restart = Field(default="on_failure", description="whether it is restarted")
@@ -37,7 +37,7 @@ class RestartOptions(Section):
 
 
 class MemoryOptions(Section):
-    """`[ops.memory_limit_mb]`: most memory of each module's process [MB]; none: not limited."""
+    """`[ops.memory_limit_mb]`: maximum memory of each module's process [MB]; no limit if unset."""
 
     robot: Megabytes | None = Field(default=None, description=_MEMORY)
     perception: Megabytes | None = Field(default=None, description=_MEMORY)

@@ -1,5 +1,5 @@
-"""Other servers that use the same state directory: known by a lock that ends with its process,
-whatever ends that.
+"""Other servers that use the same state directory, detected by a lock that ends with its
+process.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ from pathlib import Path
 from roboneuron.feature import log_files
 
 FOLDER = "servers"
-"""In the state directory: an empty file for each server, called as its process id and locked by it.
+"""Folder in the state directory with an empty file for each server, named by its process id and
+locked by it.
 """
 
 
 class ServerPresence:
-    """The lock of this process; `open` takes it, `close` gives it back."""
+    """Lock of this process; `open` takes it, `close` releases it."""
 
     def __init__(self, state_directory: Path) -> None:
         self._folder = state_directory / FOLDER
@@ -25,10 +26,10 @@ class ServerPresence:
         self._held: int | None = None
 
     def open(self) -> list[int]:
-        """Take the lock, and return the process ids of the servers that hold theirs; files of dead
-        ones go.
+        """Take the lock, and return the process ids of other running servers; files of dead ones
+        are removed.
 
-        A directory that cannot be written costs the knowledge, nothing else.
+        If the directory cannot be written, only this information is missing.
         """
         with suppress(OSError):
             self._held = self._lock(self._path)
@@ -37,14 +38,14 @@ class ServerPresence:
         )
 
     def close(self) -> None:
-        """Give the lock back; idempotent."""
+        """Release the lock; idempotent."""
         held, self._held = self._held, None
         if held is not None:
             self._path.unlink(missing_ok=True)
             os.close(held)
 
     def _lock(self, path: Path) -> int | None:
-        """A descriptor that holds the lock of a file; None when another holds it."""
+        """Return a descriptor that holds the lock of a file; None if another process holds it."""
         descriptor = log_files.opener(str(path), os.O_RDWR | os.O_CREAT)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

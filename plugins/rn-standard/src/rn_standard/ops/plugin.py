@@ -1,4 +1,4 @@
-"""What this package offers; standard library and descriptors only."""
+"""Descriptors of this package; standard library only."""
 
 from roboneuron import CommandSpec, FeatureSpec, hookimpl
 
@@ -15,7 +15,7 @@ CLIENTS = FeatureSpec(
     summary="Tells clients what changes, and asks the person behind a client.",
     target="rn_standard.ops.clients:Clients",
 )
-"""Descriptor of the feature that clients hear changes and questions from."""
+"""Descriptor of the feature for notifications and questions to clients."""
 
 RECOVERY = FeatureSpec(
     name="recovery",
@@ -23,7 +23,9 @@ RECOVERY = FeatureSpec(
     target="rn_standard.ops.recovery:RecoveryFeature",
     on_join="rn_standard.ops.recovery_parameter:join",
 )
-"""Descriptor of the feature that clears faults of drivers that can (`DriverSpec.recovers`)."""
+"""Descriptor of the feature that clears faults, for drivers that support it
+(`DriverSpec.recovers`).
+"""
 
 REAL_ROBOT = FeatureSpec(
     name="real-robot",
@@ -31,7 +33,7 @@ REAL_ROBOT = FeatureSpec(
     target="rn_standard.ops.real_robot:RealRobotFeature",
     config="rn_standard.ops.real_robot:RealRobotOptions",
 )
-"""Descriptor of the feature that asks about real robots."""
+"""Descriptor of the feature that asks before the start of a real robot."""
 
 COMMAND = CommandSpec(
     name="doctor",

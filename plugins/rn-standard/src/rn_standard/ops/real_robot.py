@@ -1,4 +1,6 @@
-"""Ask a person before a client first starts a real robot: `[real_robot]` of roboneuron.toml."""
+"""Confirmation by a person before a client first starts a real robot: `[real_robot]` of
+roboneuron.toml.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ Handler = Callable[[Arguments, CallContext], Awaitable[Result | Reply]]
 
 
 class RealRobotOptions(Section):
-    """`[real_robot]`: who agrees to the first start of a robot whose driver is not declared as
+    """`[real_robot]`: confirmation of the first start of a robot whose driver is not declared as
     simulated.
     """
 
@@ -40,12 +42,12 @@ class RealRobotOptions(Section):
 
 
 class RealRobotFeature(Feature[RealRobotOptions]):
-    """Makes start_robot and start_all ask, once for each robot and driver while the server runs."""
+    """Makes start_robot and start_all ask, once per robot and driver in the server's life."""
 
     _agreed: frozenset[tuple[str, str]] = frozenset()
 
     def complete(self, host: Host) -> None:
-        """See `Feature.complete`: put the question before the tools that start a robot."""
+        """See `Feature.complete`: add the question before the tools that start a robot."""
         for name in _STARTS:
             tool = host.tools.get(name)
             if tool is None or self.options.confirm == "never":
@@ -68,7 +70,7 @@ class RealRobotFeature(Feature[RealRobotOptions]):
     async def _ask(
         self, host: Host, tool: str, request: Arguments | None, context: CallContext
     ) -> None:
-        """Raises RefusedError unless the robot is simulated, or a person agrees or has agreed
+        """Raise RefusedError unless the robot is simulated, or a person agrees or has agreed
         before.
         """
         plan = await context.run(lambda _: host.loop.select("robot", request, context.role))

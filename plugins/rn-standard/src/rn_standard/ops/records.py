@@ -1,4 +1,4 @@
-"""The tools by which an agent reads what happened: the modules' logs and the incident records."""
+"""Tools for reading the modules' logs and the incident records."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ LOG_LINES = 500
 _MOST_LINES = 2000
 _MOST_TEXT = 4000
 _MOST_LOG, _MOST_ANSWER = 8000, 20_000
-"""Characters of the log in one record, and of all entries of get_logs together."""
+"""Maximum characters of the log in one record, and of all entries of get_logs together."""
 _MOST_RESOURCE = 40_000
 _LINE = 200
 
@@ -31,15 +31,15 @@ _LINE = 200
 class GetLogs(Arguments):
     """Arguments of get_logs."""
 
-    module: Source = Field(description="Whose log; server: the log of this server itself.")
-    entries: int = Field(default=50, ge=1, le=500, description="At most so many, the newest.")
-    level: Level = Field(default="debug", description="Leave out entries below this level.")
+    module: Source = Field(description="Module; server: the server's own log.")
+    entries: int = Field(default=50, ge=1, le=500, description="Maximum number; the newest.")
+    level: Level = Field(default="debug", description="Minimum level.")
     contains: str = Field(default="", max_length=200, description="Only entries with this text.")
 
 
 class LogEntry(Result):
-    """One entry; `level` is empty for what was not written by the logger (a plugin's or library's
-    own output).
+    """One entry; `level` is empty for text not written by the logger (a plugin's or library's own
+    output).
     """
 
     at: str = Field(default="", description="local time")
@@ -63,15 +63,15 @@ class LogsResult(Result):
 class ListIncidents(Arguments):
     """Arguments of list_incidents."""
 
-    entries: int = Field(default=10, ge=1, le=100, description="At most so many, the newest.")
+    entries: int = Field(default=10, ge=1, le=100, description="Maximum number; the newest.")
     module: ModuleKind | None = Field(default=None, description="Only of this module.")
     id: str | None = Field(
-        default=None, max_length=200, description="This one alone, with status, log and actions."
+        default=None, max_length=200, description="Only this one, with status, log and actions."
     )
 
 
 class Incident(Result):
-    """One fault in a line; the second part only of the one whose id was named."""
+    """One fault in a line; the second part only for the one whose id was given."""
 
     id: str
     at: str = Field(description="ISO 8601")
@@ -80,7 +80,7 @@ class Incident(Result):
     explanation: str = Field(
         default="", description="what that means, and the module's error if it had one"
     )
-    before: str = Field(default="", description="how it was before")
+    before: str = Field(default="", description="previous health")
     status: dict[str, object] = Field(
         default_factory=dict, description="the module's last status, as in get_status"
     )
@@ -102,7 +102,7 @@ class IncidentsResult(Result):
 
 
 def incident_line(record: Mapping[str, Any]) -> Incident:
-    """A record in a line."""
+    """Convert a record to one line."""
     told = str(record.get("explanation", ""))
     error = (record.get("status") or {}).get("error") or {}
     if error.get("message"):
@@ -117,7 +117,9 @@ def incident_line(record: Mapping[str, Any]) -> Incident:
 
 
 def whole_incident(record: Mapping[str, Any]) -> Incident:
-    """All that is kept of a fault, without what is empty; a long log is cut at its beginning."""
+    """All stored data of a fault, without empty fields; a long log is truncated at its
+    beginning.
+    """
     parts = _filled({key: record[key] for key in Incident.model_fields if key in record})
     if "log" in parts:
         parts["log"] = newest_lines(parts["log"], _MOST_LOG)
@@ -131,7 +133,7 @@ def _filled(facts: Mapping[str, object]) -> dict[str, Any]:
 
 
 def newest_lines(lines: Sequence[str], most: int) -> list[str]:
-    """The last lines, of at most so many characters together; says how many lines are left out."""
+    """The last lines within a maximum of characters; states the number of omitted lines."""
     kept: list[str] = []
     for line in reversed(lines):
         most -= len(line)
@@ -142,9 +144,7 @@ def newest_lines(lines: Sequence[str], most: int) -> list[str]:
 
 
 def newest_entries(entries: Sequence[LogEntry]) -> list[LogEntry]:
-    """The last entries, at least one, of at most so many characters together as an agent can
-    read.
-    """
+    """The last entries, at least one, within the maximum length of an answer."""
     kept: list[LogEntry] = []
     room = _MOST_ANSWER
     for entry in reversed(entries):
@@ -156,7 +156,7 @@ def newest_entries(entries: Sequence[LogEntry]) -> list[LogEntry]:
 
 
 def parse_entries(lines: tuple[str, ...]) -> list[LogEntry]:
-    """Log lines as entries; lines that continue one (a traceback) belong to it."""
+    """Parse log lines to entries; continuation lines (a traceback) belong to the previous one."""
     entries: list[LogEntry] = []
     for line in lines:
         match = _ENTRY.match(line)
@@ -172,7 +172,7 @@ def parse_entries(lines: tuple[str, ...]) -> list[LogEntry]:
 
 
 def log_file(modules: Modules, source: Source) -> Path:
-    """Where a module, or the server itself, logs; without a module of that kind, where it would.
+    """Log file of a module or of the server; for a module without a process, its future one.
 
     Args:
         source: a module that has replaced another one may log under the other of its two names.
@@ -185,7 +185,7 @@ def log_file(modules: Modules, source: Source) -> Path:
 
 
 def log_resource(modules: Modules, source: Source) -> Resource:
-    """The end of a module's log, or of the server's."""
+    """Create the resource with the end of a module's log, or of the server's."""
     return Resource(
         uri=f"roboneuron://logs/{source}",
         name=f"log of {source}",
@@ -198,7 +198,7 @@ def log_resource(modules: Modules, source: Source) -> Resource:
 
 
 def record_tools(modules: Modules, incidents: Incidents) -> list[Tool]:
-    """get_logs and list_incidents."""
+    """Create get_logs and list_incidents."""
 
     async def get_logs(arguments: GetLogs, context: CallContext) -> LogsResult:
         path = log_file(modules, arguments.module)

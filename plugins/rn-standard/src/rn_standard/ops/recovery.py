@@ -1,4 +1,4 @@
-"""The tool `recover_robot`: a person releases an arm that a fault has stopped."""
+"""Tool recover_robot: a person releases an arm that a fault has stopped."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _DONE_S = 20.0
 
 
 class RecoveryResult(Result):
-    """How a recovery went."""
+    """Result of a recovery."""
 
     recovered_from: str = Field(description="code of the fault that was cleared")
     took_s: float
@@ -35,7 +35,7 @@ class RecoveryResult(Result):
 
 
 class RecoveryFeature(Feature[None]):
-    """Adds recover_robot where the configured driver of the robot can be recovered."""
+    """Adds recover_robot if the configured driver of the robot supports it."""
 
     def tools(self, host: Host) -> Sequence[Tool]:
         """See `Feature.tools`."""
@@ -89,11 +89,11 @@ async def _ask(context: CallContext) -> None:
 
 
 def _recover(host: Host, who: str, role: str) -> RecoveryResult:
-    """Ask the robot module, and write into the audit what it answers.
+    """Request the recovery from the robot module, and record its answer in the audit.
 
     Raises:
-        RefusedError: the cause stands, or the audit cannot be written; StateError: no fault, or no
-            robot runs.
+        RefusedError: the cause persists, or the audit cannot be written.
+        StateError: there is no fault, or no robot runs.
         NotReadyError: no answer in time.
     """
     started_s = time.monotonic()
@@ -111,8 +111,8 @@ def _recover(host: Host, who: str, role: str) -> RecoveryResult:
             )
         )
 
-    write("allowed", "asks the robot to recover")  # first: without an audit nothing is released
-    # also where no fault was noticed before
+    write("allowed", "asks the robot to recover")  # first: nothing is released without an audit
+    # also if no fault was detected before
     host.loop.starts.stop("robot", "a recovery from a fault", is_asked=False)
     number = time.time_ns() // 1_000_000
     if refused := host.loop.set_parameters("robot", {RECOVER_PARAMETER: number}, _SET_S):

@@ -1,5 +1,5 @@
-"""Recovery of a robot from a fault: a ROS parameter, so that only the server of this module may ask
-for it.
+"""Recovery of a robot from a fault: a ROS parameter, so that only this module's server can request
+it.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ if TYPE_CHECKING:
     from roboneuron.node import Module, ModuleHost
 
 RECOVER_PARAMETER = "recover"
-"""ROS parameter of the robot node: a new number asks a driver that can to recover; `recovery` tells
-how it went.
+"""ROS parameter of the robot node: a new number requests a recovery from a supporting driver; the
+status `recovery` contains the result.
 """
 log = logging.getLogger(__name__)
 
 
 @runtime_checkable
 class RecoverableDriver(Protocol):
-    """What a driver may offer, without importing this: to clear a fault that has stopped the
-    robot.
+    """Optional interface of a driver, which need not import this: clearing a fault that has stopped
+    the robot.
     """
 
     def recover(self) -> str:
-        """Clear the fault because a person said so; nothing moves. Returns what was cleared.
+        """Clear the fault on a person's request; nothing moves. Return the cleared fault.
 
         Raises:
             StateError: there is no fault.
-            RefusedError: its cause still stands; the message says what to do.
+            RefusedError: its cause persists; the message contains a remedy.
         """
         ...
 
@@ -51,8 +51,8 @@ def _extend(host: ModuleHost, module: Module) -> None:
 
 
 class Recovery:
-    """Asks the driver in a thread of its own, for it may take seconds, and reports "<number> <word>
-    <text>".
+    """Runs the driver's recovery on a separate thread, since it may take seconds, and reports
+    "<number> <word> <text>".
     """
 
     def __init__(self, host: ModuleHost, driver: RecoverableDriver) -> None:
@@ -62,19 +62,19 @@ class Recovery:
         self._busy = threading.Lock()
 
     def ask(self, number: int) -> None:
-        """Begin to recover; `number` tells this request from others."""
+        """Start a recovery; `number` identifies the request."""
         if number:
             threading.Thread(target=self._run, args=(number,), name="recovery", daemon=True).start()
 
     def _run(self, number: int) -> None:
         with self._busy:
-            # what was asked for before it is not carried out
+            # earlier requests are void
             self._host.require_start("a recovery from a fault")
             try:
                 told = f"recovered {self._driver.recover()}"
             except RoboNeuronError as error:
                 told = f"{error.code} {error}"
-            except Exception as error:  # the thread's border: who asked gets an answer
+            except Exception as error:  # the thread's border: the request gets an answer
                 log.exception("The driver could not be recovered.")
                 told = f"{PluginError.code} {type(error).__name__}: {error}"
         self._status.set_value("recovery", f"{number} {told}")

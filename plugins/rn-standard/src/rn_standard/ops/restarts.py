@@ -1,4 +1,4 @@
-"""Restarts of modules after failures: which, how often, and how soon."""
+"""Restarts of modules after failures: conditions, limits and delays."""
 
 from __future__ import annotations
 
@@ -24,34 +24,31 @@ log = logging.getLogger(__name__)
 _FROZEN: frozenset[Health] = frozenset({"silent", "stuck", "stalled"})
 _LOOK_S = 0.05
 _SAMPLES = 5
-"""Looks at the load before a restart: a quarter of a second."""
+"""Samples of the load before a restart: a quarter of a second."""
 _FROZEN_SAMPLES = 20
-"""Looks at the load while a module is frozen: the newest second."""
+"""Samples of the load while a module is frozen: the last second."""
 _PATIENCE = 5.0
-"""How many times longer than `unresponsive_s` a module may be frozen while the machine is
-overloaded.
-"""
+"""Factor on `unresponsive_s` for a frozen module while the machine is overloaded."""
 _HOUR_S = 3600.0
 _LONGEST_S = 60.0
-"""Longest wait before a restart on an overloaded machine, where starting a process makes it worse
-for all others.
+"""Longest delay of a restart on an overloaded machine, where starting a process delays all others
+further.
 """
 _RELIEF = "stop other programs, or use fewer cameras, a lower rate or a smaller image"
 Record = Callable[[ModuleKind, str], None]
-"""Told what was restarted, and how that went."""
+"""Called with the restarted module and the result."""
 
 
 class Restarts:
-    """Starts modules again that ended or froze, where `[ops.restart]` says "on_failure".
+    """Restarts modules that ended or froze, if `[ops.restart]` is "on_failure".
 
-    A module that is at fault itself has a limit within a window; the wait before a restart doubles
-    with every restart in that window. While the machine is overloaded nobody can say whose fault it
-    is: a frozen module is given more time, restarts wait longer, and another limit holds, in an
-    hour. A module that is frozen is ended first, once it has been so for `unresponsive_s`. A start
-    that somebody asks for makes all counts begin anew.
+    A faulty module has a limit of restarts within a window; the delay doubles with every restart in
+    that window. While the machine is overloaded the cause is unclear: a frozen module gets more
+    time, restarts are delayed further, and a separate limit per hour applies. A module is ended
+    after it was frozen for `unresponsive_s`. A requested start resets all counts.
 
     A restart sets nothing in motion: the policy has no instruction afterwards, and robot and
-    control obey nothing until somebody asks for motion.
+    control refuse commands until motion is requested.
     """
 
     def __init__(
@@ -63,10 +60,10 @@ class Restarts:
         load: Callable[[], float] = runnable_per_core,
     ) -> None:
         """Args:
-        loop, options: of the server.
-        record: told of restarts.
+        loop, options: those of the server.
+        record: called with every restart.
         before: called right before a restart, which must set nothing in motion.
-        load: runnable tasks for each core.
+        load: returns the runnable tasks per core.
         """
         self._modules = loop.modules
         self._loop = loop
@@ -81,7 +78,7 @@ class Restarts:
         self._closed = False
 
     def on_health(self, view: ModuleView, before: Health, health: Health) -> None:
-        """Listener of `Watch`."""
+        """Listener of `Watch`; schedules restarts."""
         if health == "starting":
             self._begin_anew(view.kind)
         if health != "exited" and health not in _FROZEN:
@@ -97,14 +94,14 @@ class Restarts:
         ).start()
 
     def _begin_anew(self, kind: ModuleKind) -> None:
-        """Forget earlier restarts, unless the start is one of them."""
+        """Reset the counts, unless the start is a restart."""
         with self._lock:
             if kind not in self._pending:
                 self._faults[kind].clear()
                 self._overloads[kind].clear()
 
     def cancel(self, kind: ModuleKind) -> bool:
-        """Somebody decides otherwise; returns whether a restart was pending."""
+        """Cancel a pending restart after another decision; return True if there was one."""
         with self._lock:
             pending = self._pending.get(kind)
         if pending is not None:
@@ -112,7 +109,7 @@ class Restarts:
         return pending is not None
 
     def close(self) -> None:
-        """No more restarts; idempotent."""
+        """Stop all restarts; idempotent."""
         with self._lock:
             self._closed = True
             pending = list(self._pending.values())
@@ -159,8 +156,8 @@ class Restarts:
             return
 
     def _delay_s(self, kind: ModuleKind, load: float) -> float | None:
-        """Count one more restart and return how long it waits; None, with a record, when there were
-        too many.
+        """Count one more restart and return its delay [s]; None, with a record, if there were too
+        many.
         """
         rules, now_s = self._options, time.monotonic()
         is_overloaded = load >= OVERLOADED
@@ -183,7 +180,7 @@ class Restarts:
         return float(min(delay_s * 2, _LONGEST_S) if is_overloaded else delay_s)
 
     def _measured_load(self, cancelled: threading.Event) -> float | None:
-        """Mean load of a quarter of a second; None when the restart was cancelled meanwhile."""
+        """Mean load over a quarter of a second; None if the restart was cancelled meanwhile."""
         samples = []
         for _ in range(_SAMPLES):
             samples.append(self._load())
@@ -194,7 +191,9 @@ class Restarts:
     def _is_still_frozen(
         self, view: ModuleView, cancelled: threading.Event, bound_s: float
     ) -> bool:
-        """Whether it stays so for `bound_s`, or longer while the machine is overloaded."""
+        """True if the module stays frozen for `bound_s`, or longer while the machine is
+        overloaded.
+        """
         began_s = time.monotonic()
         samples: deque[float] = deque(maxlen=_FROZEN_SAMPLES)
         while True:
@@ -213,7 +212,7 @@ class Restarts:
 
 
 def without_instruction(config: Config) -> Config:
-    """What is configured, for a policy that waits to be told what to do."""
+    """Return the configuration without an instruction, so that the policy waits for one."""
     if config.inference is None:
         return config
     return config.model_copy(

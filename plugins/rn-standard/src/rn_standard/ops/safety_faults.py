@@ -1,4 +1,4 @@
-"""Faults that are no module's health: a latch file that vanished, requests of foreign nodes."""
+"""Faults outside of a module's health: a latch file that vanished, requests of foreign nodes."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from roboneuron.feature import ClosedLoop, ModuleKind, Periodic, settings
 _LOOK_S = 0.1
 _VANISHED = "its file vanished without a reset and was written again; everything stays stopped"
 Fault = Callable[[str, str, Mapping[str, object]], None]
-"""Told where, a word for the fault, and facts that JSON can hold."""
+"""Called with the place, a word for the fault, and JSON-serialisable details."""
 
 
 class SafetyFaults(Periodic):
-    """Compares what is counted, every 100 ms: a count that has gone up is a fault. That of a
-    process that was started again begins at 0.
+    """Checks counters every 100 ms: an increase is a fault. The counters of a restarted process
+    begin at 0.
     """
 
     def __init__(self, loop: ClosedLoop, tell: Fault) -> None:
@@ -25,7 +25,7 @@ class SafetyFaults(Periodic):
         self._foreign: dict[ModuleKind, int] = {}
 
     def look(self) -> None:
-        """Tell of each fault once. Who has removed the file is not known."""
+        """Report each fault once. It is unknown which process has removed the file."""
         restored = self._loop.emergency_stop.file.read_state().restored
         if restored > self._restored:
             facts = {"explanation": _VANISHED, "times": restored}

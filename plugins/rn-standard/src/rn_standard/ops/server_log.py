@@ -1,4 +1,4 @@
-"""The log file of the server, beside those of its modules, bounded in size."""
+"""Log file of the server, next to those of its modules, bounded in size."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from roboneuron.feature import log_files
 
 FILE_NAME = "server.log"
 _BYTES = 4 << 20
-"""Then a new file is begun; one older one is kept."""
+"""Size at which a new file is started; one older file is kept."""
 
 
 class _PrivateFile(RotatingFileHandler):
@@ -21,13 +21,13 @@ class _PrivateFile(RotatingFileHandler):
 
 
 class ServerLog:
-    """Writes the records of this process's loggers to a file, at least from "info" on, from `open`
-    to `close`.
+    """Writes the records of this process's loggers to a file, from level "info" or lower, between
+    `open` and `close`.
 
     Other handlers receive the same records as before.
 
     Args:
-        directory: where it is; made when it does not exist.
+        directory: its folder; created if missing.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -37,8 +37,8 @@ class ServerLog:
         self._quiet: list[logging.Handler] = []
 
     def open(self) -> None:
-        """Begin; does nothing the second time. A disk that cannot be written costs the log, nothing
-        else.
+        """Start writing; does nothing the second time. If the disk cannot be written, only the log
+        is missing.
         """
         if self._handler is not None:
             return
@@ -58,7 +58,7 @@ class ServerLog:
             root.addHandler(self._handler)
 
     def close(self) -> None:
-        """End; idempotent."""
+        """Stop writing; idempotent."""
         if self._handler is not None:
             root = logging.getLogger()
             root.removeHandler(self._handler)

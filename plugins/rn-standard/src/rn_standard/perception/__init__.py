@@ -1,1 +1,1 @@
-"""Perception modules: frames of a source in, images on ROS topics out."""
+"""Perception modules: from the frames of a source to images on ROS topics."""

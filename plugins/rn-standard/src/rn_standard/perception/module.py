@@ -1,5 +1,5 @@
-"""Perception: a PerceptionSource's frames as images on `camera/<name>/image`, calibrations on
-`.../camera_info`.
+"""Perception module: publishes a PerceptionSource's frames on `camera/<name>/image`, and
+calibrations on `.../camera_info`.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from roboneuron.node import (
 )
 
 _READ_TIMEOUT_S = 0.25
-"""Below the 0.4 s after which the reading thread counts as stalled."""
+"""Timeout of a read, below the 0.4 s after which the reading thread counts as stalled."""
 SILENCE_S = 3.0
-"""A source that delivers nothing for this long is an error."""
+"""Time without any frame after which the source counts as failed."""
 
 
 class PerceptionModule(Module):
-    """Publishes what one source delivers, for as many cameras as it serves.
+    """Publishes the frames of one source, for all its cameras.
 
-    One thread reads and publishes; the transitions come on the executor's.
+    One thread reads and publishes; transitions run on the executor's thread.
     """
 
     def __init__(self, node: ModuleHost) -> None:
@@ -78,7 +78,7 @@ class PerceptionModule(Module):
         self.status.set_value("source", spec.name)
 
     def activate(self) -> None:
-        """Start reading; ready once every camera has delivered."""
+        """Start reading; ready once every camera has delivered a frame."""
         self._newest_s = time.monotonic()
         self._missing = set(self._images)
         self._announce_missing()
@@ -88,7 +88,7 @@ class PerceptionModule(Module):
         """Stop reading.
 
         Raises:
-            NotReadyError: the source hangs; nothing it delivers later is published.
+            NotReadyError: the source hangs; later frames are not published.
         """
         if not self._worker.stop():
             raise NotReadyError(f"Source {self.config.perception} hangs in read().")
@@ -98,8 +98,8 @@ class PerceptionModule(Module):
         self.status.set_waiting(f"the first image of camera {names}")
 
     def _step(self, stop: threading.Event) -> None:
-        """Read one frame and publish it; a source that is late is counted, and reported only after
-        `SILENCE_S`, because cameras drop frames now and then.
+        """Read one frame and publish it. A late source is counted, but reported only after
+        `SILENCE_S`, because cameras drop frames occasionally.
         """
         try:
             frame = self._source.read(_READ_TIMEOUT_S)
@@ -116,13 +116,13 @@ class PerceptionModule(Module):
         # deactivated while `read` was waiting
         if stop.is_set():
             return
-        # of any camera: one that is late while others deliver shows by its own `age_ms`
+        # of any camera: one that is late while others deliver is visible by its own `age_ms`
         self._newest_s = time.monotonic()
         self.status.set_value(
             f"size.{frame.camera}", f"{frame.image.shape[1]}x{frame.image.shape[0]}"
         )
         if self.handover.is_ours(frame.stamp_ns):
-            # before the image: whoever decodes that looks for its intrinsics
+            # before the image: the receiver of an image needs its intrinsics
             image = messages.to_image(frame)
             if frame.calibration is not None:
                 info = to_camera_info(frame.calibration.intrinsics, image)
@@ -145,10 +145,10 @@ class PerceptionModule(Module):
 def _choose(
     cameras: tuple[CameraProfile, ...], names: tuple[str, ...], robot: str
 ) -> tuple[CameraProfile, ...]:
-    """The profiles of `names`, or all of them when it is empty.
+    """Return the profiles of `names`, or all of them if it is empty.
 
     Args:
-        cameras: of the robot.
+        cameras: cameras of the robot.
         names: as configured.
         robot: its name, for messages.
 
@@ -166,7 +166,7 @@ def _choose(
 
 
 def to_camera_info(intrinsics: F64, image: Image) -> CameraInfo:
-    """The message beside an image of a camera without distortion.
+    """Create the message that accompanies an image of a camera without distortion.
 
     Source of the half pixel: image_geometry and OpenCV put pixel centres at integers, the contract
     at integers + 0.5.

@@ -1,4 +1,4 @@
-"""Does a source of images fit the robot and its driver? Answered from descriptors alone."""
+"""Compatibility check of an image source with the robot and its driver, from descriptors alone."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from roboneuron.node import find_robot
 
 
 def plan_perception(config: Config, registry: Registry) -> Plan:
-    """The plan of `[perception]`.
+    """Plan the module of `[perception]`.
 
     Raises:
-        ConfigurationError: a name is not installed or cannot be used.
-        PlanningError: the source does not serve this robot, or not with this driver.
+        ConfigurationError: a name is not installed or unusable.
+        PlanningError: the source does not support this robot, or this driver.
         InvalidInputError: the robot has no such camera.
     """
     section = config.perception

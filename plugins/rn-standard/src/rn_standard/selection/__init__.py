@@ -1,3 +1,3 @@
-"""Choice of what start tools run, by agents and within what the configuration allows: a feature of
+"""Selection of what start tools run, by agents and within the configured restrictions: a feature of
 RoboNeuron.
 """

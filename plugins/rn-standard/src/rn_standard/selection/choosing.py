@@ -1,5 +1,5 @@
-"""From a tool's arguments to the configuration a module is started with; what a client may not name
-is refused here.
+"""Conversion of a tool's arguments to the configuration of a module; forbidden choices of a client
+are refused.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ def choose(
     request: Arguments | None = None,
     role: str = "",
 ) -> Plan:
-    """Check what a client asks for, or without a request what is configured.
+    """Plan a client's request, or without one the configured module.
 
     Args:
-        kind: of the module.
+        kind: kind of the module.
         config, registry: the configuration, and the installed plugins.
-        request: of the kind's model, see `REQUESTS`.
-        role: of the client that made the request; "" may set nothing that is restricted.
+        request: an instance of the kind's model, see `REQUESTS`.
+        role: role of the requesting client; "" may set no restricted option.
 
     Raises:
-        InvalidInputError: something needed is not named, the robot has no such camera, or the
+        InvalidInputError: a required name is missing, the robot has no such camera, or the
             instruction is blank.
-        CheckpointError: the checkpoint's path does not exist, or the backend takes none.
+        CheckpointError: the checkpoint's path does not exist, or the backend uses none.
         ConfigurationError: unknown or unusable names or options.
-        PlanningError: the parts do not fit together or the robot.
-        RefusedError: options that only the configuration may set, or a checkpoint outside of what
-            it allows.
+        PlanningError: the parts are incompatible with each other or the robot.
+        RefusedError: options that only the configuration may set, or a checkpoint outside of the
+            permitted folders.
     """
     chosen_by_agent = request is not None
     request = request or REQUESTS[kind]()
@@ -76,7 +76,7 @@ def choose(
 
 
 def _configured_names(kind: ModuleKind, config: Config) -> set[str]:
-    """Names of the plugins that the configuration chooses for a kind of module."""
+    """Names of the configured plugins for a kind of module."""
     section: Section | None = getattr(config, kind)
     fields = ("driver", "source", "controller", "backend", "runtime", "acceleration")
     return (
@@ -87,8 +87,8 @@ def _configured_names(kind: ModuleKind, config: Config) -> set[str]:
 
 
 def _section(kind: ModuleKind, config: Config, registry: Registry, request: Arguments) -> Section:
-    """The configured section with what the request names; one of its own for another plugin than
-    the configured.
+    """The configured section updated with the request; a new section for another plugin than the
+    configured one.
     """
     entry = KIND_ENTRIES[kind]
     field = "name" if kind == "robot" else entry.noun
@@ -113,9 +113,7 @@ def _section(kind: ModuleKind, config: Config, registry: Registry, request: Argu
 def _merge(
     config: Config, name: str, spec: Spec | DriverSpec, options: Mapping[str, object], role: str
 ) -> Config:
-    """The configuration with a client's `options` laid over `[plugins.<name>]`, where the client
-    may set them.
-    """
+    """Merge a client's `options` into `[plugins.<name>]`, if the client may set them."""
     if not options:
         return config
     before = config.options(name)

@@ -1,4 +1,4 @@
-"""The feature: the start tools take arguments."""
+"""The feature: arguments for the start tools."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from roboneuron import Feature, Host, InternalError, Tool
 
 
 class SelectionFeature(Feature[SelectionSections]):
-    """Lets clients say what start_robot, start_perception, start_control and start_inference
+    """Lets clients choose what start_robot, start_perception, start_control and start_inference
     start.
     """
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """None of its own: those of core get arguments. See `Feature.tools`.
+        """Return no new tools: those of core get arguments. See `Feature.tools`.
 
         Raises:
-            ConfigurationError: `agent_options` names what is no option of an installed plugin.
+            ConfigurationError: `agent_options` contains an unknown option.
         """
         if listed := self.options.selection.agent_options:
             check_listed(listed, host.registry)
@@ -38,5 +38,5 @@ class SelectionFeature(Feature[SelectionSections]):
 
 
 def _installed(host: Host, kind: str) -> Callable[[], dict[str, str]]:
-    """Asks for the names of the usable plugins of a kind; list_* tells what they are."""
+    """Return a function for the names of the usable plugins of a kind, with their summaries."""
     return lambda: dict.fromkeys(host.registry.specs(host.registry.kinds[kind]), "")

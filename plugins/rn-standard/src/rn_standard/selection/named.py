@@ -16,18 +16,19 @@ from roboneuron import BackendSpec, InvalidInputError, RoboNeuronError, Section
 from roboneuron.feature import KIND_ENTRIES, Config, Registry
 
 _PARTS = ("backend", "checkpoint", "runtime", "acceleration")
-"""What a model says itself."""
+"""Fields set by a named model."""
 
 
 def with_model(
     config: Config, registry: Registry, request: StartChosenInference
 ) -> tuple[Config, StartChosenInference, dict[str, str]]:
-    """The configuration with the model of a request as what is configured for inference, the rest
-    of the request, and the names by which the choice is told; as they are where it names no model.
+    """Resolve the model of a request: return the configuration with it as the configured inference,
+    the rest of the request, and the names of the choice; all unchanged if the request names no
+    model.
 
     Raises:
-        InvalidInputError: there is no such model or machine, or the request names a part of the
-            model too.
+        InvalidInputError: the model or machine is unknown, or the request also sets a part of the
+            model.
     """
     name = request.model
     if name is None:
@@ -95,7 +96,7 @@ def _host(config: Config, name: str) -> HostOptions:
 def _remote_options(
     config: Config, registry: Registry, host: HostOptions, name: str, model: NamedModelOptions
 ) -> Mapping[str, object]:
-    """What tells the backend `shared` which model of which machine it is to ask."""
+    """Options of the backend `shared` for a model of another machine."""
     told = {**host.options, "address": host.address, "model": name}
     try:
         spec = registry.get(BackendSpec, model.backend, elsewhere=True)
@@ -106,8 +107,8 @@ def _remote_options(
             options["checkpoint"] = model.checkpoint
         space = agree_on_space(registry, spec, options, config.robot.name, None).declared
     except RoboNeuronError:
-        # installed, or its files are, on the other machine only: what it answers in another space
-        # is refused
+        # installed, or with its files, on the other machine only: an answer in another space is
+        # refused
         return told
     channels = tuple(space.keys)
     return {**told, "space": {"kind": space.kind, "rate_hz": space.rate_hz, "channels": channels}}

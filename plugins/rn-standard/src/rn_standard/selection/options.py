@@ -1,4 +1,4 @@
-"""Its sections of roboneuron.toml: what agents may set, and models by name."""
+"""Sections of the feature in roboneuron.toml: options that agents may set, and models by name."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from roboneuron.feature import models as core_models
 
 
 class NamedModelOptions(Section):
-    """`[models.<name>]`: a policy that agents may choose by its name."""
+    """`[models.<name>]`: a policy that agents may choose by name."""
 
     backend: core_models.Name = Field(description="a backend offered by an installed plugin")
     checkpoint: str | None = Field(default=None, description="directory of the model's files")
@@ -60,7 +60,7 @@ class HostOptions(Section):
 
 
 class SelectionOptions(Section):
-    """`[selection]`: what agents may set beside what the configuration names."""
+    """`[selection]`: options that agents may set in addition to the configured ones."""
 
     checkpoint_roots: tuple[str, ...] = Field(
         default=(),

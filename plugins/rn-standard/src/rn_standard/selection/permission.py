@@ -1,4 +1,4 @@
-"""What a client may name when it starts a module: options, and paths of checkpoints."""
+"""Permissions of a client that starts a module: options, and paths of checkpoints."""
 
 from __future__ import annotations
 
@@ -30,29 +30,29 @@ def check_may_set(
     listed: Collection[str],
     role: str,
 ) -> None:
-    """Refuse a change of options that only the configuration may set; those that are listed are for
+    """Refuse a change of options that only the configuration may set; listed ones may be set by
     admins.
 
-    Whole tables are replaced by a client's, so a restricted option may be neither changed, added
+    A client's table replaces the whole table, so a restricted option may be neither changed, added
     nor left out.
 
     Args:
-        spec: whose options these are.
-        name: of their section, `[plugins.<name>]`.
-        configured, wanted: without and with what the client gave.
+        spec: descriptor with the options.
+        name: name of their section, `[plugins.<name>]`.
+        configured, wanted: without and with the client's options.
         listed: `agent_options` of `[selection]`.
-        role: of the client.
+        role: role of the client.
 
     Raises:
         RefusedError: names the options.
     """
     if spec.config is None:
-        return  # there are no options; the one that was named is refused as unknown
+        return  # there are no options; the given one is refused as unknown
     try:
         model = loading.load_options_model(spec)
     except (
         MissingDependencyError
-    ):  # a plugin for an interpreter of its own: nobody here knows what its options name
+    ):  # a plugin for its own interpreter: the meaning of its options is unknown here
         model = None
     fixed, given = restricted_values(model, configured), restricted_values(model, wanted)
     changed = [
@@ -89,10 +89,10 @@ def check_may_set(
 
 
 def check_listed(entries: Collection[str], registry: Registry) -> None:
-    """Refuse `agent_options` that name no option of a plugin.
+    """Refuse unknown options in `agent_options`.
 
     Raises:
-        ConfigurationError: names the entry, and the nearest option there is.
+        ConfigurationError: names the entry, and the nearest option.
     """
     for entry in entries:
         name, *path = entry.split(".")
@@ -100,7 +100,7 @@ def check_listed(entries: Collection[str], registry: Registry) -> None:
         try:
             models = [loading.load_options_model(spec) for spec in registry.readers_of(name)]
         except (MissingDependencyError, PluginError):
-            continue  # not to be judged here; told where it is chosen
+            continue  # cannot be checked here; reported where it is chosen
         known = {
             field.alias or key
             for model in models
@@ -116,12 +116,12 @@ def check_listed(entries: Collection[str], registry: Registry) -> None:
 
 
 def check_addresses(spec: Spec | DriverSpec, options: Mapping[str, object]) -> None:
-    """Refuse what an agent chose and would talk to an address that nobody wrote down: whoever
-    listens there would get images and instructions, and say how the robot moves.
+    """Refuse an agent's choice of a plugin with an unconfigured network address: a process at that
+    address would receive images and instructions, and control the robot's motion.
 
     Args:
-        spec: what the agent chose; the configuration does not choose it.
-        options: of its section, `[plugins.<name>]`.
+        spec: the plugin, chosen by the agent and not by the configuration.
+        options: options of its section, `[plugins.<name>]`.
 
     Raises:
         RefusedError: names the options.
@@ -129,7 +129,7 @@ def check_addresses(spec: Spec | DriverSpec, options: Mapping[str, object]) -> N
     try:
         model = loading.load_options_model(spec)
     except MissingDependencyError:
-        return  # told when it is selected
+        return  # reported when it is selected
     absent = (
         []
         if model is None
@@ -149,12 +149,12 @@ def _list(keys: Collection[str]) -> str:
 
 
 def check_may_load(config: Config, checkpoint: str) -> None:
-    """Refuse a client's path that lies neither below what the configuration names nor below a
-    checkpoint root.
+    """Refuse a client's path that lies neither below a configured checkpoint nor below a checkpoint
+    root.
 
     Raises:
-        RefusedError: it is neither; checked before whether it exists.
-        CheckpointError: it is no path.
+        RefusedError: it lies outside; checked before its existence.
+        CheckpointError: it is not a valid path.
     """
     named = [config.inference.checkpoint if config.inference else None]
     named += [options.get("checkpoint") for options in config.plugins.values()]

@@ -1,4 +1,4 @@
-"""What clients may say when they start a module: the arguments of the start tools."""
+"""Arguments of the start tools, with which clients choose what a module runs."""
 
 from __future__ import annotations
 
@@ -92,8 +92,8 @@ REQUESTS: Mapping[ModuleKind, type[Arguments]] = {
     "control": StartControl,
     "inference": StartChosenInference,
 }
-"""Arguments of the start tool by kind of module; the argument that names what such a module runs is
-its `noun`.
+"""Arguments of the start tool by kind of module; the argument for the module's content has the name
+of its `noun`.
 """
 
 

@@ -1,8 +1,8 @@
-"""Which plugin options an agent may not set: those that name hosts, files, commands or environment
+"""Plugin options that an agent may not set: those for hosts, files, commands or environment
 variables.
 
 They are marked in the options model of the plugin, see `roboneuron.plugins.specs`; an option
-without a mark is judged by its type and name.
+without a mark is classified by its type and name.
 """
 
 from __future__ import annotations
@@ -27,21 +27,19 @@ _WORDS = re.compile(
     r"|environment|executable|file|folder|host(?:name)?|interpreter|key|password|path|program|python|script|secret"
     r"|server|shell|socket|token|ur[il]|variable)s?(?:$|[_\W])"
 )
-"""A word of an option's name that makes text in it the name of a host, a file, a command or a
-secret.
-"""
+"""Words in an option's name that indicate the name of a host, a file, a command or a secret."""
 _ADDRESS = re.compile(
     r"(?:^|[_\W])(?:address|end_?point|host(?:name)?|server|socket|ur[il])s?(?:e?s)?(?:$|[_\W])"
 )
-"""A word of an option's name that makes text in it an address; likewise a value with a scheme, such
-as ws://.
+"""Words in an option's name that indicate an address; a value with a scheme, such as ws://, counts
+too.
 """
 _PLAIN = (bool, int, float, str)
 
 
 def is_restricted(name: str, field: FieldInfo) -> bool:
-    """Whether an option is for the configuration only: by its mark, or without one by its type and
-    name.
+    """True if only the configuration may set an option: by its mark, or else by its type
+    and name.
     """
     found = tuple(marks(field))
     if any(isinstance(mark, ConfigurationOnly) for mark in found):
@@ -54,8 +52,8 @@ def is_restricted(name: str, field: FieldInfo) -> bool:
 def restricted_values(
     model: type[BaseModel] | None, options: Mapping[str, object]
 ) -> dict[str, object]:
-    """The values in `options` that only the configuration may set, by dotted name; all of them
-    without a model.
+    """Values in `options` that only the configuration may set, by dotted name; all of them without
+    a model.
     """
     return dict(options) if model is None else dict(_in_table([model], options, ""))
 
@@ -63,7 +61,7 @@ def restricted_values(
 def unnamed_addresses(
     model: type[BaseModel], options: Mapping[str, object], place: str = ""
 ) -> Iterator[str]:
-    """Options that hold an address by default, and that `options` does not name: dotted names."""
+    """Dotted names of options with an address as default that are not set in `options`."""
     for name, field in model.model_fields.items():
         if (
             not {name, field.alias} & options.keys()
@@ -91,7 +89,7 @@ def _is_address(name: str, value: object) -> bool:
 
 
 def looks_restricted(name: str, field: FieldInfo) -> bool:
-    """Whether text in an option may name a host, a file, a command or a secret, by its type and
+    """True if text in an option may name a host, a file, a command or a secret, by its type and
     name.
     """
     kinds = set(_kinds(field.annotation))
@@ -101,7 +99,7 @@ def looks_restricted(name: str, field: FieldInfo) -> bool:
 
 
 def marks(field: FieldInfo) -> Iterator[object]:
-    """The marks that an option bears."""
+    """The marks of an option."""
     for mark in (*field.metadata, *_inner_marks(field.annotation)):
         if isinstance(mark, ConfigurationOnly | AgentMaySet):
             yield mark
@@ -115,7 +113,7 @@ def _inner_marks(annotation: object) -> Iterator[object]:
 
 
 def _kinds(annotation: object) -> Iterator[str]:
-    """What may stand in a value of that type: "place" (a path, an address), "text", or "opaque"
+    """Possible contents of a value of that type: "place" (a path, an address), "text", or "opaque"
     (anything).
     """
     annotation = getattr(annotation, "__value__", annotation)  # a `type` statement of Python 3.12
@@ -138,12 +136,12 @@ def _kinds(annotation: object) -> Iterator[str]:
         annotation, (bool, int, float, complex, Enum, type(None), date, clock_time, timedelta)
     ):
         return
-    elif not _is_model(annotation):  # a table is looked into, option by option
+    elif not _is_model(annotation):  # a table is checked option by option
         yield "text" if issubclass(annotation, (str, bytes)) else "opaque"
 
 
 def _alternatives(annotation: object) -> Iterator[object]:
-    """The types that a value may have: a union's parts, without what is annotated to them."""
+    """The possible types of a value: the parts of a union, without annotations."""
     annotation = getattr(annotation, "__value__", annotation)
     if get_origin(annotation) is Annotated:
         yield from _alternatives(get_args(annotation)[0])
@@ -163,7 +161,9 @@ def _is_model(kind: object) -> TypeGuard[type[BaseModel]]:
 def _in_table(
     models: Sequence[type[BaseModel]], options: Mapping[str, object], place: str
 ) -> Iterator[tuple[str, object]]:
-    """Of a table that one of `models` reads; a key that none of them knows counts as restricted."""
+    """Restricted values of a table that one of `models` reads; a key unknown to all of them counts
+    as restricted.
+    """
     known = [entry for model in models for entry in model.model_fields.items()]
     for key, value in options.items():
         fields = [(name, field) for name, field in known if key in (name, field.alias)]
@@ -176,8 +176,8 @@ def _in_table(
 def _in_value(
     annotations: Sequence[object], value: object, place: str
 ) -> Iterator[tuple[str, object]]:
-    """Of a value that has one of the types: a table, a table of tables, a list of tables, or none
-    of these.
+    """Restricted values of a value with one of the types: a table, a table of tables, a list of
+    tables, or none of these.
     """
     kinds = [kind for annotation in annotations for kind in _alternatives(annotation)]
     models = [kind for kind in kinds if _is_model(kind)]
@@ -191,4 +191,4 @@ def _in_value(
         for index, inner in enumerate(value) if parts else ():
             yield from _in_value(parts, inner, f"{place}.{index}")
     elif models and value is not None and not any(kind in _PLAIN for kind in kinds):
-        yield place, value  # only the plugin knows what table that becomes
+        yield place, value  # only the plugin knows the type of that table

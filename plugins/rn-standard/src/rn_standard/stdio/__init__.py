@@ -1,3 +1,3 @@
-"""The transport `stdio`: one client, which starts the server and talks to it over its standard
+"""The transport `stdio`: one client, which starts the server and communicates over its standard
 streams.
 """

@@ -1,6 +1,4 @@
-"""JSON-RPC messages as they come off a wire: read strictly, so that whoever sent something else
-gets an answer.
-"""
+"""Strict parsing of JSON-RPC messages, so that the sender of an invalid one gets an answer."""
 
 from __future__ import annotations
 
@@ -14,14 +12,14 @@ from pydantic_core import from_json
 INVALID_JSON, INVALID_REQUEST = -32700, -32600
 """Error codes. Source: JSON-RPC 2.0, section 5.1."""
 URGENT_TOOLS = frozenset({"emergency_stop"})
-"""Calls of these overtake whatever else waits."""
+"""Tools whose calls overtake all waiting messages."""
 
 
 class EnvelopeError(Exception):
-    """What came is no message; `answer` is what its sender gets."""
+    """An invalid message; `answer` is the response to its sender."""
 
     BUSY: Final = -32000
-    """Error code of this server's own: too many requests wait."""
+    """Error code of this server: too many waiting requests."""
 
     def __init__(self, code: int, message: str, request_id: object = None) -> None:
         super().__init__(message)
@@ -31,8 +29,8 @@ class EnvelopeError(Exception):
 
     @classmethod
     def repeated(cls, request_id: int | str) -> Self:
-        """For a request whose id is that of another one at work: cancelling it could not tell
-        which is meant.
+        """Create the error for a request whose id is in use: its cancellation would be
+        ambiguous.
         """
         return cls(
             INVALID_REQUEST,
@@ -42,8 +40,8 @@ class EnvelopeError(Exception):
 
     @classmethod
     def raise_for_id(cls, raw: object) -> None:
-        """Raise it for a request whose id is no text and no integer: it would pass for a
-        notification.
+        """Raise the error for a request whose id is neither a string nor an integer; it would be
+        taken for a notification.
         """
         if isinstance(raw, dict) and "id" in raw and "method" in raw:
             found = raw["id"]
@@ -52,19 +50,19 @@ class EnvelopeError(Exception):
 
     @property
     def answer(self) -> str:
-        """One JSON-RPC error, without a newline."""
+        """The JSON-RPC error, without a newline."""
         return json.dumps({"jsonrpc": "2.0", "id": self.request_id, "error": self.error})
 
 
 def read_message(data: bytes) -> JSONRPCMessage:
-    """One JSON-RPC message, as the SDK's model.
+    """Parse one JSON-RPC message into the SDK's model.
 
     Raises:
-        EnvelopeError: not UTF-8, not JSON, a batch, or no request, notification or response with a
-            valid id.
+        EnvelopeError: not UTF-8, not JSON, a batch, or not a request, notification or response with
+            a valid id.
     """
     try:
-        data.decode("utf-8")  # the parser below would let some of what is not UTF-8 pass as text
+        data.decode("utf-8")  # the parser below would accept some invalid UTF-8 as text
         raw = from_json(data)
     except (ValueError, RecursionError) as error:
         what = "UTF-8" if isinstance(error, UnicodeDecodeError) else "JSON"
@@ -78,7 +76,9 @@ def read_message(data: bytes) -> JSONRPCMessage:
 
 
 def is_urgent(method: object, params: object) -> bool:
-    """Whether a message must not wait: an emergency stop, or a request that is cancelled."""
+    """True for a message that must not wait: an emergency stop, or the cancellation of a
+    request.
+    """
     if method == "notifications/cancelled":
         return True
     return (

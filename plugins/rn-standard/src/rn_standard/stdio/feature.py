@@ -21,17 +21,17 @@ _AT_A_TERMINAL = (
 
 
 class StdioFeature(Feature[None]):
-    """Serves stdio when `[server] transport` asks for it."""
+    """Serves stdio if `[server] transport` selects it."""
 
     def listen(self, host: Host) -> Transport:
-        """Tell a person at a terminal who is waited for; what is returned serves the client."""
+        """Print a hint for a user at a terminal; return the function that serves the client."""
         if os.isatty(host.wire[0]):
             print(_AT_A_TERMINAL, file=sys.stderr)
         return partial(_serve, host)
 
 
 async def _serve(host: Host, leave: anyio.Event) -> None:
-    """Serve one client until it leaves, or `leave` is set."""
+    """Serve one client until it disconnects, or `leave` is set."""
     from rn_standard.stdio.message_stream import LineWriter, MessageStream  # heavy
 
     most = 2 * host.config.server.max_concurrent_calls + 64

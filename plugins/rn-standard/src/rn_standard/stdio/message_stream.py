@@ -1,8 +1,8 @@
-"""Two descriptors as the MCP wire: messages in lanes, and lines out.
+"""MCP transport over two descriptors: incoming messages in priority lanes, outgoing lines.
 
-Reading and writing happen on daemon threads, so that neither a silent nor a stuck client can keep
-the server from leaving. The SDK's own `stdio_server` reads on a thread that cannot be left, leaves
-what is no message unanswered, and hands messages over in the order in which they came.
+Reading and writing happen on daemon threads, so that neither a silent nor a stuck client can block
+the server's exit. The SDK's own `stdio_server` reads on a thread that cannot be abandoned, does not
+answer invalid messages, and delivers messages only in the order of their arrival.
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ from rn_standard.stdio.envelope import (
 )
 
 MAX_LINE_BYTES = 16 * 1024 * 1024
-"""A longer line is refused and dropped to the next newline."""
+"""Maximum line length; a longer line is refused and skipped to the next newline."""
 _CHUNK = 65536
 _FLUSH_S = 1.0
 _URGENT, _OTHER, _PING = 0, 1, 2
-"""Lanes of waiting messages, the first first."""
+"""Lanes of waiting messages, in the order of their priority."""
 _MOST_PINGS = 16
 _MOST_WAITING = 1000
 _MOST_WAITING_BYTES = 64 * 1024 * 1024
 
 
 class LineWriter:
-    """Writes to a descriptor on a thread; what the client does not take is dropped when the server
-    ends.
+    """Writes to a descriptor on a thread; lines that the client has not read are dropped when the
+    server ends.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -52,15 +52,15 @@ class LineWriter:
         self._thread = threading.Thread(target=self._write, name="mcp-stdout", daemon=True)
 
     def start(self) -> None:
-        """Begin to write."""
+        """Start the writing thread."""
         self._thread.start()
 
     def write(self, text: str) -> None:
-        """Queue one line; never waits, callable from any thread."""
+        """Queue one line; never blocks, callable from any thread."""
         self._queue.put(text.encode("utf-8") + b"\n")
 
     def close(self) -> None:
-        """Give the client a bounded time to take what is queued."""
+        """Allow the client a bounded time to read the queued lines."""
         self._queue.put(None)
         self._thread.join(_FLUSH_S)
 
@@ -76,17 +76,19 @@ class LineWriter:
 
 
 class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[SessionMessage]):
-    """Both streams of a stdio server: messages of a descriptor, until it ends, and lines out.
+    """Both streams of a stdio server: incoming messages of a descriptor until its end, and outgoing
+    lines.
 
-    What is no message is answered here. So are requests whose id is still at work, and those that
-    come while too many wait. An emergency stop and a cancellation overtake the rest, and pings let
-    everything else pass, so that a flood of them holds nothing up.
+    Invalid messages are answered here, as are requests whose id is in use, and those beyond the
+    limit of waiting ones. An emergency stop and a cancellation overtake the rest; pings have the
+    lowest priority, so that a flood of them delays nothing.
 
     Args:
-        descriptor: read by a thread of its own.
-        answer: takes a line for the client without waiting; called from that thread too.
-        most: requests that are at work at once; more wait here, where others can overtake them.
-        on_end: called from that thread when the client has left.
+        descriptor: read by a separate thread.
+        answer: sends a line to the client without blocking; also called from that thread.
+        most: maximum number of concurrent requests; further ones wait here, where others can
+            overtake them.
+        on_end: called from that thread when the client has disconnected.
     """
 
     last_context = None
@@ -110,16 +112,16 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
         self._ids: dict[int | str, int] = {}
         self._at_work = {_URGENT: 0, _OTHER: 0, _PING: 0}
         self._has_ended = False
-        self._loop: asyncio.AbstractEventLoop  # of `start`
+        self._loop: asyncio.AbstractEventLoop  # set by `start`
         self._changed = asyncio.Event()
 
     def start(self) -> None:
-        """Begin to read; must be called with the event loop running."""
+        """Start reading; must be called with the event loop running."""
         self._loop = asyncio.get_running_loop()
         threading.Thread(target=self._read, name="mcp-stdin", daemon=True).start()
 
     async def receive(self) -> SessionMessage:
-        """The next message. Raises anyio.EndOfStream at the end."""
+        """Return the next message. Raises anyio.EndOfStream at the end."""
         while True:
             self._changed.clear()
             message = self._next()
@@ -140,7 +142,7 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
             await self._settle(message.id)
 
     async def _settle(self, request_id: int | str | None) -> None:
-        """A request was answered, or never will be: its id is free."""
+        """Release the id of a request that was answered, or never will be."""
         if request_id is None:
             return
         with self._lock:
@@ -150,12 +152,12 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
         self._changed.set()
 
     async def aclose(self) -> None:
-        """Take no more messages."""
+        """Stop receiving messages."""
         self._has_ended = True
         self._changed.set()
 
     def _next(self) -> JSONRPCMessage | None:
-        """The next message that may be worked on, or None."""
+        """The next message that may be processed, or None."""
         with self._lock:
             for lane, waiting in self._waiting.items():
                 if waiting and self._at_work[lane] < self._most.get(lane, sys.maxsize):
@@ -167,7 +169,7 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
         return None
 
     def _read(self) -> None:
-        goes_on = False  # of a line that was refused for its length
+        goes_on = False  # within a line that was refused for its length
         try:
             with open(self._descriptor, "rb", _CHUNK, closefd=False) as wire:
                 while line := wire.readline(MAX_LINE_BYTES + 1):
@@ -184,7 +186,7 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
             self._wake()
 
     def _take(self, line: bytes) -> None:
-        """Put a message in its lane, or answer that it is none or one too many."""
+        """Put a message in its lane, or refuse an invalid or excess one."""
         try:
             if len(line) > MAX_LINE_BYTES:
                 what = f"A line is longer than {MAX_LINE_BYTES} bytes."
@@ -216,7 +218,7 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
         self._waiting_bytes += size
 
     def _drop(self, request_id: object) -> None:
-        """A request that still waits is cancelled: it will not be worked on, nor answered."""
+        """Remove a waiting request that was cancelled: it is neither processed nor answered."""
         if not isinstance(request_id, int | str):
             return
         key = coerce_request_id(request_id)

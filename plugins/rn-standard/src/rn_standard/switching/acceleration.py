@@ -1,5 +1,5 @@
-"""The acceleration of an inference module: a ROS parameter, so that it changes without reading the
-model again.
+"""Acceleration of an inference module: a ROS parameter, so that it can change without reloading the
+model.
 """
 
 from __future__ import annotations
@@ -18,38 +18,39 @@ log = logging.getLogger(__name__)
 
 @runtime_checkable
 class AccelerationChanger(Protocol):
-    """What a runtime may offer beside `Runtime`: another acceleration for the loaded model, without
-    reading it again.
+    """Optional interface of a runtime: another acceleration for the loaded model, without reloading
+    it.
 
-    A backend that executes its model itself may offer it likewise. It need not import this.
+    A backend that executes its model itself may implement it too. Importing this protocol is not
+    necessary.
     """
 
     def set_acceleration(self, acceleration: AnyAcceleration | None) -> None:
         """Execute every later `run` with this preset, or with none.
 
-        Called on the thread that calls `run`, between two of them, while the robot moves: it takes
-        milliseconds (on CUDA the time of a few predictions, once for each preset, where it
-        records), and answers are then those of a model that was loaded with the preset.
+        Called on the thread that calls `run`, between two calls, while the robot moves. It takes
+        milliseconds (on CUDA the time of a few predictions, once for each preset, if it records).
+        The answers then equal those of a model that was loaded with the preset.
 
         Raises:
-            RoboNeuronError: why it cannot be; the preset that was in force stays so.
+            RoboNeuronError: the preset is refused; the previous one stays in force.
             StateError: before `load` or after `close`.
         """
         ...
 
 
 class AccelerationInForce:
-    """The preset that is in force, and the one that was asked for.
+    """The present and the requested preset.
 
-    The status tells whether it can be changed (`acceleration_in_place`), and after each request
-    `acceleration`, `acceleration_answers`, `acceleration_refused` (the reason, empty when done) and
-    `acceleration_changed_ns`.
+    The status shows whether it can be changed (`acceleration_in_place`), and after each request
+    `acceleration`, `acceleration_answers`, `acceleration_refused` (the reason, empty on success)
+    and `acceleration_changed_ns`.
     """
 
     def __init__(self, host: ModuleHost, module: InferenceModule) -> None:
         """Args:
         host: gets the parameter.
-        module: its backend or its runtime, the first that can, changes the preset.
+        module: its backend or its runtime, the first that supports it, changes the preset.
         """
         self._status = host.status
         self._module = module
@@ -68,9 +69,7 @@ class AccelerationInForce:
         module.before_prediction.append(self._change_if_asked)
 
     def _change_if_asked(self) -> None:
-        """Put what was asked for into force; between two predictions, on the thread that
-        predicts.
-        """
+        """Apply the requested preset; between two predictions, on the predicting thread."""
         count, name = self._request
         if count == self._answered or self._changer is None:
             return

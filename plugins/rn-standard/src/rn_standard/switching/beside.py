@@ -1,4 +1,4 @@
-"""The module process that works and one beside it, by slot: started in shadow, adopted or
+"""Second module processes, by slot: started in shadow next to the working one, adopted or
 discarded.
 """
 
@@ -11,10 +11,10 @@ from roboneuron.feature import ClosedLoop, ModuleKind, Plan, Slot, Stage
 
 
 class Standbys:
-    """What is beside the modules that work; usable from any thread.
+    """Standby processes of working modules; usable from any thread.
 
-    Nothing here tells listeners of stops, nor takes the policy's instruction back: another process
-    is put in the place of the old one.
+    It neither sends stop events nor withdraws the policy's instruction, because another process
+    replaces the old one.
     """
 
     def __init__(self, loop: ClosedLoop) -> None:
@@ -22,15 +22,15 @@ class Standbys:
         self._modules = loop.modules
 
     def slots(self, kind: ModuleKind) -> tuple[Slot, ...]:
-        """The slot of the module that works now, then those beside it."""
+        """Slot of the module that works now, then those of its standbys."""
         with self._modules.changes.lock:
             return tuple(self._modules.slots[kind])
 
     def start(self, plan: Plan, on_stage: Stage) -> Slot:
-        """Start a second process beside the running one, in shadow; `adopt` or `discard` it.
+        """Start a second process in shadow of the running one; `adopt` or `discard` it afterwards.
 
         Raises:
-            StateError: nothing of that kind runs, or there is a standby already.
+            StateError: no module of that kind runs, or there is a standby already.
             RoboNeuronError: as `ClosedLoop.launch`.
         """
         kind, modules = plan.kind, self._modules
@@ -51,7 +51,7 @@ class Standbys:
         return standby
 
     def adopt(self, standby: Slot) -> Slot:
-        """Make the standby the module of its kind; returns the old one, which is to be discarded.
+        """Make the standby the module of its kind; return the old slot, which has to be discarded.
 
         Raises:
             StateError: the old one is being stopped, or the standby is gone.
@@ -67,7 +67,7 @@ class Standbys:
         return old
 
     def discard(self, slot: Slot) -> None:
-        """End a standby or a replaced module, if its process is still there."""
+        """End a standby or a replaced module, if its process still exists."""
         try:
             with suppress(StateError):
                 self._loop.end(slot)
@@ -75,8 +75,7 @@ class Standbys:
             self._forget(slot)
 
     def note_changed(self, slot: Slot, plan: Plan) -> None:
-        """The module in a slot has become what `plan` says, without another process; a restart
-        uses it too.
+        """Set the plan of a module that was changed without a new process; a restart uses it too.
 
         Raises:
             StateError: it does not run any more.

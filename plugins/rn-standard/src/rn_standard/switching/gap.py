@@ -1,4 +1,4 @@
-"""The gap that a switch leaves in the stream of a module's outputs."""
+"""Gap in a module's outputs during a switch."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _RECENT = 20
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Gap:
-    """What a switch did to the stream of outputs.
+    """Effect of a switch on the outputs.
 
     Attributes:
         gap_s: from the last output of the old module to the first of the new one.
-        period_s: median time between the old one's last outputs.
+        period_s: median time between the old module's last outputs.
     """
 
     gap_s: float
@@ -24,15 +24,15 @@ class Gap:
 
     @property
     def missed(self) -> int:
-        """Outputs that would have come in the old one's rhythm and did not; half a period late is
-        still in rhythm.
+        """Number of outputs missing from the old module's rhythm; half a period late is still in
+        rhythm.
         """
         return max(0, round(self.gap_s / self.period_s) - 1)
 
 
 def action_gap(sent_ns: Sequence[int], first_ns: int) -> Gap | None:
-    """The gap before the action sent at `first_ns` [ns] or right after it; None without two actions
-    before it.
+    """The gap before the action sent at `first_ns` [ns] or right after it; None without two earlier
+    actions.
     """
     before = [at for at in sent_ns if at < first_ns][-_RECENT:]
     first = next((at for at in sent_ns if at >= first_ns), None)

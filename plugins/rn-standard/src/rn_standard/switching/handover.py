@@ -1,13 +1,13 @@
-"""Handover between two modules of one kind at a moment in the time of their inputs.
+"""Handover between two modules of one kind at a moment on the time axis of their inputs.
 
 Both modules are active on the same topics. Inputs stamped before the moment belong to the old
-module, later ones to the new module, so nothing is acted on twice and nothing is left out, however
-long the messages about it take. Before the handover, the new module works in shadow: it processes
-live inputs and publishes nothing. Inference compares the capture time of images, perception the
-capture time of its own images, control the times at which actions were sent and joints measured.
+module, later ones to the new module. So no input is used twice or lost, even if the messages about
+the handover are late. Before the handover, the new module works in shadow: it processes live inputs
+and publishes nothing. Inference compares the capture time of images, perception the capture time of
+its own images, control the times at which actions were sent and joints measured.
 
-A moment is a ROS time only for as long as messages from before it may still be on their way. After
-that it is past for good, by the monotonic clock: otherwise a clock that is set back would put a
+A moment is compared in ROS time only as long as messages from before it may still arrive.
+Afterwards it counts as past by the monotonic clock: otherwise a clock that is set back would put a
 module into shadow again.
 """
 
@@ -23,30 +23,28 @@ from roboneuron import ActionChunk, Hold, JointCommand, Pose
 from roboneuron.node import Handover, StatusWriter
 
 _SETTLE_S = 5.0
-"""A moment is past for good so long after it: whatever was stamped before it has arrived or is too
-old to act on.
-"""
+"""Time after which a moment is finally past: every earlier input has arrived or is too old."""
 _PREDECESSOR_S, _PREDECESSOR_PERIODS = 0.1, 1.5
-"""Until the handover the predecessor plays what it has; when it was not heard for so long, it has
-nothing left.
+"""Until the handover the predecessor plays its rows; without a message for this time (in seconds or
+periods), it has none left.
 """
 _FARTHEST_S = 10.0
-"""A moment farther ahead than this was made before the clock was set."""
+"""A moment farther ahead was computed before the clock was set."""
 
 
 class TimedHandover(Handover):
     """The three moments of a handover; read by the module's threads, set by the executor's.
 
     Args:
-        shadow: in shadow until told otherwise.
-        status: where to report.
+        shadow: in shadow until the handover is set.
+        status: receives the reports.
         now_ns: ROS time [ns].
         now_s: monotonic time [s].
 
     Attributes:
         moments: the node's parameters and their first values.
-        not_before_ns: images captured before it are not predicted on, not even in shadow.
-        period_s: tells the period of a backend's rows [s]; 0 before the first one.
+        not_before_ns: no predictions on images captured before it, not even in shadow.
+        period_s: returns the period of a backend's rows [s]; 0 before the first one.
     """
 
     def __init__(
@@ -76,7 +74,7 @@ class TimedHandover(Handover):
         self._comparison = ControllerComparison(status)
 
     def set(self, name: str, moment_ns: int) -> None:
-        """Take over a new value of one of `moments` [ROS time, ns]; 0 or more."""
+        """Set one of `moments` [ROS time, ns]; 0 or more."""
         ahead_s = min(max(0.0, (moment_ns - self._now_ns()) / 1e9), _FARTHEST_S)
         is_moment = moment_ns not in (0, NEVER_NS)
         self._past_s[name] = self._now_s() + ahead_s + _SETTLE_S if is_moment else math.inf
@@ -106,11 +104,11 @@ class TimedHandover(Handover):
         return self._has_come(PLAY_UNTIL, now_ns)
 
     def rest(self) -> None:
-        """Called before each prediction: one in shadow that would still run at the moment of the
-        handover is not begun.
+        """Called before each prediction: skips one in shadow that would still run at the moment of
+        the handover.
 
-        The successor is free for the first image after the moment then, so that its first action is
-        not late. What was captured before is left out from now on.
+        So the successor is free for the first image after the moment, and its first action is not
+        late. Images captured before are ignored from now on.
         """
         now_s, moment_ns = self._now_s(), self._moments_ns[ACT_FROM]
         ahead_s = (moment_ns - self._now_ns()) / 1e9
@@ -123,7 +121,7 @@ class TimedHandover(Handover):
         self._begun_s = now_s
 
     def withhold(self, output: ActionChunk | JointCommand | Hold | Pose) -> None:
-        """See `Handover.withhold`; the status tells what is compared."""
+        """See `Handover.withhold`; the outputs are compared in the status."""
         if isinstance(output, ActionChunk):
             self._took_s = self._now_s() - self._begun_s
             for name, value in zip(output.space.keys, output.actions[0].tolist(), strict=True):
@@ -134,20 +132,20 @@ class TimedHandover(Handover):
             self._comparison.answer(output)
 
     def hear(self, output: JointCommand | Pose, sent_s: float) -> None:
-        """What the predecessor has sent, and when [monotonic s]; called in shadow."""
+        """Record an output of the predecessor and its time [monotonic s]; called in shadow."""
         self._comparison.hear(output, sent_s)
 
     def hear_action(self) -> None:
-        """The predecessor has sent an action now."""
+        """Record that the predecessor has sent an action."""
         self._heard_s = self._now_s()
 
     def has_sent(self, what: str) -> bool:
-        """Whether an output of that name has gone out."""
+        """True if an output of that name was sent."""
         return what in self._sent
 
     def note_sent(self, what: str) -> None:
-        """Tell when the first and the newest of its kind went out: a handover is confirmed and
-        measured by that.
+        """Report the times of the first and newest output of a kind, by which a handover is
+        confirmed and measured.
         """
         now_ns = time.time_ns()
         self.status.set_value(f"last_sent_ns.{what}", now_ns)

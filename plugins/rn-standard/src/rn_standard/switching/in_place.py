@@ -1,5 +1,5 @@
-"""Change of the acceleration in the running inference process, where nothing else is to change and
-the runtime can.
+"""Change of the acceleration in the running inference process, if nothing else changes and the
+runtime supports it.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from roboneuron.feature import (
 
 _TOLD_S = 5.0
 _DONE_S = 20.0
-"""The prediction in progress ends first."""
+"""Timeout, which includes the prediction in progress."""
 
 
 def differs_in_acceleration_only(old: ModuleView, plan: Plan) -> bool:
-    """Whether the running backend needs no more than another acceleration, and can take it."""
+    """True if the running backend only needs another acceleration, and supports the change."""
     if (
         plan.kind != "inference"
         or old.report is None
@@ -51,14 +51,14 @@ def differs_in_acceleration_only(old: ModuleView, plan: Plan) -> bool:
 
 
 def _without_acceleration(config: Config) -> Config:
-    """Without the instruction too, which may have been changed since the start."""
+    """Remove the acceleration, and the instruction, which may have changed since the start."""
     assert config.inference is not None
     section = config.inference.model_copy(update={"acceleration": None, "instruction": ""})
     return config.model_copy(update={"inference": section})
 
 
 class AccelerationSwitch:
-    """One change; used once, on the thread of the caller."""
+    """One change; used once, on the caller's thread."""
 
     def __init__(self, loop: ClosedLoop, plan: Plan, on_stage: Stage) -> None:
         self._loop = loop
@@ -69,12 +69,12 @@ class AccelerationSwitch:
         self._on_stage = on_stage
 
     def run(self) -> Change:
-        """Ask the module, and wait until it has changed it; from then on a restart uses the new one
+        """Request the change, and wait until the module has applied it; a later restart uses it
         too.
 
         Raises:
-            RefusedError: what the runtime says against it; the former acceleration stays in force.
-            NotReadyError: no answer in time; the former one is asked for again.
+            RefusedError: the runtime refuses; the previous acceleration stays in force.
+            NotReadyError: no answer in time; the previous one is requested again.
             StateError: the module is being stopped or replaced.
         """
         slot, *others = self._standbys.slots("inference")
@@ -128,7 +128,7 @@ class AccelerationSwitch:
         slot.check_alive("changing its acceleration")
 
     def _gap(self, report: Report) -> Gap | None:
-        """The period in which it was changed; None when nothing is sent."""
+        """The period in which it changed; None if nothing is sent."""
         if not report.instruction:
             return None
         stream = self._loop.stream(self._plan.config.namespace)

@@ -1,5 +1,5 @@
-"""An inference module that is being replaced, or replaces another one: which images it predicts on,
-and what becomes of its answers in shadow.
+"""Handover of an inference module: selection of its images, and treatment of its answers in
+shadow.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ Deliver = Callable[[execution.Prediction, ActionChunk, threading.Event], None]
 
 
 def come_between(module: InferenceModule, handover: TimedHandover) -> None:
-    """Let the handover decide between images and predictions, and between answers and actions."""
+    """Install the handover between images and predictions, and between answers and actions."""
     module.before_prediction.append(handover.rest)
     module.accepts.append(partial(_accepts, module, handover))
     module.deliver = partial(_deliver, module, handover, module.deliver)
 
 
 def _accepts(module: InferenceModule, handover: TimedHandover, captured_ns: int) -> bool:
-    """Whether to predict on an image of that capture time [ns]."""
+    """True to predict on an image of that capture time [ns]."""
     is_over = handover.is_over(captured_ns)
     if is_over:
         module.status.set(note="handed over to the successor")
@@ -39,7 +39,7 @@ def _deliver(
     chunk: ActionChunk,
     stop: threading.Event,
 ) -> None:
-    """Execute an answer, or in shadow only measure it: that proves readiness too.
+    """Execute an answer, or in shadow only measure it, which also shows readiness.
 
     Raises:
         NotReadyError: an answer in shadow comes too late to be acted on.

@@ -1,4 +1,6 @@
-"""What a module process needs so that its module can be replaced; called in every one of them."""
+"""Preparation of a module process for the replacement of its module; called in every one of
+them.
+"""
 
 from __future__ import annotations
 
@@ -15,17 +17,13 @@ from rn_standard.switching.standby import LISTENERS, restore
 from roboneuron.node import Module, ModuleHost, qos
 
 WARM_UP = "_warm_up"
-"""std_msgs/Empty, hidden as ROS hides names with an underscore: opens the ports of a module in
-shadow.
-"""
+"""std_msgs/Empty, hidden by the underscore in its name: opens the ports of a module in shadow."""
 _LOOK_S = 0.05
 _WARM_UPS, _WARM_UP_PERIOD_S = 30, 0.1
 
 
 def join(host: ModuleHost) -> None:
-    """Let the server tell the moments of a handover, and another acceleration; see
-    `FeatureSpec.on_join`.
-    """
+    """Add the parameters for a handover and for another acceleration; see `FeatureSpec.on_join`."""
     handover = host.handover = TimedHandover(host.settings.shadow, host.status)
     for name, moment_ns in handover.moments.items():
         host.add_parameter(name, moment_ns, partial(handover.set, name), _refusal)
@@ -41,12 +39,12 @@ def _extend(host: ModuleHost, handover: TimedHandover, module: Module) -> None:
         follow_predecessor(module, handover)
         _open_ports(module)
     _count_listeners(module)
-    restore()  # loaded: from now on as urgent as other modules
+    restore()  # loaded: from now on with the same priority as other modules
 
 
 def _count_listeners(module: Module) -> None:
-    """Report how many subscriptions each output has found, as `listeners.<topic>`: what replaces a
-    module must be heard by all who hear that.
+    """Report the number of subscriptions of each output as `listeners.<topic>`: a successor must
+    reach all subscribers of the old module.
     """
     known: dict[str, int] = {}
 
@@ -61,11 +59,11 @@ def _count_listeners(module: Module) -> None:
 
 
 def _open_ports(module: Module) -> None:
-    """Send something to all modules while in shadow: the first message to a process opens a port,
-    which may take long.
+    """Pre-establish connections in shadow by sending a message to all modules: the first message to
+    a process opens a port, which may take long.
 
-    Fast DDS checks that a port's listener lives and, when it was checked a moment ago, waits for a
-    third of `healthy_check_timeout_ms`, inside publish() and with the interpreter's lock held.
+    Fast DDS checks that a port's listener is alive. If it was checked a moment ago, this waits for
+    a third of `healthy_check_timeout_ms`, inside publish() and with the GIL held.
     """
     node = module.node
     publisher = node.create_lifecycle_publisher(Empty, WARM_UP, qos.NEWEST)

@@ -1,4 +1,4 @@
-"""What a module in shadow hears of its predecessor: what moves the arm, and where to, until the
+"""Subscriptions of a module in shadow to its predecessor: actions and commands until the
 handover.
 """
 
@@ -30,7 +30,7 @@ ACTION, EE_POSE, JOINT_COMMAND, JOINT_TRAJECTORY = (
 
 
 def follow_predecessor(module: Module, handover: TimedHandover) -> None:
-    """Listen until cleanup to what the predecessor of a module in shadow publishes."""
+    """Subscribe, until cleanup, to the outputs of the predecessor of a module in shadow."""
     node = module.node
     if isinstance(module, InferenceModule):
         handover.period_s = lambda: module.executor.step_s
@@ -47,10 +47,12 @@ def follow_predecessor(module: Module, handover: TimedHandover) -> None:
 def _on_action(
     module: InferenceModule, handover: TimedHandover, message: Float64MultiArray
 ) -> None:
-    """Count what moves the arm until this module does; rows of another space only count."""
+    """Count actions that move the arm until the handover; rows of another space are only
+    counted.
+    """
     dims, space = message.layout.dim, module.space
     is_ours = (dims[0].label if dims else ACTION_LABEL) == space.label
-    values = message.data[: dims[0].size] if len(dims) > 1 else message.data  # without what follows
+    values = message.data[: dims[0].size] if len(dims) > 1 else message.data  # without planned rows
     is_malformed = is_ours and len(values) != space.size
     if handover.has_sent("action") or is_malformed:
         return
@@ -75,7 +77,7 @@ def _on_command(
     message: JointTrajectory | JointState,
     info: Mapping[str, int],
 ) -> None:
-    """Go on from where the control before this one has sent the arm."""
+    """Continue from a command of the previous control process."""
     sent_s = time.monotonic() - max(0.0, (time.time_ns() - int(info["source_timestamp"])) / 1e9)
     try:
         handover.hear(module.follow(message, sent_s), sent_s)

@@ -1,4 +1,4 @@
-"""Replacement of one module by another, warm or cold, and the way back."""
+"""Replacement of one module by another, warm or cold, and its reversal."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from roboneuron.feature import (
 )
 
 SwitchMode = Literal["warm", "cold"]
-"""What a caller asks for."""
+"""Requested mode of a switch."""
 SwitchWay = Literal["warm", "cold", "in place"]
-"""How it was done: a change that needs no other process is made in the running one, unless "cold"
-was asked for.
+"""Mode that was used: a change that needs no other process is made in the running one, unless
+"cold" was requested.
 """
 _FIRST_S = 3.0
-"""A newcomer hears of the next input within this time, on a busy machine too."""
+"""Timeout for the next input to reach a new module, on a busy machine too."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Switched:
-    """A module that took the place of another.
+    """Result of a switch.
 
     Attributes:
-        view: the new one.
-        replaced: what was chosen for the old one.
-        change: what the change-over did to the stream of its outputs.
-        took_s: the whole call, loading included.
+        view: the new module.
+        replaced: chosen names of the old module.
+        change: effect of the handover on the outputs.
+        took_s: duration of the whole call, loading included.
     """
 
     view: ModuleView
@@ -51,9 +51,9 @@ class Switched:
 
 
 class Switching:
-    """Replaces modules and remembers what was there before; usable from any thread.
+    """Replaces modules and stores the previous plans; usable from any thread.
 
-    Modules that do not call `joining.join` can only be replaced cold: they know of no
+    Modules that do not call `joining.join` can only be replaced cold, because they have no
     `TimedHandover`.
     """
 
@@ -73,11 +73,11 @@ class Switching:
         """Replace the running module of a kind, on the same topics.
 
         The instruction of a backend and the cameras of a source are kept unless the request names
-        others. What can be refused beforehand is refused while the old module works; a warm switch
-        that fails at any time leaves it at work.
+        others. Errors that can be detected beforehand are raised while the old module works; after
+        a failed warm switch it continues.
 
         Raises:
-            StateError: none is running.
+            StateError: no module is running.
             RoboNeuronError: warm, nothing was replaced; cold, nothing of that kind runs any more.
         """
         old = self.loop.modules.require_running(kind)
@@ -95,7 +95,7 @@ class Switching:
     def roll_back(
         self, kind: ModuleKind, mode: SwitchMode = "warm", on_stage: Stage = lambda stage: None
     ) -> Switched:
-        """Go back to what ran before the last switch; a backend keeps the present instruction.
+        """Return to the plan before the last switch; a backend keeps the present instruction.
 
         Raises:
             StateError: there was no switch.
@@ -161,8 +161,8 @@ class Switching:
         on_stage: Stage,
         ticket: int,
     ) -> Change:
-        """Stop the old one, then start the new one: for a machine, or a device, that has no room
-        for two.
+        """Stop the old module, then start the new one: for a machine or device without memory for
+        both.
         """
         kind = check.kind
         due = check.is_due()
@@ -181,7 +181,7 @@ class Switching:
                 f"No {check.noun} is running now; before there was {before}."
             ) from error
         changes = self.loop.modules.changes
-        if due:  # a start is complete before the first output where that waits for somebody else's
+        if due:  # a start is complete before the first output if that needs another module's input
             changes.wait_for(
                 lambda: (new := self._newest(kind)) is not None and check.has_taken_over(new),
                 _FIRST_S,
@@ -194,7 +194,7 @@ class Switching:
 
 
 def check_same_commands(old: ModuleView, plan: Plan) -> None:
-    """Two controllers that publish on different topics cannot hand the arm over.
+    """Refuse two controllers with different command topics, which cannot hand over the arm.
 
     Raises:
         InvalidInputError: the type of the command topic would change.
@@ -210,7 +210,7 @@ def check_same_commands(old: ModuleView, plan: Plan) -> None:
 
 
 def with_instruction(plan: Plan, text: str) -> Plan:
-    """The same with that instruction; the configured one counts only for whoever asks for a start
+    """Return the plan with that instruction; the configured one applies only to a requested start
     of the policy.
     """
     section = plan.config.inference
@@ -222,7 +222,7 @@ def with_instruction(plan: Plan, text: str) -> Plan:
 
 
 def _keep(old: ModuleView, request: Arguments) -> Arguments:
-    """The request, with what is kept from the running module where it names nothing else."""
+    """Add the running module's options to a request, where the request sets no others."""
     assert old.plan is not None
     if isinstance(request, StartPerception) and not request.cameras:
         section = old.plan.config.perception

@@ -1,4 +1,4 @@
-"""Comparison of a controller in shadow with its predecessor: both answer the same actions and joint
+"""Comparison of a controller in shadow with its predecessor, on the same actions and joint
 states.
 """
 
@@ -13,21 +13,21 @@ from roboneuron import Hold, JointCommand, Pose
 from roboneuron.node import StatusWriter, task_space
 
 _POSES = 64
-"""Own poses remembered until the predecessor's for the same joint state arrives: half a second of
-them.
+"""Number of own poses kept until the predecessor's for the same joint state arrives: half a
+second.
 """
 _PAIR_S = 0.08
-"""The two answers to one action come within this time; actions are farther apart."""
+"""Largest time between the two answers to one action; actions are farther apart."""
 _RECENT = 5
 
 
 class ControllerComparison:
-    """Everything happens on the executor's thread.
+    """Comparison of two controllers; runs on the executor's thread.
 
-    The status tells `shadow_tcp_difference` (of the two TCP poses for one joint state [m or rad]),
-    `shadow_count` (answers to actions), `shadow_difference` (median of the largest difference of a
-    joint between the two answers to an action [rad or m]) and `shadow_hold`, why the newest answer
-    is to hold.
+    The status contains `shadow_tcp_difference` (of the two TCP poses for one joint state [m or
+    rad]), `shadow_count` (answers to actions), `shadow_difference` (median of the largest
+    difference of a joint between the two answers to an action [rad or m]) and `shadow_hold`, the
+    reason if the newest answer is a hold.
     """
 
     def __init__(self, status: StatusWriter) -> None:
@@ -39,7 +39,7 @@ class ControllerComparison:
         self._count = 0
 
     def answer(self, output: JointCommand | Hold | Pose) -> None:
-        """What this controller would send now."""
+        """Record an answer of this controller."""
         if isinstance(output, Pose):
             self._poses.append(output)
             return
@@ -54,7 +54,7 @@ class ControllerComparison:
         self._compare()
 
     def hear(self, output: JointCommand | Pose, sent_s: float) -> None:
-        """What the predecessor has sent, and when [monotonic s]."""
+        """Record an output of the predecessor and its time [monotonic s]."""
         if isinstance(output, JointCommand):
             self._other = (sent_s, _positions(output))
             self._compare()
@@ -67,7 +67,9 @@ class ControllerComparison:
             self._status.set_value("shadow_tcp_difference", round(difference, 9))
 
     def _compare(self) -> None:
-        """Two answers are to one action when they come at about one time, in whatever order."""
+        """Compare two answers that come at about the same time, in any order, and so belong to one
+        action.
+        """
         if self._own is None or self._other is None or abs(self._own[0] - self._other[0]) > _PAIR_S:
             return
         mine, other = self._own[1], self._other[1]

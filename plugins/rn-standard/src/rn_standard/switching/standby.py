@@ -1,11 +1,10 @@
-"""What the server and a module process agree on when modules are switched: parameters, and
-priorities.
+"""Parameters and priorities shared by the server and a module process during a switch.
 
-A module that is loaded beside a working one gives way to it until it is loaded itself. Scheduling
-is a matter of threads: what a process starts inherits it, and restoring goes through all threads.
-An unprivileged process can make itself less urgent but not undo that, so without the right to do so
-only the batch policy is used: it never interrupts a thread that wakes up for its next image, and
-can always be left.
+A module that is loaded while another one works runs with lower priority until it is loaded.
+Scheduling is set per thread: children inherit it, and it is restored for all threads. An
+unprivileged process can lower its priority but not raise it again. Without that right only the
+batch policy is used, which never preempts a thread that wakes up for its next image, and can always
+be left.
 """
 
 from __future__ import annotations
@@ -18,20 +17,21 @@ from pathlib import Path
 ACCELERATION_PARAMETER = "acceleration"
 """ROS parameter of an inference module: name of the acceleration, or empty for none."""
 ACT_FROM = "act_from_ns"
-"""ROS parameter: what is stamped before this ROS time [ns] is only worked on in shadow. 0: none."""
+"""ROS parameter: inputs stamped before this ROS time [ns] are only processed in shadow. 0: none."""
 ACT_UNTIL = "act_until_ns"
-"""ROS parameter: what is stamped at or after this ROS time [ns] is left to the successor. 0: none.
+"""ROS parameter: inputs stamped at or after this ROS time [ns] are left to the successor.
+0: none.
 """
 PLAY_UNTIL = "play_until_ns"
-"""ROS parameter: a chunk that is being played out ends at this ROS time [ns]. 0: at its own end."""
+"""ROS parameter: a chunk being played ends at this ROS time [ns]. 0: at its own end."""
 PLAY_FROM = "play_from_ns"
-"""ROS parameter: nothing is sent before this ROS time [ns]; the predecessor plays what it has until
+"""ROS parameter: nothing is sent before this ROS time [ns]; the predecessor plays its rows until
 then. 0: none.
 """
 LISTENERS = "listeners."
-"""Metrics of a module: subscriptions that its outputs have found, by topic."""
+"""Prefix of a module's metrics: number of subscriptions of its outputs, by topic."""
 NEVER_NS = 2**62
-"""As ACT_FROM: in shadow until told otherwise."""
+"""Value of ACT_FROM for a module in shadow until the handover is set."""
 log = logging.getLogger(__name__)
 _NICENESS = 10
 _CAP_SYS_NICE = 23
@@ -40,7 +40,7 @@ _MOST = 19
 
 
 def lower(pid: int) -> None:
-    """Let a child process give way; what the system does not allow is left out."""
+    """Lower the priority of a child process; steps that the system does not permit are skipped."""
     with suppress(OSError):
         if _may_restore():
             os.setpriority(
@@ -51,7 +51,7 @@ def lower(pid: int) -> None:
 
 
 def restore() -> None:
-    """Make this process as urgent as its parent; does nothing where it is already."""
+    """Restore this process to the priority of its parent; does nothing if it has it already."""
     try:
         niceness = os.getpriority(os.PRIO_PROCESS, os.getppid())
         for task in os.listdir("/proc/self/task"):
@@ -66,7 +66,7 @@ def restore() -> None:
 
 
 def _may_restore() -> bool:
-    """Whether a process like this one may become more urgent again (CAP_SYS_NICE)."""
+    """True if this process may raise its priority again (CAP_SYS_NICE)."""
     for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
         if line.startswith("CapEff:"):
             return bool(int(line.split()[1], 16) >> _CAP_SYS_NICE & 1)

@@ -1,5 +1,5 @@
-"""What a new module has to show in shadow before the handover, and what its first output is; one
-class per kind.
+"""Checks of a new module in shadow before the handover, and of its first output; one class per
+kind.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from roboneuron import ACTION_LABEL, GRIPPER, NotReadyError, RefusedError, chann
 from roboneuron.feature import KIND_ENTRIES, ClosedLoop, ModuleKind, Plan, Report
 
 _LOOKS = 3
-"""So many shadow actions are compared: reports come every 0.2 s. Control compares in its own
+"""Number of shadow actions to compare: reports come every 0.2 s. Control compares in its own
 process.
 """
 _SHADOW_S = 5.0
 _RECENT_NS = 1_000_000_000
-"""What was sent longer ago has ended."""
+"""Age from which a sent action has ended."""
 _WITHOUT_INPUT = ("no_action", "stale_joint_state")
 """Reasons to hold that are not the controller's: the policy or the robot pauses. In shadow control
-tells none.
+reports none.
 """
 Shadow = Callable[[], Report]
-"""The newest report of the new module; raises what is wrong with it or with the old one."""
+"""Returns the newest report of the new module; raises its error or that of the old one."""
 
 
 class SwitchCheck(ABC):
-    """One switch of one kind; used once, on the thread of the caller.
+    """One switch of one kind; used once, on the caller's thread.
 
     Attributes:
-        kind: of the modules.
+        kind: kind of the modules.
     """
 
     kind: ClassVar[ModuleKind]
@@ -45,30 +45,30 @@ class SwitchCheck(ABC):
 
     @property
     def noun(self) -> str:
-        """What such a module runs, for messages."""
+        """Word for the content of such a module, for messages."""
         return KIND_ENTRIES[self.kind].noun
 
     @abstractmethod
     def compare(self, shadow: Shadow) -> float | None:
-        """How far the new one lies from the old one [m or rad]; None when that cannot be said.
+        """Difference between the new and the old module [m or rad]; None if unknown.
 
         Raises:
-            RefusedError: too far.
-            NotReadyError: the new one shows nothing.
+            RefusedError: the difference is too large.
+            NotReadyError: the new module produces nothing.
         """
 
     @abstractmethod
     def has_taken_over(self, new: Report) -> bool:
-        """Whether the first output after the moment is out."""
+        """True if the first output after the moment was sent."""
 
     @abstractmethod
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
-        """The gap between the last output of the old one and the first of the new one; None while
+        """Gap between the last output of the old and the first of the new module; None while
         unknown.
         """
 
     def is_due(self) -> bool:
-        """Whether an output must follow the moment; asked once, right before it."""
+        """True if an output must follow the moment; called once, right before it."""
         return True
 
     def latency_s(self, new: Report) -> float:
@@ -76,16 +76,16 @@ class SwitchCheck(ABC):
         return (new.latency_p99_ms or new.latency_ms or 0.0) / 1e3
 
     def has_rows(self) -> bool:
-        """Whether the old one has more to send after the moment, for inputs from before it."""
+        """True if the old module has more to send after the moment, for inputs from before it."""
         return False
 
     def old(self) -> Report | None:
-        """The newest report of the module that works now."""
+        """The newest report of the working module."""
         return self._modules.slot(self.kind).report
 
 
 class InferenceCheck(SwitchCheck):
-    """Shadow actions lie near those on the topic; the first action proves the handover."""
+    """Compares shadow actions with those on the topic; the first action confirms the handover."""
 
     kind = "inference"
 
@@ -124,7 +124,7 @@ class InferenceCheck(SwitchCheck):
             )
         old = self.old()
         if old is not None and old.metrics.get("space", ACTION_LABEL) != label[0]:
-            return None  # positions and deltas have no difference
+            return None  # positions and deltas cannot be compared
         sent = [values for sent_ns, values in self._stream.copy() if sent_ns >= started_ns]
         difference = _difference(list(seen.values()), sent, channel_keys(label[0]))
         if difference is not None and difference > self._bound:
@@ -139,15 +139,15 @@ class InferenceCheck(SwitchCheck):
         return difference
 
     def latency_s(self, new: Report) -> float:
-        """See `SwitchCheck.latency_s`; the old one's rows bridge the wait for an image too."""
+        """See `SwitchCheck.latency_s`; the old module's rows also bridge the wait for an image."""
         return super().latency_s(new) + (_period_s(self.old()) or 0.0)
 
     def has_rows(self) -> bool:
-        """The rest of a chunk."""
+        """True for the rest of a chunk."""
         return _number(self.old(), "chunk_rows") > 1
 
     def is_due(self) -> bool:
-        """Without an instruction nothing is sent."""
+        """False without an instruction, because nothing is sent."""
         return self._has_instruction
 
     def has_taken_over(self, new: Report) -> bool:
@@ -161,7 +161,9 @@ class InferenceCheck(SwitchCheck):
 
 
 class PerceptionCheck(SwitchCheck):
-    """Images have the size that the backend knows; one of each camera proves the handover."""
+    """Checks that images have the size known to the backend; one of each camera confirms the
+    handover.
+    """
 
     kind = "perception"
 
@@ -183,7 +185,7 @@ class PerceptionCheck(SwitchCheck):
         return None
 
     def latency_s(self, new: Report) -> float:
-        """A source that is slow in delivering the next image is not late."""
+        """A source is not late because it delivers the next image slowly."""
         return max(super().latency_s(new), _period_s(self.old()) or 0.0)
 
     def has_taken_over(self, new: Report) -> bool:
@@ -191,7 +193,7 @@ class PerceptionCheck(SwitchCheck):
         return _by_camera(new, "size.").keys() == _by_camera(new, "first_sent_ns.").keys()
 
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
-        """Of the camera with the longest gap."""
+        """Gap of the camera with the longest one."""
         first, last, period_s = (
             _by_camera(new, "first_sent_ns."),
             _by_camera(old, "last_sent_ns."),
@@ -204,8 +206,8 @@ class PerceptionCheck(SwitchCheck):
 
 
 class ControlCheck(SwitchCheck):
-    """Poses and commands lie near those of the old controller; the first command proves the
-    handover, or a pose.
+    """Compares poses and commands with those of the old controller; the first command, or a pose,
+    confirms the handover.
     """
 
     kind = "control"
@@ -257,13 +259,13 @@ class ControlCheck(SwitchCheck):
         return difference
 
     def is_due(self) -> bool:
-        """A pose is due in any case, a command where the old one commands the arm."""
+        """A pose is always due; a command only if the old controller commands the arm."""
         self._is_commanding = self._commands()
         return True
 
     def has_taken_over(self, new: Report) -> bool:
-        """See `SwitchCheck.has_taken_over`; one that no action has come to since holds the arm, and
-        that proves it.
+        """See `SwitchCheck.has_taken_over`; a controller without an action since then holds the
+        arm, which confirms it.
         """
         told = new.metrics
         holds = told.get("hold_code") in _WITHOUT_INPUT and "compute_ms" not in told
@@ -271,7 +273,7 @@ class ControlCheck(SwitchCheck):
         return "first_sent_ns.command" in told or holds or rests
 
     def measure(self, old: Report | None, new: Report | None) -> Gap | None:
-        """Of the commands; None while the arm rests."""
+        """Gap of the commands; None while the arm rests."""
         first_ns, last_ns = (
             _number(new, "first_sent_ns.command"),
             _number(old, "last_sent_ns.command"),
@@ -292,14 +294,14 @@ class ControlCheck(SwitchCheck):
             )
 
     def _commands(self) -> bool:
-        """Whether the running control moves the arm now."""
+        """True if the running control moves the arm now."""
         return abs(time.time_ns() - _number(self.old(), "last_sent_ns.command")) < _RECENT_NS
 
 
 CHECKS: Mapping[ModuleKind, type[SwitchCheck]] = {
     check.kind: check for check in (InferenceCheck, PerceptionCheck, ControlCheck)
 }
-"""The kinds of modules that can be replaced."""
+"""Checks by kind of replaceable module."""
 
 
 def _difference(
@@ -307,8 +309,8 @@ def _difference(
     acting: Sequence[tuple[float, ...]],
     keys: Sequence[str],
 ) -> float | None:
-    """Largest difference of the medians over the channels, in their own units; grippers may
-    differ.
+    """Largest difference of the medians over the channels, in their own units; grippers are
+    ignored.
     """
     if not shadow or not acting:
         return None

@@ -1,4 +1,4 @@
-"""The tools that replace a running module by another one on the same topics."""
+"""Tools that replace a running module by another one on the same topics."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ S = TypeVar("S", bound="Switch")
 
 
 class Switch(Arguments):
-    """What every switch can be told."""
+    """Arguments common to all switches."""
 
     mode: Literal["warm", "cold"] = Field(default="warm", description="As said above.")
     rollback: bool = Field(
@@ -61,7 +61,7 @@ class SwitchControl(Switch, StartControl):
 
 
 class SwitchResult(ModuleSummary):
-    """The new module runs and has proved that it works."""
+    """The new module is running and has passed its readiness check."""
 
     replaced: dict[str, str] = Field(description="what ran before")
     mode: Literal["warm", "cold", "in place"] = Field(
@@ -88,7 +88,7 @@ class SwitchResult(ModuleSummary):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Text:
-    """What the agent reads of the switch tool of one kind."""
+    """Texts of the switch tool of one kind."""
 
     arguments: type[Switch]
     title: str
@@ -122,7 +122,7 @@ _TEXTS: Mapping[ModuleKind, _Text] = {
 
 
 def switch_tools(loop: ClosedLoop) -> list[Tool[Switch]]:
-    """One for each kind of module that can be replaced."""
+    """Create one tool for each kind of replaceable module."""
     switching = Switching(loop)
     return [_switch_tool(loop, switching, kind, text) for kind, text in _TEXTS.items()]
 
@@ -153,7 +153,7 @@ def _switch_tool(
 
 
 def switch_result(switched: Switched) -> SwitchResult:
-    """How a switch went, as the agent reads it."""
+    """Convert the result of a switch for the agent."""
     change, gap = switched.change, switched.change.gap
     return SwitchResult.short_of(
         switched.view,

@@ -1,9 +1,9 @@
-"""Replacement of a running module between two of its outputs: the new one works in shadow until the
-handover.
+"""Replacement of a running module between two of its outputs: the new module works in shadow until
+the handover.
 
-The handover is a moment in the time of the inputs of both (see `rn_standard.switching.handover`).
-It lies so far ahead that both processes know it beforehand, so neither acts on the other's inputs.
-Until then nothing changes; if the new module does not act in time afterwards, the old one acts
+The handover is a moment on the time axis of their inputs (see `rn_standard.switching.handover`). It
+lies far enough ahead that both processes know it beforehand, so neither acts on the other's inputs.
+Until then nothing changes. If the new module does not act in time afterwards, the old one acts
 again.
 """
 
@@ -33,44 +33,42 @@ from roboneuron.feature import ClosedLoop, NodeClient, Plan, Report, Slot, Stage
 
 log = logging.getLogger(__name__)
 _MARGIN_S, _MOST_MARGIN_S, _MARGIN_RATIO = 0.5, 5.0, 5.0
-"""Both processes are told the moment this long before it comes: at least 0.5 s, or five times what
-telling them takes now (2 to 50 ms, hundreds on an overloaded machine).
+"""Lead of the moment: at least 0.5 s, or five times the present time of sending it to both
+processes (2 to 50 ms, hundreds on an overloaded machine).
 """
 _MARGIN_LATENCIES = 3.0
 _HEARD_S = 0.005
-"""A row that the old one sends in the last instant is heard within this time; else two rows could
-come at once.
+"""Time for a last row of the old module to reach the new one; otherwise both could send a row at
+once.
 """
 _LATEST_S = 0.05
 _MOMENTS = 3
-"""So many moments, each twice as far ahead as the one before, are proposed to a new one that
+"""Number of moments, each twice as far ahead as the previous one, proposed to a new module that
 answers too late.
 """
 _FIRST_S = 1.0
 _TOLD_S = 4.0
-"""Whether the new one has acted by then is read from a report made after that, which may come so
-much later: a process that is not given the processor acts, and has not told it yet.
+"""Delay of the report that shows whether the new module has acted by the moment: without CPU time,
+a process may act and report later.
 """
 _FIND_S = 25.0
-"""A listener that was killed is taken for alive until its lease on the ROS graph ends, after up to
-20 s.
-"""
+"""A killed subscriber counts as alive until its lease on the ROS graph ends, after up to 20 s."""
 _LATE_S = 3.0
-"""A newcomer that is late for this long in shadow is too slow; now and then a busy machine makes
-anything late.
+"""Time for which a module that is late in shadow counts as too slow; on a busy machine anything is
+late at times.
 """
 ARRIVAL_S = 0.5
-"""A status may arrive before the action that it tells of."""
+"""A status may arrive this much before the action that it reports."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Change:
-    """How a handover went.
+    """Result of a handover.
 
     Attributes:
-        gap: None when nothing was sent before or after it.
-        difference: largest difference between what the two wanted [m or rad]; None when the old one
-            did not act.
+        gap: None if nothing was sent before or after it.
+        difference: largest difference between the two modules' outputs [m or rad]; None if the old
+            one did not act.
     """
 
     gap: Gap | None
@@ -78,14 +76,14 @@ class Change:
 
 
 class WarmSwitch:
-    """One switch; used once, on the thread of the caller.
+    """One switch; used once, on the caller's thread.
 
     Args:
         loop: the closed loop.
-        plan: what is to run.
-        check: of its kind.
-        on_stage: told how it goes.
-        ticket: of the instruction that was in force when the caller asked, see `MotionStarts`.
+        plan: plan of the new module.
+        check: check of its kind.
+        on_stage: called with the progress.
+        ticket: ticket of the instruction at the time of the request, see `MotionStarts`.
     """
 
     def __init__(
@@ -110,10 +108,10 @@ class WarmSwitch:
         self._is_lowered = False
 
     def run(self) -> Change:
-        """Start the new one in shadow, compare, change over, end the old one.
+        """Start the new module in shadow, compare, hand over, end the old module.
 
         Raises:
-            RoboNeuronError: the reason why nothing was replaced; the old one acts as before.
+            RoboNeuronError: the reason why nothing was replaced; the old module acts as before.
         """
         standby = self._standbys.start(self._plan, self._on_start)
         try:
@@ -124,7 +122,7 @@ class WarmSwitch:
             old = self._hand_over(standby)
         except BaseException:
             self._standbys.discard(standby)
-            self._check_instruction()  # why it showed nothing
+            self._check_instruction()  # the reason for missing outputs
             raise
         self._own_instruction()
         gap = self._measure(old, standby)
@@ -133,8 +131,8 @@ class WarmSwitch:
         return Change(gap=gap, difference=difference)
 
     def _check_instruction(self) -> None:
-        """Raise StateError when a stop, or whoever had given the instruction, has ended it since
-        the caller asked.
+        """Raise StateError if the instruction was ended by a stop or its client since the
+        request.
         """
         if (
             self._kind == "inference"
@@ -147,15 +145,17 @@ class WarmSwitch:
             )
 
     def _follow_instruction(self, standby: Slot) -> None:
-        """What was asked for while the new one was loaded is asked of the new one too."""
+        """Send the new module the instruction and the requests for motion that came while it was
+        loaded.
+        """
         if self._kind == "inference":
             self._check_instruction()
             self._starts.follow(standby, self._ticket)
         else:
-            self._starts.arm_started()  # motion may have been asked for while it was loaded
+            self._starts.arm_started()  # motion may have been requested while it was loaded
 
     def _own_instruction(self) -> None:
-        """The caller's own instruction is in force from now on, unless another came, or an end."""
+        """Apply the caller's own instruction, unless another one or an end came since."""
         section = self._plan.config.inference
         if self._kind != "inference" or section is None or self._starts.ticket != self._ticket:
             return
@@ -163,7 +163,7 @@ class WarmSwitch:
             self._starts.begin(section.instruction)
 
     def _on_start(self, stage: str) -> None:
-        """Right after its process was started, the new one is made to give way to the old one while
+        """Lower the priority of the new module right after its process was started, while
         it loads.
         """
         if not self._is_lowered:
@@ -175,8 +175,8 @@ class WarmSwitch:
         self._on_stage(f"new {stage}")
 
     def _await_listeners(self, standby: Slot) -> None:
-        """Whoever hears the old one has to have found the new one too: what is sent to nobody is
-        lost.
+        """Wait until all subscribers of the old module have discovered the new one: otherwise its
+        messages would be lost.
         """
 
         def lacking() -> dict[str, str]:
@@ -196,7 +196,9 @@ class WarmSwitch:
             )
 
     def _measure(self, old: Slot, new: Slot) -> Gap | None:
-        """From what both tell afterwards; None when there was no output before or after."""
+        """Compute the gap from both modules' reports; None if there was no output before or
+        after.
+        """
         now_s = time.monotonic()
 
         def gap() -> Gap | None:
@@ -207,21 +209,21 @@ class WarmSwitch:
         return self._changes.wait_for(gap, ARRIVAL_S)
 
     def _hand_over(self, standby: Slot) -> Slot:
-        """Agree on the moment, wait for the first output after it, and make the new one the module
-        of its kind.
+        """Agree on the moment, wait for the first output after it, and make the new module that of
+        its kind.
         """
         old = self._working()
         clients = [self._loop.parameters(old), self._loop.parameters(standby)]
         latency_s = self._check.latency_s(self._healthy(standby))
-        # A prediction that the new one has begun when it is told of the moment ends before it.
+        # A prediction in progress when the new module gets the moment ends before it.
         margin_s = min(
             _MOST_MARGIN_S, max(self._probe(clients, standby), _MARGIN_LATENCIES * latency_s)
         )
         self._on_stage(f"{self._kind}: changing over")
         try:
-            # The old one is told only when the new one knows: one that dies now disturbs nobody.
-            # Until the old one's chunk would end, or the new one's first output is due: no hole
-            # between the two.
+            # The old module gets the moment only after the new one, which may still die without an
+            # effect. The old one plays until its chunk ends, or the new one's first output is due:
+            # no gap between the two.
             bridged_ns = self._bridged_ns(latency_s)
             moment_ns, due_s = self._agree(clients[1], standby, margin_s, bridged_ns)
             leave = {ACT_UNTIL: moment_ns, PLAY_UNTIL: moment_ns + int(latency_s * 1e9)}
@@ -238,15 +240,15 @@ class WarmSwitch:
             raise
 
     def _bridged_ns(self, latency_s: float) -> int:
-        """How long after the moment the old one's rows are played, and the last of them is heard by
-        the new one.
+        """Time after the moment for which the old module's rows are played, and the last of them
+        reaches the new one.
         """
         return int((latency_s + _HEARD_S) * 1e9) if self._check.has_rows() else 0
 
     def _agree(
         self, new: NodeClient, standby: Slot, margin_s: float, bridged_ns: int
     ) -> tuple[int, float]:
-        """The moment [ns] that the new one knows, in time to tell the old one too, and when it
+        """Agree on the moment [ns] with the new module, in time for the old one, and return when it
         comes [monotonic s].
         """
         for proposal in range(_MOMENTS):
@@ -256,7 +258,7 @@ class WarmSwitch:
                 self._tell(new, values, margin_s / 2, standby)
                 break
             except NotReadyError:
-                self._healthy(standby)  # what has ended or freezes will not answer later either
+                self._healthy(standby)  # an ended or frozen module will not answer later either
                 if proposal == _MOMENTS - 1:
                     raise
                 margin_s = min(2 * margin_s, _MOST_MARGIN_S)
@@ -272,7 +274,7 @@ class WarmSwitch:
             raise StateError(f"The handover was refused: {refused}.")
 
     def _probe(self, clients: Sequence[NodeClient], standby: Slot) -> float:
-        """Tell both what they know already, and return the margin [s] that this needs."""
+        """Send both modules the present values, and return the margin [s] that this requires."""
         started_s = time.monotonic()
         for client, values in zip(
             clients, ({ACT_UNTIL: 0, PLAY_UNTIL: 0}, {ACT_FROM: NEVER_NS}), strict=True
@@ -304,16 +306,16 @@ class WarmSwitch:
             )
 
     def _roll_back(self, clients: Sequence[NodeClient], slot: Slot, cause: BaseException) -> str:
-        """The old one acts again; the new one is told not to, and ended by the caller in any case.
-        Returns why the old one could not be told, empty when it was.
+        """Make the old module act again. The new one is stopped from acting, and the caller ends it
+        in any case. Return the reason if the old one could not be reached, otherwise empty.
         """
         log.warning("The handover is undone: %s", cause)
         old, new = clients
         with suppress(RoboNeuronError):
             new.send({ACT_FROM: NEVER_NS})
         try:
-            # Sent in any case: one that is frozen reads it, after what it was told before, when it
-            # continues.
+            # Sent in any case: a frozen process reads it, after the earlier messages, when it
+            # resumes.
             call = old.send({ACT_UNTIL: 0, PLAY_UNTIL: 0})
             refused = old.finish(call, _FIND_S, lambda: slot.check_alive("told to go on"))
         except RoboNeuronError as error:
@@ -323,9 +325,7 @@ class WarmSwitch:
         return refused
 
     def _healthy(self, slot: Slot) -> Report:
-        """The newest report of a process that works; raises what is wrong with it, or with the old
-        one.
-        """
+        """Newest report of a working process; raises its error or that of the old module."""
         slot.check_alive("working in shadow")
         self._working().check_alive("being replaced")
         report = slot.report
@@ -347,12 +347,12 @@ class WarmSwitch:
         return report
 
     def _working(self) -> Slot:
-        """The slot of the module that works now."""
+        """Slot of the working module."""
         return self._standbys.slots(self._kind)[0]
 
 
 def _listeners(report: Report | None) -> dict[str, int]:
-    """Number of subscriptions that a module's outputs have found, by topic."""
+    """Number of subscriptions of a module's outputs, by topic."""
     metrics = {} if report is None else report.metrics
     return {
         key.removeprefix(LISTENERS): int(value)

@@ -1,4 +1,4 @@
-"""A person's approval of a call, where the configuration asks for it."""
+"""Approval of a call by a person, where configured."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ from roboneuron import CallContext, RefusedError
 
 
 class Approval:
-    """Asks the person behind a client, for the tools and roles that the configuration names."""
+    """Asks the user of a client, for the configured tools and roles."""
 
     def __init__(self, options: TaskOptions) -> None:
         self._options = options
 
     async def ask(self, tool: str, question: str, context: CallContext) -> None:
-        """Return when nobody needs to be asked, or a person agreed; called before anything has an
-        effect.
+        """Return if no approval is needed, or a person agreed; called before anything takes effect.
 
         Raises:
-            RefusedError: the person said no, did not answer, or the client cannot ask one.
+            RefusedError: the person refused or did not answer, or the client cannot ask.
         """
         if tool not in self._options.approval or context.role not in self._options.approval_roles:
             return

@@ -1,5 +1,5 @@
-"""Who carries out a task now: one at a time, ended by whoever stops the robot, and waited for when
-the server ends.
+"""Exclusive execution of tasks: one at a time, ended by any stop of the robot, and awaited at the
+end of the server.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from roboneuron import CallContext, RefusedError, StateError, Tool
 
 _OURS = frozenset({"set_instruction"})
-"""Tools that would change what the policy of a running task does."""
+"""Tools that would change the policy's behaviour during a task."""
 
 
 class TaskArbiter:
@@ -26,23 +26,21 @@ class TaskArbiter:
 
     @property
     def reason(self) -> str:
-        """Why the task that runs, or has just ended, was told to end; empty when nobody has told
-        it.
-        """
+        """Reason for which the present or last task was ended; empty if it was not."""
         return self._reason
 
     @property
     def owner(self) -> str:
-        """Who carries out a task now, in words; empty when nobody does."""
+        """Owner of the running task, as text; empty without one."""
         return self._owner
 
     @contextmanager
     def claim(self, owner: str, halt: threading.Event) -> Iterator[None]:
-        """Be the one task.
+        """Claim the exclusive execution of a task.
 
         Args:
-            owner: in words, for messages.
-            halt: set when the task is to end.
+            owner: as text, for messages.
+            halt: set when the task has to end.
 
         Raises:
             StateError: there is another one.
@@ -62,7 +60,7 @@ class TaskArbiter:
                 self._idle.notify_all()
 
     def end(self, reason: str, timeout_s: float = 0.0) -> bool:
-        """Have the task end now, for a reason in words, and wait; False when it did not in time."""
+        """End the task, with a reason as text, and wait; return False if it did not end in time."""
         with self._idle:
             if self._halt is not None:
                 self._reason = self._reason or reason
@@ -70,7 +68,7 @@ class TaskArbiter:
             return self._idle.wait_for(lambda: self._halt is None, timeout_s)
 
     def admit(self, tool: Tool, context: CallContext) -> None:
-        """Refuse calls that would change what the running task's policy does."""
+        """Refuse calls that would change the policy's behaviour during a task."""
         if tool.name in _OURS and self._halt is not None:
             raise RefusedError(
                 f"A task runs: {self._owner}.",

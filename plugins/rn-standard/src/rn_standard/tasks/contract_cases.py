@@ -1,7 +1,7 @@
-"""The contract of monitors, and the cases of those shipped here; loaded by the contract kit and by
-tests only.
+"""Contract of monitors, and the cases of those in this package; loaded only by the contract kit and
+by tests.
 
-A third party tries its monitors with `contract_of(MonitorSpec)` and a `MonitorCase`, as this
+Third parties test their monitors with `contract_of(MonitorSpec)` and a `MonitorCase`, as this
 package's tests do.
 """
 
@@ -30,12 +30,13 @@ from roboneuron import CameraCalibration, Frame, Observation, Pose
 
 F64 = NDArray[np.float64]
 _SURE = 0.9
-"""The default of `at_least`: from here on a predicate takes a score as true."""
+"""Default of `at_least`: the score from which a predicate is true."""
 SCORE_LIMIT_S = 0.05
-"""Bound on the quickest of some scores, as `Monitor.score` says: a busy machine slows one, not all.
+"""Bound on the fastest of several scores, as specified in `Monitor.score`: a busy machine slows
+down some, not all.
 """
 LONGEST_REASON = 300
-"""Characters of a reason, which agents read with every answer."""
+"""Maximum length of a reason [characters], which agents read with every answer."""
 _SIDE_PX = 224
 _PAINT = {"red": (200, 25, 25), "blue": (25, 60, 210)}
 _OBJECT_M = 0.025
@@ -44,12 +45,12 @@ _TCP = Pose(position_m=np.array([0.45, 0.0, 0.25]), quaternion_xyzw=np.array([1.
 
 @dataclass(frozen=True, kw_only=True)
 class MonitorCase(Case[MonitorSpec]):
-    """A monitor to try.
+    """A monitor to be tested.
 
     Attributes:
-        before: how things are when an attempt begins; two balls on a table when None.
-        achieved: what it detects has come about.
-        missed: it has not.
+        before: observation at the start of an attempt; two balls on a table if None.
+        achieved: observation in which its condition is true.
+        missed: observation in which it is false.
     """
 
     subject: ClassVar[str] = "monitor"
@@ -59,16 +60,16 @@ class MonitorCase(Case[MonitorSpec]):
     missed: Observation | None = None
 
     def build(self) -> Monitor:
-        """A new monitor."""
+        """Create a new monitor."""
         return cast("Monitor", self.prepare()())
 
     def start(self) -> Observation:
-        """How things are when an attempt begins."""
+        """Observation at the start of an attempt."""
         return observe(_LIES) if self.before is None else self.before
 
     def scores(self, monitor: Monitor | None = None) -> tuple[Score, Score]:
-        """Of `achieved` and of `missed`, after `before`. Raises NotApplicable when the case has
-        none of these.
+        """Scores of `achieved` and of `missed`, after `before`. Raises NotApplicable if the case
+        lacks them.
         """
         if self.achieved is None or self.missed is None:
             raise NotApplicable("the case shows no observations")
@@ -126,7 +127,7 @@ def _check_never_reset(case: MonitorCase) -> None:
 
 
 def _all_scores(case: MonitorCase) -> list[Score]:
-    """Of everything that the case shows, and of its start without images."""
+    """Scores of all observations of the case, and of its start without images."""
     monitor = case.build()
     found = []
     for seen in (case.start(), case.achieved, case.missed, _blind(case.start())):
@@ -241,11 +242,11 @@ RULES: tuple[Rule[MonitorCase], ...] = (
 )
 """Rules of a monitor: those of every descriptor, and its own."""
 KIND = Kind(case=MonitorCase, rules=RULES)
-"""What the kit needs to try monitors."""
+"""Parts that the kit needs to test monitors."""
 
 
 def calibration(eye_m: F64, target_m: F64, mount: str) -> CameraCalibration:
-    """A pinhole camera at `eye_m` that looks at `target_m`, in the mount frame."""
+    """Calibration of a pinhole camera at `eye_m` that looks at `target_m`, in the mount frame."""
     z = (target_m - eye_m) / np.linalg.norm(target_m - eye_m)
     x = np.cross(z, [0.0, 0.0, 1.0] if abs(z[2]) < 0.9 else [1.0, 0.0, 0.0])
     x /= np.linalg.norm(x)
@@ -262,8 +263,8 @@ SIDE = calibration(np.array([0.4, -0.9, 0.6]), np.array([0.45, 0.0, 0.1]), "base
 def observe(
     objects: Mapping[str, tuple[float, float, float]], *, tcp: Pose = _TCP, stamp_ns: int = 1
 ) -> Observation:
-    """Two calibrated cameras beside a grey table with balls: colour -> place in the base frame
-    [m].
+    """Observation by two calibrated cameras of a grey table with balls: colour -> place in the base
+    frame [m].
     """
     frames = {
         role: Frame(
@@ -305,7 +306,7 @@ _LIES = {"red": (0.5, 0.1, 0.02), "blue": (0.4, -0.1, 0.02)}
 
 
 def lifted_case() -> MonitorCase:
-    """A red ball that is lifted by 15 cm; and one that is pushed aside."""
+    """A red ball that is lifted by 15 cm, and one that is pushed aside."""
     return _case(
         "colour-lifted",
         before=observe(_LIES),
@@ -325,7 +326,7 @@ def region_case() -> MonitorCase:
 
 
 def changed_case() -> MonitorCase:
-    """A ball is gone; nothing has changed."""
+    """A removed ball, and an unchanged scene."""
     return _case(
         "scene-changed",
         before=observe(_LIES),
@@ -335,4 +336,4 @@ def changed_case() -> MonitorCase:
 
 
 CASES: tuple[Callable[[], MonitorCase], ...] = (lifted_case, region_case, changed_case)
-"""Cases of the shipped monitors."""
+"""Cases of this package's monitors."""

@@ -1,4 +1,4 @@
-"""The monitors of this package: a coloured object lifted, an object in a region, the scene
+"""Monitors of this package: a coloured object was lifted, is in a region, or the scene has
 changed.
 """
 
@@ -19,14 +19,12 @@ F64 = NDArray[np.float64]
 Colour = Literal["red", "orange", "yellow", "green", "blue", "purple"]
 _Point = Annotated[tuple[float, float, float], Field(strict=False)]
 _BESIDE_M = 0.03
-"""Two views whose rays pass each other farther apart do not see the same thing."""
+"""Largest distance between the rays of two views of the same object."""
 _COARSE_M = 0.06
-"""Likewise when one of them sees it only in part, as a camera at the wrist sees what the gripper
-holds.
-"""
+"""The same if one view is partial, as that of a wrist camera on a held object."""
 _FADE_M = 0.05
 _HELD_M, _HOLDS = 0.06, (0.05, 0.9)
-"""So near to the TCP, and with such an opening, an object is held."""
+"""Distance from the TCP, and range of openings, within which an object counts as held."""
 
 
 class _Options(BaseModel):
@@ -34,8 +32,8 @@ class _Options(BaseModel):
 
 
 def locate(observation: Observation, colour: str) -> F64 | str:
-    """Centre (3,) of the coloured object in the base frame [m] from two views, or why it cannot be
-    told.
+    """Centre (3,) of the coloured object in the base frame [m] from two views, or the reason why it
+    is unknown.
     """
     rays = rays_of(observation, colour)
     if len(rays) < 2 or all(ray.is_coarse for ray in rays.values()):
@@ -70,10 +68,12 @@ class LiftedOptions(_Options):
 
 
 class ColourLifted:
-    """Whether an object of a colour was lifted: its height by two views, against its height before.
+    """Scores the lifting of an object of a colour: its height from two views, relative to its
+    initial height.
 
-    The height of what rests counts from the first look at it; 0.9 of `height_m` scores 0.9. What
-    the gripper holds already does not rest: then it counts where the task before saw it lie.
+    The initial height is that of the first observation at rest; a lift of 0.9 of `height_m` scores
+    0.9. An object that is already held is not at rest: then the resting height observed in the
+    previous task counts.
     """
 
     def __init__(self, config: LiftedOptions | None) -> None:
@@ -86,8 +86,8 @@ class ColourLifted:
         self._rest_m, self._is_of_before = previous._rest_m, True
 
     def reset(self, observation: Observation) -> None:
-        """Remember where it lies; what was seen at rest before is kept when it is hidden or held
-        now.
+        """Store its resting height; the height from an earlier observation is kept if it is now
+        hidden or held.
         """
         place = locate(observation, self._options.colour)
         if isinstance(place, str) or _is_held(place, observation):
@@ -96,7 +96,7 @@ class ColourLifted:
             self._rest_m, self._is_of_before = float(place[2]), False
 
     def score(self, observation: Observation) -> Score:
-        """Share of the height."""
+        """Lifted fraction of the height."""
         options = self._options
         place = locate(observation, options.colour)
         if isinstance(place, str):
@@ -116,7 +116,7 @@ class ColourLifted:
 
 
 def _is_held(place: F64, observation: Observation) -> bool:
-    """Whether an object at that place is between fingers: near a TCP whose hand stands neither open
+    """True if an object at that place is between fingers: near a TCP whose gripper is neither open
     nor closed.
     """
     hands = [(observation.ee_pose, observation.gripper_open)]
@@ -144,13 +144,15 @@ class RegionOptions(_Options):
 
 
 class ObjectInRegion:
-    """Whether an object of a colour is in a box; outside, the score falls to 0 within 5 cm."""
+    """Scores the position of an object of a colour in a box; outside, the score falls to 0 within 5
+    cm.
+    """
 
     def __init__(self, config: RegionOptions | None) -> None:
         self._options = config or RegionOptions()
 
     def reset(self, observation: Observation) -> None:
-        """Nothing is remembered."""
+        """Nothing to store."""
 
     def score(self, observation: Observation) -> Score:
         """1 inside."""
@@ -207,16 +209,14 @@ class ChangedOptions(_Options):
 
 
 class SceneChanged:
-    """Whether the picture has changed since the begin of the attempt, with the arm back where it
-    was.
-    """
+    """Scores the change of the image since the start of the attempt, with the arm back in place."""
 
     def __init__(self, config: ChangedOptions | None) -> None:
         self._options = config or ChangedOptions()
         self._before: tuple[NDArray[np.uint8], F64 | None] | None = None
 
     def reset(self, observation: Observation) -> None:
-        """Remember the picture, and where the arm is."""
+        """Store the image and the pose of the arm."""
         frame, pose = observation.frames.get(self._options.camera), observation.ee_pose
         self._before = (
             None
@@ -225,7 +225,7 @@ class SceneChanged:
         )
 
     def score(self, observation: Observation) -> Score:
-        """Share of the changed pixels, as a share of `share`."""
+        """Number of changed pixels, as a fraction of `share`."""
         options, frame, pose = (
             self._options,
             observation.frames.get(self._options.camera),

@@ -1,5 +1,5 @@
-"""Events that clients can subscribe to, as resources: incidents, ends of tasks, a low battery,
-thresholds crossed.
+"""Events to which clients can subscribe, as resources: incidents, ends of tasks, a low battery,
+crossed thresholds.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ KINDS: Mapping[str, str] = {
     BATTERY: "A battery that became low, or is charged again.",
     THRESHOLDS: "Crossings of the thresholds in [events.thresholds] of the configuration.",
 }
-"""What there is, with one line for agents."""
+"""Kinds of events, with one line each for agents."""
 _AGAIN_S = 5.0
-"""The same incident of the same module within this time is one."""
+"""Time within which the same incident of the same module is reported only once."""
 _CHARGED = 0.05
-"""So far above the limit a battery is charged again."""
+"""Margin above the limit at which a battery counts as charged again."""
 
 
 def check_thresholds(options: EventOptions) -> None:
     """Check the topics, types and fields of `[events]` before anything is subscribed to.
 
     Raises:
-        InvalidInputError, ConfigurationError: one cannot be.
+        InvalidInputError, ConfigurationError: one is invalid.
     """
     check_topic(options.battery_topic)
     for name, threshold in options.thresholds.items():
@@ -60,12 +60,11 @@ def check_thresholds(options: EventOptions) -> None:
 
 
 class Crossing:
-    """Tells when a value crosses a limit; after that, not before it has come back by the
-    hysteresis.
+    """Detects that a value crosses a limit; the state resets only after the hysteresis.
 
     Args:
-        above, below: it happens above the one, and below the other; None for no such limit.
-        hysteresis: how far it must come back.
+        above, below: limits that the value must exceed or fall below; None for no such limit.
+        hysteresis: distance by which it must return.
     """
 
     def __init__(self, above: float | None, below: float | None, hysteresis: float = 0.0) -> None:
@@ -75,7 +74,7 @@ class Crossing:
         self.is_beyond = False
 
     def observe(self, value: float) -> bool:
-        """Take the next value; True when `is_beyond` has changed. NaN changes nothing."""
+        """Add a value; return True if `is_beyond` has changed. NaN changes nothing."""
         if self.is_beyond:
             back = self._below + self._hysteresis <= value <= self._above - self._hysteresis
             self.is_beyond = not back
@@ -89,8 +88,8 @@ class EventLog:
     """The newest events of each kind. Usable from any thread.
 
     Args:
-        kept: how many of each kind.
-        tell: given the URI of the resource that has changed.
+        kept: number of events of each kind.
+        tell: called with the URI of the changed resource.
     """
 
     def __init__(self, kept: int, tell: Callable[[str], object]) -> None:
@@ -100,7 +99,7 @@ class EventLog:
         self._tell = tell
 
     def add(self, kind: str, **facts: object) -> None:
-        """Something happened; `facts` are what JSON can hold."""
+        """Add an event; `facts` are JSON-serialisable."""
         with self._lock:
             self._count += 1
             at = datetime.now(UTC).isoformat(timespec="milliseconds")
@@ -108,12 +107,12 @@ class EventLog:
         self._tell(URI + kind)
 
     def read(self, kind: str) -> str:
-        """The events as JSON, newest last."""
+        """Return the events as JSON, newest last."""
         with self._lock:
             return json.dumps({"events": list(self._kept[kind])}, indent=1)
 
     def resources(self) -> Sequence[Resource]:
-        """One for each kind."""
+        """Create one resource for each kind."""
         return [
             Resource(
                 uri=URI + kind,
@@ -128,11 +127,11 @@ class EventLog:
 
 
 class Watching:
-    """Turns what happens in the server, and on topics, into events.
+    """Converts events of the server and of topics to subscribable events.
 
     Args:
         host, options: of the feature.
-        events: where they go.
+        events: receives them.
     """
 
     def __init__(self, host: Host, options: EventOptions, events: EventLog) -> None:
@@ -145,8 +144,8 @@ class Watching:
         host.events.fault.listen(self._on_fault)
 
     def start(self) -> None:
-        """Subscribe to the topics. Raises RoboNeuronError when ROS cannot be joined or a type is
-        not installed.
+        """Subscribe to the topics. Raises RoboNeuronError if ROS cannot be joined or a type is not
+        installed.
         """
         if self._options.battery_low > 0:
             low = Crossing(None, self._options.battery_low, _CHARGED)
@@ -164,7 +163,7 @@ class Watching:
             )
 
     def close(self) -> None:
-        """Subscribe no more; idempotent."""
+        """Unsubscribe; idempotent."""
         while self._ends:
             try:
                 self._ends.pop()()

@@ -1,4 +1,4 @@
-"""Predicates to copy, in the words of JSON."""
+"""Example predicates to copy, as JSON values."""
 
 from __future__ import annotations
 
@@ -39,4 +39,4 @@ EXAMPLES: dict[str, dict[str, object]] = {
         "at_most": 60.0,
     },
 }
-"""Predicate by what it says."""
+"""Predicate by its meaning."""

@@ -47,7 +47,7 @@ _POSE_S = 2.0
 
 
 class _Scene(TypedDict):
-    """What the history keeps of where a task was tried."""
+    """Robot and model of a task, for the history."""
 
     robot: str
     model: dict[str, str]
@@ -135,7 +135,7 @@ class TasksFeature(Feature[TasksSections]):
             self._watching.start()
 
     def close(self) -> None:
-        """End the task that may be running, and all subscriptions."""
+        """End the running task, if any, and all subscriptions."""
         if self._arbiter is not None:
             self._arbiter.end("the server ends", _CLOSE_S)
         if self._watching is not None:

@@ -1,4 +1,4 @@
-"""Tasks of the past, kept over restarts: what was asked, of which robot and model, how it ended."""
+"""History of tasks, kept across restarts: instruction, robot, model and outcome."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from roboneuron import Arguments, CallContext, Resource, Result, Tool
 FILE_NAME = "tasks.jsonl"
 TASKS_URI = "roboneuron://tasks/history"
 KEPT = 200
-"""So many tasks are kept; the file is shortened when it holds twice as many."""
+"""Number of tasks kept; the file is shortened when it contains twice as many."""
 _IN_RESOURCE = 20
 _MOST_TEXT = 500
 _log = logging.getLogger(__name__)
@@ -56,11 +56,11 @@ class TasksResult(Result):
 
 
 class TaskHistory:
-    """The file of past tasks in the state directory; safe from any thread.
+    """File of past tasks in the state directory; thread-safe.
 
     Args:
         directory: the state directory.
-        now: the present time.
+        now: returns the present time.
     """
 
     def __init__(
@@ -80,8 +80,8 @@ class TaskHistory:
         robot: str = "",
         model: dict[str, str] | None = None,
     ) -> None:
-        """Keep a task that has ended. A file that cannot be written is told in the log: memory is
-        no reason to fail a task.
+        """Add a completed task. A failed write is only logged, because the history must not fail a
+        task.
         """
         task = PastTask(
             at=self._now().isoformat(timespec="seconds"),
@@ -117,8 +117,8 @@ class TaskHistory:
             return []
 
     def newest(self, contains: str = "") -> list[PastTask]:
-        """Past tasks, newest first, whose instruction holds all these words. Lines that a crash
-        has cut are left out.
+        """Past tasks, newest first, whose instruction contains all these words. Incomplete lines
+        after a crash are left out.
 
         Raises:
             OSError: the file cannot be read.
@@ -137,7 +137,7 @@ class TaskHistory:
         return found
 
     def resource(self) -> Resource:
-        """The newest ones as JSON."""
+        """The newest tasks as a JSON resource."""
         return Resource(
             uri=TASKS_URI,
             name="task history",
@@ -172,6 +172,6 @@ class TaskHistory:
 
 
 def _private(path: Path, mode: int) -> IO[str]:
-    """A file for its owner alone, opened for writing."""
+    """Open a file for writing that only its owner can access."""
     path.parent.mkdir(parents=True, exist_ok=True)
     return open(os.open(path, os.O_WRONLY | os.O_CREAT | mode, 0o600), "w", encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The hook for monitors: what they are, and their descriptor."""
+"""Hook of monitors, and their descriptor."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from roboneuron import Spec, hookspec
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MonitorSpec(Spec):
-    """A detector that judges from observations whether something has come about.
+    """A detector that decides from observations if a condition is fulfilled.
 
     Attributes:
-        cameras: roles it needs a frame of.
-        optional_cameras: roles it uses when the robot has them.
+        cameras: roles of required frames.
+        optional_cameras: roles of frames used if the robot has them.
     """
 
     kind: ClassVar[str] = "monitor"

@@ -1,4 +1,4 @@
-"""What the robot and its cameras publish: the newest message of each topic that a task looks at."""
+"""Newest messages of the robot and its cameras on the topics that a task uses."""
 
 from __future__ import annotations
 
@@ -27,13 +27,11 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 _AGE_S, _IMAGE_AGE_S = 0.5, 2.0
-"""Older measurements, and older images, are as good as none."""
+"""Maximum age of measurements, and of images."""
 
 
 class Inputs:
-    """Newest messages of topics, from the first time on that they are asked for until it is
-    closed.
-    """
+    """Newest messages of topics, from their first use until `close`."""
 
     def __init__(self, host: Host) -> None:
         self._host = host
@@ -42,7 +40,7 @@ class Inputs:
         self._decoded: dict[str, tuple[object, Frame]] = {}
 
     def open(self, topic: str, type_name: str) -> None:
-        """Begin to listen. Raises RoboNeuronError for an unknown type, or when ROS cannot be
+        """Subscribe to a topic. Raises RoboNeuronError for an unknown type, or if ROS cannot be
         joined.
         """
         _ = self._host.graph  # first: two threads must not import rclpy at the same time
@@ -54,17 +52,17 @@ class Inputs:
         self._ends.append(self._host.subscribe(ros_type, topic, take, latched=True))
 
     def newest(self, topic: str, age_s: float = _AGE_S) -> Any:
-        """The newest message, or None when it is older."""
+        """The newest message, or None if it is older than `age_s`."""
         found = self._newest.get(topic)
         return found[1] if found is not None and time.monotonic() - found[0] <= age_s else None
 
     def last(self, topic: str) -> Any:
-        """The newest message however old it is; None before the first."""
+        """The newest message of any age; None before the first."""
         found = self._newest.get(topic)
         return None if found is None else found[1]
 
     def frame(self, topic: str, camera: str, profile: RobotProfile | None) -> Frame | None:
-        """The newest image of a camera, with the calibration that the profile has; None when it is
+        """The newest image of a camera, with the calibration of the profile; None if it is
         too old.
         """
         message = self.newest(topic, _IMAGE_AGE_S)
@@ -98,7 +96,7 @@ class Inputs:
         return frame
 
     def close(self) -> None:
-        """Listen no more; idempotent."""
+        """Unsubscribe; idempotent."""
         while self._ends:
             with suppress(RoboNeuronError):
                 self._ends.pop()()
@@ -109,7 +107,7 @@ def _stamp_ns(stamp: Time) -> int:
 
 
 def pose_topic(namespace: str, arm: str = "") -> str:
-    """Topic of the measured TCP pose; of one of several arms where it is named."""
+    """Topic of the measured TCP pose, of the named arm if there are several."""
     return f"/{namespace}/{f'{arm}/' if arm else ''}ee_pose"
 
 

@@ -1,4 +1,4 @@
-"""Judging predicates: true, false, or not to be judged, each with its reason."""
+"""Evaluation of predicates: true, false or undecided, each with its reason."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from rn_standard.tasks.predicates import (
 from rn_standard.tasks.snapshot import Snapshot
 
 MonitorFor = Callable[[MonitorSays], Monitor]
-"""Builds the monitor that a predicate names."""
+"""Builds the monitor named by a predicate."""
 GRIPPER_STILL_S, _GRIPPER_MOVED = 0.2, 0.04
-"""A gripper on its way passes every opening; what it holds, it holds still, but for what
-measurements waver.
+"""Time and tolerance for a gripper at rest: a moving gripper passes every opening, so only a
+resting one can hold an object; the tolerance covers measurement noise.
 """
 _MOST_TEXT = 120
-"""Characters of a value that a reason quotes."""
+"""Maximum length of a quoted value in a reason [characters]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PredicateState:
-    """What a look at a predicate tells.
+    """Result of an evaluation.
 
     Attributes:
-        value: None when it cannot be judged.
+        value: None if it cannot be decided.
         reason: one sentence, without its full stop.
     """
 
@@ -48,18 +48,18 @@ class PredicateState:
 
 
 class PredicateJudge:
-    """Judges one predicate over the course of a task; remembers what predicates over time need.
-    Used from one thread.
+    """Evaluates one predicate during a task; stores the state of time-dependent predicates. Used
+    from one thread.
 
     Args:
-        predicate: what is judged.
-        instruction: shown to monitors with each observation.
-        monitor_for: builds monitors; called once for each that is named.
-        gripper_joints: of each arm by its name ("" for the only or first) the name of its gripper's
-            joint, for its effort.
+        predicate: the predicate.
+        instruction: part of the observations for monitors.
+        monitor_for: builds monitors; called once for each named monitor.
+        gripper_joints: name of the gripper's joint of each arm by its name ("" for the only or
+            first), for its effort.
 
     Attributes:
-        lasts_s: longest time that a part of the predicate has to be true for [s].
+        lasts_s: longest time for which a part of the predicate has to be true [s].
     """
 
     def __init__(
@@ -75,7 +75,7 @@ class PredicateJudge:
         self._monitors: dict[int, Monitor] = {}
         self._scores: dict[int, tuple[Mapping[str, int], Score]] = {}
         self._true_since_s: dict[int, float] = {}
-        # of each arm that a predicate names: the opening that it has come to, and when
+        # for each arm in a predicate: the opening at which it came to rest, and when
         self._openings = {
             part.arm: (-1.0, 0.0) for part in flat(predicate) if isinstance(part, GripperHolds)
         }
@@ -86,7 +86,7 @@ class PredicateJudge:
         self._collect(predicate, monitor_for)
 
     def reset(self, snapshot: Snapshot) -> None:
-        """Begin an attempt with how things are."""
+        """Begin an attempt with the initial state."""
         self._true_since_s.clear()
         self._scores.clear()
         self._openings = dict.fromkeys(self._openings, (-1.0, snapshot.now_s))
@@ -95,7 +95,7 @@ class PredicateJudge:
             monitor.reset(observation)
 
     def look(self, snapshot: Snapshot) -> PredicateState:
-        """Judge now; to be called in the order of time."""
+        """Evaluate now; call it in the order of time."""
         for arm, (before, _) in self._openings.items():
             opening = snapshot.of_arm(arm).gripper_open
             if opening is not None and abs(opening - before) > _GRIPPER_MOVED:
@@ -103,7 +103,9 @@ class PredicateJudge:
         return self._judge(self._root, snapshot)
 
     def may_last(self, snapshot: Snapshot) -> bool:
-        """Whether only time is missing: it would be true now if nothing had to last."""
+        """True if only time is missing: the predicate would be true now without required
+        durations.
+        """
         self._is_lenient = True
         try:
             return self._judge(self._root, snapshot).value is True
@@ -194,8 +196,8 @@ class PredicateJudge:
         stamps = {role: frame.stamp_ns for role, frame in snapshot.frames.items()}
         known = self._scores.get(id(predicate))
         if known is None or not stamps or known[0] != stamps:
-            # Once for each set of images: the pose measured when they came fits them better than a
-            # later one.
+            # Once for each set of images: the pose measured at their arrival fits them better than
+            # a later one.
             score = self._monitors[id(predicate)].score(snapshot.observation(self._instruction))
             known = self._scores[id(predicate)] = (stamps, score)
         score = known[1]
@@ -205,7 +207,7 @@ class PredicateJudge:
 
 
 def _all(parts: list[PredicateState]) -> PredicateState:
-    """False when one is false, else not to be judged when one is not, else true."""
+    """False if one part is false, else undecided if one is, else true."""
     for value in (False, None):
         found = [part.reason for part in parts if part.value is value]
         if found:

@@ -1,4 +1,4 @@
-"""start_all and list_models."""
+"""Tools start_all and list_models."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ class StartAll(Arguments):
 
 
 class StartAllResult(Result):
-    """Everything that is configured runs and has proved that it works."""
+    """Result of start_all: every configured module is running and has passed its readiness
+    check.
+    """
 
     started: list[ModuleSummary]
     already: list[ModuleKind] = Field(description="ran before")
@@ -62,7 +64,7 @@ class ModelInfo(Result):
 
 
 class Models(Result):
-    """What can be chosen by name."""
+    """Models that can be chosen by name."""
 
     models: list[ModelInfo]
 

@@ -1,4 +1,4 @@
-"""The robot of a task: the closed loop of this server, and what it publishes."""
+"""The robot of a task: the closed loop of this server, and its published topics."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ _DONE = ("backend.done", "done")
 
 
 class LiveCell:
-    """Follows the protocol `TaskRobot`.
+    """Implementation of `TaskRobot` on the server's robot.
 
     Args:
         host: the server.
-        profile: of the robot; None for one that no plugin describes.
-        role: of the caller.
-        stage: told how a start of the policy goes.
-        halt: set when the task is to end.
-        why: says who has ended it; empty for the caller.
-        topics: type by topic, of those that predicates name.
+        profile: profile of the robot; None without a plugin.
+        role: role of the caller.
+        stage: called with the progress of a start of the policy.
+        halt: set when the task has to end.
+        why: returns the reason of the end; empty for the caller's cancellation.
+        topics: type by topic, for those in predicates.
         cameras: names of the cameras that predicates or evidence need.
     """
 
@@ -77,7 +77,7 @@ class LiveCell:
         self._starting = False
 
     def open(self) -> None:
-        """Listen to what is needed; waits a moment for the cameras' first images.
+        """Subscribe to the required topics; waits briefly for the cameras' first images.
 
         Raises:
             RoboNeuronError: ROS cannot be joined, or a topic's type is not installed.
@@ -99,7 +99,7 @@ class LiveCell:
                 return
 
     def close(self) -> None:
-        """Listen no more; idempotent."""
+        """Unsubscribe; idempotent."""
         self._inputs.close()
 
     def now_s(self) -> float:
@@ -111,7 +111,7 @@ class LiveCell:
         return self._halt.wait(seconds)
 
     def begin(self, instruction: str) -> None:
-        """See `TaskRobot`. A backend that does not run is started, and waits for the instruction.
+        """See `TaskRobot`. If no backend runs, it is started, and waits for the instruction.
 
         Raises:
             StateError: there was a stop since the task has begun; motion needs a new start.
@@ -140,7 +140,7 @@ class LiveCell:
             )
 
     def _start_policy(self) -> None:
-        """Without the instruction of the configuration, which nobody has asked for."""
+        """Start the policy without the configured instruction, which was not requested."""
         loop = self._host.loop
         self._starting = True
         try:
@@ -155,9 +155,7 @@ class LiveCell:
             self._starting = False
 
     def cancel(self) -> None:
-        """End a start of the policy that `begin` waits for; callable from any thread, returns at
-        once.
-        """
+        """Cancel a start of the policy in `begin`; callable from any thread, returns at once."""
         if self._starting:
             self._host.loop.cancel("inference")
 
@@ -182,14 +180,14 @@ class LiveCell:
         return PolicyState(has_acted=report.actions_for_instruction > 0, failure=told, led=led)
 
     def _led(self) -> str:
-        """Who leads the arm by hand while the policy waits; empty for nobody."""
+        """Name of the person who leads the arm by hand while the policy waits; empty for none."""
         feature = self._host.features.loaded.get(TELEOPERATION)
         lead = feature.lead if isinstance(feature, Teleoperation) else None
         return lead.who if lead is not None and lead.session.mode == "person" else ""
 
     def _lost(self) -> str:
-        """Which module the task has lost, or what has ended its instruction; empty while it has all
-        it needs.
+        """Describe the module that the task has lost, or the end of its instruction; empty if it
+        has all it needs.
         """
         if self._stops is None:
             return ""
@@ -245,8 +243,8 @@ class LiveCell:
         return pose_of(self._inputs.newest(pose_topic(self._host.config.namespace, arm)))
 
     def end(self) -> None:
-        """See `TaskRobot`: the instruction is taken back from whoever holds it; a process that
-        keeps it is ended.
+        """See `TaskRobot`: the instruction is withdrawn from every process; one that keeps it is
+        ended.
         """
         if self._instruction:
             self._instruction = ""
@@ -258,8 +256,8 @@ class LiveCell:
         return tuple(_jpeg(frame) for frame in frames)
 
     def _report_of_this(self, view: ModuleView) -> Report | None:
-        """The newest report, once it is of the instruction that was given last; also of a policy
-        switched to since.
+        """The newest report, once it is about the last instruction; also of a policy switched to
+        since.
         """
         report = view.report
         if report is None or report.instruction != self._instruction:
@@ -267,7 +265,7 @@ class LiveCell:
         return report if report.instruction_count > self._count or not self._is_same(view) else None
 
     def _is_same(self, view: ModuleView) -> bool:
-        """Whether the policy is the process that was given the instruction."""
+        """True if the policy is the process that received the instruction."""
         return view.process is not None and view.process.pid == self._pid
 
     def _done(self) -> bool | None:
@@ -301,7 +299,7 @@ class LiveCell:
 
 
 def _opening(gripper: GripperProfile | None, joints: Mapping[str, float] | None) -> float | None:
-    """Measured opening of a gripper; None when it is not measured."""
+    """Measured opening of a gripper; None if not measured."""
     if gripper is None or joints is None or gripper.joint not in joints:
         return None
     return gripper.to_opening(joints[gripper.joint])

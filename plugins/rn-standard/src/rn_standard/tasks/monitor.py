@@ -1,4 +1,4 @@
-"""What a monitor is."""
+"""Protocol of monitors."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from roboneuron import Observation
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Score:
-    """What a monitor says of one observation.
+    """Result of a monitor for one observation.
 
     Attributes:
-        value: 0 certainly not .. 1 certainly; None when it cannot be judged.
+        value: 0 certainly not .. 1 certainly; None if it cannot be decided.
         reason: one sentence, without its full stop; never empty.
     """
 
@@ -22,31 +22,31 @@ class Score:
 
 
 class Monitor(Protocol):
-    """Judges observations of one task. Built as `target(config)`, used from one thread, loads
+    """Evaluates observations of one task. Built as `target(config)`, used from one thread, loads
     nothing heavy late.
 
-    The same observations in the same order give the same scores. What it cannot judge (a missing
-    image, a hidden object, an uncalibrated camera) is a score of None, not an exception and never a
+    The same observations in the same order give the same scores. If it cannot decide (a missing
+    image, a hidden object, an uncalibrated camera), the score is None, not an exception and never a
     guess.
     """
 
     def reset(self, observation: Observation) -> None:
-        """Begin with how things are before the robot acts; called before `score`, and again before
+        """Store the initial state, before the robot acts; called before `score`, and again before
         each attempt.
         """
         ...
 
     def score(self, observation: Observation) -> Score:
-        """Judge one observation; at most 50 ms."""
+        """Score one observation, in at most 50 ms."""
         ...
 
 
 @runtime_checkable
 class RememberingMonitor(Protocol):
-    """What a monitor may offer besides: to know what one of the same name and options saw in the
-    task before.
+    """Optional interface of a monitor: access to the monitor of the same name and options in the
+    previous task.
     """
 
     def follow(self, previous: object) -> None:
-        """Take over what stays true between two tasks; called before `reset`."""
+        """Copy the state that stays valid between two tasks; called before `reset`."""
         ...

@@ -1,4 +1,4 @@
-"""move_to: named postures and places of the robot, gone to by the tools of the arm."""
+"""Tool move_to: moves to named postures and places of the robot, with the tools of the arm."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ from roboneuron import (
 )
 
 HOME = "home"
-"""The robot's own safe posture, unless the configuration gives it another one."""
+"""Name of the robot's own safe posture, unless configured otherwise."""
 _MOST_M, _MOST_RAD = 0.3, 1.2
-"""Longest straight part, and turn, of a move to a place."""
+"""Largest translation and rotation of one straight part of a move to a place."""
 _PARTS = 32
 _THERE_M, _THERE_RAD = 0.004, 0.02
 F64 = NDArray[np.float64]
 PoseNow = Callable[[str], tuple[F64, F64]]
-"""Waits for the measured TCP pose of an arm, "" for the only one: position (3,) [m] and rotation
-(3, 3) in the base frame.
+"""Waits for the measured TCP pose of an arm, "" for the only one; returns position (3,) [m] and
+rotation (3, 3) in the base frame.
 """
 
 CallArm = Callable[[str, Mapping[str, object], CallContext], Awaitable[dict[str, Any]]]
@@ -53,7 +53,7 @@ class MoveToArguments(Arguments):
 
 
 class MovedTo(Result):
-    """The arm was measured there."""
+    """The arm was measured at the target."""
 
     name: str
     kind: str = Field(description="posture or place")
@@ -64,14 +64,14 @@ class MovedTo(Result):
 
 
 class Places:
-    """The postures and places that move_to knows."""
+    """Named postures and places of move_to."""
 
     def __init__(self, host: Host, options: TasksSections) -> None:
         self._host = host
         self._options = options
 
     def postures(self) -> dict[str, PostureOptions]:
-        """Those of the configuration, and the robot's own home."""
+        """Configured postures, and the robot's own home."""
         profile = profile_of(self._host)
         own: dict[str, PostureOptions] = {}
         if profile is not None and profile.home_rad is not None:
@@ -80,7 +80,7 @@ class Places:
         return own | self._options.postures
 
     def places(self) -> Mapping[str, PlaceOptions]:
-        """Those of the configuration."""
+        """Configured places."""
         return self._options.places
 
     def choices(self) -> dict[str, str]:
@@ -90,7 +90,9 @@ class Places:
 
 
 class Mover:
-    """Goes to a posture or a place, by calling move_joints or move_ee as the same client."""
+    """Moves to a posture or place by calling move_joints or move_ee on behalf of the same
+    client.
+    """
 
     def __init__(
         self, host: Host, places: Places, pose_now: PoseNow, call: CallArm | None = None
@@ -107,11 +109,11 @@ class Mover:
         self._call = call or self._call_tool
 
     async def __call__(self, name: str, context: CallContext) -> MovedTo:
-        """Go there.
+        """Move to a named target.
 
         Raises:
             InvalidInputError: no such name.
-            NotReadyError: the tool that moves the arm is not there.
+            NotReadyError: the tool that moves the arm is missing.
             RoboNeuronError: as move_joints and move_ee.
         """
         postures, places = self._places.postures(), self._places.places()
@@ -133,7 +135,7 @@ class Mover:
         )
 
     async def _to_place(self, name: str, place: PlaceOptions, context: CallContext) -> MovedTo:
-        """Along straight parts, each by what is measured at its begin."""
+        """Move along straight parts, each computed from the pose measured at its start."""
         took_s, stops = 0.0, self._host.loop.starts.arm_stops
         arms = [arm.name for arm in _arms(self._host)]
         if place.arm not in (arms or [""]):
@@ -196,16 +198,16 @@ class Mover:
 
 
 def _arms(host: Host) -> tuple[ArmProfile, ...]:
-    """The arms of a robot that has several."""
+    """The arms of a robot with several."""
     profile = profile_of(host)
     return () if profile is None else profile.arms
 
 
 def check_places(options: TasksSections) -> None:
-    """Refuse names that mean two things, and orientations of no length.
+    """Refuse ambiguous names, and orientations of zero length.
 
     Raises:
-        RoboNeuronError: InvalidInputError that names which.
+        InvalidInputError: names the entry.
     """
     for name in {*options.postures} & {*options.places}:
         raise InvalidInputError(f"{name!r} is a posture and a place.")

@@ -20,7 +20,7 @@ class _Section(BaseModel):
 
 
 class TaskOptions(_Section):
-    """`[tasks]`: how run_task works."""
+    """`[tasks]`: settings of run_task."""
 
     period_s: Annotated[float, Field(ge=0.01, le=1)] = Field(
         default=0.05, description="time between two looks at whether a task is done [s]"
@@ -56,7 +56,7 @@ class TaskOptions(_Section):
 
 
 class PostureOptions(_Section):
-    """`[postures.<name>]`: joint positions that move_to knows by name."""
+    """`[postures.<name>]`: joint positions for move_to."""
 
     joints: dict[str, Finite] = Field(
         min_length=1, description="position by joint [rad, m]; others stay"
@@ -65,7 +65,7 @@ class PostureOptions(_Section):
 
 
 class PlaceOptions(_Section):
-    """`[places.<name>]`: a pose of the TCP in the base frame that move_to knows by name."""
+    """`[places.<name>]`: a pose of the TCP in the base frame for move_to."""
 
     arm: str = Field(default="", description="whose TCP; needed where there are several arms")
     position_m: Annotated[tuple[Finite, Finite, Finite], Field(strict=False)] = Field(
@@ -100,7 +100,7 @@ class ThresholdOptions(_Section):
 
 
 class EventOptions(_Section):
-    """`[events]`: what clients may subscribe to as resources."""
+    """`[events]`: resources to which clients may subscribe."""
 
     kept: Annotated[int, Field(ge=1, le=10000)] = Field(
         default=100, description="events kept of each kind"

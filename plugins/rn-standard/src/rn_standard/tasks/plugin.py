@@ -1,4 +1,4 @@
-"""What this package offers; standard library and descriptors only."""
+"""Descriptors of this package; standard library only."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ FEATURE = FeatureSpec(
 def _monitor(
     name: str, summary: str, target: str, options: str, case: str, *, optional: tuple[str, ...]
 ) -> MonitorSpec:
-    """One that looks at the camera in front and, where there are any, at the optional ones."""
+    """Create the descriptor of a monitor that uses the front camera and, if present, the optional
+    ones.
+    """
     return MonitorSpec(
         name=name,
         summary=summary,

@@ -1,4 +1,4 @@
-"""Predicates: when a task is done, as data that an agent writes."""
+"""Predicates: conditions for the end of a task, as data written by an agent."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNTIL = (
     "equals), "
     "held (for_s, of: P), not (of: P), all or any (of: [P, ...])"
 )
-"""All kinds in the words of an agent; monitors of other packages, and the schema, are in the
+"""All kinds in short form for an agent; monitors of other packages, and the schema, are in the
 resource of predicates.
 """
 _Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -30,7 +30,7 @@ class _Predicate(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     def parts(self) -> tuple[Predicate, ...]:
-        """The predicates inside of this one."""
+        """The nested predicates."""
         return ()
 
 
@@ -68,7 +68,7 @@ class Not(_Predicate):
 
 
 class Held(_Predicate):
-    """The part has been true without a break for a time."""
+    """The part has been true without interruption for a time."""
 
     kind: Literal["held"]
     of: Predicate
@@ -123,7 +123,7 @@ class JointsIn(_Predicate):
 
 
 class GripperHolds(_Predicate):
-    """The gripper is closed on something: its opening stands within a range, and its effort is high
+    """The gripper is closed on an object: its opening is within a range, and its effort is high
     enough.
     """
 
@@ -144,13 +144,13 @@ class Still(_Predicate):
 
 
 class PolicyDone(_Predicate):
-    """The policy says that it has finished."""
+    """The policy reports that it has finished."""
 
     kind: Literal["policy_done"]
 
 
 class MonitorSays(_Predicate):
-    """An installed monitor scores what it sees at least so high."""
+    """An installed monitor scores the observation at least this high."""
 
     kind: Literal["monitor"]
     name: Annotated[str, Field(min_length=1, description="of an installed monitor")]
@@ -178,10 +178,11 @@ ADAPTER: TypeAdapter[Predicate] = TypeAdapter(Predicate)
 
 
 def parse_predicate(data: object, path: str = "until") -> Predicate:
-    """Check what a caller wrote.
+    """Parse a predicate from a caller's data.
 
     Raises:
-        InvalidInputError: it is no predicate; says where and why, or it has more than 32 parts.
+        InvalidInputError: it is not a valid predicate, with the path and reason, or it has more
+            than 32 parts.
     """
     try:
         predicate = ADAPTER.validate_python(data)
@@ -193,7 +194,7 @@ def parse_predicate(data: object, path: str = "until") -> Predicate:
 
 
 def flat(predicate: Predicate) -> list[Predicate]:
-    """The predicate and all that are inside of it."""
+    """The predicate and all nested ones."""
     return [predicate, *(inner for part in predicate.parts() for inner in flat(part))]
 
 

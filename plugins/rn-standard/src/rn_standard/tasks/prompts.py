@@ -1,4 +1,4 @@
-"""Prompts for the usual jobs, for clients that offer them to people."""
+"""Prompts for common jobs, for clients that offer them to users."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class TaskPrompt:
     """A prompt.
 
     Attributes:
-        title: for people.
+        title: for users.
         description: one line.
-        text: with `{name}` where an argument goes.
+        text: with `{name}` as the placeholder of an argument.
         arguments: description by name; all are required.
     """
 
@@ -85,7 +85,9 @@ PROMPTS: Mapping[str, TaskPrompt] = {
 
 
 def offer_prompts(server: Server[object]) -> None:
-    """Have the server answer prompts/list and prompts/get; called before it serves clients."""
+    """Register the handlers of prompts/list and prompts/get; called before the server serves
+    clients.
+    """
 
     async def list_prompts(
         _: object, params: types.PaginatedRequestParams
@@ -113,9 +115,7 @@ def offer_prompts(server: Server[object]) -> None:
 
 
 def filled(name: str, arguments: Mapping[str, str]) -> types.GetPromptResult:
-    """A prompt with its arguments. Raises MCPError for an unknown prompt or other arguments than it
-    takes.
-    """
+    """Fill in a prompt's arguments. Raises MCPError for an unknown prompt or wrong arguments."""
     prompt = PROMPTS.get(name)
     if prompt is None:
         raise MCPError(

@@ -1,4 +1,4 @@
-"""run_task: the tool."""
+"""Tool run_task."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from roboneuron import (
 from roboneuron.feature import Stage, build, check_topic
 
 HOLD, STOP = "hold", "stop"
-"""What is done when a task has ended, besides the names of postures and places."""
+"""Actions at the end of a task, in addition to the names of postures and places."""
 _EVIDENCE = 2
 _MOST_MONITORS = 16
 MoveTo = Callable[[str, CallContext], Awaitable[object]]
@@ -64,8 +64,7 @@ class RunTask(Arguments):
     )
     until: dict[str, object] | None = Field(
         default=None,
-        description=f"What is true when it is done, a predicate P: {UNTIL}. Without it success "
-        "is not judged.",
+        description=f"Success condition, a predicate P: {UNTIL}. Without it success is not judged.",
     )
     max_s: float | None = Field(
         default=None, gt=0, le=86400, description="Longest time of one attempt [s]."
@@ -74,13 +73,13 @@ class RunTask(Arguments):
     on_end: str = Field(
         default=HOLD,
         max_length=64,
-        description="Then: hold, stop (the policy), or go to a name of move_to.",
+        description="At the end: hold, stop (the policy), or a name of move_to.",
     )
     preview: bool = False
 
 
 class FinalArm(Result):
-    """Of one arm, of the first of several; what was not measured is null."""
+    """Final state of one arm, the first of several; unmeasured values are null."""
 
     tcp_position_m: list[float] | None = Field(default=None, description="base frame")
     tcp_quaternion_xyzw: list[float] | None = None
@@ -88,15 +87,15 @@ class FinalArm(Result):
 
 
 class FinalState(FinalArm):
-    """What was measured at the end; what was not is null."""
+    """Measured state at the end; unmeasured values are null."""
 
     joints: dict[str, float] | None = Field(default=None, description="rad or m")
     arms: dict[str, FinalArm] = Field(default_factory=dict, description="of several, by name")
-    still_s: float | None = Field(default=None, description="for so long no joint has moved")
+    still_s: float | None = Field(default=None, description="time since a joint last moved")
 
 
 class TaskResult(Result):
-    """How a task ended; images from before and after come beside it, in this order."""
+    """Result of a task; images from before and after accompany it, in this order."""
 
     outcome: Literal["succeeded", "failed", "timed_out", "stopped", "unclear", "taken_over"] = (
         Field(
@@ -108,7 +107,7 @@ class TaskResult(Result):
     )
     attempts: int = Field(description="0: it was done before anything moved")
     reason: str
-    images_before: int = Field(description="the first so many images are from before")
+    images_before: int = Field(description="number of images from before, which come first")
     images_after: int
     state: FinalState
     ended_with: str = Field(
@@ -132,11 +131,11 @@ class TaskTool:
         failed: Callable[[str, RoboNeuronError], object],
     ) -> None:
         """Args:
-        host, options, arbiter, approval: of the feature.
-        move_to: goes to a posture or place, for `on_end`.
-        names: those that `move_to` knows.
-        ended: told of every task's end, with its instruction.
-        failed: told of a task that could not be carried out.
+        host, options, arbiter, approval: those of the feature.
+        move_to: moves to a posture or place, for `on_end`.
+        names: returns the names known to `move_to`.
+        ended: called at every task's end, with its instruction.
+        failed: called for a task that could not be executed.
         """
         self._host = host
         self._options = options
@@ -149,7 +148,7 @@ class TaskTool:
         self._monitors: dict[str, Monitor] = {}
 
     def is_offered(self) -> bool:
-        """Whether any policy could move the present robot."""
+        """True if any policy could move the present robot."""
         return self._host.loop.takes_policies()
 
     async def __call__(self, arguments: RunTask, context: CallContext) -> Reply:
@@ -205,7 +204,7 @@ class TaskTool:
         return Reply(result=_result(end, ended_with), pictures=(*end.before, *end.after))
 
     async def _finish(self, on_end: str, end: TaskEnd, context: CallContext) -> str:
-        """Do what is to be done at the end; a failure of that changes no outcome."""
+        """Perform the action at the end; its failure does not change the outcome."""
         if on_end == HOLD or end.outcome is Outcome.STOPPED:
             return HOLD
         try:
@@ -257,7 +256,7 @@ class TaskTool:
         return monitor
 
     def _cameras(self, predicate: Predicate | None) -> list[str]:
-        """Cameras of the monitors, and those that evidence comes from."""
+        """Cameras of the monitors, and those of the evidence."""
         roles = self._host.loop.camera_roles()
         names = list(self._options.evidence_cameras or list(roles)[:_EVIDENCE])
         for part in [] if predicate is None else flat(predicate):
@@ -298,9 +297,7 @@ def judge_of(
 
 
 def profile_of(host: Host) -> RobotProfile | None:
-    """Facts of the present robot; None for one that no plugin describes, and without the direct
-    path.
-    """
+    """Profile of the present robot; None without a plugin for it, and without the direct path."""
     name = host.config.robot.name
     try:
         exposed = host.gate.exposed
@@ -310,11 +307,11 @@ def profile_of(host: Host) -> RobotProfile | None:
 
 
 def topics_of(predicate: Predicate) -> Mapping[str, str]:
-    """Type by topic, of the fields that a predicate names.
+    """Type by topic, for the fields in a predicate.
 
     Raises:
-        InvalidInputError: a topic, type or field cannot be, or one topic is named with two types.
-        RefusedError: a topic carries the simulator's truth.
+        InvalidInputError: a topic, type or field is invalid, or one topic is named with two types.
+        RefusedError: a topic contains the simulator's ground truth.
     """
     topics: dict[str, str] = {}
     for part in flat(predicate):

@@ -1,7 +1,7 @@
-"""A task: bounded attempts of a policy, each watched until its predicate is true, and ended
-whatever happens.
+"""Execution of a task: bounded attempts of a policy, each monitored until its predicate is true,
+and ended in every case.
 
-Nothing here knows of ROS or of threads: the robot is a `TaskRobot`, time is that of the robot.
+It is independent of ROS and threads: the robot is a `TaskRobot`, which also provides the time.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from rn_standard.tasks.snapshot import Snapshot
 from roboneuron import Picture, RoboNeuronError
 
 _CONFIRM_S = 1.5
-"""Longest look, after the arm was stopped, at whether it is still true."""
+"""Longest confirmation of the predicate after the arm was stopped."""
 _MOST_AGAIN_S = 5.0
 _STANDS_S = 0.2
 _CANCELLED = "the call was cancelled, or its connection was lost"
 _LED_S = 600.0
-"""A person may lead for so long within one task."""
+"""Longest time for which a person may lead within one task."""
 _TOLD_S = 2.0
-"""A motionless task still tells its caller now and then how it is."""
+"""Period of progress reports while nothing moves."""
 
 
 class Outcome(StrEnum):
-    """How a task ended."""
+    """Outcome of a task."""
 
     SUCCEEDED = "succeeded"
     FAILED = "failed"
@@ -40,14 +40,14 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PolicyState:
-    """What is known of the policy that carries a task out.
+    """State of the policy that executes a task.
 
     Attributes:
         has_acted: it has published an action for this attempt.
-        failure: why it gave up; empty while it works.
-        taken: why it does not work for this task any more (stopped, another instruction); empty
+        failure: reason why it gave up; empty while it works.
+        taken: reason why it no longer works for this task (stopped, another instruction); empty
             while it does.
-        led: who leads the arm by hand instead of it, for a while; empty for nobody.
+        led: name of the person who temporarily leads the arm by hand instead; empty for none.
     """
 
     has_acted: bool
@@ -57,18 +57,18 @@ class PolicyState:
 
 
 class TaskRobot(Protocol):
-    """The robot of one task, as the task sees it. Used from one thread."""
+    """Interface of the robot for one task. Used from one thread."""
 
     def now_s(self) -> float:
-        """Time [s] that never goes back."""
+        """Monotonic time [s]."""
         ...
 
     def wait(self, seconds: float) -> bool:
-        """Let time pass; returns at once with True when the task is to end."""
+        """Wait; returns at once with True if the task has to end."""
         ...
 
     def begin(self, instruction: str) -> None:
-        """Give the policy the instruction anew; the robot may move from here on.
+        """Send the policy the instruction again; the robot may move from here on.
 
         Raises:
             RoboNeuronError: it cannot act.
@@ -76,35 +76,33 @@ class TaskRobot(Protocol):
         ...
 
     def policy(self) -> PolicyState:
-        """How the policy is."""
+        """State of the policy."""
         ...
 
     def look(self) -> Snapshot:
-        """How things are now."""
+        """Present state of the robot."""
         ...
 
     def end(self) -> None:
-        """Have the policy act no more; the arm comes to rest. Never raises, and may be called
-        twice.
-        """
+        """Stop the policy; the arm comes to rest. Never raises, and may be called twice."""
         ...
 
     def evidence(self) -> tuple[Picture, ...]:
-        """What the cameras show now; empty without any."""
+        """Present images of the cameras; empty without any."""
         ...
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TaskEnd:
-    """How a task ended.
+    """End of a task.
 
     Attributes:
-        attempts: how many were begun.
+        attempts: number of attempts begun.
         reason: one sentence, without its full stop.
         before, after: evidence.
-        state: at the end.
-        took_s: all of it.
-        stop_s: from the look that found the predicate true until the policy was told to end; None
+        state: state at the end.
+        took_s: total duration [s].
+        stop_s: from the evaluation that found the predicate true until the policy was ended; None
             without success.
     """
 
@@ -120,16 +118,15 @@ class TaskEnd:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TaskPlan:
-    """What is to be done.
+    """Parameters of a task.
 
     Attributes:
         instruction: for the policy.
         max_s: longest attempt [s].
         max_attempts: most attempts.
-        period_s: between two looks [s].
-        end_wait_s: after the policy's own end, how long the world may take to show success [s].
-        give_up_s: a policy that reports errors without a break for so long has given up; shorter
-            ones heal [s].
+        period_s: between two evaluations [s].
+        end_wait_s: time after the policy's own end within which success may still appear [s].
+        give_up_s: time of uninterrupted errors after which the policy counts as failed [s].
     """
 
     instruction: str
@@ -142,7 +139,7 @@ class TaskPlan:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Attempt:
-    """The end of an attempt; `again`: another one may be made."""
+    """End of an attempt; `again`: another one may follow."""
 
     outcome: Outcome
     reason: str
@@ -151,13 +148,13 @@ class _Attempt:
 
 
 class _Lasting:
-    """For how long a fact has held at every look."""
+    """Duration for which a fact has held at every check."""
 
     def __init__(self) -> None:
         self._since_s = math.inf
 
     def held_s(self, now_s: float, fact: bool) -> float:
-        """Look once more; -inf when it does not hold."""
+        """Check once more; returns -inf if the fact is false."""
         self._since_s = min(self._since_s, now_s) if fact else math.inf
         return now_s - self._since_s
 
@@ -167,10 +164,10 @@ class Task:
 
     Args:
         cell: the robot.
-        judge: of the predicate; None when the caller gave none, then nothing is ever judged a
+        judge: evaluates the predicate; None without one, in which case no attempt counts as a
             success.
-        plan: what is to be done.
-        tell: given a phrase whenever there is something to say.
+        plan: parameters of the task.
+        tell: called with a phrase for each progress report.
     """
 
     def __init__(
@@ -187,10 +184,10 @@ class Task:
         self._attempt = 0
 
     def run(self) -> TaskEnd:
-        """Do it; the policy acts no more when this returns or raises.
+        """Execute the task; the policy no longer acts when this returns or raises.
 
         Raises:
-            RoboNeuronError: the first attempt could not even begin.
+            RoboNeuronError: the first attempt could not begin.
         """
         cell, began_s = self._cell, self._cell.now_s()
         before = cell.evidence()
@@ -211,8 +208,8 @@ class Task:
         )
 
     def _already(self) -> _Attempt | None:
-        """True before anything moved: nothing is to be done. Looks for as long as it has to
-        last.
+        """Detect that the predicate is true before any motion, for as long as it has to last; then
+        nothing has to be done.
         """
         snapshot, judge = self._cell.look(), self._judge
         if judge is None:
@@ -259,7 +256,7 @@ class Task:
             self._say(f"failed: {end.reason}")
 
     def _watch(self) -> _Attempt:
-        """Look again and again until the attempt is over."""
+        """Evaluate repeatedly until the attempt is over."""
         cell, plan = self._cell, self._plan
         deadline_s = cell.now_s() + plan.max_s
         done, failing = _Lasting(), _Lasting()
@@ -275,12 +272,13 @@ class Task:
             if state.led:
                 if (end := self._lead(state.led)) is not None:
                     return end
-                # the policy had no part in this time
+                # the policy was not involved during this time
                 deadline_s += cell.now_s() - snapshot.now_s
                 done, failing = _Lasting(), _Lasting()
                 continue
             if failing.held_s(snapshot.now_s, bool(state.failure)) >= plan.give_up_s:
-                # nothing has moved: whatever cannot be seen, the policy has not done it
+                # nothing has moved, so the policy has not achieved it, even if it cannot be
+                # evaluated
                 if not state.has_acted:
                     return _Attempt(
                         outcome=Outcome.FAILED, reason=f"the policy refuses: {state.failure}"
@@ -303,7 +301,9 @@ class Task:
                 return self._ended()
 
     def _lead(self, who: str) -> _Attempt | None:
-        """Wait while a person leads the arm; the end of the task, or None when it goes on."""
+        """Wait while a person leads the arm; return the end of the task, or None if it
+        continues.
+        """
         cell, plan = self._cell, self._plan
         self._say(f"{who} leads the arm; the policy waits")
         began_s = cell.now_s()
@@ -330,7 +330,7 @@ class Task:
         return self._judge.look(snapshot)
 
     def _ended(self, stop_s: float | None = None) -> _Attempt:
-        """Somebody has ended the task."""
+        """Result of a task that was ended from outside."""
         reason = self._cell.policy().taken or _CANCELLED
         return _Attempt(outcome=Outcome.STOPPED, reason=reason, stop_s=stop_s)
 
@@ -341,15 +341,15 @@ class Task:
         return _Attempt(outcome=outcome, reason=reason, again=True)
 
     def _confirm(self, first: PredicateState, found_s: float) -> _Attempt:
-        """Stop the arm, and look whether it is still so once it stands: a cube may fall, an arm may
-        coast.
+        """Stop the arm, and confirm the predicate once it is at rest: an object may fall, an arm
+        may overshoot.
         """
         cell = self._cell
         self._say(f"stopping: {first.reason}")
         cell.end()
         stop_s = cell.now_s() - found_s
-        # What has to last begins anew when one look could not tell, for instance while the arm
-        # still moved.
+        # A required duration restarts after an undecided evaluation, for instance while the arm
+        # still moves.
         lasts_s = 0.0 if self._judge is None else min(self._judge.lasts_s, _MOST_AGAIN_S)
         deadline_s = cell.now_s() + _CONFIRM_S + lasts_s
         while True:

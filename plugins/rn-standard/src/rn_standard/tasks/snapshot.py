@@ -1,4 +1,4 @@
-"""What predicates look at: one moment of the robot, as far as it is measured."""
+"""Input of predicates: the measured state of the robot at one moment."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from roboneuron import ArmState, Frame, Observation, Pose
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ArmSnapshot:
-    """One of several arms; what is not measured now is None.
+    """One of several arms; unmeasured values are None.
 
     Attributes:
         tcp: pose of its TCP in the base frame.
@@ -23,19 +23,19 @@ class ArmSnapshot:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Snapshot:
-    """One moment; what is not measured now is None or absent.
+    """State at one moment; unmeasured values are None or absent.
 
     Attributes:
         now_s: monotonic time [s].
         joints: position by joint [rad or m].
-        effort: effort by joint [Nm or N], of joints whose effort is measured.
+        effort: effort by joint [Nm or N], for joints with measured effort.
         tcp: pose of the TCP in the base frame; of the first arm.
-        gripper_open: 0 closed .. 1 open; likewise.
+        gripper_open: 0 closed .. 1 open; of the first arm.
         arms: each of several arms by its name.
         still_s: time since a joint last moved [s].
-        policy_done: what the policy says of its own end; None when it says nothing.
+        policy_done: the policy's report of its own end; None without one.
         frames: newest image by role of the camera.
-        messages: newest message by topic, of those that predicates name.
+        messages: newest message by topic, for those in predicates.
     """
 
     now_s: float
@@ -50,13 +50,13 @@ class Snapshot:
     messages: Mapping[str, object] = field(default_factory=dict)
 
     def of_arm(self, name: str) -> ArmSnapshot:
-        """One of several arms, nothing of it measured where there is none; with "" the first."""
+        """State of an arm, without measurements for an unknown one; with "" the first."""
         if not name:
             return ArmSnapshot(tcp=self.tcp, gripper_open=self.gripper_open)
         return self.arms.get(name, ArmSnapshot())
 
     def observation(self, instruction: str) -> Observation:
-        """As a monitor is shown it."""
+        """The observation for a monitor."""
         stamp_ns = min((frame.stamp_ns for frame in self.frames.values()), default=0)
         return Observation(
             frames=self.frames,
@@ -73,10 +73,10 @@ class Snapshot:
 
 
 class StillClock:
-    """Measures for how long no joint has moved.
+    """Time without motion of any joint.
 
     Args:
-        least: distance that counts as motion [rad or m].
+        least: displacement that counts as motion [rad or m].
     """
 
     def __init__(self, least: float = 0.002) -> None:
@@ -85,7 +85,7 @@ class StillClock:
         self._since_s = 0.0
 
     def observe(self, now_s: float, joints: Mapping[str, float]) -> float:
-        """Note measured positions; returns the time since the last motion [s]."""
+        """Add measured positions; return the time since the last motion [s]."""
         moved = self._anchor.keys() != joints.keys() or any(
             abs(joints[name] - place) > self._least for name, place in self._anchor.items()
         )

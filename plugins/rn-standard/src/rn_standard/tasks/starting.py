@@ -1,4 +1,4 @@
-"""Start of all modules at once; a failure of one ends the others."""
+"""Parallel start of all modules; a failure of one ends the others."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from roboneuron.feature import (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StartedModules:
-    """What one call of start_all did.
+    """Result of one call of start_all.
 
     Attributes:
-        views: of the modules that were started, in the order of `Modules.slots`.
-        took_s: time from the call to the proof of each.
+        views: the started modules, in the order of `Modules.slots`.
+        took_s: time from the call to the readiness of each.
         already: modules that were running before.
-        total_s: the whole call.
+        total_s: duration of the whole call.
     """
 
     views: tuple[ModuleView, ...]
@@ -38,11 +38,11 @@ class StartedModules:
 
 
 class ParallelStart:
-    """One start of everything that is configured and does not run; used once.
+    """One start of all configured modules that are not running; used once.
 
-    All modules are checked before the first is spawned. Then each is started by a thread of its
-    own: a module waits itself for what it needs of the others. The first failure cancels the other
-    starts, and stops what had started.
+    All modules are checked before the first is spawned. Then each is started on a separate thread,
+    and waits by itself for its inputs from the others. The first failure cancels the other starts,
+    and stops modules that have started.
     """
 
     def __init__(
@@ -53,9 +53,9 @@ class ParallelStart:
         role: str,
     ) -> None:
         """Args:
-        loop, modules: of the server.
-        requests: what the caller named, by kind; what is configured otherwise.
-        role: of the caller.
+        loop, modules: those of the server.
+        requests: the caller's requests by kind; other kinds start as configured.
+        role: role of the caller.
         """
         self._loop = loop
         self._modules = modules
@@ -67,13 +67,13 @@ class ParallelStart:
         self._kinds: tuple[ModuleKind, ...] = ()
 
     def run(self, on_stage: Stage) -> StartedModules:
-        """Start; returns when everything has proved that it works.
+        """Start; returns when every module has passed its readiness check.
 
         Raises:
-            StateError: everything runs already, so that a model or instruction is not taken; a
+            StateError: everything runs already, so that a model or instruction cannot be applied; a
                 module is being started or stopped; or the start was cancelled.
-            RoboNeuronError: as `ClosedLoop.start`, of the module that failed first; nothing of this
-                call is left.
+            RoboNeuronError: as `ClosedLoop.start`, from the module that failed first; everything
+                started by this call is stopped.
         """
         began_s = time.monotonic()
         phases = {kind: self._modules.view(kind).phase for kind in self._modules.slots}
@@ -98,8 +98,8 @@ class ParallelStart:
             took_s = time.monotonic() - began_s
             return StartedModules(views=(), took_s={}, already=already, total_s=took_s)
         plans = [self._loop.select(kind, self._requests.get(kind), self._role) for kind in wanted]
-        # What each start would wait for alone is done first: a module gives up when what it needs
-        # is not even starting.
+        # Conditions that a start would wait for alone are checked first: a module gives up if an
+        # input's module is not even starting.
         self._loop.emergency_stop.prepare(self._loop.config.namespace)
         if "inference" in wanted:
             self._loop.stream(self._loop.config.namespace)
@@ -127,8 +127,8 @@ class ParallelStart:
         )
 
     def cancel(self) -> None:
-        """End the starts in progress; callable from any thread. `run` then stops what had started,
-        and raises.
+        """Cancel the starts in progress; callable from any thread. `run` then stops the started
+        modules, and raises.
         """
         self._fail(
             StateError("The start was cancelled: the client cancelled the call."),
@@ -158,7 +158,7 @@ class ParallelStart:
         else:
             self._took_s[plan.kind] = time.monotonic() - began_s
             on_stage(f"{plan.kind}: works ({len(self._took_s)} of {len(self._kinds)})")
-            if self._failure is not None:  # cancelled after the last look of the start itself
+            if self._failure is not None:  # cancelled after the last check of the start itself
                 self._stop(plan.kind)
 
     def _fail(self, error: RoboNeuronError, reason: str) -> None:
@@ -177,14 +177,14 @@ class ParallelStart:
                 self._stop(kind)
 
     def _stop(self, kind: ModuleKind) -> None:
-        with suppress(StateError):  # somebody else stopped it
+        with suppress(StateError):  # stopped by another client
             self._loop.stop(kind)
 
 
 def requests_for(
     instruction: str | None, model: StartChosenInference | None = None
 ) -> dict[ModuleKind, Arguments]:
-    """What start_all asks of inference: a model, and an instruction for it."""
+    """Requests of start_all to inference: a model, and an instruction for it."""
     if instruction is None and model is None:
         return {}
     request = model or StartChosenInference(options={})

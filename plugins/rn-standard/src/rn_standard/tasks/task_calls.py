@@ -1,9 +1,8 @@
-"""MCP Tasks for run_task: the call returns at once with an id, by which it is looked at, waited for
-and cancelled.
+"""MCP Tasks for run_task: the call returns at once with an id, for polling, waiting and cancelling.
 
-For clients that speak 2025-11-25 over stdio, where the server ends with its client; over HTTP a
-task could outlive the connection that it must end with. The SDK has the types of MCP Tasks only.
-Everybody else makes the plain call.
+For clients of revision 2025-11-25 over stdio, where the server ends with its client; over HTTP a
+task could outlive the connection that it must end with. The SDK contains only the types of MCP
+Tasks. All other clients make the plain call.
 
 Source: Model Context Protocol, revision 2025-11-25, basic/utilities/tasks.
 """
@@ -31,12 +30,12 @@ _POLL_MS = 500
 _TTL_MS, _LONGEST_TTL_MS = 3_600_000, 86_400_000
 _MOST = 64
 _CANCEL_S = 2.0
-"""So long the answer to a cancellation waits for the task's end; the arm is told to stop before."""
+"""Longest wait of a cancellation's answer for the task's end; the arm is stopped before."""
 
 
 class _AnsweredSession:
-    """A request's session after the request was answered: progress goes to the connection, and into
-    the status.
+    """Session of a request after its answer: progress is sent to the connection and stored in the
+    status.
     """
 
     def __init__(
@@ -75,17 +74,17 @@ class _TaskCall:
         return self.status != "working"
 
     def note(self, message: str) -> None:
-        """How far it has come."""
+        """Store the progress."""
         self.message, self.updated = message, _now()
 
     def settle(self, status: types.TaskStatus, message: str) -> None:
-        """It has ended; what comes after that changes nothing."""
+        """Store the end; later calls change nothing."""
         if not self.is_over:
             self.note(message)
             self.status = status
 
     def told(self) -> dict[str, object]:
-        """As it goes to the client."""
+        """Format for the client."""
         task = types.Task(
             task_id=self.number,
             status=self.status,
@@ -117,7 +116,7 @@ class TaskCalls:
         }
 
     async def __call__(self, ctx: ServerRequestContext, call_next: CallNext) -> HandlerResult:
-        """Answer what is about tasks, and hand everything else on."""
+        """Handle requests about tasks; pass on all others."""
         if ctx.request is not None or ctx.request_id is None:
             return await call_next(ctx)
         if ctx.method == "initialize":
@@ -190,7 +189,7 @@ class TaskCalls:
         return self._find(params).told()
 
     async def _result(self, params: Mapping[str, object]) -> dict[str, object]:
-        """What the plain call would have returned or raised; waits for it."""
+        """Return or raise the result of the plain call; waits for it."""
         call = self._find(params)
         await asyncio.wait([call.work])
         if call.work.cancelled():
@@ -219,8 +218,8 @@ class TaskCalls:
         return call
 
     def _forget(self) -> None:
-        """Results are kept for as long as was said, and not too many; a task that is at work always
-        is.
+        """Discard results after their announced lifetime, and beyond a maximum number; running
+        tasks are always kept.
         """
         over = [call for call in self._calls.values() if call.is_over]
         for index, call in enumerate(over):
@@ -229,7 +228,7 @@ class TaskCalls:
 
 
 def _as_sent(result: HandlerResult) -> dict[str, Any]:
-    """A result as middleware gets it: as it goes over the wire."""
+    """Convert a result to its wire format."""
     assert isinstance(result, dict)
     return result
 

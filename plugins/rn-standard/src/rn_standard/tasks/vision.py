@@ -1,4 +1,4 @@
-"""Finding a coloured object in calibrated images: one or two views, numpy only."""
+"""Detection of a coloured object in calibrated images: one or two views, numpy only."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ HUES_DEG = {
     "blue": (200.0, 250.0),
     "purple": (262.0, 315.0),
 }
-"""Lowest and highest hue of each colour [deg]; the gaps belong to none."""
+"""Lowest and highest hue of each colour [deg]; hues in the gaps have no colour."""
 _SATURATION, _VALUE = 0.45, 0.15
-"""Grey, pale and dark pixels have no colour."""
+"""Minimum saturation and value: grey, pale and dark pixels have no colour."""
 _LEAST_PX = 16
 _CELL_PX = 16
 _WIDTH_PX = 224
 _PARALLEL = 0.05
-"""Sine of the least angle between two rays that still tell a place."""
+"""Sine of the least angle between two rays that determine a place."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Ray:
-    """Where an object is seen.
+    """Line of sight to an object.
 
     Attributes:
         origin, direction: float64 (3,), in the base frame [m], and of unit length.
-        is_coarse: the edge of the image cuts the object, so that its centre is seen a little off.
+        is_coarse: the edge of the image cuts the object, so that its centre is slightly off.
     """
 
     origin: F64
@@ -43,7 +43,7 @@ class Ray:
     is_coarse: bool = False
 
     def at_height(self, height_m: float) -> F64 | None:
-        """The point (3,) of the ray at that height; None when it does not get there."""
+        """Point (3,) of the ray at that height; None if it does not reach it."""
         if abs(self.direction[2]) < 1e-3:
             return None
         along = (height_m - self.origin[2]) / self.direction[2]
@@ -51,15 +51,15 @@ class Ray:
 
 
 def centre_of(image: NDArray[np.uint8], colour: str) -> tuple[F64, bool] | None:
-    """Centre (2,) [px] of the largest cluster of a colour in an image (H, W, 3) RGB; None when
-    there is none.
+    """Centre (2,) [px] of the largest cluster of a colour in an image (H, W, 3) RGB; None without
+    one.
 
     Args:
-        image: as it was taken; large ones are looked at in steps of several pixels.
+        image: the original image; large ones are subsampled.
         colour: a key of `HUES_DEG`.
 
     Returns:
-        The centre of what is visible, and whether the edge of the image cuts it.
+        The centre of the visible part, and True if the edge of the image cuts it.
     """
     step = max(1, image.shape[1] // _WIDTH_PX)
     image = image[::step, ::step]
@@ -99,7 +99,7 @@ def _mask(image: NDArray[np.uint8], colour: str) -> NDArray[np.bool_]:
 
 
 def rays_of(observation: Observation, colour: str) -> dict[str, Ray]:
-    """A ray towards the object by role, of every calibrated camera that sees it."""
+    """Ray towards the object by role, for every calibrated camera that sees it."""
     rays: dict[str, Ray] = {}
     for role, frame in observation.frames.items():
         calibration = frame.calibration
@@ -128,8 +128,8 @@ def rays_of(observation: Observation, colour: str) -> dict[str, Ray]:
 
 
 def _carrier(observation: Observation, calibration: CameraCalibration) -> Pose | None:
-    """TCP pose of the arm that carries a camera; None for a fixed one, and where it is not
-    measured.
+    """TCP pose of the arm that carries a camera; None for a fixed camera, and without a
+    measurement.
     """
     if calibration.arm is None:
         return None
@@ -140,7 +140,7 @@ def _carrier(observation: Observation, calibration: CameraCalibration) -> Pose |
 
 
 def crossing(one: Ray, other: Ray) -> tuple[F64, float] | None:
-    """The point (3,) nearest to two rays and their distance there [m]; None when they are nearly
+    """Point (3,) nearest to two rays and their distance there [m]; None if they are nearly
     parallel.
     """
     normal = np.cross(one.direction, other.direction)

@@ -1,4 +1,4 @@
-"""Who moves the arm, as control knows it: the policy, a person who leads it, both, or nobody."""
+"""Authority over the arm in control: the policy, a leading person, both, or none."""
 
 from __future__ import annotations
 
@@ -9,19 +9,21 @@ from rn_standard.teleoperation.rows import LeadRow
 
 Who = Literal["policy", "person", "blend", "nobody"]
 SILENT_S = 0.12
-"""A lead without rows for so long holds the arm: with the braking it stands within 0.2 s."""
+"""Time without rows after which a lead holds the arm; with the braking it stands still within 0.2
+s.
+"""
 LOST_S = 1.0
-"""A lead that is silent for so long is over, and motion needs a new start."""
+"""Silence after which a lead is over, and motion needs a new start."""
 
 
 @dataclass(kw_only=True, slots=True)
 class Authority:
-    """Decides by the rows of leads as they come, and by their absence. Knows no clock.
+    """Decides by the rows of leads and by their absence. Has no clock.
 
     Attributes:
         row: the newest row of the lead; None without a lead.
-        released_ns: actions of the policy that were sent before are those of before the hand-back
-            [ROS time, ns].
+        released_ns: actions of the policy sent before this time belong to before the hand-back [ROS
+            time, ns].
     """
 
     row: LeadRow | None = None
@@ -32,7 +34,7 @@ class Authority:
 
     @property
     def who(self) -> Who:
-        """Who may move the arm now."""
+        """The source that may move the arm now."""
         if self.row is None:
             return "policy"
         if self._must_release:
@@ -40,10 +42,10 @@ class Authority:
         return "blend" if self.row.mode == "blend" else "person"
 
     def take(self, row: LeadRow, now_s: float) -> str:
-        """Take in a row; a word for why it does not count, or empty.
+        """Process a row; return a word for the reason why it is ignored, or empty.
 
         Args:
-            row: as it came.
+            row: as received.
             now_s: monotonic.
         """
         before = self.row
@@ -61,13 +63,13 @@ class Authority:
         return "lead_needs_release" if self._must_release and row.mode == "person" else ""
 
     def release(self, now_ns: int) -> None:
-        """The lead is over; the policy acts again, from its next action on."""
+        """End the lead; the policy acts again, from its next action on."""
         if self.row is not None:
             self._ended = self.row.session
         self.row, self.released_ns, self._must_release = None, now_ns, False
 
     def look(self, now_s: float) -> Literal["", "silent", "lost"]:
-        """Whether a lead is silent: the arm has to hold; or lost."""
+        """State of a silent lead: "silent" if the arm has to hold, or "lost"."""
         if self.row is None:
             return ""
         silent_s = now_s - self._row_s
@@ -79,10 +81,10 @@ class Authority:
         return ""
 
     def why_no_policy(self, source_ns: int) -> str:
-        """Word for why an action of the policy is not executed; empty when it is.
+        """Word for the reason why an action of the policy is not executed; empty if it is.
 
         Args:
-            source_ns: when it was sent [ROS time, ns].
+            source_ns: time at which it was sent [ROS time, ns].
         """
         if self.row is None:
             return "before_hand_back" if source_ns < self.released_ns else ""

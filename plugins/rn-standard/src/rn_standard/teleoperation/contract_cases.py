@@ -1,7 +1,7 @@
-"""The contract of teleoperators, and the cases of those shipped here; loaded by the contract kit
-and by tests only.
+"""Contract of teleoperators, and the cases of those in this package; loaded only by the contract
+kit and by tests.
 
-A third party tries its own with `contract_of(TeleoperatorSpec)` and a `TeleoperatorCase`.
+Third parties test their own with `contract_of(TeleoperatorSpec)` and a `TeleoperatorCase`.
 """
 
 from __future__ import annotations
@@ -27,13 +27,12 @@ from roboneuron import RobotProfile
 
 M = TypeVar("M")
 READ_S = 0.05
-"""How much later than its time-out a read may return: the arm is held 0.1 s after the last sample.
-"""
+"""Tolerance of a read's timeout: the arm is held 0.1 s after the last sample."""
 _WAIT_S, _SOON_S = 0.05, 2.0
 
 
 class Loopback:
-    """`Subscribe` for a case: messages are handed to who has subscribed."""
+    """`Subscribe` for a case: passes messages to the subscribers."""
 
     def __init__(self) -> None:
         self._callbacks: dict[str, list[Callable[[Any], None]]] = {}
@@ -46,27 +45,27 @@ class Loopback:
         return lambda: heard.remove(callback)
 
     def publish(self, topic: str, message: object) -> None:
-        """Hand a message to all who have subscribed."""
+        """Pass a message to all subscribers."""
         for callback in list(self._callbacks.get(topic, ())):
             callback(message)
 
     @property
     def is_heard(self) -> bool:
-        """Somebody has subscribed and not ended it."""
+        """True if there is a subscriber."""
         return any(self._callbacks.values())
 
 
 Act = Callable[[Loopback, bool], None]
-"""Has the device, or the topic, tell what a person does: holds the switch and moves, or lets go."""
+"""Simulates a person on the device or topic: holds the switch and moves, or releases it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TeleoperatorCase(Case[TeleoperatorSpec]):
-    """A teleoperator to try.
+    """A teleoperator to be tested.
 
     Attributes:
-        act: see `Act`; None for a device that is not here.
-        profile: of the robot that is led.
+        act: see `Act`; None without a device.
+        profile: profile of the led robot.
     """
 
     subject: ClassVar[str] = "teleoperator"
@@ -75,7 +74,7 @@ class TeleoperatorCase(Case[TeleoperatorSpec]):
     profile: Callable[[], RobotProfile] = gantry_profile
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
-        """As a lead calls it."""
+        """Arguments as in a lead."""
         return (None, None), {}
 
     def inputs(self, topics: MemoryTopics) -> tuple[tuple[object, ...], dict[str, object]]:
@@ -83,11 +82,11 @@ class TeleoperatorCase(Case[TeleoperatorSpec]):
         return (self.profile(),), {}
 
     def build(self) -> Teleoperator:
-        """A new teleoperator."""
+        """Create a new teleoperator."""
         return cast("Teleoperator", self.prepare()())
 
     def samples(self, *held: bool) -> list[LeadSample]:
-        """What comes of each act. Raises NotApplicable without a device."""
+        """Samples after each act. Raises NotApplicable without a device."""
         if self.act is None:
             raise NotApplicable("the case has no device")
         source, world = self.build(), Loopback()
@@ -206,7 +205,7 @@ RULES: tuple[Rule[TeleoperatorCase], ...] = (
 )
 """Rules of a teleoperator: those of every descriptor, and its own."""
 KIND = Kind(case=TeleoperatorCase, rules=RULES)
-"""What the kit needs to try teleoperators."""
+"""Parts that the kit needs to test teleoperators."""
 
 
 def _spec(name: str) -> TeleoperatorSpec:
@@ -214,7 +213,7 @@ def _spec(name: str) -> TeleoperatorSpec:
 
 
 def twist_case() -> TeleoperatorCase:
-    """Twists of a topic."""
+    """Case of twists on a topic."""
 
     def act(world: Loopback, is_held: bool) -> None:
         from geometry_msgs.msg import TwistStamped  # heavy
@@ -227,7 +226,7 @@ def twist_case() -> TeleoperatorCase:
 
 
 def joint_case() -> TeleoperatorCase:
-    """Joints of a leader with a switch."""
+    """Case of a leader's joints with a switch."""
 
     def act(world: Loopback, is_held: bool) -> None:
         from sensor_msgs.msg import JointState  # heavy
@@ -241,9 +240,9 @@ def joint_case() -> TeleoperatorCase:
 
 
 def spacemouse_case() -> TeleoperatorCase:
-    """A device that is not here; the tests of this package read a file in its place."""
+    """Case without a device; the tests of this package replace it by a file."""
     return TeleoperatorCase(spec=_spec("spacemouse"))
 
 
 CASES: tuple[Callable[[], TeleoperatorCase], ...] = (twist_case, joint_case, spacemouse_case)
-"""Cases of the shipped teleoperators."""
+"""Cases of this package's teleoperators."""

@@ -1,4 +1,4 @@
-"""The correction that a person adds to the actions of a policy."""
+"""Correction by a person, added to the actions of a policy."""
 
 from __future__ import annotations
 
@@ -9,16 +9,18 @@ import numpy as np
 from rn_standard.teleoperation.samples import F64
 
 _MOST_M, _MOST_RAD = 0.08, 0.4
-"""Farther from where the policy would be its images mean nothing to it: take over instead."""
+"""Largest correction: with a larger one the policy's images would be out of its training range, so
+the person should take over.
+"""
 
 
 @dataclass(kw_only=True, slots=True)
 class Correction:
-    """A displacement of the TCP that grows while the person pushes, and is gone once they let go.
+    """A displacement of the TCP that grows while the person pushes, and disappears on release.
 
     Attributes:
-        is_kept: the policy says where to be, so that a displacement is added to each of its
-            actions; otherwise only what was asked since the action before.
+        is_kept: the policy's targets are absolute, so the whole displacement is added to each of
+            its actions; otherwise only the part since the previous action.
     """
 
     is_kept: bool = False
@@ -29,7 +31,7 @@ class Correction:
 
         Args:
             twist: float64 (6,) [m/s, rad/s].
-            step_s: time of that action [s].
+            step_s: duration of that action [s].
         """
         step = twist * step_s
         if not self.is_kept:
@@ -43,5 +45,5 @@ class Correction:
         return offset.copy()
 
     def reset(self) -> None:
-        """The person lets go."""
+        """Discard the correction, because the person has released the device."""
         self._offset = np.zeros(6)

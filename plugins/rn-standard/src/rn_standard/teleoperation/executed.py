@@ -1,4 +1,4 @@
-"""What a row of a lead, or a corrected action, makes the arm do: the displacement of its TCP."""
+"""Effect of a lead's row, or of a corrected action, on the arm: the displacement of its TCP."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from roboneuron import (
 
 @dataclass(kw_only=True, slots=True)
 class Executed:
-    """From where the arm is sent on, and what was sent, after the limits. Used from one thread.
+    """Start and result of a command, after the limits. Used from one thread.
 
     Attributes:
         poses: TCP pose of each arm for a posture; raises UnsafeError.
-        start: joints from which the newest row counts; None before it was worked out.
-        command: that was sent for it; None when nothing was, or a hold.
+        start: joints to which the newest row is relative; None before its computation.
+        command: the command sent for it; None if nothing or a hold was sent.
     """
 
     poses: Callable[[JointSample], tuple[Pose, ...]]
@@ -33,12 +33,12 @@ class Executed:
     command: JointCommand | None = None
 
     def begin(self) -> None:
-        """Another row is about to be worked out."""
+        """Reset before the computation of another row."""
         self.start = self.command = None
 
     def displacement(self) -> tuple[float, ...]:
-        """Of the TCP in the base: x y z [m], rotation vector [rad]; zeros where nothing was sent,
-        empty where it cannot be told, as for several arms.
+        """Displacement of the TCP in the base: x y z [m], rotation vector [rad]; zeros if nothing
+        was sent, empty if unknown, as for several arms.
         """
         if self.start is None or self.command is None:
             return (0.0,) * 6
@@ -53,8 +53,8 @@ class Executed:
 
 
 def displacement(start: Pose, end: Pose) -> F64:
-    """From one pose to another, float64 (6,): x y z [m], rotation vector [rad], in their frame, so
-    that `p' = p + d` and `R' = exp(r) R`.
+    """Displacement between two poses, float64 (6,): x y z [m], rotation vector [rad], in their
+    frame, so that `p' = p + d` and `R' = exp(r) R`.
     """
     before = matrix_from_quaternion(start.quaternion_xyzw)
     after = matrix_from_quaternion(end.quaternion_xyzw)

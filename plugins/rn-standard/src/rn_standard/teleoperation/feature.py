@@ -1,4 +1,4 @@
-"""The feature: leads by teleoperators, each through the gate to control."""
+"""The feature: leads by teleoperators, each sent through the gate to control."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ _TOLD_S = 2.0
 
 
 class Teleoperation(Feature[None]):
-    """lead_arm and hand_back. Features may lend teleoperators that are there only for a while.
+    """Adds lead_arm and hand_back. Features may provide temporary teleoperators.
 
     Attributes:
-        changes: called with what has happened ("taken_over", "handed_back", "lead_lost") and a
-            sentence about it; from any thread.
+        changes: called with an event ("taken_over", "handed_back", "lead_lost") and a sentence
+            about it; from any thread.
     """
 
     _host: Host
@@ -63,27 +63,27 @@ class Teleoperation(Feature[None]):
 
     @property
     def lead(self) -> Lead | None:
-        """The lead that runs; None without."""
+        """The running lead; None without one."""
         lead = self._lead
         return lead if lead is not None and lead.is_running else None
 
     def lend(self, name: str, source: Teleoperator, rate_hz: float = 50.0) -> None:
-        """Offer a teleoperator under a name of its own, such as that of an open page."""
+        """Offer a teleoperator under its own name, such as that of an open page."""
         with self._lock:
             self._lent = {**self._lent, name: (source, rate_hz)}
 
     def take_back(self, name: str) -> None:
-        """Offer it no more; a lead by it goes on until its source is silent."""
+        """Withdraw a teleoperator; a lead with it continues until its source is silent."""
         with self._lock:
             self._lent = {key: value for key, value in self._lent.items() if key != name}
 
     def begin(self, arguments: LeadArm, context: CallContext) -> LeadResult:
-        """Begin a lead; blocks until control obeys it.
+        """Begin a lead; blocks until control follows it.
 
         Raises:
-            InvalidInputError: there is no such teleoperator, or it cannot lead this robot.
-            RefusedError: somebody leads already; or as the gate.
-            StateError: control does not run.
+            InvalidInputError: the teleoperator is unknown, or cannot lead this robot.
+            RefusedError: another lead is running, or the gate refuses.
+            StateError: control is not running.
             NotReadyError: the source or control does not answer.
         """
         host = self._host
@@ -109,11 +109,11 @@ class Teleoperation(Feature[None]):
         )
 
     def hand_back(self, context: CallContext) -> LeadResult:
-        """End the lead; the policy goes on by what it sees from now on. Blocks.
+        """End the lead; the policy continues with new observations. Blocks.
 
         Raises:
-            StateError: nobody leads.
-            NotReadyError: the policy does not take its instruction again; it does not act then.
+            StateError: no lead is running.
+            NotReadyError: the policy does not accept its instruction again; it does not act then.
         """
         lead = self.lead
         if lead is None:
@@ -137,9 +137,7 @@ class Teleoperation(Feature[None]):
         return self.lead is not None
 
     def _begin_anew(self) -> str:
-        """Have the policy drop what it planned while somebody else moved the arm; returns its
-        instruction.
-        """
+        """Make the policy discard its plan from before the lead; return its instruction."""
         text = self._host.loop.starts.instruction
         if not text or self._host.modules.view("inference").phase != "running":
             return ""
@@ -150,7 +148,7 @@ class Teleoperation(Feature[None]):
         return text
 
     def _made(self, arguments: LeadArm, context: CallContext) -> Lead:
-        """A lead that has not begun. Raises as `begin`."""
+        """Create a lead without starting it. Raises as `begin`."""
         host = self._host
         robot = host.config.robot.name
         exposed = named(host.gate.exposed, robot, LEAD_LABEL)
@@ -169,7 +167,7 @@ class Teleoperation(Feature[None]):
         )
 
         def may_lead() -> None:
-            # a lead is one call after another: who may call now may lead now
+            # a lead is a series of calls: a client that may call now may lead now
             for admit in host.tools.admissions:
                 admit(self._tools[0], context)
 

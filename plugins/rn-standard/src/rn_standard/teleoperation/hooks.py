@@ -1,4 +1,4 @@
-"""The hook for teleoperators: their descriptor."""
+"""Hook of teleoperators, and their descriptor."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import ClassVar
 from roboneuron import Spec, hookspec
 
 GIVES = ("twist", "joint_velocity", "joint_position")
-"""What a teleoperator may give beside the gripper's opening.
+"""Outputs of a teleoperator, in addition to the gripper's opening.
 
 - `twist`: of the TCP [m/s, rad/s], in the base's or the tool's frame.
 - `joint_velocity`: by joint [rad/s, m/s of slides].

@@ -1,5 +1,5 @@
-"""A lead in the process of control: its rows become joint commands as actions do, while the policy
-waits, or is corrected by them.
+"""Execution of a lead in the control process: its rows become joint commands like actions, while
+the policy waits or is corrected by them.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from roboneuron.node import Asked, LimitedCommand, Module, ModuleHost
 
 _LOOK_S = 0.02
 _STALE_S = 0.15
-"""An older row was held up on its way: what the person asks for now is another one."""
+"""Maximum age of a row: a delayed one no longer represents the person's command."""
 _AHEAD_S = 0.1
 _SHARE_OF_REST = 0.5
-"""As for the rows of a policy: how much of what is left of a row the next one gets."""
+"""As for the rows of a policy: fraction of a row's remaining time that is added to the next one."""
 _LOST = "the lead was lost: lead the arm again, or give an instruction"
 
 
@@ -55,7 +55,7 @@ def _extend(module: Module) -> None:
 
 
 class LeadInControl:
-    """Executes the rows of a lead, and lets the policy act when nobody leads.
+    """Executes the rows of a lead, and lets the policy act without a lead.
 
     Used on the executor's thread.
     """
@@ -118,7 +118,7 @@ class LeadInControl:
         reason = self._authority.take(row, now_s)
         if reason:
             control.status.drop(reason)
-            # its arm was held when the silence was seen
+            # its arm was held when the silence was detected
             self._tell("nobody", source_ns, "" if reason != "lead_needs_release" else _AGAIN)
             return
         if row.mode == "person":
@@ -128,7 +128,7 @@ class LeadInControl:
             self._tell("policy", source_ns)
 
     def _follow(self, row: LeadRow, source_ns: int) -> None:
-        """Do what the person asks for."""
+        """Execute a row of the person."""
         if row.kind == "rest":
             self._hold("lead_rests", "The person who leads asks for nothing.")
             self._tell("person", source_ns)
@@ -150,14 +150,14 @@ class LeadInControl:
         self._tell("policy" if row.mode == "back" else "nobody", source_ns)
 
     def _release(self, now_ns: int) -> None:
-        """From here on the policy acts by its next action. What was sent comes to its end: a hold
-        would be a jerk.
+        """Return the authority to the policy, from its next action on. The present command comes to
+        its end: a hold would cause a jerk.
         """
         self._correction.reset()
         self._authority.release(now_ns)
 
     def _look(self) -> None:
-        """See whether a lead is silent."""
+        """Check for a silent lead."""
         found = self._authority.look(time.monotonic())
         if not found:
             return
@@ -167,8 +167,8 @@ class LeadInControl:
             self._require_start()
 
     def _require_start(self) -> None:
-        """Nothing moves before somebody asks for it; a shadow leaves that to the control that
-        moves the arm.
+        """Require a new start of motion; in shadow this is left to the control that moves
+        the arm.
         """
         if self._control.is_active and self._control.handover.is_ours(time.time_ns()):
             self._node.require_start(_LOST)
@@ -180,18 +180,18 @@ class LeadInControl:
     def _answer(
         self, row: LeadRow, joints: JointSample, step_s: float, now_s: float
     ) -> JointCommand | Hold:
-        """The command for one row, from where the command in progress ends."""
+        """Compute the command for one row, from the end of the command in progress."""
         period_s = 1.0 / row.rate_hz
         self._executed.start = reference = self._control.reference(joints, now_s)
         answer = self._moved(row, reference, period_s)
         if isinstance(answer, Hold):
             return answer
-        # what is left of the row before is not rushed
+        # the rest of the previous row is not rushed
         more_s = _SHARE_OF_REST * self._control.remaining_s(now_s)
         return replace(answer, duration_s=answer.duration_s + more_s)
 
     def _moved(self, row: LeadRow, joints: JointSample, period_s: float) -> JointCommand | Hold:
-        """What a row makes of these joints in one period [s]."""
+        """Compute the result of a row from these joints in one period [s]."""
         profile = self._control.profile
         if row.kind == "still":
             found = dict(zip(joints.names, joints.position.tolist(), strict=False))
@@ -213,13 +213,13 @@ class LeadInControl:
         return matrix_from_quaternion(self._control.poses(joints)[0].quaternion_xyzw)
 
     def _shifted(self, delta: F64, row: LeadRow, joints: JointSample) -> JointCommand | Hold:
-        """The command that moves the TCP by a delta (6,) in the base."""
+        """Compute the command that moves the TCP by a delta (6,) in the base."""
         opening = 0.0 if row.gripper_open is None else row.gripper_open
         action = Action(translation_m=delta[:3], rotation_rad=delta[3:], gripper_open=opening)
         return self._control.controller.compute(action, joints, 1.0 / row.rate_hz)
 
     def _joints(self, row: LeadRow, joints: JointSample, period_s: float) -> JointCommand | Hold:
-        """The command of a row of joint velocities or positions."""
+        """Compute the command for a row of joint velocities or positions."""
         try:
             space = self._space(row.kind)
             values = space_row(space, row, joints)
@@ -235,7 +235,7 @@ class LeadInControl:
         raise InvalidInputError(f"The controller executes no {kind}; lead the TCP instead.")
 
     def _without_gripper(self, command: JointCommand, row: LeadRow) -> JointCommand:
-        """Fingers that nobody has commanded keep what they hold."""
+        """Remove fingers without a command, so that they keep their grasp."""
         if row.gripper_open is not None:
             return command
         arm = self._control.profile.arm_joints
@@ -244,8 +244,8 @@ class LeadInControl:
         return replace(command, names=names, position=command.position[keep])
 
     def _corrected(self, asked: Asked, row: LeadRow) -> Asked:
-        """The policy's action with the person's correction on top. What is planned after it is
-        not: it knows of no correction.
+        """Add the person's correction to the policy's action. Planned rows are removed, because
+        they do not contain it.
         """
         self._correction.is_kept = self._control.space is not None and (
             self._control.space.is_absolute
@@ -265,7 +265,7 @@ class LeadInControl:
     def _on_top(
         self, command: JointCommand, row: LeadRow, joints: JointSample, step_s: float
     ) -> JointCommand | Hold:
-        """A command of the policy, moved on by what the person asks for in its time."""
+        """Move a command of the policy by the person's correction during its time."""
         found = dict(zip(joints.names, joints.position.tolist(), strict=False))
         found.update(zip(command.names, command.position.tolist(), strict=False))
         there = JointSample(
@@ -289,7 +289,7 @@ class LeadInControl:
         )
 
     def _tell(self, who: str, source_ns: int, note: str = "") -> None:
-        """Say who has moved the arm, and which limits acted."""
+        """Report the source that moved the arm, and the limits that acted."""
         control, row = self._control, self._authority.row
         if not control.is_active or not control.handover.is_ours(source_ns):
             return
@@ -319,11 +319,11 @@ _AGAIN = "the lead was silent: release the switch and press it again"
 
 
 def twist_in_base(row: LeadRow, rotation: F64) -> F64:
-    """The twist of a row in the base's frame, float64 (6,) [m/s, rad/s].
+    """Return the twist of a row in the base frame, float64 (6,) [m/s, rad/s].
 
     Args:
-        row: of a twist.
-        rotation: of the TCP in the base, float64 (3, 3).
+        row: a row of kind "twist".
+        rotation: rotation of the TCP in the base, float64 (3, 3).
     """
     if row.keys == ("base",):
         return row.values
@@ -331,10 +331,10 @@ def twist_in_base(row: LeadRow, rotation: F64) -> F64:
 
 
 def space_row(space: ControlSpace, row: LeadRow, joints: JointSample) -> F64:
-    """A row of the robot's own space: joints that the lead does not name stand still.
+    """Convert to a row of the robot's own space; joints that the lead does not name stand still.
 
     Raises:
-        InvalidInputError: it names a joint that is not of the arm.
+        InvalidInputError: it names a joint that does not belong to the arm.
     """
     named = dict(zip(row.keys, row.values.tolist(), strict=True))
     unknown = sorted(set(named) - {channel.name for channel in space.channels})

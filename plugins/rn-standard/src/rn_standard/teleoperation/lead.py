@@ -1,4 +1,4 @@
-"""A lead that runs: a teleoperator, its session and the gate, on a thread of their own."""
+"""A running lead: a teleoperator, its session and the gate, on a background thread."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ _BRAKE_S = 0.2
 
 
 class Lead:
-    """One person leads one arm, from `begin` until `hand_back` or a fault. Usable from any thread.
+    """Lead of one arm by one person, from `begin` until `hand_back` or a fault. Usable from any
+    thread.
 
     Attributes:
         session: see `LeadSession`; used on the thread of the lead.
-        who: the client that leads.
-        source_name: what it leads by.
+        who: the leading client.
+        source_name: name of its teleoperator.
         acting: control's newest answer; None before the first.
-        reason: why it has ended; empty while it runs, and when it was handed back.
+        reason: reason of its end; empty while it runs, and after a hand-back.
     """
 
     def __init__(
@@ -53,15 +54,15 @@ class Lead:
         on_end: Callable[[Lead], object],
     ) -> None:
         """Args:
-        session: of this lead.
-        source: opened.
-        source_name: what it is called.
-        gate: every row goes through it.
+        session: session of this lead.
+        source: the open teleoperator.
+        source_name: its name.
+        gate: checks every row.
         exposed: the hidden endpoint of leads.
-        context: of the call that began it.
-        may_lead: raises RefusedError when its client may act no more: somebody else operates the
-            robot.
-        on_end: told once it has ended.
+        context: context of the call that began it.
+        may_lead: raises RefusedError if its client may no longer act because another one operates
+            the robot.
+        on_end: called after its end.
         """
         self.session, self.who, self.source_name = session, context.who, source_name
         self.acting: Acting | None = None
@@ -80,14 +81,14 @@ class Lead:
 
     @property
     def is_running(self) -> bool:
-        """It has not ended."""
+        """True until its end."""
         return not self._ended.is_set()
 
     def begin(self) -> None:
-        """Start; returns once control has answered.
+        """Start the lead; returns once control has answered.
 
         Raises:
-            RoboNeuronError: why it has ended at once.
+            RoboNeuronError: the reason if it ends at once.
             NotReadyError: control does not answer.
         """
         self._thread.start()
@@ -100,18 +101,20 @@ class Lead:
                 raise NotReadyError("Control has not answered the lead.", hint="See get_status.")
 
     def hand_back(self) -> None:
-        """End it well; returns once control has let the policy act again, or the lead is over."""
+        """End the lead regularly; returns once control lets the policy act again, or the lead is
+        over.
+        """
         self._wants_back.set()
         self._ended.wait(_END_S)
         self._halt.set()
 
     def end(self) -> None:
-        """End it now; control lets nobody act before a new start."""
+        """End the lead now; control accepts nothing before a new start."""
         self._halt.set()
         self._thread.join(_END_S)
 
     def note(self, acting: Acting) -> None:
-        """Control has answered; on the thread of the ROS node."""
+        """Process an answer of control; on the thread of the ROS node."""
         if acting.session != self.session.name:
             if self._wants_back.is_set() and not acting.session:
                 self._hears_back.set()
@@ -145,7 +148,7 @@ class Lead:
         except RoboNeuronError as error:
             cause = error.__cause__ if isinstance(error.__cause__, RoboNeuronError) else error
             self.reason = str(cause)
-        # the border to a plugin's own code: the arm rests when its rows cease
+        # the border to a plugin's own code: the arm stops when its rows cease
         except Exception as error:
             log.exception("The teleoperator %s failed.", self.source_name)
             self.reason = f"The teleoperator {self.source_name} failed: {error}"
@@ -164,11 +167,11 @@ class Lead:
             self._source.ended(self.reason)
 
     def _commands(self) -> Iterator[TimedCommand]:
-        """One row for each period, as soon as its sample is there; the last one says how the lead
-        ends.
+        """Yield one row for each period, as soon as its sample has arrived; the last one contains
+        the kind of the end.
 
         Raises:
-            RoboNeuronError: why it ends.
+            RoboNeuronError: the reason of the end.
         """
         period_s = 1.0 / self.session.rate_hz
         yield _command(self._request.messages[0])
@@ -193,14 +196,14 @@ class Lead:
             yield TimedCommand(message=None, due_s=time.monotonic())
 
     def _next_row(self, due_s: float) -> LeadRow:
-        """The row of the newest sample, or of none when none has come by `due_s`."""
+        """Row of the newest sample, or a row without one if none has arrived by `due_s`."""
         self._may_lead()
         left_s = max(0.0, due_s - time.monotonic())
         sample = self._source.read(left_s)
         if sample is not None:
             self.session.take(sample, time.monotonic())
         left_s = due_s - time.monotonic() - 0.5 / self.session.rate_hz
-        if left_s > 0:  # a device that is faster than the lead: the newest sample counts
+        if left_s > 0:  # a device that is faster than the lead: the newest sample is used
             time.sleep(left_s)
         joints = self._gate.newest_joints(self._exposed)
         measured = (
@@ -216,7 +219,7 @@ def _command(message: Float64MultiArray) -> TimedCommand:
 
 
 def named(exposed: tuple[ExposedEndpoint, ...], robot: str, label: str) -> ExposedEndpoint:
-    """The hidden endpoint of a lead. Raises InvalidInputError for a robot without an arm."""
+    """Return the hidden endpoint of a lead. Raises InvalidInputError for a robot without an arm."""
     for one in exposed:
         if one.hidden and one.label == label and one.robot == robot:
             return replace(one)

@@ -1,4 +1,4 @@
-"""The messages between a lead and control: rows on the topic `lead`, their echo on `acting`."""
+"""Messages between a lead and control: rows on the topic `lead`, their echo on `acting`."""
 
 from __future__ import annotations
 
@@ -17,30 +17,32 @@ if TYPE_CHECKING:
 
 TYPE = "std_msgs/msg/Float64MultiArray"
 Mode = Literal["person", "blend", "back", "lost"]
-"""Who is to act: the person alone, the person's correction added to the policy's action; or how the
-lead ends: handed back, or lost, after which motion needs a new start.
+"""Requested authority: the person alone, or the person's correction added to the policy's action;
+or the end of a lead: handed back, or lost, after which motion needs a new start.
 """
 RowKind = Literal["rest", "still", "twist", "joint_velocity", "joint_position"]
-"""`rest` lets control hold; `still` brakes within the limits to where the arm was sent."""
+"""Kind of a row: `rest` lets control hold; `still` brakes within the limits to the commanded
+posture.
+"""
 _LEAD, _GRIPPER, _ACTING, _LIMITS, _NOTE = "lead", "gripper", "acting", "limits", "note"
 _MOST_RATE_HZ = 1000.0
 _MOVED = 6
-"""Values of a displacement."""
+"""Number of values of a displacement."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LeadRow:
-    """What a lead asks of control for one period.
+    """Command of a lead for one period.
 
     Attributes:
-        session: which lead.
-        number: greater than that of the row before.
+        session: the lead.
+        number: greater than that of the previous row.
         mode: see `Mode`.
-        kind: what `values` are.
+        kind: meaning of `values`.
         keys: the frame of a twist ("base", "tool"), or names of joints.
         values: float64 (n,): twist [m/s, rad/s], velocities or positions of the joints [rad, m].
-        gripper_open: 0 closed .. 1 open; None: as it is.
-        rate_hz: rows a second; each is meant for one period.
+        gripper_open: 0 closed .. 1 open; None for no change.
+        rate_hz: rows per second; each applies for one period.
     """
 
     session: str
@@ -53,7 +55,7 @@ class LeadRow:
     rate_hz: float = 50.0
 
     def to_message(self) -> Float64MultiArray:
-        """std_msgs/Float64MultiArray with the labels that `from_message` reads."""
+        """Create the std_msgs/Float64MultiArray with the labels that `from_message` reads."""
         head = f"{self.kind}@{self.rate_hz:g}:{','.join(self.keys)}"
         mark = f"{_LEAD}:{self.mode}:{self.session}:{self.number}"
         labels = [(head, len(self.values)), (mark, 0)]
@@ -65,10 +67,10 @@ class LeadRow:
 
     @classmethod
     def from_message(cls, message: Float64MultiArray) -> Self:
-        """The row of a message.
+        """Parse the row of a message.
 
         Raises:
-            InvalidInputError: it is none.
+            InvalidInputError: it is not a row.
             UnsafeError: a value is not finite.
         """
         dims = [(str(dim.label), int(dim.size)) for dim in message.layout.dim]
@@ -106,7 +108,7 @@ class LeadRow:
         return row
 
     def _check(self) -> None:
-        """Raise InvalidInputError unless keys and values belong together."""
+        """Raise InvalidInputError unless keys and values match."""
         if self.kind == "twist":
             is_right = self.keys in (("base",), ("tool",)) and len(self.values) == 6
         else:
@@ -123,17 +125,17 @@ class LeadRow:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Acting:
-    """What control did with an action of the policy or a row of a lead.
+    """Control's result for an action of the policy or a row of a lead.
 
     Attributes:
         who: "policy", "person", "blend" or "nobody".
-        session, number: of the newest row of a lead; empty and 0 without.
-        share: length of the sent step over that of the asked one, 0 .. 1.
-        limits: that acted, separated by commas.
-        note: why the arm holds; empty when it does not.
-        moved: where a person acts: displacement of the TCP that was commanded, after the limits;
-            x y z [m], rotation vector [rad], in the base. Empty where it is not told.
-        gripper_open: opening that the person has asked for, 0 closed .. 1 open; None for none.
+        session, number: those of the newest row of a lead; empty and 0 without one.
+        share: ratio of the sent to the requested step's length, 0 .. 1.
+        limits: limits that acted, separated by commas.
+        note: reason why the arm holds; empty if it does not.
+        moved: if a person acts, the commanded displacement of the TCP after the limits: x y z [m],
+            rotation vector [rad], in the base. Empty if unknown.
+        gripper_open: opening commanded by the person, 0 closed .. 1 open; None for none.
     """
 
     who: str
@@ -146,7 +148,7 @@ class Acting:
     gripper_open: float | None = None
 
     def to_message(self) -> Float64MultiArray:
-        """std_msgs/Float64MultiArray with the labels that `from_message` reads."""
+        """Create the std_msgs/Float64MultiArray with the labels that `from_message` reads."""
         moved = [self.share, *self.moved]
         if self.moved and self.gripper_open is not None:
             moved.append(self.gripper_open)
@@ -160,7 +162,7 @@ class Acting:
 
     @classmethod
     def from_message(cls, message: Float64MultiArray) -> Self:
-        """Raises InvalidInputError for another message."""
+        """Parse the result of a message. Raises InvalidInputError for another message."""
         labels = [str(dim.label) for dim in message.layout.dim]
         try:
             who, lead, limits, note = (label.partition(":")[2] for label in labels)

@@ -1,4 +1,4 @@
-"""What a teleoperator gives, and what it is."""
+"""Protocol of teleoperators, their samples and feedback."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ M = TypeVar("M")
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LeadSample:
-    """What the person asks for at one moment; one of `twist`, `velocities` and `positions`.
+    """Command of the person at one moment; one of `twist`, `velocities` and `positions`.
 
     Attributes:
-        number: greater than that of the sample before.
-        at_s: when it was measured [monotonic s].
-        is_held: the dead-man's switch is held; without it nothing moves.
+        number: greater than that of the previous sample.
+        at_s: time of measurement [monotonic s].
+        is_held: the dead-man's switch is held; otherwise nothing moves.
         twist: float64 (6,) of the TCP: x y z [m/s], rotation [rad/s], right-handed.
-        frame: of `twist`: the robot's base, or the TCP.
+        frame: frame of `twist`: the robot's base, or the TCP.
         velocities: by joint [rad/s, m/s of slides]; others stand still.
         positions: by joint, every joint of the arm [rad, m].
-        gripper_open: 0 closed .. 1 open; None: as it is.
+        gripper_open: 0 closed .. 1 open; None for no change.
     """
 
     number: int
@@ -41,13 +41,13 @@ class LeadSample:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LeadFeedback:
-    """What became of a sample.
+    """Result of a sample.
 
     Attributes:
-        number: of the sample.
-        who: who moves the arm: "person", "blend", "policy" or "nobody".
-        limits: which limits act; empty for none.
-        note: why the arm does not move as asked, and what to do; empty when it does.
+        number: number of the sample.
+        who: source that moves the arm: "person", "blend", "policy" or "nobody".
+        limits: limits that act; empty for none.
+        note: reason why the arm does not follow, with a remedy; empty if it follows.
         delay_s: from `LeadSample.at_s` to the arrival of control's answer, which follows the joint
             command [s].
     """
@@ -60,9 +60,7 @@ class LeadFeedback:
 
 
 class Subscribe(Protocol):
-    """Calls back with each message of a topic until what is returned is called; see
-    `Host.subscribe`.
-    """
+    """Subscribes to a topic; the returned function ends the subscription. See `Host.subscribe`."""
 
     def __call__(
         self, message_type: type[M], topic: str, callback: Callable[[M], None]
@@ -72,22 +70,22 @@ class Subscribe(Protocol):
 class Teleoperator(Protocol):
     """A source of samples. Built as `target(config, profile)`; used from one thread, for one lead.
 
-    The constructor has no effect.
+    The constructor has no side effect.
     """
 
     def open(self, subscribe: Subscribe) -> None:
-        """Open the device, or listen to the topic.
+        """Open the device, or subscribe to the topic.
 
         Raises:
-            RoboNeuronError: it cannot be opened; says what to do.
+            RoboNeuronError: it cannot be opened; names a remedy.
         """
         ...
 
     def read(self, timeout_s: float) -> LeadSample | None:
-        """The newest sample that was not read yet; None when none came within `timeout_s`.
+        """Return the newest unread sample; None if none came within `timeout_s`.
 
         Raises:
-            RoboNeuronError: the device is lost, or has sent what it must not; the lead ends.
+            RoboNeuronError: the device is lost, or has sent invalid data; the lead ends.
         """
         ...
 
@@ -98,12 +96,14 @@ class Teleoperator(Protocol):
 
 @runtime_checkable
 class ToldTeleoperator(Protocol):
-    """What a teleoperator may offer besides: it shows what its samples do."""
+    """Optional interface of a teleoperator that displays the results of its samples."""
 
     def tell(self, feedback: LeadFeedback) -> None:
-        """Called from the thread of the ROS node; returns at once."""
+        """Process the result of a sample; called on the thread of the ROS node; returns at once."""
         ...
 
     def ended(self, reason: str) -> None:
-        """The lead is over; `reason` says why and what to do, empty when it was handed back."""
+        """Process the end of the lead; `reason` contains the cause and a remedy, empty after a
+        hand-back.
+        """
         ...

@@ -1,5 +1,5 @@
-"""One lead: samples of a teleoperator in, rows for control out, within bounds, and only while the
-person is there. Knows neither ROS nor threads; time is given.
+"""One lead: converts a teleoperator's samples to rows for control, within bounds, and only while
+the person is present. Independent of ROS and threads; time is an argument.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ from rn_standard.teleoperation.samples import F64, LeadSample
 from roboneuron import InvalidInputError, NotReadyError, RobotProfile, UnsafeError
 
 SILENT_S = 0.1
-"""Without a sample for so long the arm brakes; the switch has to be pressed anew then."""
+"""Time without a sample after which the arm brakes; the switch then has to be pressed again."""
 GONE_S = 1.0
-"""Without a sample for so long the lead is over."""
+"""Time without a sample after which the lead is over."""
 _BRAKE_S = 0.3
 """Time in which an arm is braked within its limits before control holds it."""
 _AHEAD_S = 0.05
-"""A sample cannot be measured later than now; by so much clocks of one machine may round."""
+"""Tolerance for rounding of a machine's clocks: a sample cannot be measured later than now."""
 _MOST_M_S, _MOST_RAD_S = 5.0, 30.0
-"""No person asks for more: what does is broken."""
+"""Bounds of plausible commands; larger ones are faulty."""
 _FARTHEST_RAD = 0.3
-"""A leader farther from the arm than this [rad or m] has to come nearer first."""
+"""Largest distance of a leader from the arm [rad or m]; it has to approach first."""
 _REMEMBERED = 200
 _AGAIN = "Start leading again."
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LeadSpeeds:
-    """Greatest speeds of a lead.
+    """Largest speeds of a lead.
 
     Attributes:
         linear_m_s, angular_rad_s: of the TCP.
-        joint_share: of the joints' velocity limits.
+        joint_share: fraction of the joints' velocity limits.
     """
 
     linear_m_s: float = 0.25
@@ -54,12 +54,12 @@ class LeadSpeeds:
 
 
 class LeadSession:
-    """What one person asks for, from the start to the hand-back. Used from one thread.
+    """Commands of one person, from the start to the hand-back. Used from one thread.
 
     Attributes:
-        why_still: why the arm does not follow, and what to do; empty while it may.
-        scale: of the speeds, 0 .. 1.
-        rate_hz: rows a second.
+        why_still: reason why the arm does not follow, with a remedy; empty while it may.
+        scale: factor of the speeds, 0 .. 1.
+        rate_hz: rows per second.
     """
 
     def __init__(
@@ -74,13 +74,13 @@ class LeadSession:
         scale: float = 1.0,
     ) -> None:
         """Args:
-        name: of the lead; no two have the same.
+        name: unique name of the lead.
         mode: "person" or "blend".
-        profile: of the robot.
-        speeds: greatest ones.
+        profile: profile of the robot.
+        speeds: the largest speeds.
         now_s: monotonic time.
-        rate_hz: rows a second.
-        scale: of the speeds.
+        rate_hz: rows per second.
+        scale: factor of the speeds.
         """
         self.name, self.mode = name, mode
         self._profile, self._speeds, self.rate_hz = profile, speeds, rate_hz
@@ -100,10 +100,10 @@ class LeadSession:
         self.why_still = ""
 
     def take(self, sample: LeadSample, now_s: float) -> None:
-        """Take in a sample.
+        """Process a sample.
 
         Raises:
-            UnsafeError: a value is not finite, or no person can mean it.
+            UnsafeError: a value is not finite, or not plausible.
             InvalidInputError: it names a joint that the arm does not have, or its clock is wrong.
         """
         before = self._sample
@@ -111,7 +111,7 @@ class LeadSession:
             return
         self._check_clock(sample, before, now_s)
         self._check_values(sample)
-        if now_s - sample.at_s > SILENT_S:  # held up on its way
+        if now_s - sample.at_s > SILENT_S:  # delayed on its way
             return
         if now_s - self._heard_s > SILENT_S:
             self._must_release = True
@@ -120,14 +120,14 @@ class LeadSession:
         self._sample, self._heard_s = sample, now_s
 
     def row(self, now_s: float, measured: Mapping[str, float]) -> LeadRow:
-        """The row for this period.
+        """Return the row for this period.
 
         Args:
             now_s: monotonic time.
             measured: joints by name [rad, m].
 
         Raises:
-            NotReadyError: nothing has been heard for `GONE_S`, or a leader is not near the arm.
+            NotReadyError: no sample has arrived for `GONE_S`, or a leader is not close to the arm.
         """
         silent_s = now_s - self._heard_s
         if silent_s > GONE_S:
@@ -158,18 +158,16 @@ class LeadSession:
         return self._made("twist", ("base",), np.zeros(6), opening)
 
     def still_row(self) -> LeadRow:
-        """A row that brakes the arm."""
+        """Create a row that brakes the arm."""
         return self._made("still", (), np.zeros(0), None)
 
     def end_row(self, mode: Mode) -> LeadRow:
-        """The last row: "back" or "lost"."""
+        """Create the last row: "back" or "lost"."""
         self._number += 1
         return LeadRow(session=self.name, number=self._number, mode=mode, values=np.zeros(0))
 
     def sample_of(self, number: int) -> tuple[int, float] | None:
-        """Number and time [monotonic s] of the sample that a row was made of; None for an old
-        row.
-        """
+        """Number and time [monotonic s] of the sample behind a row; None for an old row."""
         return self._sent.get(number)
 
     def _why_still(self, sample: LeadSample | None, silent_s: float) -> str:
@@ -255,7 +253,7 @@ class LeadSession:
             )
 
     def _bounded(self, twist: F64) -> F64:
-        """A twist within the speeds of this lead, in its direction."""
+        """Scale a twist to the speeds of this lead, keeping its direction."""
         speeds = self._speeds.scaled(self.scale)
         bounded = twist.astype(np.float64) * self.scale
         for part, most in ((slice(0, 3), speeds.linear_m_s), (slice(3, 6), speeds.angular_rad_s)):
@@ -271,7 +269,7 @@ class LeadSession:
     def _approach(
         self, wanted: Mapping[str, float], measured: Mapping[str, float]
     ) -> dict[str, float]:
-        """Goals on the way to the leader's positions.
+        """Goals that approach the leader's positions.
 
         Raises:
             NotReadyError: the arm is not measured, or the leader is too far from it.

@@ -1,8 +1,9 @@
-"""A 3Dconnexion SpaceMouse as teleoperator, read as a Linux hidraw device.
+"""Teleoperator for a 3Dconnexion SpaceMouse, read as a Linux hidraw device.
 
-Source of the reports: the USB HID descriptor of the device. Report 1 holds x y z as int16 (little
-endian), report 2 the rotations about them; newer devices send all six in report 1. Report 3 holds
-the buttons as bits. x points to the right, y to the person, z down; a full push is about 350.
+Source of the reports: the USB HID descriptor of the device. Report 1 contains x y z as int16
+(little endian), report 2 the rotations about them; newer devices send all six in report 1. Report 3
+contains the buttons as bits. x points to the right, y to the person, z down; a full push is about
+350.
 """
 
 from __future__ import annotations
@@ -21,16 +22,20 @@ from rn_standard.teleoperation.samples import F64, LeadSample, Subscribe
 from roboneuron import InvalidInputError, NotReadyError, RobotProfile
 
 _VENDORS = ("0000046D", "0000256F")
-"""Logitech, which made the first ones, and 3Dconnexion; as in HID_ID of the kernel's uevent."""
+"""Vendor ids of Logitech, which made the first devices, and of 3Dconnexion, as in HID_ID of the
+kernel's uevent.
+"""
 _NAMES = ("space", "3dconnexion")
 _CLASS = Path("/sys/class/hidraw")
 _FULL = 350.0
 _FULL_M_S, _FULL_RAD_S = 0.25, 0.8
 _DEAD = 0.06
-"""Share of a full push that counts as none: the cap does not come back to zero exactly."""
+"""Dead zone as a fraction of a full push: the cap does not return to zero exactly."""
 _MOST_BYTES = 64
 _TO_BASE = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-"""Forwards, left and up of the person, from right, to the person and down of the device."""
+"""Conversion of the device's axes (right, towards the person, down) to the person's (forwards,
+left, up).
+"""
 _MOVE, _ROTATE, _BUTTONS = 1, 2, 3
 
 
@@ -44,8 +49,8 @@ class SpaceMouseOptions(BaseModel):
 
 
 class SpaceMouse:
-    """Follows `Teleoperator`. The first button is the switch, the second one opens and closes the
-    gripper.
+    """Implementation of `Teleoperator`. The first button is the switch, the second one opens and
+    closes the gripper.
     """
 
     def __init__(self, config: SpaceMouseOptions | None, profile: RobotProfile) -> None:
@@ -62,7 +67,7 @@ class SpaceMouse:
         """Open the device.
 
         Raises:
-            NotReadyError: there is none, there are several, or it may not be read.
+            NotReadyError: there is none, there are several, or it is not readable.
         """
         self._path = self._options.device or _found(_CLASS)
         try:
@@ -75,12 +80,12 @@ class SpaceMouse:
         self._heard_s = time.monotonic()
 
     def read(self, timeout_s: float) -> LeadSample | None:
-        """See `Teleoperator`. A cap that is at rest sends nothing: it counts as measured now. One
-        that was pushed and falls silent does not.
+        """See `Teleoperator`. A cap at rest sends nothing, so it counts as measured now. A pushed
+        cap that stops sending does not.
 
         Raises:
             NotReadyError: it was unplugged.
-            InvalidInputError: it sends what is no report.
+            InvalidInputError: it sends an invalid report.
         """
         ready, _, _ = select.select([self._fd], [], [], timeout_s)
         while ready:
@@ -108,7 +113,7 @@ class SpaceMouse:
             os.close(fd)
 
     def _report(self) -> bytes | None:
-        """The next report; None when there is none. Raises NotReadyError."""
+        """Read the next report; None without one. Raises NotReadyError."""
         try:
             report = os.read(self._fd, _MOST_BYTES)
         except BlockingIOError:
@@ -159,7 +164,7 @@ def _axes(data: bytes) -> F64:
 
 
 def _found(folder: Path) -> str:
-    """The device file of the only SpaceMouse. Raises NotReadyError."""
+    """Find the device file of the only SpaceMouse. Raises NotReadyError."""
     found: list[str] = []
     for entry in sorted(folder.glob("hidraw*")) if folder.is_dir() else ():
         try:

@@ -1,4 +1,4 @@
-"""The tools lead_arm and hand_back."""
+"""Tools lead_arm and hand_back."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class LeadArm(Arguments):
         default="person",
         description="The policy waits, or the person's correction is added to its actions.",
     )
-    scale: float = Field(default=1.0, gt=0, le=1, description="Of the speeds.")
+    scale: float = Field(default=1.0, gt=0, le=1, description="Factor of the speeds.")
 
 
 class LeadResult(Result):
-    """Who leads."""
+    """State of the lead."""
 
     leads: str = Field(default="", description="client that leads; empty for none")
     source: str = ""
@@ -36,12 +36,12 @@ End = Callable[[CallContext], LeadResult]
 
 
 def lead_tools(begin: Begin, end: End, choices: Callable[[], dict[str, str]]) -> list[Tool]:
-    """Both tools.
+    """Create both tools.
 
     Args:
         begin: starts a lead; blocks.
         end: hands back; blocks.
-        choices: teleoperators by name, with their summaries.
+        choices: returns teleoperators by name, with their summaries.
     """
 
     async def lead_arm(arguments: LeadArm, context: CallContext) -> LeadResult:

@@ -1,4 +1,4 @@
-"""Teleoperators that are ROS topics: a twist, and the joints of a leader."""
+"""Teleoperators for ROS topics: a twist, and the joints of a leader."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class JointTopicOptions(BaseModel):
 
 
 class _Newest:
-    """The newest sample, handed from the thread of the ROS node to that of the lead."""
+    """The newest sample, passed from the thread of the ROS node to that of the lead."""
 
     def __init__(self) -> None:
         self._news = threading.Condition()
@@ -73,7 +73,7 @@ class _Newest:
 
 
 class TwistTopic:
-    """The newest message of a topic; follows `Teleoperator`. Speeds of zero release the switch."""
+    """The newest twist of a topic; implements `Teleoperator`. Zero speeds release the switch."""
 
     def __init__(self, config: TwistTopicOptions | None, profile: RobotProfile) -> None:
         self._options = config or TwistTopicOptions()
@@ -117,7 +117,7 @@ class TwistTopic:
 
 
 class JointTopic:
-    """A second robot, or an arm that a person moves, as leader; follows `Teleoperator`."""
+    """A second robot, or an arm moved by hand, as leader; implements `Teleoperator`."""
 
     def __init__(self, config: JointTopicOptions | None, profile: RobotProfile) -> None:
         self._options = config or JointTopicOptions()

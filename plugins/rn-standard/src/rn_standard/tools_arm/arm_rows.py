@@ -1,5 +1,5 @@
-"""The actions of move_ee for one arm: a delta of the only one, or poses of all that keep the others
-where they are.
+"""Actions of move_ee for one arm: a delta for a single arm, or poses of all arms that keep the
+others in place.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ _AT_ORIGIN = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rest:
-    """Where an arm is to stay while another one moves.
+    """Target of an arm that stays in place while another one moves.
 
     Attributes:
-        pose: of its TCP in the base frame.
-        opening: that keeps what its hand holds, 0 closed .. 1 open.
+        pose: pose of its TCP in the base frame.
+        opening: opening that keeps its grasp, 0 closed .. 1 open.
     """
 
     pose: Pose = _AT_ORIGIN
@@ -41,7 +41,7 @@ class Rest:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ArmRows:
-    """Makes rows of the robot's space in which one arm moves.
+    """Creates rows of the robot's space in which one arm moves.
 
     Attributes:
         space: `EE_DELTA` for one arm, the robot's `ee_pose` for several.
@@ -54,17 +54,19 @@ class ArmRows:
 
     @classmethod
     def of(cls, profile: RobotProfile, arm: str, rests: Mapping[str, Rest]) -> ArmRows:
-        """Rows for `arm`; `rests` says where all arms are when the motion begins."""
+        """Create the rows for `arm`; `rests` are the poses of all arms at the start of the
+        motion.
+        """
         space = robot_space("ee_pose", profile) if profile.arms else EE_DELTA
         return cls(space=space, _profile=profile, _arm=arm, _rests=rests)
 
     def row(self, here: Pose, delta: F64, opening: float) -> F64:
-        """One row of `space`.
+        """Return one row of `space`.
 
         Args:
-            here: TCP of the arm that moves, base frame.
+            here: TCP of the moving arm, base frame.
             delta: from there, translation [m] and rotation vector [rad], (6,).
-            opening: of its gripper, 0 closed .. 1 open.
+            opening: opening of its gripper, 0 closed .. 1 open.
         """
         action = Action(
             translation_m=delta[:3],
@@ -86,7 +88,7 @@ class ArmRows:
 
 
 def to_message(space: ControlSpace, row: F64) -> object:
-    """The message of a row on the topic `action`."""
+    """Create the message of a row for the topic `action`."""
     from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout  # heavy
 
     dimension = MultiArrayDimension(label=space.label, size=space.size, stride=space.size)
@@ -94,7 +96,7 @@ def to_message(space: ControlSpace, row: F64) -> object:
 
 
 def of_named_arm(by_arm: Mapping[str, T], arm: str) -> T:
-    """What belongs to an arm. Raises InvalidInputError, which names the arms."""
+    """Return the value of an arm. Raises InvalidInputError, which names the arms."""
     if arm not in by_arm:
         names = ", ".join(map(repr, by_arm))
         told = f"There is no arm {arm[:64]!r}" if arm else "The call names no arm"

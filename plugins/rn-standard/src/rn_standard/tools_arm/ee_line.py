@@ -1,6 +1,4 @@
-"""A straight move of the end effector: where it should be, how far it is from there, what one step
-may ask for.
-"""
+"""Straight move of the end effector: target, distance from it, and permitted step."""
 
 from __future__ import annotations
 
@@ -24,28 +22,28 @@ F64 = NDArray[np.float64]
 STEP_S = 0.1
 """Time between two actions."""
 _RESERVE = 0.97
-"""Share of a speed limit in use: an arm that starts from rest is a little faster later in the same
-step.
+"""Fraction of a speed limit in use: an arm that starts from rest is slightly faster later in the
+same step.
 """
 _REACHED_M, _REACHED_RAD = 0.002, 0.01
 _SETTLE_S = 2.0
-"""How long the arm may come no nearer, after the nominal duration."""
+"""Longest time without progress, after the nominal duration."""
 _NEARER = 5e-4
-"""Less than this [m and rad together] is no progress."""
+"""Least change [sum of m and rad] that counts as progress."""
 _STILL_M, _STILL_RAD = 5e-4, 2.5e-3
-"""A TCP that moves less than this between two steps has arrived, and does not pass through."""
+"""Change of the TCP between two steps below which it has arrived, and is not passing through."""
 _GRIPPER_S = 0.8
-"""Least time of a move with a command to the gripper: so long it opens or closes."""
+"""Least duration of a move with a gripper command, which is the time of opening or closing."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Order:
-    """A move as it was asked for.
+    """A requested move.
 
     Attributes:
         translation_m, rotation_rad: float64 (3,), in the base frame; the rotation as a rotation
             vector.
-        gripper_open: 0 closed .. 1 open; None: as it is.
+        gripper_open: 0 closed .. 1 open; None for no change.
         duration_s: time for the whole line.
     """
 
@@ -56,8 +54,8 @@ class Order:
 
 
 def remaining(start: Pose, order: Order, fraction: float, measured: Pose) -> F64:
-    """From `measured` to the point at `fraction` of the move: translation [m] and rotation vector
-    [rad], (6,).
+    """Displacement from `measured` to the point at `fraction` of the move: translation [m] and
+    rotation vector [rad], (6,).
     """
     position = start.position_m + fraction * order.translation_m - measured.position_m
     rotation = matrix_from_rotvec(fraction * order.rotation_rad) @ matrix_from_quaternion(
@@ -68,8 +66,8 @@ def remaining(start: Pose, order: Order, fraction: float, measured: Pose) -> F64
 
 
 def difference(start: Pose, end: Pose) -> F64:
-    """The move from one pose to another in the base frame: translation [m] and rotation vector
-    [rad], (6,).
+    """Displacement between two poses in the base frame: translation [m] and rotation vector [rad],
+    (6,).
     """
     turn = (
         matrix_from_quaternion(end.quaternion_xyzw)
@@ -79,10 +77,9 @@ def difference(start: Pose, end: Pose) -> F64:
 
 
 def limit_step(delta: F64, speed_m_s: float, turn_rad_s: float) -> F64:
-    """`delta` (6,), from where the arm is measured, shortened to what the speed limits allow in one
-    step.
+    """Shorten `delta` (6,), relative to the measured arm, to the speed limits of one step.
 
-    An arm that was held up goes on at its speed: it catches up nothing.
+    A delayed arm continues at its speed, without catching up.
     """
     scales = [1.0]
     for part, limit in ((delta[:3], speed_m_s), (delta[3:], turn_rad_s)):
@@ -103,21 +100,21 @@ def steps_to_end(
     speeds: tuple[float, float],
     longest_s: float,
 ) -> Iterator[tuple[float, float, Pose, F64]]:
-    """Steps towards the end of the line by the present pose: share of the line, distance left
-    [m], that pose, delta from it (6,); ends when the arm is there.
+    """Yield steps towards the end of the line from the present pose: fraction of the line,
+    remaining distance [m], that pose, delta from it (6,); ends when the arm has arrived.
 
     Args:
         order: the move.
-        start: where the line begins.
-        pose: the present pose.
-        elapsed_s: time since the first step.
-        note: what control is doing, in its own words.
-        speeds: fastest move [m/s] and turn [rad/s].
-        longest_s: it ends after so much time, wherever the arm is.
+        start: start of the line.
+        pose: returns the present pose.
+        elapsed_s: returns the time since the first step.
+        note: returns control's status note.
+        speeds: fastest translation [m/s] and rotation [rad/s].
+        longest_s: longest duration [s].
 
     Raises:
         RefusedError: control held the arm, with its reason.
-        StateError: the arm did not get there.
+        StateError: the arm did not arrive.
     """
     speed_m_s, turn_rad_s = speeds
     least_s = max(order.duration_s, _GRIPPER_S if order.gripper_open is not None else 0.0)
@@ -147,5 +144,5 @@ def steps_to_end(
 
 
 def rounded(values: F64) -> list[float]:
-    """For results: five decimals, no negative zero, 0 for what is not finite."""
+    """Round values for results: five decimals, no negative zero, 0 for non-finite values."""
     return [round(float(value), 5) + 0.0 if math.isfinite(value) else 0.0 for value in values]

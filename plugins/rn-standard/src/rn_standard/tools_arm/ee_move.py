@@ -18,7 +18,7 @@ _Turn = Annotated[float, Field(ge=-_FURTHEST_RAD, le=_FURTHEST_RAD)]
 class MoveEndEffector(Arguments):
     """Arguments of move_ee."""
 
-    arm: str = Field(default="", description="Which arm moves; the others stay where they are.")
+    arm: str = Field(default="", description="Moving arm; the others stay in place.")
     dx_m: _Delta = Field(default=0.0, description="Along x of the base (forwards) [m].")
     dy_m: _Delta = Field(default=0.0, description="Along y of the base (to the left) [m].")
     dz_m: _Delta = Field(default=0.0, description="Along z of the base (up) [m].")
@@ -39,23 +39,23 @@ class MoveEndEffector(Arguments):
 
 
 class EndEffectorMove(Result):
-    """What the arm did, measured."""
+    """Measured motion of the arm."""
 
     robot: str
     arm: str = Field(default="", description="which of several arms")
-    asked: dict[str, float] = Field(description="the move that was asked for")
-    moved: dict[str, float] = Field(description="the move that was measured, in the base frame")
+    asked: dict[str, float] = Field(description="the requested move")
+    moved: dict[str, float] = Field(description="the measured move, in the base frame")
     position_m: list[float] = Field(
         description="measured TCP position at the end (a dry run: now), base frame"
     )
-    error_m: float = Field(description="distance from where it should be")
+    error_m: float = Field(description="distance from the target")
     error_rad: float
     sent: int = Field(description="actions")
     duration_s: float = Field(description="taken; of a dry run that it would take")
     dry_run: bool
     allowed: bool
     reason: str
-    target_m: list[float] = Field(description="where the TCP is to be, base frame")
+    target_m: list[float] = Field(description="target of the TCP, base frame")
     holding: bool | None = Field(
         default=None, description="the hand holds something; null: unknown"
     )

@@ -1,5 +1,5 @@
-"""move_ee: incremental moves of an arm's end effector, through the control module that also follows
-policies.
+"""Tool move_ee: incremental moves of an arm's end effector, through the control module that also
+executes policies.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ from roboneuron import (
 from roboneuron.feature import ExposedEndpoint, GateRequest, Stage, TimedCommand
 
 _MEASURED_S, _POSE_S = 2.0, 0.5
-"""Longest wait for control and the first measurement, and for the next ones."""
+"""Longest wait for control and the first measurement, and for later measurements."""
 
 
 @dataclass(kw_only=True, slots=True)
 class _Line:
-    """A move that is under way; `start`, and whether the hand `held` something, are measured when
-    it begins.
+    """A move in progress; `start`, and `held` (the hand holds an object), are measured at its
+    beginning.
     """
 
     order: Order
@@ -59,7 +59,7 @@ class _Line:
 
 @dataclass(kw_only=True, slots=True)
 class _Forecast:
-    """What a dry run computes: how long the move would take."""
+    """Prediction of a dry run: the duration of the move."""
 
     took_s: float
 
@@ -78,11 +78,11 @@ class EndEffectorMover:
     ) -> None:
         """Args:
         exposed: the action topic of the robot.
-        profile: of the robot.
-        host: of the feature.
-        options: of the feature.
+        profile: profile of the robot.
+        host: host of the feature.
+        options: options of the feature.
         tcps: the measured pose of each arm, by its name.
-        arm: which one moves.
+        arm: the moving arm.
         """
         self._exposed = exposed
         self._profile = profile
@@ -117,7 +117,7 @@ class EndEffectorMover:
         )
 
     def check(self) -> None:
-        """Raise unless the arm could be moved now. Raises RefusedError, StateError."""
+        """Check that the arm could be moved now. Raises RefusedError, StateError."""
         self._gate.check_free(self._exposed)
         self._host.modules.require_running("control")
 
@@ -155,8 +155,8 @@ class EndEffectorMover:
         )
 
     def _speeds(self) -> tuple[float, float]:
-        """Fastest move [m/s] and turn [rad/s]: of the options, or of the limits in force where
-        these are lower.
+        """Fastest translation [m/s] and rotation [rad/s]: from the options, or from the limits in
+        force if these are lower.
         """
         options, limits = self._options, self._host.loop.limits
         return min(options.ee_speed_m_s, limits.max_speed_m_s), min(
@@ -164,7 +164,7 @@ class EndEffectorMover:
         )
 
     def _rows(self, poses: Mapping[str, Pose]) -> ArmRows:
-        """What is sent in a motion that begins now.
+        """Create the rows of a motion that begins now.
 
         Args:
             poses: TCP of each arm, by its name.
@@ -216,7 +216,7 @@ class EndEffectorMover:
         return answer.model_copy(update=self._grip_at_the_end(line))
 
     def _judge(self, order: Order, request: GateRequest) -> EndEffectorMove:
-        """Answer a dry run: where the TCP would be, after how long, and what stands in the way."""
+        """Answer a dry run: predicted TCP, duration, and reasons for a refusal."""
         reason = self._why_not()
         forecast = _Forecast(took_s=order.duration_s)
         request = replace(
@@ -237,7 +237,7 @@ class EndEffectorMover:
         return answer.model_copy(update={"holding": self._grip.holding()})
 
     def _known_pose(self) -> Pose | None:
-        """Where the TCP is measured; None when control tells none."""
+        """Measured TCP; None if control reports none."""
         try:
             return self._tcp.wait(_POSE_S)
         except RoboNeuronError:
@@ -249,12 +249,12 @@ class EndEffectorMover:
         return {"holding": holding, "lost_on_the_way": lost}
 
     def _actions(self, line: _Line, stage: Stage) -> Iterator[TimedCommand]:
-        """Follow the line by the measured pose; ends when the arm is there.
+        """Follow the line from measured poses; ends when the arm has arrived.
 
         Raises:
             RefusedError: control held the arm, with its reason.
             NotReadyError: control or the gripper is not measured.
-            StateError: the arm did not get there.
+            StateError: the arm did not arrive.
         """
         order = line.order
         poses = {name: tcp.wait(_MEASURED_S) for name, tcp in self._tcps.items()}
@@ -277,7 +277,7 @@ class EndEffectorMover:
             yield TimedCommand(message=message, due_s=time.monotonic() + STEP_S)
 
     def _predict(self, order: Order, forecast: _Forecast) -> None:
-        """Raise RefusedError unless control would bring the arm there; its path is that of
+        """Raise RefusedError unless control would complete the move; its path is that of
         `_actions`.
         """
         joints = self._gate.joints(self._exposed, _MEASURED_S)
@@ -325,14 +325,14 @@ class EndEffectorMover:
         elapsed_s: Callable[[], float],
         note: Callable[[], str],
     ) -> Iterator[tuple[float, float, Pose, F64]]:
-        """`steps_to_end` at the speeds in force."""
+        """Call `steps_to_end` with the speeds in force."""
         longest_s = self._gate.max_duration_s
         return steps_to_end(
             order, start, pose, elapsed_s, note, speeds=self._speeds(), longest_s=longest_s
         )
 
     def _note(self) -> str:
-        """What control is doing, in its own words."""
+        """Control's status note."""
         report = self._host.modules.view("control").report
         return report.note if report is not None else ""
 

@@ -1,4 +1,4 @@
-"""The feature: tools of the arm among what is exposed, made again whenever that changes."""
+"""The feature: tools of the arm among the exposed endpoints, recreated whenever these change."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from roboneuron.feature import ModuleKind
 
 
 class ArmTools(Feature[ArmToolsOptions]):
-    """move_joints, move_ee and place. They need the gate only, which exposes the endpoints of the
-    robot's profile.
+    """Adds move_joints, move_ee and place. They need only the gate, which exposes the endpoints of
+    the robot's profile.
     """
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """None but the derived ones, which come once something is exposed."""
+        """Return no permanent tools; the derived ones appear once something is exposed."""
 
         poses: dict[str, MeasuredPose] = {}
         grips: dict[str, GripHeight] = {}
@@ -28,7 +28,9 @@ class ArmTools(Feature[ArmToolsOptions]):
             host.tools.replace_derived(FEATURE.name, arm_tools(host, self.options, poses, grips))
 
         def watch(kind: ModuleKind) -> None:
-            """From the start of control on, see how high the hand closes, whoever closes it."""
+            """Start watching the height at which the hand closes, once control starts, whatever
+            command closes it.
+            """
             if kind == "control" and host.modules.view("control").phase == "running":
                 for grip in list(grips.values()):
                     grip.watch()

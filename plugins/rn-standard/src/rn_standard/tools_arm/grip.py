@@ -1,5 +1,5 @@
-"""The gripper of an arm: the opening that was last commanded, by whomever, and whether the hand
-holds something.
+"""Gripper of an arm: the last commanded opening, from any source, and detection of a held
+object.
 """
 
 from __future__ import annotations
@@ -12,26 +12,27 @@ from roboneuron.feature import ExposedEndpoint, MotionGate, Report
 
 _MEASURED_S = 2.0
 _BLOCKED = 0.03
-"""Share of the travel: fingers that rest this much wider than commanded are blocked by something.
+"""Fraction of the travel: fingers at rest this much wider than commanded are blocked by an
+object.
 """
 _STILL, _STILL_S = 0.005, 0.06
-"""Fingers that move by less than this share of their travel in this time are at rest."""
+"""Fingers that move by less than this fraction of their travel in this time are at rest."""
 _SETTLE_S = 1.0
 _POLL_S = 0.02
 
 
 class Grip:
-    """What a gripper was told and what came of it; usable from any thread.
+    """Commanded and measured state of a gripper; usable from any thread.
 
-    The robot module reports the opening that was last commanded, whether a policy, a task or a
-    direct call did it.
+    The robot module reports the last commanded opening, whether it came from a policy, a task or a
+    direct call.
     """
 
     def __init__(
         self, host: Host, gate: MotionGate, exposed: ExposedEndpoint, arm: str = ""
     ) -> None:
         """Args:
-        host, gate: of the feature.
+        host, gate: host of the feature, and the gate.
         exposed: an endpoint of the robot.
         arm: name of one of several arms; "" for the only one.
         """
@@ -48,15 +49,14 @@ class Grip:
         return next((arm.gripper for arm in arms if arm.name == self.arm), None)
 
     def commanded(self) -> float | None:
-        """The opening that was last commanded, 0 closed .. 1 open; None when none was since the
-        robot started.
+        """The last commanded opening, 0 closed .. 1 open; None if there was none since the robot
+        started.
         """
         report = self._report()
         return None if report is None else commanded_opening(report, self.arm)
 
     def kept(self) -> float:
-        """The opening that keeps what the hand holds: as last commanded, else as measured; 1
-        without a gripper.
+        """Opening that keeps the grasp: as last commanded, else as measured; 1 without a gripper.
 
         Raises:
             NotReadyError: the gripper is not measured.
@@ -77,10 +77,10 @@ class Grip:
         return gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))
 
     def holding(self) -> bool | None:
-        """Whether the hand holds something; None when that is unknown.
+        """True if the hand holds an object; None if unknown.
 
-        The driver says so itself, or fingers rest wider than they were told. Waits up to a second
-        for their rest.
+        Either the driver reports it, or the fingers rest wider than commanded. Waits up to a second
+        for them to rest.
         """
         report = self._report()
         key = f"{self.arm}/holding" if self.arm else "holding"
@@ -96,7 +96,7 @@ class Grip:
             return None
 
     def _is_blocked(self, commanded: float) -> bool | None:
-        """Whether the fingers rest wider than commanded; None when they do not come to rest."""
+        """True if the fingers rest wider than commanded; None if they do not come to rest."""
         began_s = since_s = time.monotonic()
         rested = self.measured()
         while True:
@@ -112,7 +112,7 @@ class Grip:
             time.sleep(_POLL_S)
 
     def _report(self) -> Report | None:
-        """What the module of this very robot reports."""
+        """Report of the module of this robot."""
         if self._exposed.namespace != self._host.config.namespace:
             return None
         return self._host.modules.view("robot").report
@@ -121,8 +121,8 @@ class Grip:
 def is_lost(
     before: bool | None, after: bool | None, asked: float | None, kept: float | None
 ) -> bool:
-    """Whether a motion lost what the hand held: held before, not after, and nobody asked for a
-    wider opening.
+    """True if a motion lost the held object: held before, not after, and no wider opening was
+    commanded.
     """
     is_opened = asked is not None and (kept is None or asked > kept)
     return bool(before) and after is False and not is_opened

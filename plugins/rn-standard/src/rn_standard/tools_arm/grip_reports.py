@@ -1,6 +1,6 @@
-"""What grippers were told and how far they are open, in the status of the robot module.
+"""Reports of the robot module on grippers: commanded and measured openings.
 
-Fingers around an object measure another opening than the one they were told.
+Fingers around an object measure another opening than the commanded one.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
     from roboneuron.node import Module, ModuleHost, StatusWriter
 
 COMMANDED = "gripper_commanded"
-"""Metric: the opening that was last commanded, 0 closed .. 1 open, by whomever."""
+"""Metric: the last commanded opening, 0 closed .. 1 open, from any source."""
 OPEN = "gripper_open"
 """Metric: the measured opening, 0 closed .. 1 open."""
 _CHANGE = 0.02
-"""A change of the commanded opening that is reported at once."""
+"""Least change of the commanded opening that is reported at once."""
 
 
 @runtime_checkable
 class ReportingRobot(Protocol):
-    """The parts of the robot module that are used here."""
+    """Used parts of the robot module."""
 
     profile: RobotProfile
     status: StatusWriter
@@ -48,10 +48,11 @@ def _extend(module: Module) -> None:
 
 
 def commanded_opening(report: Report, arm: str) -> float | None:
-    """The opening last commanded, 0 closed .. 1 open; None when none was since the robot started.
+    """The last commanded opening, 0 closed .. 1 open; None if there was none since the robot
+    started.
 
     Args:
-        report: of the robot.
+        report: report of the robot module.
         arm: name of one of several arms; "" for the only one.
     """
     try:
@@ -73,8 +74,8 @@ class GripReports:
         self._openings: dict[str, float] = {}
 
     def note_sent(self, sent: JointCommand) -> None:
-        """Report the openings that were commanded; without a gripper's joint, nothing has changed
-        for it.
+        """Report the commanded openings; a command without a gripper's joint leaves its opening
+        unchanged.
         """
         for arm, gripper in self._grippers.items():
             opening = _opening(gripper, sent)
@@ -86,8 +87,8 @@ class GripReports:
                 self._status.changed.set()
 
     def note_state(self, state: RobotState | None) -> None:
-        """Report how far each gripper is open: as the driver tells it, of several arms by their
-        joints; nothing while the robot cannot be read.
+        """Report the measured opening of each gripper: from the driver, or for several arms from
+        their joints; nothing while the robot cannot be read.
         """
         arms = tuple(self._grippers) if self._has_several_arms else ("",)
         if state is None:
@@ -102,7 +103,7 @@ class GripReports:
 
 
 def _opening(gripper: GripperProfile, joints: JointCommand | JointSample) -> float | None:
-    """The opening by the gripper's joint; None when that is not among the joints."""
+    """Opening from the position of the gripper's joint; None if that joint is missing."""
     if gripper.joint not in joints.names:
         return None
     return gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))

@@ -1,5 +1,5 @@
-"""move_joints: joint targets of an arm, as one trajectory point within the limits, followed until
-the arm is there.
+"""Tool move_joints: joint targets of an arm, sent as one trajectory point within the limits and
+monitored until arrival.
 """
 
 from __future__ import annotations
@@ -38,31 +38,31 @@ from roboneuron.feature import (
 )
 
 _EASY, _EASY_ACCELERATION = 0.4, 0.5
-"""Shares of the velocity and acceleration limits that a move uses when it is given no duration."""
+"""Fractions of the velocity and acceleration limits used by a move without a given duration."""
 _NEARLY = 0.95
-"""Share of what a joint may do so near to its limit."""
+"""Fraction of a joint's permitted velocity this close to its limit."""
 _REST, _REST_S = 5e-4, 0.1
 """A joint that moves by less than this [rad or m] in this time is at rest."""
 _SETTLE_S = 3.0
 _MEASURED_S = 2.0
-"""Longest wait for a measurement, and for the robot to subscribe."""
+"""Longest wait for a measurement, and for the robot's subscription."""
 
 
 class MoveJoints(Arguments):
     """Arguments of move_joints."""
 
     positions: dict[str, float] = Field(
-        min_length=1, description="Target by joint, rad or m; the others stay where they are."
+        min_length=1, description="Target by joint, rad or m; other joints stay in place."
     )
     duration_s: float | None = Field(
-        default=None, gt=0, description="Time for the move [s]; an easy pace when omitted."
+        default=None, gt=0, description="Duration [s]; at a moderate speed if omitted."
     )
     dry_run: bool = Field(default=False, description="Only say what would happen.")
     preview: bool = False
 
 
 class JointMove(Result):
-    """What the arm did, measured."""
+    """Measured motion of the arm."""
 
     robot: str
     position: dict[str, float] = Field(description="measured at the end [rad or m]")
@@ -83,7 +83,9 @@ class JointMove(Result):
 
 
 def joint_tools(host: Host, endpoints: Iterable[ExposedEndpoint], gate: MotionGate) -> list[Tool]:
-    """move_joints for the first endpoint that takes trajectories of a robot with known limits."""
+    """Create move_joints for the first endpoint that accepts trajectories of a robot with known
+    limits.
+    """
     found = next(
         (e for e in endpoints if e.endpoint.joint_limited and e.endpoint.type == TRAJECTORY), None
     )
@@ -139,7 +141,7 @@ class JointMover:
         self._gate = gate
         self._host = host
         assert exposed.profile is not None
-        # by joint: the hand of the arm that it belongs to
+        # by joint: the hand of its arm
         self._grip_of: dict[str, Grip] = {}
         for arm in exposed.profile.each_arm:
             grip = Grip(host, gate, exposed, arm.name)
@@ -227,7 +229,9 @@ class JointMover:
         return request, duration_s
 
     def _unmeasured(self) -> NotReadyError:
-        """Why there are no joints: the robot is not running, or its states do not come through."""
+        """Create the error for missing joints: the robot is not running, or its states do not
+        arrive.
+        """
         robot = self._host.modules.view("robot")
         if robot.phase != "running" or self._exposed.namespace != self._host.config.namespace:
             return NotReadyError("The joints are not measured.", hint="Call start_robot first.")
@@ -237,7 +241,7 @@ class JointMover:
         )
 
     def _easy_s(self, target: Mapping[str, float], joints: JointSample) -> float:
-        """Duration at which every joint uses at most a share of its velocity limit."""
+        """Duration at which every joint uses at most a fraction of its velocity limit."""
         needed = [0.5]
         for name, value in target.items():
             limit, start = self._limits[name], _position(joints, name)
@@ -258,7 +262,9 @@ class JointMover:
         )
 
     def _left(self, target: Mapping[str, float], joints: JointSample) -> Mapping[str, float]:
-        """The targets, without those of grippers which something keeps from closing: they grasp."""
+        """Remaining targets, without those of grippers that an object keeps from closing, since
+        these grasp.
+        """
         left = dict(target)
         for gripper in {self._grip_of[name].profile for name in target}:
             if gripper is None or gripper.joint not in target:
@@ -271,10 +277,10 @@ class JointMover:
     def _commands(
         self, target: Mapping[str, float], message: object, duration_s: float, stage: Stage
     ) -> Iterator[TimedCommand]:
-        """The trajectory, then waiting until the arm is measured at its end, at rest.
+        """Yield the trajectory, then wait until the arm is measured at its end, at rest.
 
         Raises:
-            StateError: the joints are not measured any more, or do not get there.
+            StateError: the joints are no longer measured, or do not arrive.
         """
         began_s = told_s = time.monotonic()
         rest = _Rest(target)
@@ -289,7 +295,7 @@ class JointMover:
             if is_there and rests and now_s - began_s >= duration_s * 0.9:
                 return
             if now_s - began_s > duration_s + _SETTLE_S:
-                if is_there:  # within the tolerance, but it never rests: a joint that trembles
+                if is_there:  # within the tolerance, but never at rest: an oscillating joint
                     return
                 off = ", ".join(
                     f"{n} {abs(v - _position(joints, n)):.4f}" for n, v in target.items()
@@ -327,7 +333,7 @@ class JointMover:
 
 
 def _asked_opening(grip: Grip, target: Mapping[str, float]) -> float | None:
-    """The opening that targets ask of a gripper; None when they do not name it."""
+    """Opening that targets command for a gripper; None if they do not name it."""
     gripper = grip.profile
     if gripper is None or gripper.joint not in target:
         return None
@@ -335,13 +341,13 @@ def _asked_opening(grip: Grip, target: Mapping[str, float]) -> float | None:
 
 
 def _any(held: Iterable[bool | None]) -> bool | None:
-    """Whether one of several hands holds something; None when that is unknown."""
+    """True if one of several hands holds an object; None if unknown."""
     told = list(held)
     return True if True in told else None if None in told else False
 
 
 def _message(target: Mapping[str, float], duration_s: float) -> object:
-    """A JointTrajectory of one point."""
+    """Create a JointTrajectory of one point."""
     from builtin_interfaces.msg import Duration  # heavy
     from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # heavy
 
@@ -366,7 +372,7 @@ def _error(target: Mapping[str, float], joints: JointSample) -> float:
 
 
 class _Rest:
-    """Tells from successive measurements whether some joints are at rest."""
+    """Detects from successive measurements that joints are at rest."""
 
     def __init__(self, names: Iterable[str]) -> None:
         self._names = tuple(names)
@@ -374,7 +380,7 @@ class _Rest:
         self._there: list[float] = []
 
     def note(self, joints: JointSample, now_s: float) -> bool:
-        """Take a measurement; whether none of the joints has moved for a tenth of a second."""
+        """Add a measurement; return True if no joint has moved for a tenth of a second."""
         here = [_position(joints, name) for name in self._names]
         has_moved = (
             not self._there

@@ -1,4 +1,4 @@
-"""What the limits of control do: in its status, and in the audit."""
+"""Reports on the effect of control's limits, in its status and in the audit."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from roboneuron.feature import AuditLog, AuditRecord
 from roboneuron.node import HoldingModule, LimitedCommand
 
 _RECORD_PERIOD_S = 1.0
-"""A limit that keeps acting is recorded this often; every change is recorded at once, at most ten a
-second.
+"""Period of audit records of a limit that keeps acting; every change is recorded at once, at most
+ten a second.
 """
 _CHANGE_PERIOD_S = 0.1
-"""See above: a command at the edge of a limit may change what acts with each message."""
+"""Least time between records of changes: a command at the edge of a limit may change the acting
+limit with each message.
+"""
 _TOLD = {
     "step_m": "step_m",
     "step_rad": "step_rad",
@@ -27,15 +29,15 @@ _TOLD = {
 }
 """Numbers of a motion by their names in the status."""
 Numbers = dict[str, dict[str, float]]
-"""A command as it was asked for and as it was sent."""
+"""Numbers of a command as requested and as sent."""
 log = logging.getLogger(__name__)
 
 
 class LimitReports:
-    """Counts and records what the limits of one control do; used on the executor's thread.
+    """Counts and records the effects of one control's limits; used on the executor's thread.
 
-    The status tells `asked_*` and `sent_*`, `limited.<name>` how often a limit acted, `limit` the
-    last one.
+    The status contains `asked_*` and `sent_*`, the number of actions of each limit as
+    `limited.<name>`, and the last one as `limit`.
     """
 
     def __init__(self, control: HoldingModule) -> None:
@@ -49,7 +51,7 @@ class LimitReports:
         self._recorded_s = 0.0
 
     def report(self, limited: LimitedCommand) -> None:
-        """Report what the limits have made of one command."""
+        """Report the effect of the limits on one command."""
         numbers = _numbers(limited)
         for word, motion in numbers.items():
             for name, value in motion.items():
@@ -69,7 +71,7 @@ class LimitReports:
         self._status.set_value(key, self._counts[name])
 
     def _record(self, limited: LimitedCommand, numbers: Numbers, now_s: float) -> None:
-        """One line in the audit when the limits begin to act, act otherwise, or go on acting."""
+        """Write one audit record when the limits begin to act, change, or keep acting."""
         outcome = _outcome(limited)
         state = (outcome, *limited.acted)
         period_s = _CHANGE_PERIOD_S if state != self._recorded else _RECORD_PERIOD_S
@@ -100,7 +102,7 @@ class LimitReports:
 
 
 def _numbers(limited: LimitedCommand) -> Numbers:
-    """Those that were worked out."""
+    """The computed numbers."""
     numbers: Numbers = {}
     for word, motion in (("asked", limited.asked), ("sent", limited.sent)):
         if motion is None:

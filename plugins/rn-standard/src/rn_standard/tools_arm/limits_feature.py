@@ -1,6 +1,4 @@
-"""The feature: limits that a client tightens while it is connected, and that only a person
-loosens.
-"""
+"""The feature: limits that a connected client tightens, and that only a person loosens."""
 
 from __future__ import annotations
 
@@ -23,8 +21,8 @@ _END_S = 2.0
 
 
 class LimitsFeature(Feature[None]):
-    """tighten_limits and loosen_limits: for policies, by control; for direct motion, by the gate of
-    the direct path.
+    """Adds tighten_limits and loosen_limits: control applies them to policies, and the gate to
+    direct motion.
     """
 
     _host: Host
@@ -47,13 +45,13 @@ class LimitsFeature(Feature[None]):
         return limits_tools(host, self.tighten, self.loosen)
 
     def complete(self, host: Host) -> None:
-        """Apply what the file keeps. Raises ConfigurationError when it cannot be read."""
+        """Apply the limits stored in the file. Raises ConfigurationError if it cannot be read."""
         found = self._file.read() if self._profile is not None else None
         if found is not None:
             self._use(found)
 
     def start(self, host: Host) -> None:
-        """Watch the file: a person may loosen the limits in a terminal."""
+        """Start watching the file: a person may loosen the limits in a terminal."""
         if self._profile is not None:
             self._thread = threading.Thread(target=self._watch, name="limits", daemon=True)
             self._thread.start()
@@ -65,13 +63,13 @@ class LimitsFeature(Feature[None]):
             self._thread.join(_END_S)
 
     def tighten(self, more: Tightening, who: str, role: str) -> None:
-        """Let these limits hold as well, for everything that moves the robot, until a person
-        loosens them.
+        """Add these limits for everything that moves the robot, until a person loosens them.
 
         Raises:
             InvalidInputError: nothing would be left.
-            RefusedError: they hold, but could not be kept or audited.
-            NotReadyError: they hold for all but the running control, which did not take them.
+            RefusedError: they are in force, but could not be stored or audited.
+            NotReadyError: they are in force except in the running control, which did not accept
+                them.
         """
         with self._lock:
             both = self._record.tightening.tighter(more)
@@ -84,9 +82,7 @@ class LimitsFeature(Feature[None]):
             self._audit("tighten_limits", who, role, "tightened", more)
 
     def loosen(self, who: str, role: str) -> None:
-        """Let the configured limits hold again; called because a person said so. Raises as
-        `tighten`.
-        """
+        """Restore the configured limits, on a person's decision. Raises as `tighten`."""
         with self._lock:
             self._audit("loosen_limits", who, role, "loosened", self._record.tightening)
             record = TightenedRecord(tightening=Tightening(), who=who, at_ns=time.time_ns())
@@ -95,9 +91,7 @@ class LimitsFeature(Feature[None]):
             self._tell_control()
 
     def _use(self, record: TightenedRecord) -> None:
-        """From now on modules are started with these limits, and the gate judges by them; direct
-        motion ends.
-        """
+        """Put these limits in force for new modules and for the gate; direct motion ends."""
         assert self._profile is not None
         limits = record.tightening.applied(self._host.loop.base.limits, self._profile)
         self._host.modules.tightened = None if record.tightening.is_empty else limits
@@ -109,10 +103,10 @@ class LimitsFeature(Feature[None]):
         )
 
     def _tell_control(self) -> None:
-        """Have every control that runs, or is about to, move within the limits.
+        """Send the limits to every running or starting control.
 
         Raises:
-            NotReadyError: one did not take them.
+            NotReadyError: one did not accept them.
         """
         tightened = self._host.modules.tightened
         text = "" if tightened is None else tightened.model_dump_json()
@@ -129,7 +123,7 @@ class LimitsFeature(Feature[None]):
             )
 
     def _on_change(self, kind: ModuleKind) -> None:
-        """A control that was being started while the limits changed has the old ones."""
+        """Send the limits to a control that was starting while they changed."""
         view = self._host.modules.view(kind)
         if kind != "control" or view.phase != "running" or view.settings is None:
             return
@@ -145,7 +139,7 @@ class LimitsFeature(Feature[None]):
             self._host.events.fault.tell("control", "limits", {"explanation": error.message})
 
     def _watch(self) -> None:
-        """Notice what a person did in a terminal; a file that vanished or was changed otherwise is
+        """Check for a change made in a terminal; a file that vanished or was changed otherwise is
         written again.
         """
         while not self._stop.wait(_LOOK_S):

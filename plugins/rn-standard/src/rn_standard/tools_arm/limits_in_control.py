@@ -1,5 +1,5 @@
-"""What control needs to be told of tightened limits, and to tell what they do; called in every
-module process.
+"""Tightened limits and reports of their effect in the control process; called in every module
+process.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ def _extend(module: Module) -> None:
 
 
 class LimitsInForce:
-    """The ROS parameter with the limits of one control: JSON of `[limits]`, or empty for the
-    configured ones. Used on the executor's thread.
+    """ROS parameter with the limits of one control: JSON of `[limits]`, or empty for the configured
+    ones. Used on the executor's thread.
     """
 
     def __init__(self, control: HoldingModule) -> None:
@@ -38,12 +38,12 @@ class LimitsInForce:
         self._report(is_tightened=control.node.settings.tightened is not None)
 
     def use(self, text: str) -> None:
-        """Move within these limits from the next command on. Raises ConfigurationError."""
+        """Apply these limits from the next command on. Raises ConfigurationError."""
         self._control.use_limits(self._parse(text))
         self._report(is_tightened=bool(text))
 
     def refusal(self, text: str) -> str:
-        """Why these limits cannot be used; empty when they can."""
+        """Reason why these limits cannot be used; empty if they can."""
         try:
             self._control.check_limits(self._parse(text))
         except ConfigurationError as error:
@@ -54,10 +54,10 @@ class LimitsInForce:
         self._control.status.set_value("limits", "tightened" if is_tightened else "configured")
 
     def _parse(self, text: str) -> models.LimitsConfig:
-        """The limits that a text names.
+        """Parse limits from a text.
 
         Raises:
-            ConfigurationError: it names none.
+            ConfigurationError: the text is invalid.
         """
         if not text:
             return self._control.config.limits

@@ -43,7 +43,7 @@ class TightenLimits(Arguments):
     )
 
     def tightening(self) -> Tightening:
-        """The same as limits; raises InvalidInputError when nothing is asked for."""
+        """Convert the arguments to limits; raises InvalidInputError if there are none."""
         given = self.model_dump(exclude_none=True)
         if not given:
             raise InvalidInputError(
@@ -77,7 +77,7 @@ class LimitsResult(Result):
 def limits_tools(
     host: Host, tighten: Callable[[Tightening, str, str], None], loosen: Callable[[str, str], None]
 ) -> list[Tool]:
-    """The tools; see `LimitsFeature.tighten` and `loosen`."""
+    """Create both tools; see `LimitsFeature.tighten` and `loosen`."""
 
     def answer() -> LimitsResult:
         limits = host.loop.limits
@@ -131,14 +131,14 @@ def limits_tools(
             destructive=True,
             idempotent=True,
             open_world=True,
-            listed=False,  # a person's decision, and every byte of the list is read by every agent
+            listed=False,  # a person's decision; and every agent reads every byte of the list
             role=Role.ADMIN,
         ),
     ]
 
 
 async def _ask(host: Host, context: CallContext) -> None:
-    """Raises RefusedError unless a person agreed to loosen these very limits."""
+    """Raise RefusedError unless a person agreed to loosen these particular limits."""
     base, now = (
         limits.model_dump(mode="json") for limits in (host.loop.base.limits, host.loop.limits)
     )

@@ -1,4 +1,4 @@
-"""The measured pose of the TCP, as control publishes it."""
+"""Measured pose of the TCP, as published by control."""
 
 from __future__ import annotations
 
@@ -15,19 +15,17 @@ if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
 
 _AGE_S = 0.5
-"""Older measurements are as good as none."""
+"""Maximum age of measurements."""
 _POLL_S = 0.01
 
 
 class MeasuredPose:
-    """Listens to `ee_pose` of one arm from the first time on that it is asked for; usable from
-    any thread.
-    """
+    """Subscribes to `ee_pose` of one arm on first use; usable from any thread."""
 
     def __init__(self, host: Host, namespace: str, arm: str = "") -> None:
         """Args:
-        host: of the feature.
-        namespace: of the robot.
+        host: host of the feature.
+        namespace: namespace of the robot.
         arm: name of one of several arms; "" for the only one.
         """
         self._host = host
@@ -39,7 +37,7 @@ class MeasuredPose:
         """Called with the height of the TCP [m] of each message, on the thread of the ROS node."""
 
     def wait(self, timeout_s: float) -> Pose:
-        """The pose, no older than 0.5 s; waits for one.
+        """Return the pose, not older than 0.5 s; waits for one.
 
         Raises:
             NotReadyError: control publishes none.
@@ -58,7 +56,7 @@ class MeasuredPose:
             time.sleep(_POLL_S)
 
     def open(self) -> None:
-        """Begin to listen; does nothing the second time. Raises RoboNeuronError when ROS cannot be
+        """Subscribe; does nothing the second time. Raises RoboNeuronError if ROS cannot be
         joined.
         """
         _ = self._host.graph  # first: two threads must not import rclpy at the same time

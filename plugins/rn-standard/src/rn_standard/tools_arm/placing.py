@@ -1,4 +1,4 @@
-"""place: put down what the hand holds, beside where it is, as one call."""
+"""Tool place: put down the held object next to its present place, in one call."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from roboneuron.feature import ExposedEndpoint, MotionGate
 
 log = logging.getLogger(__name__)
 _CLEAR_M = 0.08
-"""How far what is carried is lifted above where it stood, to pass over what stands on the table."""
+"""Height to which the held object is lifted above its place, to clear objects on the table."""
 _GAP_M = 0.002
-"""It is let go so much above the height at which it was grasped: rather dropped than pressed into
-the table.
+"""Height of the release above that of the grasp: the object is dropped slightly rather than pressed
+into the table.
 """
 _CLOSES = 0.05
-"""Share of the travel: a smaller change of the commanded opening is no grasp."""
+"""Fraction of the travel: a smaller change of the commanded opening is not a grasp."""
 _NEAR_M = 0.003
 _LONGEST_M = 0.5
 
@@ -44,7 +44,7 @@ _LONGEST_M = 0.5
 class PlaceArguments(Arguments):
     """Arguments of place."""
 
-    arm: str = Field(default="", description="Whose hand holds it.")
+    arm: str = Field(default="", description="Arm that holds it.")
     dx_m: float = Field(
         default=0.0, ge=-0.5, le=0.5, description="Forwards from where the hand is [m]."
     )
@@ -58,7 +58,7 @@ class PlaceArguments(Arguments):
 
 
 class Placed(Result):
-    """What was let go, and where."""
+    """The released object and its place."""
 
     robot: str
     arm: str = Field(default="", description="which of several arms")
@@ -69,7 +69,7 @@ class Placed(Result):
 
 
 class GripHeight(Grip):
-    """Knows how high the TCP was when the hand last closed, whoever closed it."""
+    """Records the height of the TCP when the hand last closed, whatever command closed it."""
 
     def __init__(
         self,
@@ -83,19 +83,21 @@ class GripHeight(Grip):
         self._tcp = tcp
         self._opening: float | None = None
         self.closed_at_m: float | None = None
-        """Height of the TCP [m]; None when that was not seen."""
+        """Height of the TCP [m]; None if not observed."""
 
     def watch(self) -> None:
-        """Look from now on; does nothing the second time."""
+        """Start observing; does nothing the second time."""
         if self._note not in self._tcp.listeners:
             self._tcp.listeners.append(self._note)
         try:
             self._tcp.open()
-        except RoboNeuronError as error:  # told by the tools that need the pose
+        except RoboNeuronError as error:  # reported by the tools that need the pose
             log.warning("%s", error)
 
     def _note(self, height_m: float) -> None:
-        """A pose came: was a smaller opening commanded than before?"""
+        """Process a pose: record its height if a smaller opening was commanded since the
+        last one.
+        """
         before, now = self._opening, self.commanded()
         self._opening = now
         if now is not None and (1.0 if before is None else before) - now > _CLOSES:
@@ -103,19 +105,19 @@ class GripHeight(Grip):
 
 
 class _Placer:
-    """Moves by move_ee, which keeps the grip, and notices what is lost on the way."""
+    """Moves with move_ee, which keeps the grip, and detects a lost object."""
 
     def __init__(self, mover: EndEffectorMover, grip: GripHeight) -> None:
         self._mover = mover
         self._grip = grip
 
     async def __call__(self, arguments: PlaceArguments, context: CallContext) -> Placed:
-        """Lift, carry, lower, let go, and leave upwards.
+        """Lift, carry, lower, release, and retract upwards.
 
         Raises:
             RefusedError: the hand holds nothing, or as move_ee.
-            InvalidInputError: nobody knows how high to let go.
-            StateError: the hand lost it on the way.
+            InvalidInputError: the height of the release is unknown.
+            StateError: the hand lost the object on the way.
         """
         began_s = time.monotonic()
         self._mover.check()
@@ -151,7 +153,7 @@ class _Placer:
         )
 
     async def _go(self, context: CallContext, **delta: float) -> None:
-        """One straight part, in pieces that move_ee takes."""
+        """Move along one straight part, in pieces that move_ee accepts."""
         longest = max(abs(value) for value in delta.values())
         if longest < _NEAR_M:
             return
@@ -162,9 +164,7 @@ class _Placer:
 
 
 def _check(moved: EndEffectorMove) -> None:
-    """Raise RefusedError when nothing was moved, and StateError when the hand has lost what it
-    held.
-    """
+    """Raise RefusedError if nothing was moved, and StateError if the hand has lost the object."""
     if moved.dry_run or not moved.allowed:
         raise RefusedError(f"The arm was not moved: {moved.reason or 'dry run'}.", rule="dry_run")
     if moved.lost_on_the_way:
@@ -178,7 +178,7 @@ class _PlaceOfArm:
         self._placers = placers
 
     async def __call__(self, arguments: PlaceArguments, context: CallContext) -> Placed:
-        """Raises as `_Placer`; InvalidInputError also for an arm that is not there, or that has no
+        """Raises as `_Placer`; InvalidInputError also for an unknown arm or one without a
         gripper.
         """
         return await of_named_arm(self._placers, arguments.arm)(arguments, context)
@@ -187,12 +187,12 @@ class _PlaceOfArm:
 def place_tool(
     movers: Mapping[str, EndEffectorMover], grips: Mapping[str, GripHeight], robot: str
 ) -> Tool[PlaceArguments]:
-    """place, for the arms that have a gripper.
+    """Create place for the arms that have a gripper.
 
     Args:
-        movers: of the arms by name, those without a gripper too.
-        grips: of those with one.
-        robot: its name.
+        movers: by arm, those without a gripper included.
+        grips: by arm, for those with a gripper.
+        robot: name of the robot.
     """
     placers = {arm: _Placer(movers[arm], grip) for arm, grip in grips.items()}
     properties: dict[str, JsonSchemaValue] = {name: {} for name in PlaceArguments.model_fields}

@@ -1,4 +1,4 @@
-"""Prediction of what an arm does with actions: controller and limits of control, on joints that
+"""Prediction of an arm's motion by actions: control's controller and limits, on ideal joints that
 follow at once.
 """
 
@@ -25,7 +25,7 @@ from roboneuron.feature import ExposedEndpoint, MotionLimiter
 
 
 def control_of(host: Host, exposed: ExposedEndpoint) -> tuple[Controller, MotionLimiter]:
-    """Controller and limits as control has them, for one user, who closes the controller.
+    """Create a controller and limiter like control's, for one user, who closes the controller.
 
     Raises:
         ConfigurationError, MissingDependencyError, PluginError: there is no controller for the arm
@@ -114,16 +114,16 @@ def answer_to(
 
 
 class PredictedArm:
-    """The arms of a robot in computation only; used from one thread.
+    """Simulated arms of a robot; used from one thread.
 
     Attributes:
-        held: why the newest action was not carried out; empty when it was, shortened or not.
+        held: reason why the newest action was not executed; empty if it was, shortened or not.
     """
 
     def __init__(self, controller: Controller, limiter: MotionLimiter, joints: JointSample) -> None:
         """Args:
-        controller, limiter: as control has them, but used by nobody else; the controller is loaded.
-        joints: where the arm starts, at rest.
+        controller, limiter: like control's, for exclusive use; the controller is loaded.
+        joints: initial state, at rest.
         """
         self.held = ""
         self._controller, self._limiter, self._joints = controller, limiter, joints
@@ -135,8 +135,8 @@ class PredictedArm:
         return self._limiter.poses(self._joints)
 
     def follow(self, space: ControlSpace, row: F64, step_s: float) -> None:
-        """Carry out a row of a space for `step_s`, as far as the limits allow; the arm stays where
-        one holds it.
+        """Execute a row of a space for `step_s`, as far as the limits allow; the arm stays in place
+        if one holds it.
         """
         self._now_s += step_s
         answered = answer_to(

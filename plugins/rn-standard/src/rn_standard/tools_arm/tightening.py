@@ -1,5 +1,5 @@
-"""Limits that a client has tightened: their values, what they make of the configured ones, and
-their file.
+"""Limits tightened by a client: their values, their combination with the configured ones, and their
+file.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class WorkspaceBox(BaseModel):
 
 
 class Tightening(BaseModel):
-    """What is tighter than configured; None where nothing is."""
+    """Limits tighter than configured; None for unchanged ones."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -51,7 +51,7 @@ class Tightening(BaseModel):
     keep_out: tuple[WorkspaceBox, ...] = ()
 
     def tighter(self, more: Tightening) -> Tightening:
-        """Both together: of each number the tighter one.
+        """Combine two sets: the tighter value of each.
 
         Raises:
             InvalidInputError: there are too many boxes.
@@ -73,10 +73,11 @@ class Tightening(BaseModel):
     def applied(
         self, configured: models.LimitsConfig, profile: RobotProfile
     ) -> models.LimitsConfig:
-        """The configured limits with these; never wider than either, or than the robot's workspace.
+        """Apply these to the configured limits; never wider than either, or than the robot's
+        workspace.
 
         Raises:
-            InvalidInputError: nothing would be left of the workspace, or a box is none.
+            InvalidInputError: nothing would be left of the workspace, or a box is invalid.
         """
         lower, upper = _workspace(configured, profile)
         for index, axis in enumerate(_AXES):
@@ -106,13 +107,13 @@ class Tightening(BaseModel):
 
     @property
     def is_empty(self) -> bool:
-        """Nothing is tightened."""
+        """True if nothing is tightened."""
         return self == Tightening()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TightenedRecord:
-    """What the file says: the limits, who set them, and when."""
+    """Content of the file: the limits, their author and time."""
 
     tightening: Tightening
     who: str
@@ -120,18 +121,18 @@ class TightenedRecord:
 
 
 class TighteningFile:
-    """Keeps them in the state directory, so that neither a module nor a server that starts again
-    loosens them.
+    """Stores the limits in the state directory, so that a restart of a module or server does not
+    loosen them.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
     def read(self) -> TightenedRecord | None:
-        """What was written last; None when there is no file.
+        """Read the stored limits; None without a file.
 
         Raises:
-            ConfigurationError: it cannot be read; says what to do.
+            ConfigurationError: it cannot be read; names a remedy.
         """
         try:
             with self.path.open(encoding="utf-8") as file:
@@ -149,7 +150,7 @@ class TighteningFile:
             ) from error
 
     def write(self, record: TightenedRecord) -> None:
-        """Write it whole or not at all.
+        """Write the file atomically.
 
         Raises:
             RefusedError: it cannot be written.
@@ -181,7 +182,7 @@ def _frozen(box: WorkspaceBox) -> tuple[tuple[float, ...], tuple[float, ...]]:
 def _workspace(
     configured: models.LimitsConfig, profile: RobotProfile
 ) -> tuple[list[float], list[float]]:
-    """The configured corners, or the robot's own."""
+    """The configured corners, or those of the robot."""
     own = profile.workspace
     lower = configured.workspace_lower_m or ([-_FAR_M] * 3 if own is None else own.lower_m.tolist())
     upper = configured.workspace_upper_m or ([_FAR_M] * 3 if own is None else own.upper_m.tolist())

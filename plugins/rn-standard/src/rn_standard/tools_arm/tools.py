@@ -1,4 +1,4 @@
-"""The tools of an arm: move_ee through the control module, move_joints directly."""
+"""Tools of an arm: move_ee through the control module, move_joints directly."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def arm_tools(
     poses: dict[str, MeasuredPose],
     grips: dict[str, GripHeight],
 ) -> list[Tool]:
-    """move_ee, move_joints and place, for the robot among the exposed endpoints.
+    """Create move_ee, move_joints and place, for the robot among the exposed endpoints.
 
-    `poses` and `grips` keep what is measured, by namespace and arm.
+    `poses` and `grips` store the measurements, by namespace and arm.
     """
     gate = host.gate
     listed = gate.exposed
@@ -92,5 +92,5 @@ class MoveOfArm:
 
 
 def _one_of(robot: str, arms: list[str]) -> str:
-    """What a tool moves, in its description."""
+    """Describe what a tool moves, for its description."""
     return repr(robot) if arms == [""] else f"one arm of {robot!r} ({' or '.join(arms)})"

@@ -1,1 +1,1 @@
-"""Tools that inspect: what is installed, and what the cameras show."""
+"""Tools for inspection: installed plugins, and images of the cameras."""

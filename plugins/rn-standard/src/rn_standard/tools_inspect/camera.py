@@ -39,11 +39,11 @@ class GetCameraImage(Arguments):
         default=None, description="Which camera of the robot; the first one when omitted."
     )
     format: Format = Field(default="jpeg", description="jpeg is small, png is exact.")
-    timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait for it [s].")
+    timeout_s: float = Field(default=5.0, gt=0, le=60, description="Timeout [s].")
 
 
 class CameraImage(Result):
-    """What is known of the image that comes beside this."""
+    """Properties of the accompanying image."""
 
     camera: str
     width_px: int
@@ -89,13 +89,13 @@ def _answer(host: Host, arguments: GetCameraImage) -> Reply:
 
 
 def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
-    """The next image that the camera publishes; blocks for at most `timeout_s`.
+    """Return the next image of the camera; blocks for at most `timeout_s`.
 
     Raises:
-        ConfigurationError: the topic carries another type.
+        ConfigurationError: the topic has another type.
         InvalidInputError: the robot has no such camera, or the image is damaged or of an unknown
             encoding.
-        NotReadyError: nobody publishes, or nothing came in time.
+        NotReadyError: there is no publisher, or no image arrived in time.
     """
     check_camera(host, camera)
     graph = host.graph  # first: two threads must not import rclpy at the same time
@@ -131,7 +131,7 @@ def read_frame(host: Host, camera: str, timeout_s: float) -> Frame:
 
 
 def encode(frame: Frame, form: Format) -> Picture:
-    """The frame as a PNG (exact) or JPEG (small) file."""
+    """Encode the frame as a PNG (exact) or JPEG (small) file."""
     from PIL import Image as Pillow  # heavy
 
     buffer = io.BytesIO()
@@ -144,7 +144,7 @@ def encode(frame: Frame, form: Format) -> Picture:
 
 
 def check_camera(host: Host, camera: str) -> None:
-    """Raises InvalidInputError, with the choices, when the robot has no such camera."""
+    """Raise InvalidInputError, with the choices, if the robot has no such camera."""
     spec = host.registry.get(RobotSpec, host.config.robot.name)
     known = [camera.name for camera in spec.cameras]
     if camera not in known:

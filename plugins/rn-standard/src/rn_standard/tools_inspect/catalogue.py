@@ -1,4 +1,4 @@
-"""The tools that list what is installed: backends, runtimes, accelerations, sources, controllers,
+"""Tools that list the installed backends, runtimes, accelerations, sources, controllers and
 robots.
 """
 
@@ -29,7 +29,7 @@ S = TypeVar("S", bound=Spec)
 
 
 class CatalogueEntry(Result):
-    """One installed thing."""
+    """One installed offer."""
 
     name: str
     summary: str
@@ -80,13 +80,13 @@ class PerceptionSourceEntry(CatalogueEntry):
 
 
 class ControllerEntry(CatalogueEntry):
-    """What turns actions into joint commands."""
+    """A controller, which converts actions to joint commands."""
 
     robot_kinds: list[str]
 
 
 class Driver(Result):
-    """One way to move a robot."""
+    """A driver of a robot."""
 
     name: str
     summary: str
@@ -97,7 +97,7 @@ class Driver(Result):
 
 
 class CameraEntry(Result):
-    """A camera a robot has."""
+    """A camera of a robot."""
 
     name: str
     role: str
@@ -149,7 +149,7 @@ class Robots(Result):
 
 
 def _offered(registry: Registry, kind: type[S]) -> Iterator[tuple[S, dict[str, str]]]:
-    """Each descriptor of a kind, with what is said of any."""
+    """Yield each descriptor of a kind, with the fields common to all kinds."""
     for offer in registry.offers(kind.kind):
         if isinstance(offer.spec, kind):
             yield (
@@ -237,7 +237,7 @@ def controllers(registry: Registry) -> Controllers:
 
 
 def robots(registry: Registry, configured: Config) -> Robots:
-    """All robots; which one, by which driver, `configured` says."""
+    """All robots; `configured` determines the configured robot and driver."""
     chosen = configured.robot
     return Robots(
         robots=[
@@ -282,7 +282,7 @@ _LISTS: tuple[tuple[str, str, type[Result], object], ...] = (
 
 
 def catalogue_tools(host: Host) -> list[Tool[NoArguments]]:
-    """One tool for each kind of plugin."""
+    """Create one tool for each kind of plugin."""
 
     def tool(name: str, what: str, result: type[Result], build: Any) -> Tool[NoArguments]:
         async def handler(_: NoArguments, context: CallContext) -> Result:

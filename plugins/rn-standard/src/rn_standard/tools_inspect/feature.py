@@ -1,4 +1,4 @@
-"""The feature: tools that change nothing."""
+"""The feature: read-only tools."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ from roboneuron import Feature, Host, Tool
 
 
 class InspectionTools(Feature[None]):
-    """get_camera_image, and one list_* tool for each kind of plugin that the closed loop is made
-    of.
-    """
+    """Adds get_camera_image, and one list_* tool for each kind of plugin of the closed loop."""
 
     def tools(self, host: Host) -> Sequence[Tool]:
         """See Feature."""

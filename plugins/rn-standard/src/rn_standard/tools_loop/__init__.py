@@ -1,1 +1,1 @@
-"""The closed loop for agents: its modules are started, instructed and looked at."""
+"""Tools of the closed loop for agents: start its modules, give instructions, read the status."""

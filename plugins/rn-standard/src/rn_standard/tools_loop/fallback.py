@@ -1,4 +1,4 @@
-"""Tells when the fallback of a policy takes over, and when it gives back."""
+"""Notification of a switch between the first policy and its fallback."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ _LOOK_S = 0.2
 
 
 class FallbackWatch(Periodic):
-    """Looks five times a second which of two policies acts, see `inference.fallback`.
+    """Check five times a second which of two policies acts, see `inference.fallback`.
 
     Args:
-        modules: of the server.
-        tell: given a word for what has happened, and an explanation.
+        modules: modules of the server.
+        tell: called with a word for the event and an explanation.
     """
 
     def __init__(self, modules: Modules, tell: Callable[[str, str], object]) -> None:
@@ -26,7 +26,7 @@ class FallbackWatch(Periodic):
         self._is_over = True
 
     def look(self) -> None:
-        """Compare with the last look."""
+        """Compare with the previous check."""
         report = self._modules.view("inference").report
         metrics = {} if report is None else report.metrics
         acting = metrics.get(ACTING)

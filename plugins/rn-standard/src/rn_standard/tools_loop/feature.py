@@ -1,4 +1,4 @@
-"""The feature: tools of the closed loop, and its status as a resource that tells of its changes."""
+"""The feature: tools of the closed loop, and its status as a resource with change notifications."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LoopTools(Feature[None]):
         return [status_resource(host.loop, host.started_s)]
 
     def start(self, host: Host) -> None:
-        """Begin to watch which policy acts."""
+        """Start monitoring which policy acts."""
 
         def tell(what: str, explanation: str) -> None:
             host.events.fault.tell("inference", what, {"explanation": explanation})
@@ -46,6 +46,6 @@ class LoopTools(Feature[None]):
         self._fallback.start()
 
     def close(self) -> None:
-        """Watch no more; idempotent."""
+        """Stop monitoring; idempotent."""
         if self._fallback is not None:
             self._fallback.close()

@@ -1,4 +1,4 @@
-"""An instruction for the policy that runs, up to its first action."""
+"""New instruction for the running policy, up to its first action."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ _PARAMETER_S = 5.0
 
 
 def give_instruction(loop: ClosedLoop, text: str, timeout_s: float) -> tuple[Report, float]:
-    """Hand the backend a new instruction; returns when its first action for it was published,
-    and after how long.
+    """Send the backend a new instruction; return after its first action for it was published, with
+    the elapsed time [s].
 
     Raises:
         InvalidInputError: the instruction is empty or refused by the module.
         StateError: no backend is running, or a stop came meanwhile.
         RefusedError: the emergency stop is latched, so nothing would happen.
         UngroundedError: the backend cannot act on it; nothing moves.
-        NotReadyError: no action within the time; the message says what is missing.
+        NotReadyError: no action in time; the message says what is missing.
     """
     view = loop.modules.require_running("inference")
     loop.emergency_stop.check()

@@ -1,4 +1,4 @@
-"""The tool that releases the emergency stop, once a person agrees."""
+"""The tool that releases the emergency stop, after a person has agreed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from roboneuron.feature import ClosedLoop, Role
 
 
 class ReleaseResult(Result):
-    """The latch, as the modules themselves report it."""
+    """State of the latch, as reported by the modules themselves."""
 
     latched: bool
     confirmed_by: list[str] = Field(description="running modules that report it")
@@ -25,8 +25,8 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
     stop = loop.emergency_stop
 
     async def ask_person(context: CallContext, *, for_pin: bool) -> str:
-        """The PIN that a person has typed; raises RefusedError unless one agreed to release this
-        very stop.
+        """Return the PIN typed by a person; raise RefusedError unless the person agreed to release
+        this particular stop.
         """
         before, cause = stop.file.read_state(), stop.cause()
         since = (
@@ -34,7 +34,7 @@ def reset_tool(loop: ClosedLoop) -> Tool[NoArguments]:
             .astimezone()
             .isoformat(" ", "milliseconds")
         )
-        question = (  # the time makes a question about another stop another question
+        question = (  # the time distinguishes it from a question about another stop
             f"The emergency stop is latched since {since}{f' by {cause}' if cause else ''}. "
             "Release it? "
             "Look at the robot first. Nothing moves until someone gives a new instruction or "

@@ -1,6 +1,4 @@
-"""What the closed-loop tools answer, field by field; the descriptions are part of the output
-schemas.
-"""
+"""Results of the closed-loop tools; the field descriptions are part of the output schemas."""
 
 from __future__ import annotations
 
@@ -21,11 +19,11 @@ from roboneuron.feature import (
 )
 
 STALE_S = 1.0
-"""A module whose newest report is older than this (five periods) is shown as not responding."""
+"""Age of a module's newest report (five periods) from which it is shown as not responding."""
 
 
 _MOST_TEXT, _MOST_TABLE, _MOST_LINE = 1000, 6000, 300
-"""Characters of one text, of one table and of one line of a log in the status of a module."""
+"""Maximum characters of one text, of one table and of one log line in the status of a module."""
 
 
 class Failure(Result):
@@ -37,7 +35,7 @@ class Failure(Result):
 
 
 class ExitInfo(Result):
-    """How a module ended by itself."""
+    """End of a module that ended by itself."""
 
     pid: int
     code: int = Field(description="exit code; negative for the signal that ended it")
@@ -46,7 +44,7 @@ class ExitInfo(Result):
 
 
 class ModuleSummary(Result):
-    """A module in short; get_status tells everything."""
+    """Summary of a module; get_status has all details."""
 
     module: ModuleKind
     phase: Phase
@@ -58,12 +56,12 @@ class ModuleSummary(Result):
 
     @classmethod
     def short_of(cls, view: ModuleView, **more: object) -> Self:
-        """A module in short, with the fields that a subclass has beside."""
+        """Create the summary of a module, with the additional fields of a subclass."""
         return cls.model_validate({**_summary(view), **more})
 
 
 class ModuleStatus(ModuleFacts, ModuleSummary):
-    """One module: what it does, how fast, how fresh, and what is wrong."""
+    """Status of one module: activity, rates, ages and errors."""
 
     phase: Phase = Field(description="exited: it ended by itself, see `exit`")
     health: Health = Field(
@@ -80,14 +78,12 @@ class ModuleStatus(ModuleFacts, ModuleSummary):
 
     @classmethod
     def of(cls, view: ModuleView) -> ModuleStatus:
-        """What is known of a module, as the agent reads it: what it reports, in the report's own
-        words.
-        """
+        """Create the status of a module for the agent, with the texts of its own report."""
         return _known(_facts(view), view.phase)
 
 
 class StartResult(ModuleSummary):
-    """A module that runs and has proved that it works."""
+    """A module that is running and has passed its readiness check."""
 
     took_s: float = Field(description="from the call to the proof of readiness")
 
@@ -101,7 +97,7 @@ class InstructionResult(Result):
 
 
 class RobotStatus(Result):
-    """The robot that runs, or else the one that the configuration names."""
+    """The running robot, or else the configured one."""
 
     name: str
     driver: str
@@ -111,8 +107,8 @@ class RobotStatus(Result):
 
 
 class StatusResult(Result):
-    """Everything at once; what is not known is left out, and of a stopped module all that is empty,
-    0 or false.
+    """Complete status; unknown fields are left out, and for a stopped module also fields that are
+    empty, 0 or false.
     """
 
     sparse = True
@@ -178,7 +174,7 @@ def _facts(view: ModuleView) -> dict[str, object]:
 
 
 def _known(facts: Mapping[str, object], phase: Phase) -> ModuleStatus:
-    """The facts that say something; fields that are not set are left out of answers."""
+    """Facts with a value; unset fields are left out of answers."""
     empty: tuple[object, ...] = (None,) if phase != "stopped" else (None, "", {}, (), 0, False)
     kept = {
         name: _bounded(value)
@@ -189,9 +185,7 @@ def _known(facts: Mapping[str, object], phase: Phase) -> ModuleStatus:
 
 
 def _bounded(value: object) -> object:
-    """What a plugin reports, cut to what an agent can read; the log and /diagnostics have the
-    whole.
-    """
+    """Truncate a plugin's report to a readable size; the log and /diagnostics have the whole."""
     if isinstance(value, str):
         return _clipped(value, _MOST_TEXT)
     if not isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""The status of everything: get_status, and the same as an MCP resource."""
+"""Status of the whole server: get_status, and the same as an MCP resource."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STATUS_URI = "roboneuron://status"
 
 @cache
 def _versions() -> dict[str, str]:
-    """Versions of what matters when something is reported."""
+    """Versions of the packages that matter in a bug report."""
     found = {"roboneuron": __version__, "python": platform.python_version()}
     for package in ("mcp", "ros-jazzy-rclpy"):
         try:
@@ -29,7 +29,7 @@ def _versions() -> dict[str, str]:
 
 
 def status(loop: ClosedLoop, started_s: float) -> StatusResult:
-    """The status of everything, `started_s` being the monotonic time of the server's start."""
+    """Collect the status, `started_s` being the monotonic time of the server's start."""
     cause = loop.emergency_stop.cause()
     return StatusResult(
         robot=RobotStatus(**asdict(loop.robot_facts)),
@@ -46,7 +46,7 @@ def status(loop: ClosedLoop, started_s: float) -> StatusResult:
 
 
 def _tightened(loop: ClosedLoop) -> dict[str, object]:
-    """By key, the limits that are tighter than those of the configuration."""
+    """Limits that are tighter than the configured ones, by key."""
     base, now = (limits.model_dump(mode="json") for limits in (loop.base.limits, loop.limits))
     return {key: value for key, value in now.items() if value != base[key]}
 
@@ -74,7 +74,7 @@ def status_tool(loop: ClosedLoop, started_s: float) -> Tool[NoArguments]:
 
 
 def status_resource(loop: ClosedLoop, started_s: float) -> Resource:
-    """The answer of get_status under `STATUS_URI`."""
+    """The result of get_status under `STATUS_URI`."""
     return Resource(
         uri=STATUS_URI,
         name="status",

@@ -1,4 +1,4 @@
-"""The tools that start and instruct the modules of the closed loop; those that stop are core's."""
+"""Tools that start and instruct the modules of the closed loop; the stop tools belong to core."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from roboneuron.feature import (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class StartTexts:
-    """What the start tool of a kind of module says.
+    """Texts of a module kind's start tool.
 
     Attributes:
         title, effect: of the tool.
-        proof: what shows that a start has succeeded.
+        proof: evidence of a successful start.
     """
 
     title: str
@@ -72,7 +72,7 @@ class SetInstruction(Arguments):
         description='What to do, for instance "pick up the red cube".',
     )
     timeout_s: float = Field(
-        default=30.0, gt=0, le=600, description="How long to wait for the first action, in seconds."
+        default=30.0, gt=0, le=600, description="Timeout of the first action [s]."
     )
 
 
@@ -94,12 +94,11 @@ def choose_instruction(
     request: Arguments | None,
     role: str,
 ) -> Plan:
-    """What `otherwise` selects without a request, with the instruction that a request of these
-    tools names.
+    """Add the instruction of a request to the selection that `otherwise` makes without a request.
 
     Args:
-        otherwise: what selected until now, see `ClosedLoop.choose`; also raises for other requests.
-        kind, config, registry, request, role: as there.
+        otherwise: the previous `ClosedLoop.choose`; also raises for other requests.
+        kind, config, registry, request, role: see `ClosedLoop.choose`.
     """
     if isinstance(request, StartInference) and request.instruction is not None:
         section = KIND_ENTRIES[kind].configured(config, registry)
@@ -110,8 +109,8 @@ def choose_instruction(
 
 
 def start_tools(loop: ClosedLoop) -> list[Tool]:
-    """A tool for each kind of module, and set_instruction, in the order in which an agent uses
-    them.
+    """Create a start tool for each kind of module, and set_instruction, in the order of
+    their use.
     """
     return [*(_start_tool(loop, kind) for kind in KIND_ENTRIES), _set_instruction(loop)]
 

@@ -1,5 +1,5 @@
-"""send_<name>_goal: a ROS action as a tool; feedback is progress, and no goal outlives the call
-that sent it.
+"""Tool send_<name>_goal for a ROS action: feedback is reported as progress, and every goal ends
+with its call.
 """
 
 from __future__ import annotations
@@ -35,27 +35,27 @@ class SendGoal(SendingCall):
     timeout_s: float | None = Field(
         default=None,
         gt=0,
-        description="How long the goal may take, in seconds; then it is cancelled.",
+        description="Timeout of the goal [s]; then it is cancelled.",
     )
     server_timeout_s: float = Field(
-        default=2.0, ge=0, le=60, description="How long to wait for the action server, in seconds."
+        default=2.0, ge=0, le=60, description="Longest wait for the action server [s]."
     )
 
 
 class GoalResult(Judged):
-    """How the goal ended; a dry run has no result."""
+    """End of the goal; a dry run has no result."""
 
     robot: str
     action: str
     type: str
     status: Literal["succeeded", ""] = Field(description="empty in a dry run")
     result: Value = Field(default_factory=dict)
-    feedbacks: int = Field(description="how many feedback messages came")
+    feedbacks: int = Field(description="number of feedback messages")
     took_s: float
 
 
 def goal_model(targets: Targets) -> Derived[GoalResult]:
-    """The result, with the schema of the decoded one of the action."""
+    """Return the result model, with the schema of the action's decoded result."""
     interface = action_of(targets.first)
     own: dict[str, dict[str, object]] = {name: {} for name in GoalResult.model_fields}
     required = [name for name in own if name != "result"]
@@ -128,9 +128,7 @@ class GoalSending:
 
 
 class _Progress:
-    """Turns feedback into progress, not more often than an agent can use, and watches the places
-    in it.
-    """
+    """Converts feedback to progress reports at a limited rate, and checks the places in it."""
 
     def __init__(self, interface: ActionInterface, exposed: ExposedEndpoint, stage: Stage) -> None:
         self._interface = interface
@@ -141,12 +139,12 @@ class _Progress:
         self.count = 0
 
     def check(self) -> None:
-        """Raise RefusedError once the feedback has told of a place in a zone."""
+        """Raise RefusedError if the feedback has contained a place in a zone."""
         if self._violation is not None:
             raise self._violation
 
     def take(self, feedback: RosMessage) -> None:
-        """Called on the executor's thread."""
+        """Process a feedback message; called on the executor's thread."""
         self.count += 1
         if self._endpoint.zones and self._violation is None:
             try:

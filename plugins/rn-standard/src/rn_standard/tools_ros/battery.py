@@ -1,4 +1,4 @@
-"""get_<name> of a BatteryState: the charge in plain units; what is not measured is null."""
+"""Tool get_<name> for a BatteryState: the charge in plain units; unmeasured values are null."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ BATTERY = "sensor_msgs/msg/BatteryState"
 
 
 class Battery(Result):
-    """The state of a battery; null is what it does not measure."""
+    """The state of a battery; unmeasured values are null."""
 
     robot: str
     charge: float | None = Field(description="0 empty .. 1 full")
@@ -31,17 +31,17 @@ class Battery(Result):
     charge_ah: float | None
     capacity_ah: float | None
     age_s: float = Field(description="since it arrived")
-    problems: list[str] = Field(description="values that cannot be right")
+    problems: list[str] = Field(description="implausible values")
 
 
 def battery_of(robot: str, message: BatteryState, arguments: GetNewest, age_s: float) -> Battery:
-    """A BatteryState in plain units.
+    """Convert a BatteryState to plain units.
 
     Args:
-        robot: whose it is.
-        message: as it came.
-        arguments: of the call.
-        age_s: since it came.
+        robot: name of the robot.
+        message: as received.
+        arguments: arguments of the call.
+        age_s: time since its arrival [s].
     """
     problems: list[str] = []
     charge = _number(message.percentage)
@@ -66,14 +66,14 @@ def battery_of(robot: str, message: BatteryState, arguments: GetNewest, age_s: f
 
 
 def _number(value: float) -> float | None:
-    """The number to five digits; None for NaN, by which a BatteryState says "not measured", and for
-    infinities.
+    """Round a number to five digits; None for infinities and for NaN, which in a BatteryState means
+    "not measured".
     """
     return float(f"{value:.5g}") if math.isfinite(value) else None
 
 
 def _name(message: object, field: str, problems: list[str]) -> str:
-    """The constant of a field by name: 1 is "charging"."""
+    """Name of a field's constant: 1 is "charging"."""
     prefix, value = f"{field.upper()}_", getattr(message, field)
     for name in dir(type(message)):
         if name.startswith(prefix) and getattr(type(message), name) == value:

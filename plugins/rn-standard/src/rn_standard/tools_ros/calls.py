@@ -1,5 +1,5 @@
-"""What the handlers of derived tools share: arguments, results, encoding messages, telling the
-gate's verdict.
+"""Common parts of the derived tools' handlers: arguments, results, encoding of messages, the gate's
+verdict.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
     from trajectory_msgs.msg import JointTrajectory
 
 Value = dict[str, object]
-"""A ROS message as an agent gives it, or reads it."""
+"""A ROS message in the form used by agents."""
 
 
 class RobotCall(Arguments):
-    """Arguments of a call that is about one robot's endpoint."""
+    """Arguments of a call for one robot's endpoint."""
 
     robot: str = Field(default="", description="Which robot.")
 
 
 class SendingCall(RobotCall):
-    """Arguments of a call that sends something."""
+    """Arguments of a call that sends a message, request or goal."""
 
     dry_run: bool = Field(default=False, description="Only say what would happen.")
 
@@ -40,7 +40,7 @@ class PublishingCall(SendingCall):
 
 
 class Judged(Result):
-    """Result of what may be refused."""
+    """Result of a call that may be refused."""
 
     dry_run: bool = Field(description="it was only a question; nothing was sent")
     allowed: bool
@@ -49,7 +49,7 @@ class Judged(Result):
 
 
 class JudgedFields(TypedDict):
-    """The values of `Judged` by name."""
+    """The fields of `Judged`."""
 
     dry_run: bool
     allowed: bool
@@ -58,7 +58,7 @@ class JudgedFields(TypedDict):
 
 
 def verdict_fields(verdict: Verdict) -> JudgedFields:
-    """The values of `Judged`."""
+    """The fields of `Judged` for a verdict."""
     return {
         "dry_run": verdict.dry_run,
         "allowed": verdict.allowed,
@@ -68,8 +68,8 @@ def verdict_fields(verdict: Verdict) -> JudgedFields:
 
 
 def encode_argument(part: MessageInterface, value: Mapping[str, object], name: str) -> object:
-    """The value of argument `name` as a message; raises InvalidInputError with the path inside the
-    arguments.
+    """Encode the value of argument `name` as a message; raises InvalidInputError with the path
+    inside the arguments.
     """
     try:
         return part.encode(value, now_ns=time.time_ns())
@@ -79,7 +79,7 @@ def encode_argument(part: MessageInterface, value: Mapping[str, object], name: s
 
 
 def duration_s(trajectory: JointTrajectory) -> float:
-    """When the last point of a JointTrajectory is reached, in seconds after it was sent."""
+    """Time from the start of a JointTrajectory to its last point [s]."""
     if not trajectory.points:
         return 0.0
     last = trajectory.points[-1].time_from_start

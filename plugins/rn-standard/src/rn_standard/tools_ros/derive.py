@@ -1,4 +1,6 @@
-"""From exposed endpoints to tools: grouping by robot, names, schemas, descriptions, annotations."""
+"""Derivation of tools from exposed endpoints: grouping by robot, names, schemas, descriptions,
+annotations.
+"""
 
 from __future__ import annotations
 
@@ -25,20 +27,20 @@ from roboneuron import Host, Tool
 from roboneuron.feature import ExposedEndpoint
 
 _READ_AS = {TYPE: "lookup", BATTERY: "battery", FLAT: "detections", SPATIAL: "detections"}
-"""Types of topics that are told in plain units as well, with what an agent does with them."""
+"""Topic types with an additional tool in plain units, and its use."""
 _SENT = "Fails without a subscriber."
 
 
 def derive_tools(
     endpoints: Iterable[ExposedEndpoint], host: Host, taken: Collection[str]
 ) -> list[Tool]:
-    """The tools of the endpoints, in their order; those of one label, kind and type are one tool
-    for all robots.
+    """Create the tools of the endpoints, in their order; endpoints of the same label, kind and type
+    share one tool for all robots.
 
     Args:
-        endpoints: what is exposed.
-        host: what they read and send through.
-        taken: names that other tools have.
+        endpoints: the exposed endpoints.
+        host: reads and sends their messages.
+        taken: names of other tools.
     """
     groups: dict[tuple[str, str, str], list[ExposedEndpoint]] = {}
     for exposed in endpoints:

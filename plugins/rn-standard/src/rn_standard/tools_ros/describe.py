@@ -63,7 +63,7 @@ class Describe:
 
 
 def parts_of(interface: Interface) -> dict[str, MessageInterface]:
-    """The message, or the halves of a service, or the parts of an action, by their name."""
+    """The message, or the parts of a service or an action, by name."""
     from rn_standard.tools_ros.interfaces import ActionInterface, ServiceInterface
 
     if isinstance(interface, ServiceInterface):

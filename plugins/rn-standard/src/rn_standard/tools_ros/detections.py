@@ -1,4 +1,6 @@
-"""get_<name> of vision_msgs detections: what a detector sees, in plain units, the surest first."""
+"""Tool get_<name> for vision_msgs detections: the output of a detector in plain units, in order of
+descending score.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from roboneuron import Result
 
 FLAT, SPATIAL = "vision_msgs/msg/Detection2DArray", "vision_msgs/msg/Detection3DArray"
 _LONGEST = 100
-"""Characters of a name that are told."""
+"""Longest name in a result [characters]."""
 
 
 class GetDetections(GetNewest):
@@ -23,43 +25,43 @@ class GetDetections(GetNewest):
     class_id: str = Field(
         default="", max_length=200, description="Only this class; all of them when empty."
     )
-    min_score: float = Field(default=0.0, ge=0, le=1, description="Only those as sure as that.")
-    entries: int = Field(default=20, ge=1, le=100, description="Most detections.")
+    min_score: float = Field(default=0.0, ge=0, le=1, description="Minimum score.")
+    entries: int = Field(default=20, ge=1, le=100, description="Maximum number.")
 
 
 class Detection(Result):
-    """One thing that was detected."""
+    """One detected object."""
 
-    class_id: str = Field(description="of the surest hypothesis")
-    score: float | None = Field(description="how sure that is, 0 .. 1; null: not told")
+    class_id: str = Field(description="of the hypothesis with the highest score")
+    score: float | None = Field(description="its score, 0 .. 1; null: not given")
     id: str
     center: list[float] = Field(description="of its box: x, y, in space also z")
     size: list[float] = Field(description="of its box along its own axes")
-    theta_rad: float | None = Field(description="turn of a box in an image; null in space")
-    quaternion_xyzw: list[float] | None = Field(description="turn of a box in space; else null")
+    theta_rad: float | None = Field(description="rotation of a box in an image; null in space")
+    quaternion_xyzw: list[float] | None = Field(description="rotation of a box in space; else null")
     frame: str
 
 
 class Detections(Result):
-    """What the newest message holds."""
+    """Content of the newest message."""
 
     robot: str
     unit: str = Field(description="of center and size: px or m")
     frame: str = Field(description="of the message, for center")
-    detections: list[Detection] = Field(description="the surest first")
+    detections: list[Detection] = Field(description="in descending order of score")
     more: int = Field(description="that fit the call and are left out")
     damaged: int = Field(description="left out: numbers that are not finite, or no hypothesis")
-    age_s: float = Field(description="of the picture, by its stamp; else since it came")
+    age_s: float = Field(description="of the image, by its stamp; else since its arrival")
 
 
 def detections_of(robot: str, message: Any, arguments: GetDetections, age_s: float) -> Detections:
-    """A Detection2DArray or Detection3DArray in plain units.
+    """Convert a Detection2DArray or Detection3DArray to plain units.
 
     Args:
-        robot: whose it is.
-        message: as it came.
-        arguments: which of them.
-        age_s: since it came; told where the message has no stamp.
+        robot: name of the robot.
+        message: as received.
+        arguments: select the detections.
+        age_s: time since its arrival [s]; used if the message has no stamp.
     """
     is_flat = type(message).__name__ == "Detection2DArray"
     found = [_read(one, message.header.frame_id, is_flat) for one in message.detections]
@@ -85,7 +87,7 @@ def _fits(detection: Detection, arguments: GetDetections) -> bool:
 
 
 def _read(one: Any, frame: str, is_flat: bool) -> Detection | None:
-    """One detection; None for a damaged one."""
+    """Convert one detection; None for an invalid one."""
     if not one.results:
         return None
     best = max(one.results, key=lambda result: _rank(result.hypothesis.score)).hypothesis

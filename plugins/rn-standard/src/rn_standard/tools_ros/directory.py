@@ -1,6 +1,4 @@
-"""find_tools and call_endpoint: the way to derived tools when there are too many of them to be
-listed.
-"""
+"""Tools find_tools and call_endpoint: access to derived tools that are too many to be listed."""
 
 from __future__ import annotations
 
@@ -17,13 +15,15 @@ from roboneuron.feature import Role
 class FindTools(Arguments):
     """Arguments of find_tools."""
 
-    query: str = Field(default="", max_length=200, description="Words; all of them without any.")
+    query: str = Field(
+        default="", max_length=200, description="Search words; all tools without any."
+    )
     schemas: bool = Field(default=False, description="Give the input schemas too.")
-    limit: int = Field(default=10, ge=1, le=50, description="Most tools to return.")
+    limit: int = Field(default=10, ge=1, le=50, description="Maximum number of tools.")
 
 
 class FoundTool(Result):
-    """A tool that call_endpoint calls."""
+    """A tool that call_endpoint can call."""
 
     name: str
     title: str
@@ -34,7 +34,7 @@ class FoundTool(Result):
 
 
 class FoundTools(Result):
-    """The best ones first."""
+    """Tools found, best matches first."""
 
     tools: list[FoundTool]
     matching: int
@@ -51,7 +51,7 @@ class CallEndpoint(Arguments):
 
 
 class EndpointResult(Result):
-    """What the tool answered."""
+    """Answer of the called tool."""
 
     tool: str
     result: dict[str, object]
@@ -60,11 +60,11 @@ class EndpointResult(Result):
 def directory_tools(
     tools: Callable[[], Sequence[Tool]], tool_of: Callable[[str], Tool | None]
 ) -> list[Tool]:
-    """The pair, over what there is at the time of the call.
+    """Create both tools; they use the tools present at the time of the call.
 
     Args:
-        tools: all of them.
-        tool_of: one of them by name: a call does not look at all of a thousand.
+        tools: returns all of them.
+        tool_of: returns one by name, so that a call need not search a thousand.
     """
 
     async def find(arguments: FindTools, context: CallContext) -> FoundTools:
@@ -111,7 +111,7 @@ def directory_tools(
             result=EndpointResult,
             handler=call,
             open_world=True,
-            role=Role.VIEWER,  # what it calls has a role of its own
+            role=Role.VIEWER,  # the called tool has its own role
         ),
     ]
 
@@ -121,8 +121,8 @@ def _words(text: str) -> list[str]:
 
 
 def _rank(tools: Sequence[Tool], words: Sequence[str]) -> list[Tool]:
-    """Tools by how many words they hold, in the name before the description; all of them without
-    words.
+    """Sort tools by the number of matching words, in the name before the description; all of them
+    without words.
     """
     if not words:
         return list(tools)

@@ -1,5 +1,5 @@
-"""Limits of discovered endpoints: what carries numbers is exposed only when something bounds all of
-them.
+"""Limits of discovered endpoints: an endpoint with numbers is exposed only if all of them are
+bounded.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from roboneuron.feature import ExposedEndpoint
 
 
 def check_patterns(discover: Iterable[DiscoverConfig]) -> None:
-    """Check what `[[discover]]` says of types before any of them is found.
+    """Check the types in `[[discover]]` before any endpoint is discovered.
 
     Raises:
-        ConfigurationError: a type does not exist, or a limit is no range.
+        ConfigurationError: a type does not exist, or a limit is not a range.
     """
     for entry in discover:
         for name in (*entry.limits, *entry.unlimited):
@@ -49,12 +49,12 @@ def limit(
     Args:
         discovered: without limits, and with its robot's profile.
         entry: the pattern.
-        known: what is exposed by name; an endpoint of the same robot, kind and type lends its
-            limits.
+        known: endpoints exposed by name; the limits of one with the same robot, kind and type
+            apply.
 
     Raises:
-        ConfigurationError: a number that may be sent is bounded by nothing, or a limit does not fit
-            the type.
+        ConfigurationError: a number that may be sent has no bound, or a limit does not fit the
+            type.
     """
     bare = discovered.endpoint
     if bare.kind == "read":
@@ -77,7 +77,7 @@ def limit(
     limited = tighten(bare, ConfiguredLimits(bounds=named))
     check_endpoint(limited)
     free = [path for path in number_fields(limited) if path not in limited.bounds]
-    # what lies beside a nested command is not
+    # fields beside a nested command are not
     is_bounded = limited.joint_limited and bare.type in JOINT_TYPES
     if free and lender is None and not is_bounded and bare.type not in entry.unlimited:
         listed = ", ".join(free[:6]) + (" ..." if len(free) > 6 else "")
@@ -101,5 +101,5 @@ def _lends(known: ExposedEndpoint, discovered: ExposedEndpoint) -> bool:
 
 
 def _slower(first_hz: float, second_hz: float) -> float:
-    """The lower of two rates, of which 0 is none at all."""
+    """The lower of two rates, where 0 means no limit."""
     return min(first_hz or math.inf, second_hz or math.inf) if first_hz or second_hz else 0.0

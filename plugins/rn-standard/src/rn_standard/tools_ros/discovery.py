@@ -1,4 +1,4 @@
-"""Endpoints found in the live ROS graph by the patterns that the configuration allows."""
+"""Discovery of endpoints in the live ROS graph by the configured patterns."""
 
 from __future__ import annotations
 
@@ -20,20 +20,18 @@ log = logging.getLogger(__name__)
 Kinds = Mapping[str, Mapping[str, str]]
 """Type by absolute name, by kind."""
 _MEASURED = re.compile(r"(^|/)(joint_states|ee_pose|tf|tf_static|clock|camera/[^/]+/image)$")
-"""Read, but never written by a pattern: what the robot is believed to have measured."""
+"""Readable, but never writable by a pattern: topics of the robot's measurements."""
 _SILENT = re.compile(
     r"(^|/)_|^/(rosout|parameter_events|diagnostics)$|/emergency_stop$|/transition_event$"
 )
-"""Never exposed by a pattern: hidden names, the graph's own, and what the control plane needs for
-itself.
-"""
+"""Never exposed by a pattern: hidden names, topics of the graph itself, and those of the server."""
 _PARAMETER_SERVICE = re.compile(
     r"/(set|get|list|describe)_parameters?(_types|_atomically)?$|/get_type_description$"
 )
 
 
 class LiveGraph:
-    """Looks at the graph in a thread of its own and tells what matches, whenever that changes."""
+    """Thread that checks the graph and reports matching endpoints whenever they change."""
 
     def __init__(
         self,
@@ -45,12 +43,12 @@ class LiveGraph:
         on_discovered: Callable[[tuple[ExposedEndpoint, ...]], None],
     ) -> None:
         """Args:
-        discover: what is looked for.
-        config: tells the configured robot.
+        discover: the patterns.
+        config: configuration with the robot.
         graph: the live graph.
-        known: what is exposed by name.
-        profile: the facts of a robot, None when no plugin knows it.
-        on_discovered: told what matches now, on the thread that looks.
+        known: returns the endpoints exposed by name.
+        profile: returns a robot's profile, None without a plugin.
+        on_discovered: called with the present matches, on the checking thread.
         """
         self._known = known
         self._profile = profile
@@ -63,7 +61,7 @@ class LiveGraph:
         self._refused: set[tuple[str, str]] = set()
 
     def start(self) -> None:
-        """Begin, if the configuration has a pattern; returns at once."""
+        """Start the thread if the configuration has a pattern; returns at once."""
         if self._discover and self._thread is None:
             period_s = min(entry.period_s for entry in self._discover)
             self._thread = Periodic("direct-graph", period_s, self._look)

@@ -1,4 +1,4 @@
-"""Types of exposed endpoints: derived interfaces, and what their kind of type means for limits."""
+"""Interface types of exposed endpoints, and the limits that follow from a type."""
 
 from __future__ import annotations
 
@@ -22,33 +22,33 @@ _TIMES = ("builtin_interfaces/Time", "builtin_interfaces/Duration", "std_msgs/He
 
 
 def interface_of(exposed: ExposedEndpoint) -> Interface:
-    """The derived type of an endpoint. Raises ConfigurationError."""
+    """Return the interface of an endpoint. Raises ConfigurationError."""
     return load_interface(exposed.endpoint.type, nonfinite=exposed.nonfinite)
 
 
 def message_of(exposed: ExposedEndpoint) -> MessageInterface:
-    """The derived type of a topic."""
+    """Return the interface of a topic."""
     interface = interface_of(exposed)
     assert isinstance(interface, MessageInterface)
     return interface
 
 
 def service_of(exposed: ExposedEndpoint) -> ServiceInterface:
-    """The derived type of a service."""
+    """Return the interface of a service."""
     interface = interface_of(exposed)
     assert isinstance(interface, ServiceInterface)
     return interface
 
 
 def action_of(exposed: ExposedEndpoint) -> ActionInterface:
-    """The derived type of an action."""
+    """Return the interface of an action."""
     interface = interface_of(exposed)
     assert isinstance(interface, ActionInterface)
     return interface
 
 
 def number_fields(endpoint: Endpoint) -> list[str]:
-    """Paths of all numbers that may be sent to an endpoint, but for times and headers, which move
+    """Paths of all numbers that may be sent to an endpoint, except times and headers, which move
     nothing.
     """
     numbers: list[str] = []
@@ -62,21 +62,19 @@ def number_fields(endpoint: Endpoint) -> list[str]:
 
 
 def sent_types(kind: str, type_name: str) -> set[str]:
-    """Types of the messages within what an endpoint of this kind and type is sent."""
+    """Types of the messages nested in those sent to an endpoint of this kind and type."""
     sent = sent_type(Endpoint(name="", kind=kind, topic="", type=type_name, summary=""))
     return {element.replace("/", "/msg/") for _, element in walk_fields(sent) if "/" in element}
 
 
 def is_velocity_type(kind: str, type_name: str) -> bool:
-    """Whether a robot goes on at what it was told until it is told something else, so that it has
-    to end in zero.
-    """
+    """True if a robot follows a command until the next one, so that a motion must end with zero."""
     return kind == "publish" and type_name in _VELOCITIES
 
 
 def is_joint_limited(kind: str, type_name: str, profile: RobotProfile | None) -> bool:
-    """Whether a new endpoint takes joint commands, alone or in a goal or request, of a robot with
-    joint limits.
+    """True if a new endpoint accepts joint commands, alone or in a goal or request, for a robot
+    with joint limits.
     """
     if kind == "read" or profile is None or profile.limits is None:
         return False
@@ -86,5 +84,5 @@ def is_joint_limited(kind: str, type_name: str, profile: RobotProfile | None) ->
 
 
 def renamed(exposed: ExposedEndpoint, name: str) -> ExposedEndpoint:
-    """The same endpoint under another name in the allow list."""
+    """Copy the endpoint with another name in the allow list."""
     return replace(exposed, endpoint=replace(exposed.endpoint, name=name))

@@ -1,5 +1,5 @@
-"""expose_endpoint and unexpose_endpoint: an admin changes what agents may reach while the server
-runs.
+"""Tools expose_endpoint and unexpose_endpoint: an admin changes the exposed endpoints at
+run time.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class UnexposeEndpoint(Arguments):
 
     name: str = Field(max_length=64, description="the endpoint, as list_topics calls it")
     robot: str | None = Field(
-        default=None, max_length=64, description="whose it is; the configured robot when omitted"
+        default=None, max_length=64, description="robot; the configured one if omitted"
     )
     kind: Literal["publish", "read", "service", "action", "parameters"] | None = Field(
         default=None, description="which use of that name; all of them when omitted"
@@ -32,18 +32,18 @@ class UnexposeEndpoint(Arguments):
 
 
 class ExposureChange(Result):
-    """What became of the tools."""
+    """Effect on the tools."""
 
-    added: list[str] = Field(description="tools that are new")
-    removed: list[str] = Field(description="tools that are gone")
-    changed: list[str] = Field(
-        description="tools that are there with other limits, robots or texts"
-    )
+    added: list[str] = Field(description="added tools")
+    removed: list[str] = Field(description="removed tools")
+    changed: list[str] = Field(description="tools with changed limits, robots or texts")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Admin:
-    """Who changes the exposure, for the audit; `tool` and `arguments` are of the call."""
+    """Client that changes the exposure, for the audit; `tool` and `arguments` are those of the
+    call.
+    """
 
     who: str
     role: str
@@ -52,7 +52,7 @@ class Admin:
 
 
 class Exposing(Protocol):
-    """What the two tools are made of; the direct path does it."""
+    """Interface behind the two tools, implemented by the feature."""
 
     def expose(self, entry: ExposeConfig, admin: Admin) -> ExposureChange: ...
 
@@ -62,13 +62,13 @@ class Exposing(Protocol):
 
 
 def exposing_tools(path: Exposing, local_may: bool) -> list[Tool]:
-    """Both tools.
+    """Create both tools.
 
     Args:
-        path: does it.
-        local_may: clients without a token (stdio, loopback) may too; otherwise an agent that was
-            merely started on this machine could reach whatever it wants, and the allow list would
-            be none.
+        path: performs the changes.
+        local_may: also permit clients without a token (stdio, loopback). Otherwise any agent
+            started on this machine could expose everything, which would make the allow list
+            useless.
     """
 
     def admin_of(context: CallContext, tool: str, arguments: Arguments) -> Admin:

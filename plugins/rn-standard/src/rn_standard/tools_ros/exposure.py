@@ -1,5 +1,5 @@
-"""What is exposed: the endpoints of robot profiles and of the configuration, checked, with limits
-tightened.
+"""Exposed endpoints: those of robot profiles and of the configuration, checked, with tightened
+limits.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from roboneuron.feature import Config, ExposedEndpoint, Registry, load_profile
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Exposure:
-    """Everything that the configuration exposes."""
+    """All exposed endpoints of the configuration."""
 
     endpoints: tuple[ExposedEndpoint, ...] = ()
     nodes: tuple[ParameterNode, ...] = ()
@@ -64,23 +64,23 @@ class _ExposedRobot:
 def exposure(
     config: Config, options: RosToolsOptions, registry: Registry, added: Iterable[ExposeConfig] = ()
 ) -> Exposure:
-    """Collect what the robot's profile and the configuration expose.
+    """Collect the endpoints exposed by the robot's profile and the configuration.
 
     Args:
         config: the configuration with the present robot.
-        options: what is exposed.
-        registry: where profiles are found.
-        added: entries of run time, which can only tighten what the others say about a topic.
+        options: the exposed entries.
+        registry: provides the profiles.
+        added: entries added at run time, which can only tighten the limits of a topic.
 
     Raises:
-        ConfigurationError: an entry names what does not exist, is incomplete, widens a limit, or
-            comes twice.
+        ConfigurationError: an entry names something unknown, is incomplete, widens a limit, or
+            occurs twice.
         PluginError, MissingDependencyError: a profile cannot be loaded.
     """
     robots: dict[str, _ExposedRobot] = {}
     known: dict[Use, list[ExposedEndpoint]] = {}
-    """All that was said about topics, also by profiles and under a name that was given to another
-    topic since.
+    """All entries by topic, also those of profiles and those whose name was given to another topic
+    since.
     """
 
     def find(name: str, namespace: str | None) -> _ExposedRobot:
@@ -133,9 +133,7 @@ def exposure(
 
 
 def unique(drafts: Iterable[ExposedEndpoint]) -> Iterator[ExposedEndpoint]:
-    """Give the endpoints of a robot names of their own where a label is used for two kinds; check
-    each.
-    """
+    """Give the endpoints of a robot unique names if a label is used for two kinds; check each."""
     listed = list(drafts)
     labels: dict[tuple[str, str], int] = {}
     for draft in listed:
@@ -170,8 +168,8 @@ def _merge(
     known: Mapping[Use, Iterable[ExposedEndpoint]],
     patterns: Iterable[DiscoverConfig],
 ) -> ExposedEndpoint:
-    """The endpoint of an entry: limits on one of the profile, or a new one, within what is known
-    about the topic.
+    """Create the endpoint of an entry: limits on an endpoint of the profile, or a new endpoint,
+    within the known limits of the topic.
     """
     assert entry.name is not None
     mine = [e for key, e in drafts.items() if key[:2] == (robot.name, entry.name)]
@@ -229,7 +227,7 @@ def _merge(
         bare = tightened_by(bare, source.endpoint)
     bare = pattern_limits(bare, topic, patterns)
     nonfinite = frozenset(entry.nonfinite)
-    interface = load_interface(bare.type, nonfinite=nonfinite)  # raises for a path that is no float
+    interface = load_interface(bare.type, nonfinite=nonfinite)  # raises for a non-float path
     if (bare.kind in ("publish", "read")) is not isinstance(interface, MessageInterface):
         raise ConfigurationError(
             f"Endpoint {entry.name!r}: a {bare.kind} cannot be of {bare.type}."
@@ -248,8 +246,8 @@ def _merge(
 
 
 def _stop_text(entry: ExposeConfig, type_name: str) -> str:
-    """The stop message as an `Endpoint` holds it: what agents may write in several ways is written
-    out.
+    """Format the stop message for an `Endpoint`: the different notations of agents are
+    normalised.
     """
     given = entry.stop_message
     if isinstance(given, str):
@@ -264,8 +262,8 @@ def _stop_text(entry: ExposeConfig, type_name: str) -> str:
 def _not_looser(
     drafts: Iterable[ExposedEndpoint], before: Mapping[Use, Sequence[ExposedEndpoint]]
 ) -> Iterator[ExposedEndpoint]:
-    """Run time may neither free a topic of the configuration of the policy, nor let it hold more
-    than it did.
+    """Check that entries added at run time neither exempt a configured topic from the policy's
+    exclusive use, nor widen its accepted values.
     """
     for draft in drafts:
         same = before.get((draft.topic, draft.endpoint.kind), ())

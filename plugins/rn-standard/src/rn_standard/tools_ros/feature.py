@@ -1,4 +1,4 @@
-"""The feature: what is exposed now, and the tools derived from it."""
+"""The feature: the present exposure, and the tools derived from it."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ Use = tuple[str, str, str]
 
 
 class RosTools(Feature[RosToolsOptions]):
-    """Derives tools, and again when the robot, the graph or an admin changes what is exposed.
+    """Derives the tools, again whenever the robot, the graph or an admin changes the exposure.
     Usable from any thread.
 
     Attributes:
-        exposed: what is exposed now.
+        exposed: the present exposure.
     """
 
     def __init__(self, options: RosToolsOptions) -> None:
@@ -61,7 +61,7 @@ class RosTools(Feature[RosToolsOptions]):
         self._discovered: tuple[ExposedEndpoint, ...] = ()
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """The tools that are there whatever is exposed; the derived ones are added beside them.
+        """Return the permanent tools; the derived ones are added to them.
 
         Raises:
             ConfigurationError, PluginError, MissingDependencyError: as `exposure`.
@@ -76,7 +76,7 @@ class RosTools(Feature[RosToolsOptions]):
         return tools
 
     def start(self, host: Host) -> None:
-        """Begin to watch the graph, where the configuration wants that."""
+        """Start monitoring the graph, if configured."""
         self._graph = LiveGraph(
             self.options.discover,
             host.config,
@@ -88,13 +88,13 @@ class RosTools(Feature[RosToolsOptions]):
         self._graph.start()
 
     def close(self) -> None:
-        """Watch the graph no more; idempotent."""
+        """Stop monitoring the graph; idempotent."""
         if self._graph is not None:
             self._graph.stop()
 
     def refresh(self) -> None:
-        """The robot may have changed: derive again; a failure is logged and leaves the tools as
-        they are.
+        """Derive the tools again, because the robot may have changed; a failure is logged and keeps
+        the present tools.
         """
         try:
             self._derive(self._configured())
@@ -148,7 +148,7 @@ class RosTools(Feature[RosToolsOptions]):
     def _change(
         self, added: tuple[ExposeConfig, ...], hidden: frozenset[Use], admin: Admin
     ) -> ExposureChange:
-        """Have another exposure: checked first, written down, then in force."""
+        """Apply another exposure: check it, audit it, then put it in force."""
         record = AuditRecord(
             who=admin.who,
             role=admin.role,
@@ -197,11 +197,13 @@ class RosTools(Feature[RosToolsOptions]):
         )
 
     def _derive(self, configured: Exposure, taken: Iterable[str] = ()) -> None:
-        """Allow list first, tools then: a tool is never there before its endpoint is allowed."""
+        """Set the allow list first, then the tools: no tool exists before its endpoint is
+        allowed.
+        """
         with self._lock:
             self._named = configured.endpoints
             known = {*map(use_of, configured.endpoints), *self._hidden}
-            # A pattern is no way around their limits, nor around an admin who withdrew a topic.
+            # A pattern must not circumvent their limits, nor an admin's withdrawal of a topic.
             used = {*self._withdrawn, *((e.topic, e.endpoint.kind) for e in configured.endpoints)}
             new = [
                 e
@@ -244,13 +246,13 @@ class RosTools(Feature[RosToolsOptions]):
         self.refresh()
 
     def _on_module(self, kind: str) -> None:
-        """Another robot has other interfaces."""
+        """Derive again, because another robot has other interfaces."""
         if kind == "robot":
             self.refresh()
 
 
 def use_of(exposed: ExposedEndpoint) -> Use:
-    """What an admin names: whose, which, for what."""
+    """Identify an endpoint as an admin does: robot, name, kind."""
     return exposed.robot, exposed.label, exposed.endpoint.kind
 
 

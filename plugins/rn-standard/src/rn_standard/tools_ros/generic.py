@@ -1,5 +1,5 @@
-"""list_interfaces, describe_interface, list_topics, list_nodes: what exists, within what is
-exposed.
+"""Tools list_interfaces, describe_interface, list_topics and list_nodes, restricted to exposed
+endpoints.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class InterfaceDescription(Result):
 
 
 class TopicStatus(Result):
-    """An exposed topic, service or action, and what the ROS graph shows of it now."""
+    """An exposed topic, service or action, and its present state in the ROS graph."""
 
     robot: str
     name: str = Field(description="noun in the tools' names")
@@ -78,13 +78,13 @@ class ListNames(Arguments):
     """Arguments of list_topics and list_nodes."""
 
     contains: str = Field(
-        default="", max_length=200, description="Only those whose name holds this text."
+        default="", max_length=200, description="Only names that contain this text."
     )
     entries: int = Field(default=50, ge=1, le=200, description="Most entries.")
 
 
 class TopicList(Result):
-    """What is exposed."""
+    """Exposed endpoints."""
 
     topics: list[TopicStatus]
     more: int = Field(
@@ -102,7 +102,7 @@ class NodeList(Result):
 
 
 def generic_tools(exposure: Callable[[], Exposure], graph: GraphNames) -> list[Tool]:
-    """The four tools, over whatever is exposed at the time of the call."""
+    """Create the four tools for the endpoints exposed at the time of the call."""
 
     async def interfaces(arguments: ListInterfaces, context: CallContext) -> InterfaceNames:
         found = list_interfaces(arguments.package or None)

@@ -1,4 +1,4 @@
-"""Goals of ROS actions through the gate; no goal outlives the call that sent it."""
+"""Goals of ROS actions, sent through the gate; every goal ends with its call."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _STATUS_WORDS = {4: "succeeded", 5: "canceled", 6: "aborted"}
 """Words for the ends of a goal. Source: action_msgs/msg/GoalStatus."""
 _ANSWER_S = 5.0
 _CANCEL_S = 2.0
-"""How long the server gets to confirm that a goal was cancelled."""
+"""Time for the server to confirm the cancellation of a goal."""
 
 
 class _DoneFuture(Protocol):
-    """A future of rclpy that is done."""
+    """A completed future of rclpy."""
 
     def result(self) -> Any: ...
 
@@ -40,12 +40,12 @@ class _SentGoal:
 
     @property
     def status(self) -> str:
-        """How it ended: "succeeded", "canceled", "aborted" or "unknown"; empty before."""
+        """Final status: "succeeded", "canceled", "aborted" or "unknown"; empty before the end."""
         return "" if self.outcome is None else _STATUS_WORDS.get(self.outcome.status, "unknown")
 
     def wait(self, done: Callable[[], bool], timeout_s: float, check: Callable[[], None]) -> bool:
-        """Wait until `done`; `check` is called at least every 10 ms and may raise. False after
-        `timeout_s`.
+        """Wait until `done`; `check` is called at least every 10 ms and may raise. Returns False
+        after `timeout_s`.
         """
         deadline_s = time.monotonic() + timeout_s
         while not done():
@@ -58,14 +58,14 @@ class _SentGoal:
         return True
 
     def cancel(self) -> None:
-        """Ask the server to end it, by its id: also when the answer to the goal was lost. Returns
-        at once.
+        """Ask the server to end the goal, by its id, also when the answer to the goal was lost.
+        Returns at once.
         """
         self._cancel_wanted = True
         self._cancel()
 
     def on_answer(self, future: _DoneFuture) -> None:
-        """The server accepted or rejected it; called on the thread of the ROS node."""
+        """Handle the server's acceptance or rejection; called on the thread of the ROS node."""
         handle = future.result()
         self.accepted = bool(handle is not None and handle.accepted)
         if self.accepted:
@@ -81,7 +81,7 @@ class _SentGoal:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GoalEnd:
-    """What became of a goal.
+    """End of a goal.
 
     Attributes:
         verdict: the gate's answer.
@@ -107,22 +107,23 @@ def send_goal(
     on_feedback: Callable[[RosMessage], None],
     watch: Callable[[], None],
 ) -> GoalEnd:
-    """Own the robot's motion, send the goal and wait for its result; blocks.
+    """Claim the robot's motion, send the goal and wait for its result; blocks.
 
     Args:
-        gate: what it is sent through.
-        exposed: which action.
-        request: holds the goal.
+        gate: sends the goal.
+        exposed: the action.
+        request: contains the goal.
         timeout_s: longest time for the goal; it is cancelled then.
         server_s: longest wait for the action server.
         halt: set when the call is cancelled.
         on_feedback: called with each feedback message, on the executor's thread.
-        watch: called at least every 10 ms until the goal has ended; what it raises ends the goal.
+        watch: called at least every 10 ms until the goal has ended; an exception from it ends the
+            goal.
 
     Raises:
-        RefusedError: the gate, or somebody else moves the robot; also when the emergency stop, or
-            `watch`, ended it.
-        NotReadyError: nobody serves the action, or it did not end in time.
+        RefusedError: the gate refuses, another client moves the robot, or the emergency stop or
+            `watch` ended the goal.
+        NotReadyError: the action has no server, or it did not end in time.
         StateError: rejected, cancelled, or a policy took over.
     """
     if exposed.endpoint.joint_limited and request.joints is None:

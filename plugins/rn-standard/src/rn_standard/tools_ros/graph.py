@@ -1,4 +1,4 @@
-"""What the ROS graph shows now."""
+"""Present content of the ROS graph."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _FEEDBACK = "/_action/feedback"
 
 
 class GraphNames:
-    """Names, types and counts, as far as the server's node has discovered; every method raises as
+    """Names, types and counts discovered by the server's node; every method raises as
     `Host.graph`.
     """
 
@@ -38,17 +38,17 @@ class GraphNames:
         }
 
     def nodes(self) -> list[str]:
-        """Absolute names of all nodes, each once: ROS lets several nodes, and for a while dead
-        ones, share a name.
+        """Absolute names of all nodes, without duplicates: ROS allows several nodes of one name,
+        and lists dead ones for a while.
         """
         found = self._host.graph.nodes()
         return sorted({f"{space.rstrip('/')}/{name}" for name, space in found})
 
     def used(self) -> dict[str, dict[str, str]]:
-        """Type by absolute name for each kind of use: "publish" where others subscribe, "read"
-        where they publish, ...
+        """Type by absolute name for each kind of use: "publish" for topics that others subscribe
+        to, "read" for those they publish, ...
 
-        Names that carry several types are left out.
+        Names with several types are left out.
         """
         graph = self._host.graph
         own = graph.node_name
@@ -61,12 +61,12 @@ class GraphNames:
         }
 
     def problems(self, exposed: ExposedEndpoint) -> list[str]:
-        """Why an exposed endpoint does not work, or not with everybody; a sentence each."""
+        """Problems of an exposed endpoint with all or some peers; a sentence each."""
         endpoint, graph = exposed.endpoint, self._host.graph
         return problems_of(endpoint.kind, exposed.topic, endpoint.type, graph)
 
     def counts(self, topic: str) -> tuple[int, int]:
-        """Publishers and subscribers of a topic."""
+        """Number of publishers and subscribers of a topic."""
         return self._host.graph.counts(topic)
 
 
@@ -81,5 +81,5 @@ class _OfNode(Protocol):
 
 
 def _others(infos: Sequence[_OfNode], own: str) -> bool:
-    """Whether another node than this server's, called `own`, is there."""
+    """True if there is another node than this server's, which is called `own`."""
     return any(info.node_name != own for info in infos)

@@ -1,4 +1,4 @@
-"""lookup_<name>: where one frame is in another, from an exposed topic of transforms."""
+"""Tool lookup_<name>: the transform between two frames, from an exposed topic of transforms."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from roboneuron.feature import ExposedEndpoint
 class Lookup(RobotCall):
     """Arguments of a lookup tool."""
 
-    target: str = Field(min_length=1, max_length=200, description="Frame of the answer.")
-    source: str = Field(min_length=1, max_length=200, description="Frame that is looked for.")
+    target: str = Field(min_length=1, max_length=200, description="Target frame.")
+    source: str = Field(min_length=1, max_length=200, description="Source frame.")
     max_age_s: float = Field(
         default=1.0, gt=0, le=3600, description="Oldest transform that is used [s]."
     )
-    timeout_s: float = Field(default=2.0, gt=0, le=60, description="How long to wait [s].")
+    timeout_s: float = Field(default=2.0, gt=0, le=60, description="Timeout [s].")
 
 
 class FoundTransform(Result):
@@ -36,9 +36,9 @@ class FoundTransform(Result):
     y_m: float
     z_m: float
     quaternion_xyzw: list[float]
-    yaw_rad: float = Field(description="turn about the target's z axis")
-    age_s: float = Field(description="of the oldest transform on the way; 0: none of them changes")
-    frames: list[str] = Field(description="the way from the source to the target")
+    yaw_rad: float = Field(description="rotation about the target's z axis")
+    age_s: float = Field(description="of the oldest transform used; 0: all are static")
+    frames: list[str] = Field(description="frames from the source to the target")
 
 
 class LookingUp:

@@ -1,4 +1,4 @@
-"""Names of derived tools: readable, at most 64 characters, unique, and the same for the same
+"""Names of derived tools: readable, at most 64 characters, unique, and stable for the same
 endpoints.
 """
 
@@ -9,7 +9,7 @@ import re
 from collections.abc import Collection
 
 LONGEST = 64
-"""Many clients accept no longer tool names."""
+"""Length limit of tool names in many clients."""
 PATTERNS = {
     "publish": "publish_{}",
     "sequence": "publish_{}_sequence",
@@ -20,18 +20,17 @@ PATTERNS = {
     "battery": "get_{}",
     "detections": "get_{}",
 }
-"""Tool name by what it does to an endpoint."""
+"""Pattern of a tool's name by its use of an endpoint."""
 
 
 def tool_name(use: str, label: str, robot: str, taken: Collection[str]) -> str:
-    """The name for `label`, told apart by the robot's name, then by a digest, when another tool has
-    it.
+    """Return the name for `label`; if it is taken, the robot's name or else a digest is added.
 
     Args:
         use: a key of PATTERNS.
         label: the endpoint's name.
-        robot: whose it is.
-        taken: names that are in use.
+        robot: name of the robot.
+        taken: names in use.
     """
     pattern = PATTERNS[use]
     plain = shorten(pattern, label)
@@ -44,7 +43,9 @@ def tool_name(use: str, label: str, robot: str, taken: Collection[str]) -> str:
 
 
 def shorten(pattern: str, label: str, *, digest: bool = False) -> str:
-    """`label` in `pattern`; what is too long is cut and told apart by a digest of the whole."""
+    """Insert `label` into `pattern`; a name that is too long is truncated and gets a digest of the
+    whole.
+    """
     name = pattern.format(label)
     if len(name) <= LONGEST and not digest:
         return name
@@ -54,7 +55,7 @@ def shorten(pattern: str, label: str, *, digest: bool = False) -> str:
 
 
 def to_label(name: str) -> str:
-    """Any ROS name as a label: lower case, underscores. "/Arm/cmd_vel" -> "arm_cmd_vel"."""
+    """Convert a ROS name to a label: lower case, underscores. "/Arm/cmd_vel" -> "arm_cmd_vel"."""
     text = re.sub(r"[^a-z0-9]+", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower()).strip(
         "_"
     )

@@ -1,4 +1,4 @@
-"""Tools that tell the newest message of a topic in plain units."""
+"""Tools that return the newest message of a topic in plain units."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from roboneuron import CallContext, Host, Result
 
 
 class GetNewest(RobotCall):
-    """Arguments of a tool that tells the newest message."""
+    """Arguments of a tool for the newest message."""
 
-    timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait [s].")
+    timeout_s: float = Field(default=5.0, gt=0, le=60, description="Timeout [s].")
 
 
 A = TypeVar("A", bound=GetNewest)
@@ -30,11 +30,11 @@ class GettingNewest(Generic[A, R]):
     """The handler of one tool.
 
     Args:
-        host: whose node listens, and whose gate is asked.
-        targets: what the tool is for.
+        host: provides the ROS node and the gate.
+        targets: endpoints of the tool.
         tool: its name.
-        tell: makes the result of a robot's name, the message, the arguments and the time since it
-            came [s].
+        tell: creates the result from the robot's name, the message, the arguments and the time
+            since its arrival [s].
     """
 
     def __init__(

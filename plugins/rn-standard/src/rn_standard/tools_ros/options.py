@@ -1,4 +1,6 @@
-"""The sections `[direct]`, `[[expose]]` and `[[discover]]`: what agents may use directly."""
+"""The sections `[direct]`, `[[expose]]` and `[[discover]]`: endpoints that agents may use
+directly.
+"""
 
 from __future__ import annotations
 
@@ -93,8 +95,8 @@ class ExposeConfig(Section):
 
 
 class DiscoverConfig(Section):
-    """`[[discover]]`: interfaces of the live ROS graph that agents may use without being listed one
-    by one.
+    """`[[discover]]`: interfaces of the live ROS graph that agents may use without a separate entry
+    for each.
     """
 
     pattern: str = Field(
@@ -128,7 +130,7 @@ class DiscoverConfig(Section):
 
 
 class DirectConfig(Section):
-    """`[direct]`: the tools that are derived from ROS interfaces."""
+    """`[direct]`: the tools derived from ROS interfaces."""
 
     profile: bool = Field(default=True, description="expose the endpoints of the robot's profile")
     listed_tools: Annotated[int, Field(ge=0, le=10000)] = Field(

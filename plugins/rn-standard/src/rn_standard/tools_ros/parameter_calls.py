@@ -1,4 +1,4 @@
-"""Handlers of the four parameter tools: services of exposed nodes behind the gate."""
+"""Handlers of the four parameter tools, which call services of exposed nodes through the gate."""
 
 from __future__ import annotations
 
@@ -23,22 +23,20 @@ from roboneuron import Arguments, CallContext, Endpoint, InvalidInputError, Refu
 from roboneuron.feature import ExposedEndpoint, MotionGate, Stage
 
 MOST = 100
-"""Most parameters of one call."""
+"""Maximum number of parameters in one call."""
 
 
 class ListParameters(Arguments):
     """Arguments of list_parameters."""
 
     node: str = Field(description="Which node.")
-    timeout_s: float = Field(
-        default=10.0, gt=0, le=300, description="How long to wait for the answer, in seconds."
-    )
+    timeout_s: float = Field(default=10.0, gt=0, le=300, description="Timeout of the answer [s].")
 
 
 class NamedParameters(ListParameters):
     """Arguments of describe_parameters and get_parameters."""
 
-    names: list[str] = Field(min_length=1, max_length=MOST, description="Which ones.")
+    names: list[str] = Field(min_length=1, max_length=MOST, description="Their names.")
 
 
 class SetParameters(ListParameters):
@@ -65,7 +63,7 @@ class Parameters(Result):
 
 
 class Setting(Parameters):
-    """The values after it; the present ones after a dry run."""
+    """The values after the call; the present ones after a dry run."""
 
     dry_run: bool
     allowed: bool
@@ -73,7 +71,7 @@ class Setting(Parameters):
 
 
 def parameter_endpoints(nodes: Sequence[ParameterNode]) -> list[ExposedEndpoint]:
-    """The gate's entries: the four services of each node."""
+    """Create the gate's entries: the four services of each node."""
     made = []
     for node in nodes:
         for kind, type_name, end in (
@@ -112,7 +110,7 @@ class ParameterCalls:
         self._gate = gate
 
     async def list(self, arguments: ListParameters, context: CallContext) -> ParameterNames:
-        """Names."""
+        """List the names."""
         from rcl_interfaces.srv import ListParameters as Listing  # heavy
 
         node = self._nodes[arguments.node]
@@ -122,7 +120,7 @@ class ParameterCalls:
         return ParameterNames(node=node.name, names=sorted(node.names & {*response.result.names}))
 
     async def describe(self, arguments: NamedParameters, context: CallContext) -> Parameters:
-        """Descriptors."""
+        """Return the descriptors."""
         from rcl_interfaces.srv import DescribeParameters  # heavy
 
         node = self._nodes[arguments.node]
@@ -142,7 +140,7 @@ class ParameterCalls:
         return Parameters(node=node.name, parameters=found)
 
     async def get(self, arguments: NamedParameters, context: CallContext) -> Parameters:
-        """Values."""
+        """Return the values."""
         node = self._nodes[arguments.node]
         names = _names(node, arguments)
         values = await self._values(context, "get_parameters", node, names, arguments)
@@ -150,7 +148,9 @@ class ParameterCalls:
         return Parameters(node=node.name, parameters=shown)
 
     async def set(self, arguments: SetParameters, context: CallContext) -> Setting:
-        """Set after the gate; raises RefusedError when the node does not accept one."""
+        """Set parameters after the gate's check; raises RefusedError if the node does not accept
+        one.
+        """
         from rcl_interfaces.msg import Parameter  # heavy
         from rcl_interfaces.srv import SetParameters as Setter  # heavy
 
@@ -210,9 +210,7 @@ class ParameterCalls:
         names: Sequence[str],
         arguments: ListParameters,
     ) -> dict[str, tuple[int, Plain]]:
-        """Type and value of each. Raises InvalidInputError for a parameter that the node does not
-        have.
-        """
+        """Type and value of each. Raises InvalidInputError for an unknown parameter."""
         from rcl_interfaces.srv import GetParameters  # heavy
 
         request = GetParameters.Request(names=names)
@@ -238,7 +236,7 @@ class ParameterCalls:
         message: object,
         arguments: ListParameters,
     ) -> Any:
-        """The response of a service that only reads."""
+        """Return the response of a read-only service."""
         entry = self._entries[f"{node.name}_{service}"]
         request = gate_request(context, tool, entry, [message], arguments.given())
         halt = threading.Event()

@@ -1,4 +1,4 @@
-"""Nodes whose parameters are exposed, by name: what agents may see and set of them."""
+"""Nodes with exposed parameters, by name, and the limits for agents."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _NAME = re.compile(r"[!-~]{1,200}")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ParameterNode:
-    """A node whose parameters agents may see and set.
+    """A node with parameters that agents may read and set.
 
     Attributes:
-        robot, namespace: whose it is.
-        name: what agents call it.
+        robot, namespace: its robot.
+        name: name for agents.
         node: absolute name.
-        names: the parameters, of all that it has.
+        names: the exposed parameters.
         bounds: lowest and highest value by parameter.
         moves: setting them may move the robot.
         rate_hz: most settings per second; 0 for no bound.
@@ -39,7 +39,7 @@ class ParameterNode:
 
 
 def parameter_node(entry: ExposeConfig, robot: str, namespace: str) -> ParameterNode:
-    """The node of an entry of kind "parameters".
+    """Create the node of an entry of kind "parameters".
 
     Raises:
         ConfigurationError: it names no node, or no parameter.
@@ -69,12 +69,12 @@ def parameter_node(entry: ExposeConfig, robot: str, namespace: str) -> Parameter
 
 
 def check_parameter_name(name: str) -> None:
-    """Raise unless this is a name that means the same to everybody: ROS ends it at a NUL, others
-    normalise it.
+    """Check that a parameter's name is unambiguous: ROS ends it at a NUL, other software normalises
+    it.
 
     Raises:
-        ConfigurationError: it holds anything but printable ASCII without spaces, or is longer than
-            200 characters.
+        ConfigurationError: it contains anything but printable ASCII without spaces, or is longer
+            than 200 characters.
     """
     if not _NAME.fullmatch(name):
         raise ConfigurationError(
@@ -83,8 +83,8 @@ def check_parameter_name(name: str) -> None:
 
 
 def check_parameter_node(node: ParameterNode, namespaces: Mapping[str, str]) -> None:
-    """Raise ConfigurationError for another robot's node, and for a module, which the supervisor
-    alone sets.
+    """Raise ConfigurationError for another robot's node, and for a module, whose parameters only
+    the supervisor sets.
     """
     owner = check_owner(node.node, node.robot, namespaces)
     if owner and is_module(node.node, owner):
@@ -96,15 +96,15 @@ def check_parameter_node(node: ParameterNode, namespaces: Mapping[str, str]) -> 
 def same_for_each_node(
     nodes: Sequence[ParameterNode], namespaces: Mapping[str, str]
 ) -> list[ParameterNode]:
-    """Every name of a node with the bounds, the rate and the motion of all of them.
+    """Give every entry of a node the bounds, the rate and the motion of all its entries.
 
     Args:
-        nodes: what is exposed.
+        nodes: the exposed nodes.
         namespaces: robot by ROS namespace.
 
     Raises:
-        ConfigurationError: two bounds of one parameter have nothing in common, or the node is a
-            module or another robot's.
+        ConfigurationError: two bounds of one parameter do not overlap, or the node is a module or
+            another robot's.
     """
     made = []
     for node in nodes:

@@ -1,4 +1,4 @@
-"""Values of parameters: what agents give and get, and what rcl_interfaces holds."""
+"""Conversion of parameter values between agents and rcl_interfaces."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ TYPE_WORDS = (
     "double[]",
     "string[]",
 )
-"""What types of parameters are called."""
+"""Words for parameter types."""
 
 
 def check_exposed(node: ParameterNode, text: str) -> None:
-    """Raise unless agents may use this parameter of the node.
+    """Check that agents may use this parameter of the node.
 
     Raises:
-        InvalidInputError: this cannot be a parameter's name.
+        InvalidInputError: it is not a valid parameter name.
         RefusedError: it is not exposed.
     """
     try:
@@ -60,8 +60,8 @@ def check_exposed(node: ParameterNode, text: str) -> None:
 
 
 def check_bounds(node: ParameterNode, name: str, value: object) -> None:
-    """Raise InvalidInputError for what no parameter can hold, RefusedError for what is not exposed
-    or out of bounds.
+    """Raise InvalidInputError for an invalid value, RefusedError for a parameter that is not
+    exposed or a value out of bounds.
     """
     check_exposed(node, name)
     if not isinstance(value, bool | int | float | str | list):
@@ -79,7 +79,7 @@ def check_bounds(node: ParameterNode, name: str, value: object) -> None:
 
 
 def to_plain(value: ParameterValue) -> Plain:
-    """What a ParameterValue holds; None when the parameter is not set."""
+    """Value of a ParameterValue; None if the parameter is not set."""
     if value.type not in _FIELDS:
         return None
     found = getattr(value, _FIELDS[value.type])
@@ -89,8 +89,8 @@ def to_plain(value: ParameterValue) -> Plain:
 
 
 def to_value(name: str, kind: int, given: object) -> object:
-    """A ParameterValue of the parameter's own type. Raises InvalidInputError when the value is of
-    another.
+    """Create a ParameterValue of the parameter's own type. Raises InvalidInputError for a value of
+    another type.
     """
     from rcl_interfaces.msg import ParameterValue  # heavy
 

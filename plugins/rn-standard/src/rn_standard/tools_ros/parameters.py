@@ -22,7 +22,7 @@ from roboneuron.feature import MotionGate
 
 
 def parameter_tools(nodes: Sequence[ParameterNode], gate: MotionGate) -> list[Tool]:
-    """The four tools; none without an exposed node."""
+    """Create the four tools; none without an exposed node."""
     if not nodes:
         return []
     calls = ParameterCalls(nodes, gate)

@@ -1,4 +1,4 @@
-"""What patterns of the configuration say about the numbers of a type."""
+"""Limits that patterns of the configuration set on the numbers of a type."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rn_standard.tools_ros.options import DiscoverConfig
 from roboneuron import Endpoint
 
 OTHERS = "*"
-"""Stands in the limits of a pattern for all numbers of a type that are not named."""
+"""Key in a pattern's limits for all numbers of a type that are not named."""
 
 
 def pattern_limits(endpoint: Endpoint, topic: str, patterns: Iterable[DiscoverConfig]) -> Endpoint:
-    """The endpoint with what patterns of the configuration say about numbers of its type on topics
-    like this one.
+    """Return the endpoint with the limits that configured patterns set for its type on topics like
+    this one.
     """
     for entry in patterns:
         own = entry.limits.get(endpoint.type, {})

@@ -1,4 +1,4 @@
-"""publish_<name>: one message to whoever listens, or a value that lasts and ends in the stop
+"""Tool publish_<name>: one message to all subscribers, or a lasting value that ends with the stop
 message.
 """
 
@@ -35,15 +35,15 @@ class ClampedValue(Result):
 
 
 class Delivery(Judged):
-    """What was sent, to how many; or, in a dry run, what would happen."""
+    """Sent messages and their number of subscribers; in a dry run, what would be sent."""
 
     robot: str
     topic: str
     type: str
     sent: int = Field(description="messages, repetitions and the stop message included")
-    subscribers: int = Field(description="how many were matched when it was sent")
-    duration_s: float = Field(description="how long it took")
-    stopped: bool = Field(description="a message that stops was sent at the end")
+    subscribers: int = Field(description="number of matched subscribers")
+    duration_s: float = Field(description="duration")
+    stopped: bool = Field(description="a stop message was sent at the end")
     clamped: list[ClampedValue] = Field(description="values that were moved to their limit")
 
 
@@ -54,8 +54,7 @@ class Publish(PublishingCall):
     duration_s: float = Field(
         default=1.0,
         gt=0,
-        description="How long it lasts, in seconds; then it is stopped. Joints get there within "
-        "it.",
+        description="Duration [s]; then it is stopped. Joints reach their targets within it.",
     )
     preview: bool = False
 
@@ -119,9 +118,7 @@ class Publishing:
 def encode_step(
     exposed: ExposedEndpoint, value: Mapping[str, object], duration_s: float
 ) -> MessageStep:
-    """The message of a call, encoded. Raises InvalidInputError with the path inside the
-    arguments.
-    """
+    """Encode the message of a call. Raises InvalidInputError with the path inside the arguments."""
     interface = message_of(exposed)
     message = encode_argument(interface, value, "message")
     stamped = is_stamp_omitted(interface, value)
@@ -129,7 +126,7 @@ def encode_step(
 
 
 def is_stamp_omitted(interface: MessageInterface, value: Mapping[str, object]) -> bool:
-    """Whether the message has a header whose stamp the agent left to us."""
+    """True if the message has a header whose stamp the agent omitted."""
     if not hasattr(interface.ros_type, "header"):
         return False
     header = value.get("header")
@@ -137,7 +134,7 @@ def is_stamp_omitted(interface: MessageInterface, value: Mapping[str, object]) -
 
 
 def to_delivery(exposed: ExposedEndpoint, sent: Sent) -> Delivery:
-    """What was sent."""
+    """Convert the result of the gate."""
     return Delivery(
         robot=exposed.robot,
         topic=exposed.topic,

@@ -1,4 +1,4 @@
-"""read_<name>: the next messages of a topic, decoded for agents; images come as images."""
+"""Tool read_<name>: the next messages of a topic, decoded for agents; images are sent as images."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ class Read(RobotCall):
     """Arguments of a read tool."""
 
     count: int = Field(default=1, ge=1, le=100, description="Messages to wait for.")
-    timeout_s: float = Field(default=5.0, gt=0, le=60, description="How long to wait [s].")
+    timeout_s: float = Field(default=5.0, gt=0, le=60, description="Timeout [s].")
 
 
 class Messages(Result):
-    """What came."""
+    """Received messages."""
 
     robot: str
     topic: str
     type: str
     messages: list[Value] = Field(description="oldest first")
-    complete: bool = Field(description="as many came as were asked for")
-    publishers: int = Field(description="how many publish the topic")
+    complete: bool = Field(description="the requested number arrived")
+    publishers: int = Field(description="number of publishers")
     age_s: float = Field(description="since the last one arrived")
     note: str
 
 
 def messages_model(targets: Targets) -> Derived[Messages]:
-    """The result, with the schema of the decoded messages."""
+    """Return the result model, with the schema of the decoded messages."""
     own: dict[str, dict[str, object]] = {name: {} for name in Messages.model_fields}
     return Derived(
         model=Messages,
@@ -102,9 +102,7 @@ class Reading:
 
 
 def newest(messages: Sequence[Mapping[str, Plain]]) -> list[dict[str, object]]:
-    """The last messages, at least one, of at most so many characters together as an agent can
-    read.
-    """
+    """Return the last messages, at least one, within the maximum length of an answer."""
     kept: list[dict[str, object]] = []
     room = _MOST_TEXT
     for message in reversed(messages):
@@ -116,7 +114,7 @@ def newest(messages: Sequence[Mapping[str, Plain]]) -> list[dict[str, object]]:
 
 
 def _pictures(exposed: ExposedEndpoint, messages: list[object]) -> tuple[tuple[Picture, ...], str]:
-    """Pictures of the newest messages; what cannot be shown is said in the note."""
+    """Pictures of the newest messages; the note names images that cannot be shown."""
     found: list[Picture] = []
     notes: list[str] = []
     for message in messages:

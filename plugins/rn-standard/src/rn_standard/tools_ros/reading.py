@@ -1,4 +1,4 @@
-"""The next messages of a topic, with the quality of service of whoever publishes it."""
+"""Reading of a topic's next messages, with the quality of service of its publishers."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _POLL_S = 0.02
 
 @dataclass(kw_only=True, slots=True)
 class Heard:
-    """What came.
+    """Received messages.
 
     Attributes:
-        publishers: how many publish the topic.
-        messages: in the order of arrival, each with the monotonic time at which it came.
+        publishers: number of publishers of the topic.
+        messages: in the order of arrival, each with its monotonic arrival time.
     """
 
     publishers: int = 0
@@ -31,14 +31,14 @@ class Heard:
 def read_messages(
     host: Host, exposed: ExposedEndpoint, *, count: int, timeout_s: float, halt: threading.Event
 ) -> Heard:
-    """Subscribe, take the latched message or the next `count` that come in time, and unsubscribe;
+    """Subscribe, wait for the latched message or the next `count` messages, and unsubscribe;
     blocks.
 
-    As long as nothing has come, the subscription follows who publishes: one that left a moment ago,
-    and is still on the graph, does not decide for its successor.
+    Until the first message, the subscription adapts to the present publishers, because one that has
+    just left may still be on the graph.
 
     Raises:
-        ConfigurationError: the topic carries another type.
+        ConfigurationError: the topic has another type.
         StateError: `halt` was set.
     """
     deadline_s = time.monotonic() + timeout_s
@@ -92,7 +92,7 @@ def read_messages(
 
 
 def check_heard(heard: Heard, exposed: ExposedEndpoint, timeout_s: float) -> None:
-    """Raise NotReadyError when nothing came."""
+    """Raise NotReadyError if no message arrived."""
     if heard.messages:
         return
     who = (
@@ -109,11 +109,11 @@ def check_heard(heard: Heard, exposed: ExposedEndpoint, timeout_s: float) -> Non
 def read_newest(
     host: Host, exposed: ExposedEndpoint, timeout_s: float, halt: threading.Event
 ) -> tuple[float, object]:
-    """The latched message or the next one, with the monotonic time at which it came; blocks.
+    """Return the latched message or the next one, with its monotonic arrival time; blocks.
 
     Raises:
         ConfigurationError, StateError: as `read_messages`.
-        NotReadyError: nothing came.
+        NotReadyError: no message arrived.
     """
     heard = read_messages(host, exposed, count=1, timeout_s=timeout_s, halt=halt)
     check_heard(heard, exposed, timeout_s)

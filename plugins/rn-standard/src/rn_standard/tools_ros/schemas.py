@@ -1,6 +1,4 @@
-"""Schemas of derived tools: messages with the endpoint's limits, and what decoded messages look
-like.
-"""
+"""Schemas of derived tools: messages with the endpoint's limits, and decoded messages."""
 
 from __future__ import annotations
 
@@ -24,25 +22,25 @@ from roboneuron import Endpoint
 _OF_TYPES = frozenset(
     {*(-(2**bits) for bits in (7, 15, 31, 63)), *(2**b - 1 for b in (7, 8, 15, 16, 31, 32, 63, 64))}
 )
-"""Least and greatest values of the integers of ROS."""
+"""Smallest and largest values of ROS's integer types."""
 _DEPTH = 4
-"""Deeper messages are described as objects: the schema would be longer than what it describes."""
+"""Depth from which messages are described as objects only, to keep the schema short."""
 
 
 def message_schema(
     part: MessageInterface, bounds: Mapping[str, tuple[float, float]]
 ) -> JsonSchemaValue:
-    """What the encoder accepts, with limits of the endpoint put into the fields they are about."""
+    """Schema of the values that the encoder accepts, with the endpoint's limits in their fields."""
     schema = part.json_schema()
     for path, (low, high) in bounds.items():
         _bound(schema, path.split("."), low, high)
-    schema.pop("description", None)  # of the type; the tool says what the message does
+    schema.pop("description", None)  # of the type; the tool describes the message's effect
     return dict(_short(schema))
 
 
 def _short(node: Any) -> Any:
-    """A schema that says as much in fewer words: times in seconds only, no bounds that a type has
-    by itself, and no comment that is cut short (describe_interface has all of it).
+    """Shorten a schema: times in seconds only, no bounds of the type itself, and no truncated
+    comments (describe_interface has all of it).
     """
     if isinstance(node, list):
         return [_short(item) for item in node]
@@ -75,7 +73,9 @@ def _bound(schema: JsonSchemaValue, path: list[str], low: float, high: float) ->
 
 
 def hull(endpoints: list[Endpoint]) -> dict[str, tuple[float, float]]:
-    """Bounds that hold for all of several robots' endpoints: fields bounded by all, widest."""
+    """Bounds that hold for all of several robots' endpoints: fields bounded by all, with the widest
+    range.
+    """
     shared = set.intersection(*(set(e.bounds) for e in endpoints))
     return {
         path: (min(e.bounds[path][0] for e in endpoints), max(e.bounds[path][1] for e in endpoints))
@@ -84,7 +84,7 @@ def hull(endpoints: list[Endpoint]) -> dict[str, tuple[float, float]]:
 
 
 def decoded_schema(part: MessageInterface) -> JsonSchemaValue:
-    """What `MessageInterface.decode` gives, limits of decoding included."""
+    """Schema of the result of `MessageInterface.decode`, with its limits."""
     return _object(part.message, _DEPTH)
 
 
@@ -124,5 +124,5 @@ def _scalar(scalar: Scalar, named: bool) -> JsonSchemaValue:
 
 
 def copied(schema: JsonSchemaValue) -> JsonSchemaValue:
-    """A schema that may be changed."""
+    """A modifiable copy of a schema."""
     return copy.deepcopy(schema)

@@ -1,4 +1,4 @@
-"""publish_<name>_sequence: messages that follow each other, each with its duration."""
+"""Tool publish_<name>_sequence: consecutive messages, each with its duration."""
 
 from __future__ import annotations
 
@@ -21,21 +21,17 @@ MAX_STEPS = 500
 
 
 class SequenceStep(Arguments):
-    """One message, and how long it lasts."""
+    """One message and its duration."""
 
     message: Value = Field(default_factory=dict)
-    duration_s: float | None = Field(
-        default=None, gt=0, description="How long this step lasts, in seconds."
-    )
+    duration_s: float | None = Field(default=None, gt=0, description="Duration of this step [s].")
 
 
 class PublishSequence(PublishingCall):
     """Arguments of a sequence tool."""
 
     steps: Annotated[list[SequenceStep], Field(min_length=1, max_length=MAX_STEPS)]
-    times: int = Field(
-        default=1, ge=1, le=1000, description="How often the whole sequence is played."
-    )
+    times: int = Field(default=1, ge=1, le=1000, description="Repetitions of the whole sequence.")
 
 
 class Sequencing:
@@ -64,7 +60,7 @@ class Sequencing:
             )
         played = steps * times
         starts_s = [0.0, *itertools.accumulate(step.duration_s for step in played)][:-1]
-        joint_limited = exposed.endpoint.joint_limited  # then it matters where the step before ends
+        joint_limited = exposed.endpoint.joint_limited  # needs the end of the previous step
         request = gate_request(
             context,
             self._tool,

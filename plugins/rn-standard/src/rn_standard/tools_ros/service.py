@@ -1,4 +1,4 @@
-"""call_<name>: a ROS service as a tool."""
+"""Tool call_<name> for a ROS service."""
 
 from __future__ import annotations
 
@@ -22,13 +22,11 @@ class CallService(SendingCall):
     """Arguments of a service tool."""
 
     request: Value = Field(default_factory=dict)
-    timeout_s: float = Field(
-        default=10.0, gt=0, le=300, description="How long to wait for the answer, in seconds."
-    )
+    timeout_s: float = Field(default=10.0, gt=0, le=300, description="Timeout of the answer [s].")
 
 
 class ServiceAnswer(Judged):
-    """What the service answered; nothing in a dry run."""
+    """Answer of the service; empty in a dry run."""
 
     robot: str
     service: str
@@ -38,7 +36,7 @@ class ServiceAnswer(Judged):
 
 
 def served_model(targets: Targets) -> Derived[ServiceAnswer]:
-    """The result, with the schema of the response; a dry run has none."""
+    """Return the result model, with the schema of the response; a dry run has none."""
     interface = service_of(targets.first)
     own: dict[str, dict[str, object]] = {name: {} for name in ServiceAnswer.model_fields}
     required = [name for name in own if name != "response"]

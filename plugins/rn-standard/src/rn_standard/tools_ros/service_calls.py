@@ -1,5 +1,5 @@
-"""Requests to the services of endpoints: wait until somebody serves it, send through the gate, wait
-for the answer.
+"""Calls to the services of endpoints: wait for a server, send through the gate, wait for the
+answer.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from roboneuron import NotReadyError, StateError
 from roboneuron.feature import ExposedEndpoint, GateRequest, MotionGate, Verdict
 
 _LOOK_S = 0.05
-"""A call that is cancelled ends this soon."""
+"""Polling period, which bounds the end of a cancelled call."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Response:
-    """The answer of a service; `message` is None when the gate's `verdict` let nothing through."""
+    """Answer of a service; `message` is None if the gate's `verdict` refused the request."""
 
     verdict: Verdict
     message: Any = None
@@ -35,8 +35,8 @@ def call(
     """Send the request to the service of an endpoint and wait for the answer; blocks.
 
     Raises:
-        RefusedError: the gate, or somebody else moves the robot.
-        NotReadyError: nobody serves it, or no answer came.
+        RefusedError: the gate refuses, or another client moves the robot.
+        NotReadyError: there is no server, or no answer came.
         StateError: cancelled.
     """
     if exposed.endpoint.joint_limited:

@@ -1,4 +1,4 @@
-"""Messages that follow each other, each for its time."""
+"""Sending of consecutive messages with durations."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from roboneuron.feature import ExposedEndpoint, GateRequest, MotionGate, Sent, S
 
 @dataclass(kw_only=True, slots=True)
 class MessageStep:
-    """A message and how long it lasts [s]; `stamped` when its header is to carry the time of
-    sending.
-    """
+    """A message and its duration [s]; if `stamped`, its header gets the time of sending."""
 
     message: object
     duration_s: float
@@ -31,15 +29,15 @@ def publish_steps(
     stage: Stage,
     halt: threading.Event,
 ) -> Sent:
-    """Send one message, or steps that last and follow each other; blocks.
+    """Send one message, or consecutive steps with durations; blocks.
 
     Args:
-        gate: what they are sent through.
-        exposed: through which endpoint.
-        request: holds the messages of the steps.
+        gate: sends the messages.
+        exposed: the endpoint.
+        request: contains the messages of the steps.
         steps: at least one.
         timeout_s: longest wait for a subscriber.
-        stage: told how far it has come.
+        stage: called with the progress.
         halt: set when the call is cancelled.
 
     Raises:
@@ -55,7 +53,7 @@ def publish_steps(
 def commands_of(
     steps: Sequence[MessageStep], repeat_hz: float, stage: Stage
 ) -> Iterator[TimedCommand]:
-    """The commands of steps that follow each other, each repeated while it lasts."""
+    """Yield the commands of consecutive steps, each repeated during its duration."""
     period_s = 1.0 / repeat_hz if repeat_hz else float("inf")
     total_s = sum(step.duration_s for step in steps)
     began_s = due_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""The robots that one tool serves: the `robot` argument where there are several."""
+"""Robots served by one tool, chosen by the `robot` argument if there are several."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ class Targets:
     """Endpoints of the same label, kind and type, one per robot.
 
     Attributes:
-        trajectory: a message has a duration of its own.
-        lasting: a published value is given a duration: it is stopped after it, repeated, or to be
-            reached within.
+        trajectory: a message contains its duration.
+        lasting: a published value has a duration, after which it is stopped, during which it is
+            repeated, or within which it has to be reached.
     """
 
     def __init__(self, endpoints: Sequence[ExposedEndpoint]) -> None:
@@ -30,26 +30,26 @@ class Targets:
 
     @property
     def first(self) -> ExposedEndpoint:
-        """Any of them, for what they share."""
+        """Any of them, for their common properties."""
         return self.endpoints[0]
 
     @property
     def arguments(self) -> list[str]:
-        """Names of the arguments that choose: "robot" when there is a choice."""
+        """Names of the choosing arguments: "robot" if there is a choice."""
         return ["robot"] if len(self.endpoints) > 1 else []
 
     def schema(self) -> dict[str, JsonSchemaValue]:
-        """The properties that choose."""
+        """Schema properties of the choosing arguments."""
         if len(self.endpoints) == 1:
             return {}
         return {"robot": {"enum": list(self._by_robot)}}
 
     def of(self, robot: str) -> ExposedEndpoint:
-        """The endpoint that a call is about; of the only robot when there is one."""
+        """Return the endpoint of a call; that of the only robot if there is one."""
         return self.first if len(self.endpoints) == 1 else self._by_robot[robot]
 
     def describe(self) -> str:
-        """What there is to know of each robot's endpoint: topic, limits, rate."""
+        """Describe each robot's endpoint: topic, limits, rate."""
         return " ".join(_describe(e, len(self.endpoints) > 1) for e in self.endpoints)
 
 

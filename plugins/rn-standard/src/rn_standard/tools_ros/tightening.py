@@ -1,4 +1,4 @@
-"""How a configuration tightens what a robot's profile allows."""
+"""Tightening of a robot profile's limits by the configuration."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from roboneuron import ConfigurationError, Endpoint, Obstacle
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ConfiguredLimits:
-    """What the configuration says about an endpoint, on top of the robot's profile.
+    """Configured limits of an endpoint, in addition to the robot's profile.
 
     Attributes:
         bounds: field path -> (lowest, highest), within the profile's.
         rate_hz: most messages per second, not above the profile's; None keeps it.
-        frame: of places; that of the profile, where it has one.
-        zones: boxes in it that no place may be in, beside the profile's.
+        frame: frame of places; that of the profile, if it has one.
+        zones: boxes in that frame that must not contain a place, in addition to the profile's.
         clamp: field paths to clamp instead of refuse; each needs a bound.
     """
 

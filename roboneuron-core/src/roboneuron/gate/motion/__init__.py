@@ -1,5 +1,5 @@
-"""Limits on how an arm moves, for the commands of control and for joint motions: pure computation,
-numpy only.
+"""Limits on the motion of an arm, for the commands of control and for joint motions: pure
+computation, numpy only.
 """
 
 from roboneuron.listing import attach

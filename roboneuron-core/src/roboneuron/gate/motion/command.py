@@ -1,6 +1,4 @@
-"""Joint commands of control: check of their joints, setpoint of the last one, the step that is
-limited, the verdict.
-"""
+"""Joint commands of control: check of their joints, last setpoint, step to be limited, result."""
 
 from __future__ import annotations
 
@@ -16,13 +14,13 @@ from roboneuron.gate.motion.joint_space import JointLimit
 from roboneuron.gate.motion.task_space import Motion
 
 _FARTHEST = 1e4
-"""No joint is farther than this [rad or m] from zero; numbers beyond it are damage."""
+"""Largest plausible joint position [rad or m]; larger numbers are corrupt."""
 _TOGETHER_S = 1e-3
 
 
 def pick(names: tuple[str, ...], position: F64, wanted: tuple[str, ...]) -> F64:
-    """Positions of the `wanted` joints, float64 (n,). Raises UnsafeError unless each is there once
-    and finite.
+    """Positions of the `wanted` joints, float64 (n,). Raises UnsafeError unless each occurs once
+    and is finite.
     """
     values = np.asarray(position, dtype=np.float64)
     if values.shape != (len(names),) or len(set(names)) != len(names):
@@ -46,7 +44,8 @@ def pick_others(
     arm: tuple[str, ...],
     limits: Mapping[str, JointLimit],
 ) -> tuple[tuple[str, ...], F64]:
-    """Names and positions of the finite joints beside the arm's: as commanded, or else as measured.
+    """Names and positions of the finite joints other than the arm's: as commanded, or else as
+    measured.
 
     Raises:
         UnsafeError: a commanded one is unknown or leaves its travel.
@@ -72,21 +71,21 @@ def pick_others(
 
 
 Answer = Callable[[JointSample, float, float], JointCommand | Hold]
-"""What is wanted for one row: called with the newest measured joints, the time that the arm has
-for it [s], and the monotonic time at which it is executed [s].
+"""Computes the target of one row from the newest measured joints, the available time [s], and the
+monotonic time of execution [s].
 """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Asked:
-    """What one action asks for.
+    """Content of one action.
 
     Attributes:
         now: the row that is due.
-        later: rows that are planned after it and say where to be, for joints that are where the
-            row before leads; sent with it as far as `[control] horizon_s` reaches. None is told as
-            limited: each is asked for anew when it is due.
-        step_s: time between two of them [s].
+        later: planned rows with absolute targets, evaluated at the end of the previous row; sent
+            with it as far as `[control] horizon_s` reaches. They are not reported as limited: each
+            is evaluated again when it is due.
+        step_s: time between two rows [s].
     """
 
     now: Answer
@@ -104,7 +103,7 @@ class Setpoint:
         sent_s: monotonic time.
         immediate: the command carries no time, so that the robot may jump to its end (JointState
             commands).
-        goal: float64 (n,), where it was to end before limits.
+        goal: float64 (n,), its end before limits were applied.
         goal_velocity: float64 (n,), of successive goals.
     """
 
@@ -134,16 +133,16 @@ class Setpoint:
         """Position and velocity at a monotonic time.
 
         Args:
-            now_s: before `sent_s` counts as then.
-            braking: float64 (n,), the joints' limits of acceleration, with which the velocity ends
-                once the command has come to its end: no arm stops at once.
+            now_s: a time before `sent_s` counts as `sent_s`.
+            braking: float64 (n,), the joints' acceleration limits, with which the velocity ends
+                after the end of the command: no arm stops at once.
 
         Returns:
             Both float64 (n,).
         """
         passed = (now_s - self.sent_s) / self.duration_s
-        # An immediate one was chosen for the time before it; the arm has that velocity until the
-        # next one is due.
+        # The time before an immediate command determined its length; the arm has that velocity
+        # until the next one is due.
         ends = 2.0 if self.immediate else 1.0
         velocity = self.displacement / self.duration_s
         share = 1.0 if self.immediate else min(1.0, max(0.0, passed))
@@ -154,19 +153,19 @@ class Setpoint:
         return position, velocity
 
     def goal_velocity_to(self, goal: F64, duration_s: float, now_s: float) -> F64:
-        """Velocity of the goals when one comes now that is to be reached in `duration_s`, float64
-        (n,) [rad or m per s].
+        """Velocity of successive goals, for one that arrives now and has to be reached in
+        `duration_s`, float64 (n,) [rad or m per s].
         """
         since_s = now_s - self.sent_s
-        # the first goal, or messages that arrive together: the time says nothing
+        # the first goal, or messages that arrive together: the interval is meaningless
         return (goal - self.goal) / (since_s if since_s > _TOGETHER_S else duration_s)
 
     def steady_velocity_to(self, goal: F64, duration_s: float, now_s: float) -> F64:
-        """Velocity with which the goals move on: a joint has to be slow at a goal that stays, and
-        need not at one that moves on. Arguments as of `goal_velocity_to`.
+        """Velocity with which the goals continue: a joint must be slow at a goal that stays, but
+        not at one that moves on. Arguments as of `goal_velocity_to`.
 
-        A jump is no motion: of the last two velocities the smaller one counts, or zero where their
-        signs differ.
+        A jump does not count as motion: the smaller of the last two velocities is used, or zero if
+        their signs differ.
         """
         newest, before = self.goal_velocity_to(goal, duration_s, now_s), self.goal_velocity
         smaller = np.copysign(np.minimum(np.abs(newest), np.abs(before)), newest)
@@ -175,21 +174,21 @@ class Setpoint:
 
 @dataclass(kw_only=True, slots=True, eq=False)
 class Step:
-    """One command while it is limited; arrays are float64 (n,) in the order of the profile's arm
+    """One command during limiting; arrays are float64 (n,) in the order of the profile's arm
     joints.
 
     Attributes:
         measured: joint positions.
-        last: the setpoint that it takes over from.
-        start, before: setpoint and commanded velocity when the command takes over.
+        last: the setpoint that it replaces.
+        start, before: setpoint and commanded velocity at the start of the command.
         target: commanded positions; scaled in place.
-        goal: commanded positions; they stay.
+        goal: commanded positions; never modified.
         goal_velocity: of successive goals.
-        passed_s: time since the last command, at most `duration_s`: what is available for
-            accelerating.
+        passed_s: time since the last command, at most `duration_s`: the time available for
+            acceleration.
         others: names and positions of joints beside the arm's, as commanded, otherwise as measured.
         is_lost: the measured joints do not follow the setpoint.
-        acted, reason: the limits that scaled the command, and the last one in a sentence.
+        acted, reason: the limits that scaled the command, and a sentence on the last one.
     """
 
     measured: F64
@@ -220,10 +219,9 @@ class LimitedCommand:
             unchanged.
         reason: one sentence for the last of them, with the numbers; empty when the command is
             unchanged.
-        share: length of the sent step in joint space over that of the commanded one; 1 when it is
-            unchanged.
-        asked: the command in numbers; None for an invalid one (non-finite, unknown joints).
-        sent: what is sent, in numbers; None when nothing is sent or the arm holds.
+        share: ratio of the sent to the commanded step's length in joint space; 1 if unchanged.
+        asked: properties of the command; None for an invalid one (non-finite, unknown joints).
+        sent: properties of the sent command; None if nothing is sent or the arm holds.
         reference_lost: the measured joints did not follow the setpoint.
     """
 

@@ -1,6 +1,4 @@
-"""Limits of the joints: position, velocity (also where it depends on position), acceleration,
-effort.
-"""
+"""Limits of the joints: position, velocity (also position-dependent), acceleration, effort."""
 
 from __future__ import annotations
 
@@ -15,25 +13,23 @@ from roboneuron.contract import F64, RobotProfile
 from roboneuron.gate.motion.rules import MotionRules
 
 _SLACK = 1e-6
-"""Relative: what rounding and decimals in between may add to a limit."""
+"""Relative tolerance on a limit for rounding."""
 _NOTHING = 1e-9
-"""A displacement this short [rad or m] is rounding, not motion."""
+"""Displacement below which a motion is rounding [rad or m]."""
 
 
 def braking_velocity(
     distance: float, offset: float, deceleration: float, step_s: float = 0.0
 ) -> float:
-    """Fastest velocity towards a limit that lies `distance` away, kept for `step_s` and braked
-    after it.
+    """Fastest velocity towards a limit at `distance`, kept for `step_s` and braked afterwards.
 
     v <= -offset + sqrt(2 * deceleration * (distance - v * step_s)), solved for v; never negative.
 
     Args:
-        distance: to the limit [rad or m].
+        distance: distance to the limit [rad or m].
         offset: velocity kept in reserve [per s].
-        deceleration: with which the joint brakes [per s^2], > 0.
-        step_s: how long the velocity lasts before it can change [s]; 0 for the bound at this very
-            position.
+        deceleration: of the joint's braking [per s^2], > 0.
+        step_s: time before the velocity can change [s]; 0 for the bound at this position.
 
     Source: libfranka rate_limiting.h for step_s = 0.
     """
@@ -47,13 +43,13 @@ def braking_velocity(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JointLimit:
-    """Limits of one joint in rad or m, per s, per s^2, and Nm or N; infinite where the profile has
+    """Limits of one joint in rad or m, per s, per s^2, and Nm or N; infinite if the profile has
     none.
 
     Attributes:
-        braking: offset and deceleration of a joint that is slower near a position limit; None for
+        braking: offset and deceleration of a joint that slows down near a position limit; None for
             others.
-        SLACK: relative: what rounding and decimals in between may add to a limit.
+        SLACK: relative tolerance on a limit for rounding.
     """
 
     lower: float = -math.inf
@@ -68,8 +64,8 @@ class JointLimit:
     def by_joint(
         cls, profile: RobotProfile, rules: MotionRules | None = None
     ) -> dict[str, JointLimit]:
-        """Limits by joint name: the arms', in the shares that `rules` allow, and the grippers'
-        travel.
+        """Limits by joint name: those of the arms, scaled by the fractions of `rules`, and the
+        grippers' travel.
         """
         found: dict[str, JointLimit] = {}
         rules = rules or MotionRules(reactions={})
@@ -93,8 +89,8 @@ class JointLimit:
         return found
 
     def allows(self, quantity: str, value: float) -> bool:
-        """Whether a "position", "velocity", "acceleration" or "effort" is within its limits; False
-        for NaN.
+        """Return True if a "position", "velocity", "acceleration" or "effort" is within its limits;
+        False for NaN.
         """
         low, high = self.range(quantity)
         return low - _SLACK * max(1.0, abs(low)) <= value <= high + _SLACK * max(1.0, abs(high))
@@ -107,11 +103,10 @@ class JointLimit:
         return -high, high
 
     def fastest(self, position: float, towards_upper: bool, kept_s: float = 0.0) -> float:
-        """Fastest velocity >= 0 at a position towards one of the limits, when it is kept for that
-        long.
+        """Fastest velocity >= 0 at a position towards one of the limits, if kept for `kept_s`.
 
-        For a whole step ask with its start and duration; whether one may end at a position, with
-        that and 0.
+        For a whole step use its start and duration; to check the end of a step use its end position
+        and 0.
         """
         if self.braking is None:
             return self.velocity
@@ -123,13 +118,12 @@ class JointLimit:
 
 
 class JointSpace:
-    """The limits of n arm joints on commands that follow each other; stateless. Arrays are float64
-    (n,).
+    """Limits of n arm joints on successive commands; stateless. Arrays are float64 (n,).
 
-    Plain floats inside: for seven joints a loop over them is faster than the calls into numpy.
+    Plain floats are used inside: for seven joints a loop over them is faster than numpy calls.
 
     Attributes:
-        braking: hardest acceleration of each joint [per s^2].
+        braking: largest acceleration of each joint [per s^2].
     """
 
     def __init__(self, names: Sequence[str], limits: Sequence[JointLimit]) -> None:
@@ -140,11 +134,11 @@ class JointSpace:
     def violations(
         self, start: F64, change: F64, step_s: float
     ) -> Iterator[tuple[str, float, str]]:
-        """Limits of position and velocity that `change` in `step_s` breaks: name, share that is
-        allowed, reason.
+        """Limits of position and velocity that `change` in `step_s` violates: name, allowed
+        fraction, reason.
 
-        A joint that starts outside of its positions may move back in, and by
-        any displacement towards them.
+        A joint that starts outside of its position limits may move towards them by any
+        displacement.
         """
         position, velocity = (1.0, ""), (1.0, "")
         for name, limit, begin, displacement in zip(
@@ -174,26 +168,26 @@ class JointSpace:
                 yield quantity, share, reason
 
     def arrival(self, change: F64, goal_velocity: F64, step_s: float) -> tuple[float, str]:
-        """The share of `change` in `step_s` after which each joint can still stop at its goal, and
-        the limiting joint.
+        """The fraction of `change` in `step_s` after which each joint can still stop at its goal,
+        and the limiting joint.
 
-        Seen from the goal, which may move, a joint is either so slow that the next command stops
-        it, or it brakes from the end of this step on.
+        Relative to the goal, which may move, a joint is either slow enough to be stopped by the
+        next command, or it brakes from the end of this step on.
 
         Args:
-            change: to the goal.
-            goal_velocity: of the goal [per s].
+            change: displacement to the goal.
+            goal_velocity: velocity of the goal [per s].
             step_s: time of the step, and of the next one [s].
 
         Returns:
-            Share, and "" when it is 1.
+            The fraction, and "" if it is 1.
         """
         least, joint = 1.0, ""
         for i, (length, moves) in enumerate(
             zip(change.tolist(), goal_velocity.tolist(), strict=True)
         ):
             nearer = length - moves * step_s
-            # a goal that comes nearer by itself is not overtaken
+            # a goal that approaches by itself is not overtaken
             if nearer * length <= 0.0:
                 continue
             hardest = self._acceleration[i]
@@ -206,20 +200,20 @@ class JointSpace:
         return least, joint
 
     def nearest_velocity(self, before: F64, wanted: F64, passed_s: float) -> tuple[F64, str]:
-        """The velocity nearest to `wanted` that the joints can have `passed_s` after `before`, and
-        the limiting joint.
+        """The velocity nearest to `wanted` that the joints can reach within `passed_s` after
+        `before`, and the limiting joint.
 
-        It is a share of `wanted`, so that the direction is kept, whenever such a share is within
-        reach. When the arm is too fast to turn or stop at once, it is the velocity on the line from
-        `before` to `wanted` that is.
+        If possible it is a fraction of `wanted`, so that the direction is kept. If the arm is too
+        fast to turn or stop at once, it is the nearest velocity on the line from `before` to
+        `wanted`.
 
         Returns:
-            Velocity, and "" when it is `wanted` itself.
+            The velocity, and "" if it is `wanted` itself.
         """
         if self.is_reachable(before, wanted, passed_s):
             return wanted, ""
-        # Each joint allows an interval of shares s with |s * new - old| <= a_max * dt; the largest
-        # share that lies in all of them is taken.
+        # Each joint allows an interval of factors s with |s * new - old| <= a_max * dt; the largest
+        # factor in all of them is taken.
         least, most, joint = 0.0, 1.0, 0
         for i, (old, new) in enumerate(zip(before.tolist(), wanted.tolist(), strict=True)):
             most_change = self._acceleration[i] * passed_s
@@ -232,8 +226,8 @@ class JointSpace:
                 most, joint = high, i
         if least <= most:
             return wanted * most, self._names[joint]
-        # No share lies in all: on the line between the two, the joint with the least acceleration
-        # for its change decides how far the velocity gets.
+        # No factor is in all of them: on the line between the two velocities, the joint with the
+        # least acceleration for its change decides how far the velocity gets.
         change = (wanted - before).tolist()
         parts = [
             self._acceleration[i] * passed_s / abs(c) if c else math.inf
@@ -243,7 +237,7 @@ class JointSpace:
         return before + (wanted - before) * part, self._names[parts.index(part)]
 
     def is_reachable(self, before: F64, velocity: F64, passed_s: float) -> bool:
-        """Whether the joints can have `velocity` so soon after `before`: |v - v'| <= a_max * dt.
+        """Return True if the joints can reach `velocity` within `passed_s`: |v - v'| <= a_max * dt.
 
         Args:
             before, velocity: float64 (n,) [per s].

@@ -36,15 +36,15 @@ from roboneuron.gate.motion.rules import MotionRules, inspector_of, poses_of
 from roboneuron.gate.motion.shortening import Rejection, Shortener
 
 LOST, LOST_M = 0.1, 0.02
-"""Largest difference between setpoint and measured joint [rad; m for slides] before the setpoint
-counts as lost.
+"""Largest difference between setpoint and measured joint [rad; m for prismatic joints] before the
+setpoint counts as lost.
 """
 _MEMORY_S = 1.0
 """Age at which the setpoint expires: the next command starts from the measured joints, at rest."""
 _SHORTEST_S = 1e-3
-"""Two messages that arrive together are no reason to divide by nothing."""
+"""Shortest interval between messages, against a division by zero when two arrive together."""
 _ROUNDING_S = 1e-6
-"""Of a horizon that is a whole number of periods."""
+"""Tolerance for a horizon that is a whole number of periods."""
 
 
 class MotionLimiter:
@@ -62,8 +62,8 @@ class MotionLimiter:
         rules: numbers and reactions.
         profile: joints, limits and gripper of the robot.
         forward: TCP pose of a posture, of the first arm; raises UnsafeError.
-        inspect: the same with all that `Posture` holds; raises likewise.
-        poses: TCP pose of each arm; needed for a robot that has several.
+        inspect: the same with all of `Posture`; raises UnsafeError.
+        poses: TCP pose of each arm; needed for a robot with several arms.
         immediate: commands carry no time, so that the robot may jump to them (JointState commands).
         longest_s: longest duration of a command; a longer one is answered with a hold, as nothing
             could end it if control froze.
@@ -106,7 +106,7 @@ class MotionLimiter:
         immediate: bool,
         longest_s: float,
     ) -> Self:
-        """One that asks a controller for poses and postures. Arguments as of the class."""
+        """Create a limiter with a controller's poses and postures. Arguments as of the class."""
         return cls(
             rules,
             profile,
@@ -118,9 +118,10 @@ class MotionLimiter:
         )
 
     def use(self, rules: MotionRules) -> None:
-        """Apply other numbers and reactions from the next command on.
+        """Apply other rules from the next command on.
 
-        The setpoint is kept: the arm's motion goes on, and the next step is judged by it.
+        The setpoint is kept: the arm's motion continues, and the next step is evaluated relative to
+        it.
         """
         self._shortener.use(rules)
 
@@ -128,8 +129,8 @@ class MotionLimiter:
         """Apply all limits to a command that is to be sent now.
 
         Args:
-            command: of the controller; `duration_s` is the time until the next one is expected, or
-                longer.
+            command: command of the controller; `duration_s` is the time until the next one is
+                expected, or longer.
             joints: newest measured joints.
             now_s: monotonic time.
         """
@@ -183,16 +184,16 @@ class MotionLimiter:
         step_s: float,
         horizon_s: float,
     ) -> list[JointCommand]:
-        """Commands for what is planned after one that was just limited, each limited from where and
-        when the one before ends. They end before the first that cannot be executed.
+        """Limit the commands planned after one that was just limited, each from the end of the
+        previous one. The result ends before the first that cannot be executed.
 
         Args:
-            command: that one, as `limit` has returned it.
+            command: as returned by `limit`.
             joints: measured.
-            later: each is called with the joints where the command before ends, the time that it
-                has [s], and when that begins [monotonic s].
-            step_s: time that each has [s].
-            horizon_s: how long they may last together [s]; 0 for none.
+            later: functions of the joints at the end of the previous command, the available time
+                [s], and the start time [monotonic s].
+            step_s: time for each command [s].
+            horizon_s: longest total duration [s]; 0 for none.
         """
         commands, last = [command], self
         most_s = self._ends_s + horizon_s + _ROUNDING_S
@@ -213,27 +214,26 @@ class MotionLimiter:
 
     @property
     def _ends_s(self) -> float:
-        """Monotonic time at which the last command has come to its end; 0 where there is none."""
+        """Monotonic time at which the last command ends; 0 without one."""
         return 0.0 if self._sent is None else self._sent.sent_s + self._sent.duration_s
 
     def _fork(self) -> Self:
-        """A limiter that goes on from the same setpoint on its own, for a command that begins when
-        the last one ends.
+        """Create an independent limiter with the same setpoint, for a command that begins when the
+        last one ends.
         """
         other = copy.copy(self)
         other._expected = []
         return other
 
     def _advance(self, now_s: float) -> None:
-        """Take the planned command that is in progress as the setpoint; none is planned now."""
+        """Make the planned command that is in progress the setpoint, and discard the plan."""
         for fork in self._expected:
             if fork._sent is not None and fork._sent.sent_s <= now_s:
                 self._sent = fork._sent
         self._expected = []
 
     def follow(self, command: JointCommand, joints: JointSample, sent_s: float) -> None:
-        """Take a command that another process sent, at the monotonic time `sent_s`, as the
-        setpoint.
+        """Make a command that another process sent at the monotonic time `sent_s` the setpoint.
 
         After an invalid one there is no setpoint: the next command starts from the measured joints.
         """
@@ -245,8 +245,8 @@ class MotionLimiter:
     def reference(self, joints: JointSample, now_s: float) -> JointSample:
         """Joints at the end of the command in progress, for a command that adds to it.
 
-        The measured ones when there is none, when it is too old, or when the arm does not follow
-        it: then nothing is to be made up for.
+        The measured joints if there is none, it is too old, or the arm does not follow it, so that
+        no lag is made up for.
         """
         sent = self._sent
         if sent is None or now_s - sent.sent_s >= _MEMORY_S:
@@ -262,14 +262,14 @@ class MotionLimiter:
         return joints
 
     def remaining_s(self, now_s: float) -> float:
-        """Time until the command in progress has ended; 0 where there is none."""
+        """Time until the command in progress ends; 0 without one."""
         sent = self._sent
         if sent is None or sent.immediate or not sent.displacement.any():
             return 0.0
         return max(0.0, sent.sent_s + sent.duration_s - now_s)
 
     def rest(self, joints: JointSample | None, now_s: float) -> None:
-        """Take the measured joints as the setpoint, at rest; None: they are not known."""
+        """Make the measured joints the setpoint, at rest; None if they are unknown."""
         self._sent, self._expected = None, []
         if joints is None:
             return
@@ -289,11 +289,12 @@ class MotionLimiter:
         )
 
     def _step(self, command: JointCommand, joints: JointSample, now_s: float) -> Step:
-        """The command as a straight line from the setpoint, or from the measured joints where there
-        is no setpoint, it has expired, or the arm does not follow it.
+        """Convert the command to a straight line from the setpoint, or from the measured joints if
+        there is no setpoint, it has expired, or the arm does not follow it.
 
         Raises:
-            UnsafeError: joints are missing or not finite, or it lasts no finite time > 0.
+            UnsafeError: joints are missing or not finite, or the duration is not finite and
+                positive.
         """
         measured = pick(joints.names, joints.position, self._names)
         target = pick(command.names, command.position, self._names)
@@ -329,8 +330,8 @@ class MotionLimiter:
         )
 
     def _command(self, command: JointCommand, step: Step) -> JointCommand:
-        """What is sent: the command itself, or a copy whose arm joints end where the step does; the
-        gripper goes where it was commanded to.
+        """Return the command to send: itself, or a copy whose arm joints end at the step's target;
+        the gripper keeps its commanded target.
         """
         if not step.acted and step.duration_s == command.duration_s:
             return command
@@ -340,7 +341,7 @@ class MotionLimiter:
 
 
 def _after(command: JointCommand, joints: JointSample) -> JointSample:
-    """The joints when `command` has come to its end."""
+    """The joints at the end of `command`."""
     ends = dict(zip(command.names, command.position.tolist(), strict=True))
     position = [
         ends.get(name, place)

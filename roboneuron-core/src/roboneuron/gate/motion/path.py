@@ -1,5 +1,5 @@
-"""Sampling of paths in joint space: how far apart postures may be for a check of each to be a check
-of the path.
+"""Sampling of joint-space paths, dense enough that checking the sampled postures checks the
+path.
 """
 
 from __future__ import annotations
@@ -11,23 +11,23 @@ from collections.abc import Sequence
 from roboneuron.contract import F64, RobotProfile, urdf_joints
 
 _FINEST_M, _COARSEST_M = 0.005, 0.02
-"""Farthest that a point of the arm may move between two postures: each one costs a computation, and
-one that is missed may be the one that touches.
+"""Bounds of the distance that a point of the arm may move between two samples. Each sample costs a
+computation; a contact between two samples would be missed.
 """
 _SHAPE_M = 0.1
-"""What a hand sticks out from the line of the joints."""
+"""Extent of a hand beyond the line of the joints."""
 
 
 class Reach:
     """Sampling of paths in joint space.
 
-    No point of the arm may move farther than twice the least distance of its links (within 5 to 20
-    mm) from one posture to the next.
+    Between two samples no point of the arm moves farther than twice the least distance of its links
+    (within 5 to 20 mm).
     """
 
     def __init__(self, profile: RobotProfile) -> None:
         """Args:
-        profile: its description tells the levers, its collision bodies the distance.
+        profile: its description gives the levers, its collision bodies the distance.
         """
         self._levers = levers_m(profile)
         least_m = (
@@ -36,11 +36,11 @@ class Reach:
         self._spacing_m = min(_COARSEST_M, max(_FINEST_M, least_m))
 
     def count(self, names: Sequence[str], change: F64) -> int:
-        """Into how many steps the absolute changes (n,) [rad or m] of the named joints are to be
-        cut; at least 1.
+        """Number of steps for the absolute changes (n,) [rad or m] of the named joints; at
+        least 1.
         """
-        # no point moves farther than the sum of what each joint moves it at most; a joint that the
-        # description does not tell counts 1 m per rad
+        # the displacement of a point is at most the sum of the joints' contributions; a joint that
+        # is not in the description counts 1 m per rad
         travel_m = sum(
             self._levers.get(n, 1.0) * d for n, d in zip(names, change.tolist(), strict=True)
         )
@@ -48,16 +48,16 @@ class Reach:
 
 
 def levers_m(profile: RobotProfile) -> dict[str, float]:
-    """By joint of the chain from base to TCP of each arm: metres that a point moves at most per rad
-    (1 per m for slides).
+    """Lever of each joint in the chain from base to TCP of each arm: largest displacement of a
+    point [m per rad; 1 for prismatic joints].
 
-    Two arms come nearer to each other by the sum of what both move. Empty for a description that
-    holds no such chain.
+    Two arms approach each other by the sum of both displacements. Empty for a description without
+    such a chain.
     """
     above = {_attribute(joint.find("child"), "link"): joint for joint in urdf_joints(profile.urdf)}
     levers: dict[str, float] = {}
     for arm in profile.each_arm:
-        # from the TCP down to the base, because each joint moves all that lies behind it
+        # from the TCP down to the base, because each joint moves everything beyond it
         link, length, left = arm.tcp_link, _SHAPE_M, dict(above)
         while link in left and link != arm.base_link:
             joint = left.pop(link)

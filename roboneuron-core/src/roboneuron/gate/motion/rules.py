@@ -1,4 +1,4 @@
-"""Which limits hold and what happens at each: from the configuration, never wider than the robot's
+"""Motion limits and the reaction to each: from the configuration, never wider than the robot's
 profile.
 """
 
@@ -38,7 +38,7 @@ LIMITS = (
     "singularity",
     "collision",
 )
-"""Names under which limits are configured (`on_<name>`), counted and reported."""
+"""Names of the limits in the configuration (`on_<name>`), in counters and in reports."""
 
 _TIGHTER = {
     "velocity_fraction": -1.0,
@@ -52,25 +52,24 @@ _TIGHTER = {
     "min_height_m": 1.0,
     "min_singular_value": 1.0,
 }
-"""Numbers that may be tightened at run time: to greater values (1) or smaller ones (-1)."""
+"""Numbers that may be tightened at run time: upwards (1) or downwards (-1)."""
 _EVERYWHERE = Workspace(lower_m=np.full(3, -np.inf), upper_m=np.full(3, np.inf))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MotionRules:
-    """Numbers and reactions; infinite where nothing is limited.
+    """Limits and reactions; infinite without a limit.
 
     Attributes:
         reactions: "hold", "scale" or "refuse" by limit.
-        velocity_fraction, acceleration_fraction: shares of the joints' limits in use.
-        max_step_m, max_step_rad: farthest that one command may move the TCP from where it is
-            measured.
+        velocity_fraction, acceleration_fraction: fractions of the joints' limits in use.
+        max_step_m, max_step_rad: largest displacement of one command from the measured TCP.
         max_speed_m_s, max_turn_rad_s: fastest motion of the TCP.
         lower_m, upper_m: workspace box of the TCP, float64 (3,), base frame.
         min_height_m: lowest z of the TCP, base frame.
         zones: boxes that the TCP must not enter.
         min_singular_value: smallest allowed distance from a singularity.
-        collision: what the arm must not touch; None when that is not checked.
+        collision: bodies that the arm must not touch; None if not checked.
     """
 
     reactions: Mapping[str, Reaction]
@@ -89,14 +88,14 @@ class MotionRules:
 
 
 def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
-    """The rules for one robot.
+    """Compute the rules for one robot.
 
     Args:
         config: the limits of the configuration, or tighter ones.
         profile: its workspace bounds the configured one.
 
     Raises:
-        ConfigurationError: a box is empty, a workspace is wider than the profile's, or as
+        ConfigurationError: a box is empty, a workspace is wider than the profile's, or see
             `collision_of`.
     """
     widest = profile.workspace or _EVERYWHERE
@@ -133,12 +132,12 @@ def motion_rules(config: LimitsConfig, profile: RobotProfile) -> MotionRules:
 def check_tighter(limits: LimitsConfig, configured: LimitsConfig) -> None:
     """Refuse limits that allow anything which the configured ones do not.
 
-    Every key is looked at: one that has no order, such as a reaction, must stay as it is, and a key
-    that is added later is refused until somebody says which way it is tighter.
+    Every key is checked. One without an order, such as a reaction, must stay unchanged, and a newly
+    added key is refused until its direction is declared in `_TIGHTER`.
 
     Args:
-        limits: asked for by a client.
-        configured: by the person who is responsible for the robot.
+        limits: requested by a client.
+        configured: set by the person responsible for the robot.
 
     Raises:
         ConfigurationError: names the first key that is wider.
@@ -165,11 +164,11 @@ def check_tighter(limits: LimitsConfig, configured: LimitsConfig) -> None:
 
 
 def collision_of(config: LimitsConfig, profile: RobotProfile) -> CollisionProfile | None:
-    """What the arm must not touch: the profile's with the configured distance and obstacles; None
-    when not checked.
+    """Return the profile's collision bodies with the configured distance and obstacles; None if not
+    checked.
 
     Raises:
-        ConfigurationError: an obstacle is no box, or the distance is shorter than the robot's.
+        ConfigurationError: an obstacle is not a box, or the distance is shorter than the robot's.
     """
     given, least_m, obstacles = profile.collision, config.min_distance_m, config.obstacles
     if not config.collision or (given is None and least_m is None and obstacles is None):
@@ -189,8 +188,8 @@ def collision_of(config: LimitsConfig, profile: RobotProfile) -> CollisionProfil
 
 
 def inspector_of(controller: Controller) -> Callable[[JointSample], Posture]:
-    """What tells the postures of a controller's arm: all that it can say, at the least the pose of
-    the TCP.
+    """Return the function that evaluates postures of a controller's arm, with at least the TCP
+    pose.
     """
     if isinstance(controller, PostureInspector):
         return controller.inspect
@@ -198,22 +197,22 @@ def inspector_of(controller: Controller) -> Callable[[JointSample], Posture]:
 
 
 def poses_of(controller: Controller) -> Callable[[JointSample], tuple[Pose, ...]]:
-    """What tells the TCP of each of a controller's arms."""
+    """Return the function that computes the TCP pose of each arm."""
     if isinstance(controller, SeveralArms):
         return controller.poses
     return lambda joints: (controller.forward(joints),)
 
 
 def _box(key: str, name: str, lower_m: ArrayLike, upper_m: ArrayLike) -> Obstacle:
-    """A box of `[limits]`.
+    """Create a box of `[limits]`.
 
     Args:
-        key: where it stands.
-        name: its own.
+        key: its key in the configuration.
+        name: its own name.
         lower_m, upper_m: opposite corners (3,) in the base frame.
 
     Raises:
-        ConfigurationError: it is empty; corners that were mixed up would forbid nothing.
+        ConfigurationError: it is empty; interchanged corners would forbid nothing.
     """
     box = Obstacle(name=name, lower_m=np.array(lower_m), upper_m=np.array(upper_m))
     if not (box.lower_m < box.upper_m).all():

@@ -1,4 +1,4 @@
-"""How a command is shortened to within the limits, or why no part of it is."""
+"""Shortening of a command to within the limits, or its rejection."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from roboneuron.gate.motion.rules import MotionRules
 from roboneuron.gate.motion.task_space import Motion, TaskSpace, largest
 
 _HALVINGS = 6
-"""Bisections when a step is shortened to stay out of a zone: to 1/64 of the step."""
+"""Bisections when a step is shortened to avoid a zone: to 1/64 of the step."""
 _RESERVE = 0.98
-"""Share of a Cartesian limit used when a step is scaled: a straight line in joint space is a curve
-in task space.
+"""Fraction of a Cartesian limit used when a step is scaled: a straight line in joint space is a
+curve in task space.
 """
 
 
 class Rejection(Exception):
-    """A limit rejects the command: its reaction is "hold" or "refuse", or no scaled command is
+    """The limits reject the command: the reaction is "hold" or "refuse", or no scaled command is
     within the limits.
     """
 
@@ -34,23 +34,23 @@ class Rejection(Exception):
 
 
 def _ratio(of_all: float, of_step: float) -> float:
-    """How many steps the whole path has, from the lengths of both; 1 without a step."""
+    """Ratio of the whole path's length to the step's; 1 without a step."""
     return of_all / of_step if of_step > 0.0 else 1.0
 
 
 class Shortener:
-    """Applies the limits to one step. Used from one thread.
+    """Apply the limits to one step. Used from one thread.
 
     Args:
         rules: numbers and reactions.
         profile: joints, limits and gripper of the robot.
         poses: TCP pose of each arm; raises UnsafeError.
-        inspect: the posture; raises likewise.
+        inspect: returns the posture; raises UnsafeError.
         immediate: commands carry no time.
         longest_s: longest duration of a command.
 
     Attributes:
-        limits: of each joint that has any, by name.
+        limits: of each joint with limits, by name.
         joints: limits of the arm joints.
     """
 
@@ -73,7 +73,7 @@ class Shortener:
         self._immediate, self._longest_s = immediate, longest_s
 
     def use(self, rules: MotionRules) -> None:
-        """Apply other numbers and reactions from the next step on."""
+        """Apply other rules from the next step on."""
         self._rules = rules
         self.limits = JointLimit.by_joint(self._profile, rules)
         self.joints = JointSpace(
@@ -82,7 +82,7 @@ class Shortener:
         self._task = TaskSpace(rules)
 
     def shorten(self, step: Step) -> Motion:
-        """Scale the step's target to within the limits; returns the motion that is sent, raises
+        """Scale the step's target to within the limits; return the motion that is sent, raise
         Rejection.
         """
         measured = start = self._poses(self._sample(step, step.measured))
@@ -97,7 +97,7 @@ class Shortener:
         target = self._apply_cartesian_limits(step, measured, target)
         sent = step.asked
         if step.acted:
-            # Check what would be sent once more: scaling for one limit may violate another one.
+            # Check the result once more: scaling for one limit may violate another one.
             sent = largest(self._motions(step, measured, start, target))
             displacement = step.target - step.start
             for name, _, reason in self.joints.violations(
@@ -119,11 +119,11 @@ class Shortener:
         return sent
 
     def _extend(self, step: Step, measured: tuple[Pose, ...], target: Posture) -> bool:
-        """Give the command the time that the TCP needs from where it is measured; returns whether
-        it needed more.
+        """Extend the command to the time that the TCP needs from its measured pose; return True if
+        it was extended.
 
-        The limit of speed holds from the setpoint. An arm that was held up (a late command, a
-        frozen driver) is behind it and would catch up in the time of the command.
+        The speed limit is applied from the setpoint. An arm that was delayed (a late command, a
+        frozen driver) is behind the setpoint and would catch up within the command's time.
         """
         if self._immediate:
             return False
@@ -144,7 +144,7 @@ class Shortener:
         return True
 
     def _speed_ratio(self, measured: tuple[Pose, ...], target: Posture, duration_s: float) -> float:
-        """How many times a speed limit a TCP would have on its path from the measured pose."""
+        """Ratio of a TCP's speed on its path from the measured pose to the speed limit."""
         motions = [
             self._task.motion(pose, pose, end, duration_s, 0.0)
             for pose, end in zip(measured, target.arms, strict=True)
@@ -163,9 +163,9 @@ class Shortener:
                 "speed",
                 f"The arm is behind its setpoint; its TCP would be {times:.3g} times too fast.",
             )
-            # The arm has to cover two parts: what it is behind, and the step. Only the step can be
-            # scaled: (behind + share * step) / (behind + step) = _RESERVE / times, solved for
-            # share, with whole / step = `parts`; once for distances, once for turns.
+            # The arm has to cover its lag and the step. Only the step can be scaled: (behind +
+            # share * step) / (behind + step) = _RESERVE / times, solved for share, with whole /
+            # step = `parts`; once for distances, once for rotations.
             parts = [_ratio(motion.step_m, motion.speed_m_s * step.duration_s) for motion in asked]
             parts += [_ratio(arm.step_rad, arm.turn_rad_s * step.duration_s) for arm in asked]
             share = max(0.0, 1.0 - (1.0 - _RESERVE / times) * max(parts))
@@ -199,8 +199,8 @@ class Shortener:
     def _apply_cartesian_limits(
         self, step: Step, measured: tuple[Pose, ...], target: Posture
     ) -> Posture:
-        """Scale the step to the Cartesian limits, to 1/64 of its length; returns the posture at its
-        end.
+        """Scale the step to the Cartesian limits, down to 1/64 of its length; return the posture at
+        its end.
         """
         violations = list(self._cartesian_violations(step, measured, target))
         if not violations:
@@ -243,7 +243,7 @@ class Shortener:
                 return
 
     def _act(self, step: Step, name: str, reason: str) -> None:
-        """Record a violated limit; raises Rejection unless its reaction is to scale."""
+        """Record a violated limit; raise Rejection unless its reaction is to scale."""
         reaction = self._rules.reactions[name]
         if reaction != "scale":
             raise Rejection(name, reason, refuse=reaction == "refuse")
@@ -253,12 +253,12 @@ class Shortener:
     def _motions(
         self, step: Step, measured: tuple[Pose, ...], start: tuple[Pose, ...], target: Posture
     ) -> list[Motion]:
-        """The step in numbers, for each arm, as limits and status tell it; the speed of the joints
-        is that of all of them.
+        """Return the properties of the step for each arm, for limits and status; the joint speed is
+        the maximum of all arms.
 
         Args:
-            step: as it is now.
-            measured, start: TCPs where the arms are measured, and at the setpoint.
+            step: in its present state.
+            measured, start: TCPs at the measured joints, and at the setpoint.
             target: posture at the step's target.
         """
         speed = float(np.abs(step.target - step.start).max(initial=0.0)) / step.duration_s
@@ -277,8 +277,8 @@ class Shortener:
         return posture
 
     def _sample(self, step: Step, position: F64) -> JointSample:
-        """A posture for the controller: the arm at `position`, all other joints as `step.others`
-        says, because the fingers count for collisions too.
+        """Create a posture for the controller: the arm at `position`, all other joints as in
+        `step.others`, because the fingers count for collisions too.
         """
         names, others = step.others
         if names:

@@ -1,5 +1,5 @@
-"""Limits of the TCP: step, speed, workspace, zones, height; and of the posture: singularity,
-collision.
+"""Limits of the TCP (step, speed, workspace, zones, height) and of the posture (singularity,
+collision).
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from roboneuron.gate.motion.rules import MotionRules
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Motion:
-    """One command in numbers.
+    """Numeric properties of one command.
 
     Attributes:
-        step_m, step_rad: how far the TCP would go from where it is measured.
-        speed_m_s, turn_rad_s: how fast it would go to that pose from the posture commanded so far.
+        step_m, step_rad: distance from the measured TCP to the commanded one.
+        speed_m_s, turn_rad_s: TCP speed from the posture commanded so far to the commanded one.
         joint_speed: velocity of the fastest joint [rad/s or m/s].
-        smallest_singular_value: at the end of the step; None when the controller cannot tell.
+        smallest_singular_value: at the end of the step; None if the controller cannot compute it.
     """
 
     step_m: float
@@ -35,8 +35,8 @@ class Motion:
 
 
 def largest(motions: Sequence[Motion]) -> Motion:
-    """The motions of several arms as one: the largest of each number, the smallest singular
-    value.
+    """Combine the motions of several arms: the largest of each number, the smallest
+    singular value.
     """
     if len(motions) == 1:
         return motions[0]
@@ -53,15 +53,17 @@ def largest(motions: Sequence[Motion]) -> Motion:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TaskSpace:
-    """Limits on where the TCP and the links go, for actions and joint motions alike; stateless."""
+    """Limits on the positions of the TCP and the links, for actions and joint motions;
+    stateless.
+    """
 
     _rules: MotionRules
 
     def motion(
         self, measured: Pose, start: Pose, end: Posture, duration_s: float, joint_speed: float
     ) -> Motion:
-        """One command in numbers: measured TCP, TCP commanded so far, TCP at the end of the
-        command.
+        """Return the properties of a command from the measured TCP, the TCP commanded so far, and
+        the TCP at its end.
 
         Raises:
             UnsafeError: one of them is not finite.
@@ -107,13 +109,12 @@ class TaskSpace:
     def places(
         self, start: Pose, end: Posture, evaluate_start: Callable[[], Posture]
     ) -> Iterator[tuple[str, str]]:
-        """Limits of place and posture that the path from one posture to another violates: name,
-        reason.
+        """Limits of place and posture that the path between two postures violates: name, reason.
 
         Args:
             start: TCP at the start of the path.
             end: end of the path.
-            evaluate_start: the posture at the start; asked for only when it matters.
+            evaluate_start: returns the posture at the start; called only if needed.
 
         Paths that lead out of a forbidden place are allowed.
         """
@@ -146,8 +147,8 @@ class TaskSpace:
     def collisions(
         self, end: Posture, evaluate_start: Callable[[], Posture]
     ) -> Iterator[tuple[str, str]]:
-        """Pairs that are too near in a posture and no farther apart than at the start of the path;
-        as `places`.
+        """Pairs of bodies that are too close in a posture and not farther apart than at the start
+        of the path; arguments as of `places`.
         """
         if not end.near:
             return
@@ -171,7 +172,7 @@ def distance_m(start: Pose, end: Pose) -> float:
 def angle_rad(start: Pose, end: Pose) -> float:
     """Angle of the rotation between two TCP orientations, 0 .. pi.
 
-    cos(a/2) is the product of the quaternions; its absolute value, because q and -q are one
+    cos(a/2) is the absolute value of the quaternions' product, because q and -q are one
     orientation.
     """
     cosine = abs(float(np.dot(start.quaternion_xyzw, end.quaternion_xyzw)))
@@ -180,28 +181,28 @@ def angle_rad(start: Pose, end: Pose) -> float:
 
 
 def _depth_outside_m(point_m: F64, lower_m: F64, upper_m: F64) -> float:
-    """How far a point (3,) lies outside a box along the worst axis; negative inside."""
+    """Distance of a point (3,) from a box along the worst axis; negative inside."""
     return float(np.maximum(lower_m - point_m, point_m - upper_m).max())
 
 
 def _is_worse(end: float, start: float) -> bool:
-    """Whether a path ends inside a forbidden place (depth > 0) without leading out of it.
+    """Return True if a path ends inside a forbidden place (depth > 0) without leading out of it.
 
     Args:
-        end, start: depths [m, or the unit of the limit]; a path that ends less deep is a way out,
-            and is allowed: otherwise an arm that got there could never leave.
+        end, start: depths [m, or the unit of the limit]. A path that ends less deep is allowed;
+            otherwise an arm in a forbidden place could never leave it.
     """
     return end > 0.0 and end >= start
 
 
 def _breaks_zone(zone: Obstacle, start_m: F64, end_m: F64) -> bool:
-    """Whether the line from one point (3,) to another enters the box, or starts in it and does not
-    lead out.
+    """Return True if the line between two points (3,) enters the box, or starts in it without
+    leading out.
     """
     start_depth = -_depth_outside_m(start_m, zone.lower_m, zone.upper_m)
     if start_depth > 0.0:
         return -_depth_outside_m(end_m, zone.lower_m, zone.upper_m) >= start_depth
-    # slab test: the shares of the line between which it is within the box along every axis
+    # slab test: the range of the line within which it is inside the box along every axis
     enter, leave = 0.0, 1.0
     axes = zip(
         start_m.tolist(), end_m.tolist(), zone.lower_m.tolist(), zone.upper_m.tolist(), strict=True

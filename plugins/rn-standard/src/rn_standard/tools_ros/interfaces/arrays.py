@@ -1,4 +1,4 @@
-"""Encoders of arrays: lists and base64 to what rosidl keeps them in (array.array, numpy arrays,
+"""Encoders of arrays: from lists and base64 to rosidl's containers (array.array, numpy arrays,
 lists).
 """
 
@@ -82,7 +82,7 @@ def make_array_encoder(shape: Array, element: Encoder) -> Encoder:
 
 
 def describe_shape(shape: Array) -> str:
-    """Say what an array field takes, in a few words."""
+    """Describe the accepted values of an array field in a few words."""
     if shape.size is None:
         length = "a list"
     elif shape.fixed:
@@ -120,8 +120,8 @@ def _make_packer(shape: Array, scalar: Scalar | None) -> Callable[[Any], Any]:
 
 
 def _make_bulk_encoder(scalar: Scalar) -> Callable[[Sequence[Any]], Any]:
-    """Check a whole list of numbers in C; None means: look at each element to find what is wrong or
-    needs care.
+    """Check a whole list of numbers in C; None means that each element has to be checked, to find
+    an error or a special value.
     """
     code = TYPECODES[scalar.ros]
     if scalar.is_integer:
@@ -160,7 +160,7 @@ def _within(numbers: NDArray[np.float64], limit: float) -> bool:
 
 
 def _decode_base64(text: str, longest: int) -> bytes:
-    # "Infinity" would be six bytes, but whoever sends it means the number
+    # "Infinity" would be valid base64 of six bytes, but means the number
     if text in NONFINITE_NAMES:
         raise Mismatch(describe_value(text), "a list of integers 0..255 or valid base64 text")
     if len(text) > (longest // 3 + 1) * 4:

@@ -1,4 +1,4 @@
-"""How much an interface takes in and gives out."""
+"""Limits on the size of encoded and decoded values."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class InputLimits:
-    """What one value from an agent may hold; more is refused before anything is built.
+    """Limits of one value from an agent; a larger one is refused before anything is built.
 
     Attributes:
         text_bytes: longest string, UTF-8 bytes.
@@ -22,14 +22,14 @@ class InputLimits:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DecodeLimits:
-    """How much of a message an agent gets to see; None stands for no bound.
+    """Limits of a message as shown to an agent; None for no bound.
 
     Attributes:
-        items: longest array that is given whole; longer ones become a summary.
-        first: how many elements a summary starts with.
-        text: longest string that is given whole, in characters.
-        values: elements of all arrays together; when they are used up, the rest is summarised
-            without elements.
+        items: longest array that is given completely; longer ones become a summary.
+        first: number of elements at the start of a summary.
+        text: longest string that is given completely, in characters.
+        values: elements of all arrays together; beyond them, arrays are summarised without
+            elements.
         names: give the name of a constant instead of its number.
         image_side_px: images are scaled down to this longest side.
     """
@@ -43,5 +43,4 @@ class DecodeLimits:
 
 
 LOSSLESS = DecodeLimits(items=None, text=None, values=None, names=False)
-"""Everything, so that encoding the result gives an equal message; long byte arrays come as base64.
-"""
+"""No limits, so that encoding the result gives an equal message; long byte arrays are base64."""

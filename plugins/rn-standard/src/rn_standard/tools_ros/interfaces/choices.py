@@ -1,9 +1,9 @@
-"""Which constants name the values of which field.
+"""Assignment of constants to the fields whose values they name.
 
 ROS declares constants per message, not per field, so the link has to be inferred. Three rules,
-first match wins, and a constant that none of them places stays a remark in the description. A field
-keeps accepting every number of its type: constants may be flags to be added
-(`NavSatStatus.service`) or incomplete.
+first match wins, and a constant without a match is only mentioned in the description. A field still
+accepts every number of its type: constants may be flags to be added (`NavSatStatus.service`) or
+incomplete.
 
 1. Prefix: `POWER_SUPPLY_STATUS_FULL` belongs to `power_supply_status`, `COVARIANCE_TYPE_KNOWN` to
    `position_covariance_type`: the constant starts with the last words of the field's name. The
@@ -39,7 +39,7 @@ HOLDER_WORDS = (
     "command",
     "severity",
 )
-"""A field whose name ends in one of these holds a choice."""
+"""Last words of names of fields that contain a choice."""
 
 
 def assign_choices(
@@ -84,7 +84,7 @@ def _owner_by_prefix(constant: str, fields: Sequence[str]) -> str | None:
 
 
 def _endings(words: Sequence[str]) -> list[str]:
-    """All endings of a field's name, longest first."""
+    """All suffixes of a field's name, longest first."""
     return ["_".join(words[i:]) for i in range(len(words))]
 
 

@@ -1,8 +1,8 @@
-"""Comments and units of an interface, from the .idl file that ships beside it.
+"""Comments and units of an interface, from its installed .idl file.
 
 The .idl is the only place where the build tools keep the comment attached to its field. It is used
-for descriptions alone: types, bounds, constants and defaults come from the Python classes. A
-missing file costs the descriptions.
+for descriptions only: types, bounds, constants and defaults come from the Python classes. Without
+the file there are no descriptions.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ _ESCAPE = re.compile(r"\\(.)", re.DOTALL)
 
 @dataclass(frozen=True, slots=True)
 class StructComments:
-    """What the authors wrote about one struct.
+    """The authors' comments on one struct.
 
     Attributes:
-        text: about the whole.
+        text: comment on the struct.
         fields: field name -> comment.
         units: field name -> unit, as written in square brackets in the definition.
     """
@@ -80,7 +80,7 @@ def _note_field(struct: StructComments, name: str, notes: dict[str, str]) -> Non
 
 
 def _read_annotation(tokens: Iterator[str]) -> tuple[str, str]:
-    """Consume `name ( key = "..." , ... )`; the text of the last key wins, adjacent strings are
+    """Consume `name ( key = "..." , ... )`; the text of the last key is used, adjacent strings are
     joined.
     """
     name, text, depth = next(tokens), "", 0

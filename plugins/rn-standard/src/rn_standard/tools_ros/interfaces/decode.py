@@ -1,7 +1,7 @@
-"""From a rosidl message to plain values for an agent, as much of them as it can use.
+"""Conversion of a rosidl message to plain values for an agent, within size limits.
 
-What is given whole can be given back to the encoder and makes an equal message. Received messages
-are never refused: what cannot be shown is said to be damaged.
+Values that are given completely can be encoded again to an equal message. Received messages are
+never refused: values that cannot be shown are marked as damaged.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _LONG_BYTES = 64
 
 @dataclass(slots=True)
 class _Room:
-    """What may still be shown of this message."""
+    """Remaining size limits of this message."""
 
     limits: DecodeLimits
     values: float
@@ -40,8 +40,8 @@ _Decoder = Callable[[object, _Room], Plain]
 
 
 class MessageDecoder:
-    """Reads messages of one type. Built once per type; holds no state between calls, safe from any
-    thread.
+    """Decoder of messages of one type. Built once per type; stateless between calls, usable from
+    any thread.
     """
 
     def __init__(
@@ -114,7 +114,7 @@ def _decode_float64(value: Any, room: _Room) -> Plain:
 
 
 def _decode_float32(value: Any, room: _Room) -> Plain:
-    """The shortest decimal that is the same float32: 0.1 instead of 0.10000000149011612."""
+    """The shortest decimal that rounds to the same float32: 0.1 instead of 0.10000000149011612."""
     return float(str(np.float32(value))) if value - value == 0.0 else to_number(value)
 
 

@@ -1,5 +1,5 @@
-"""From rosidl's Python classes to the description tree: types, sizes, constants and defaults are
-read from them.
+"""Derivation of the description tree from rosidl's Python classes: types, sizes, constants and
+defaults.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ _ALIASES = {"char": "uint8", "wchar": "uint16"}
 
 @dataclass(slots=True)
 class Deriver:
-    """Derives descriptions and remembers them, so that a Header is described once.
+    """Derives and caches descriptions, so that a Header is described once.
 
     Attributes:
-        prefixes: installations whose .idl files give the comments.
+        prefixes: installations whose .idl files contain the comments.
     """
 
     prefixes: Sequence[Path] = ()
@@ -54,10 +54,10 @@ class Deriver:
             ros_type: a rosidl message class, or the Request, Goal ... of a service or action.
             nonfinite: dotted field paths (without indices) whose floats may be NaN or infinite; "*"
                 for all.
-            path: where this message stands inside the interface.
+            path: position of this message inside the interface.
 
         Raises:
-            ConfigurationError: a field has a type that ROS Python cannot hold.
+            ConfigurationError: a field has a type unsupported by ROS Python.
         """
         inside = frozenset(p for p in nonfinite if p == "*" or not path or p.startswith(path + "."))
         if not inside and ros_type in self._messages:
@@ -153,12 +153,14 @@ class Deriver:
 
 
 def _declared(ros_type: type) -> Mapping[str, object]:
-    """Constants and defaults (`NAME__DEFAULT`) as the generated metaclass lists them."""
+    """Constants and defaults (`NAME__DEFAULT`) listed by the generated metaclass."""
     return type(ros_type).__prepare__(ros_type.__name__, ())
 
 
 def _find_class(slot: Any, owner: type) -> type:
-    """The class of a nested type; parts of services and actions are found beside their owner."""
+    """Return the class of a nested type; parts of services and actions are in their owner's
+    module.
+    """
     module = importlib.import_module(".".join(slot.namespaces))
     found = getattr(module, slot.name, None) or getattr(
         sys.modules[owner.__module__], slot.name, None
@@ -172,7 +174,7 @@ def _find_class(slot: Any, owner: type) -> type:
 def _with_choices(
     fields: Sequence[MessageField], declared: Mapping[str, Any]
 ) -> tuple[MessageField, ...]:
-    """Link constants and fields; octet constants (bytes) only go to octet fields."""
+    """Assign constants to fields; octet constants (bytes) only to octet fields."""
     choices = {}
     for octet in (False, True):
         holders = [
@@ -213,7 +215,7 @@ def _required(fields: Sequence[MessageField], type_name: str) -> tuple[str, ...]
 
 
 def _to_plain(value: Any) -> Plain:
-    """Constants and defaults as JSON knows them: octets become integers, arrays become lists."""
+    """Convert constants and defaults to JSON values: octets to integers, arrays to lists."""
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, bytes):

@@ -1,5 +1,5 @@
-"""What an interface is made of: a frozen tree that schema, model, encoder and decoder are all built
-from.
+"""Description of an interface: a frozen tree from which schema, model, encoder and decoder are
+built.
 """
 
 from __future__ import annotations
@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 Plain = bool | int | float | str | list["Plain"] | dict[str, "Plain"] | None
-"""A value as JSON knows it."""
+"""A JSON value."""
 
 FLOAT32_MAX = 3.4028235e38
 """Largest number a float32 field takes: the shortest decimal that rounds to the largest finite
-float32, (2 - 2**-23) * 2**127 = 3.40282346...e38 (Source: IEEE 754 binary32), so that what is
-decoded can be encoded again.
+float32, (2 - 2**-23) * 2**127 = 3.40282346...e38 (Source: IEEE 754 binary32), so that a decoded
+value can be encoded again.
 """
 
 INTEGER_RANGES: dict[str, tuple[int, int]] = {
@@ -44,17 +44,17 @@ class Scalar:
 
     @property
     def is_integer(self) -> bool:
-        """An integer for people: octet and char included."""
+        """True for any integer type, octet and char included."""
         return self.lower is not None
 
     @property
     def is_float(self) -> bool:
-        """float32 or float64."""
+        """True for float32 and float64."""
         return self.ros in ("float", "double")
 
     @property
     def is_text(self) -> bool:
-        """string or wstring."""
+        """True for string and wstring."""
         return self.ros in ("string", "wstring")
 
 
@@ -81,7 +81,7 @@ class Array:
 
     @property
     def is_bytes(self) -> bool:
-        """uint8[], char[] or byte[]: also accepted as base64."""
+        """True for uint8[], char[] and byte[], which are also accepted as base64."""
         return isinstance(self.element, Scalar) and self.element.ros in ("uint8", "octet")
 
 
@@ -102,11 +102,11 @@ class MessageField:
 
     Attributes:
         name: as in the definition.
-        type: what it holds.
-        default: declared default as a plain value; None when the definition declares none.
+        type: its type.
+        default: declared default as a plain value; None without one.
         choices: constants whose name may be given instead of the number.
         text: the authors' comment.
-        unit: the authors' unit, empty when they gave none.
+        unit: the authors' unit, empty without one.
     """
 
     name: str
@@ -128,8 +128,8 @@ class MessageType:
         constants: all constants by name, numbers, texts and booleans.
         text: the authors' comment.
         required: names that must be given: the only field of a wrapper such as
-            std_msgs/msg/Float64, because an empty object that stands for "zero" is more likely a
-            mistake than a wish.
+            std_msgs/msg/Float64, because an empty object is more likely a mistake than an intended
+            zero.
     """
 
     type_name: str
@@ -141,12 +141,14 @@ class MessageType:
 
     @property
     def is_time(self) -> bool:
-        """builtin_interfaces Time or Duration: also accepted as a number of seconds."""
+        """True for builtin_interfaces Time and Duration, which are also accepted as a number of
+        seconds.
+        """
         return self.type_name in ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
     @property
     def is_header(self) -> bool:
-        """std_msgs Header: an omitted stamp becomes now."""
+        """True for std_msgs Header, whose omitted stamp becomes the present time."""
         return self.type_name == "std_msgs/msg/Header"
 
     def walk(self, path: str = "") -> Iterator[tuple[str, MessageField]]:

@@ -1,5 +1,5 @@
-"""From a JSON object to a rosidl message that holds exactly these values, or to a refusal that says
-what to change.
+"""Conversion of a JSON object to a rosidl message with exactly these values, or to an error with a
+remedy.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ _INT32 = (-(1 << 31), (1 << 31) - 1)
 
 
 class MessageEncoder:
-    """Fills messages of one type. Built once per type; holds no state between calls, safe from any
-    thread.
+    """Encoder of messages of one type. Built once per type; stateless between calls, usable from
+    any thread.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class MessageEncoder:
         return message
 
     def fill(self, message: object, value: object, budget: Budget) -> None:
-        """Set what `value` names, leave the defaults of the rest, stamp omitted headers. Raises
+        """Set the fields in `value`, keep the defaults of the others, stamp omitted headers. Raises
         Mismatch.
         """
         if value.__class__ is not dict and not isinstance(value, Mapping):
@@ -104,7 +104,7 @@ class MessageEncoder:
 
 
 class TimeEncoder(MessageEncoder):
-    """Time and Duration: also a number of seconds, rounded to the nanosecond."""
+    """Encoder of Time and Duration, which also accepts seconds, rounded to the nanosecond."""
 
     def fill(self, message: Any, value: object, budget: Budget) -> None:
         """Set seconds or {sec, nanosec}. Raises Mismatch."""
@@ -118,8 +118,8 @@ class TimeEncoder(MessageEncoder):
 
 
 def split_seconds(seconds: float) -> tuple[int, int]:
-    """Seconds -> (sec, nanosec) with 0 <= nanosec < 1e9, as builtin_interfaces keeps negative
-    durations too.
+    """Seconds -> (sec, nanosec) with 0 <= nanosec < 1e9, also for negative durations as in
+    builtin_interfaces.
 
     Raises:
         Mismatch: not finite, or outside of int32 seconds.
@@ -136,12 +136,12 @@ def split_seconds(seconds: float) -> tuple[int, int]:
 
 
 def raise_unknown(name: object, names: tuple[str, ...]) -> None:
-    """Raise the Mismatch for a field that does not exist."""
+    """Raise the Mismatch for an unknown field."""
     raise unknown_field(name, names)
 
 
 def encoder_for(message: MessageType, cache: dict[int, MessageEncoder]) -> MessageEncoder:
-    """Return the encoder of a message, made once per description."""
+    """Return the encoder of a message, cached per description."""
     found = cache.get(id(message))
     if found is None:
         found = cache[id(message)] = (TimeEncoder if message.is_time else MessageEncoder)(

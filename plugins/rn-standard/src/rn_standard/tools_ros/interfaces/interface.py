@@ -75,14 +75,14 @@ class MessageInterface:
         return self.message.ros_type
 
     def json_schema(self, *, inline_bytes: int = INLINE_BYTES) -> dict[str, object]:
-        """Return a new JSON schema of what `encode` accepts. See `interfaces.schema` for what it
-        cannot say.
+        """Return a new JSON schema of the values that `encode` accepts. See `interfaces.schema` for
+        its limits.
         """
         return make_schema(self.message, inline_bytes=inline_bytes)
 
     @functools.cached_property
     def model(self) -> type[BaseModel]:
-        """A pydantic model with the same rules; made when first asked for."""
+        """The pydantic model with the same rules; created on first use."""
         return make_model(self.message, _canonical)
 
     def encode(
@@ -92,28 +92,27 @@ class MessageInterface:
         now_ns: int | None,
         limits: InputLimits = _DEFAULT_INPUT,
     ) -> object:
-        """Return a new rosidl message that holds exactly `value`.
+        """Return a new rosidl message with exactly `value`.
 
         Args:
             value: plain values as in `json_schema`, or an instance of `model`.
             now_ns: ROS time for omitted header stamps [ns]; None leaves them zero.
-            limits: how much a value may hold.
+            limits: size limits of the value.
 
         Raises:
-            InvalidInputError: something does not fit; says where, what came, what is allowed.
+            InvalidInputError: a value does not fit; names its path, the value and what is allowed.
         """
         plain = (
             value.model_dump(by_alias=True, exclude_unset=True)
-            # that it is no dict is looked at first, because each look at a model costs as much as
-            # a field
+            # a dict is checked first, because each check of a model costs as much as a field
             if value.__class__ is not dict and isinstance(value, BaseModel)
             else value
         )
         return _encode(self._encoder, self.message, plain, now_ns, limits)
 
     def decode(self, message: object, limits: DecodeLimits = _DEFAULT_DECODE) -> dict[str, Plain]:
-        """Return a received message as JSON-able values within `limits`; never refuses what was
-        received.
+        """Return a received message as JSON-serialisable values within `limits`; never refuses
+        received values.
 
         Raises:
             InvalidInputError: `message` is of another type.
@@ -127,7 +126,7 @@ class MessageInterface:
     def pictures(
         self, message: object, limits: DecodeLimits = _DEFAULT_DECODE
     ) -> tuple[MessagePicture, ...]:
-        """Return the images inside a message, at most four, ready to be shown.
+        """Return the images inside a message, at most four, in a format for clients.
 
         Raises:
             InvalidInputError: an image has an unknown encoding or is damaged.
@@ -180,7 +179,7 @@ Interface = MessageInterface | ServiceInterface | ActionInterface
 
 
 class InterfaceLoader:
-    """Finds interfaces by name and keeps what it derived. One per process is enough; safe from any
+    """Loads interfaces by name and caches them. One per process is enough; usable from any
     thread.
     """
 
@@ -225,8 +224,7 @@ def _loader() -> InterfaceLoader:
 
 
 def load_interface(type_name: str, *, nonfinite: frozenset[str] = frozenset()) -> Interface:
-    """Return the interface of that name, derived from the installed Python classes and kept for the
-    next call.
+    """Return the interface of that name, derived from the installed Python classes and cached.
 
     Args:
         type_name: "package/msg/Name", "package/srv/Name", "package/action/Name", or "package/Name".
@@ -306,7 +304,9 @@ def _encode(
 
 
 def _canonical(message: MessageType, value: Mapping[str, object]) -> dict[str, Plain]:
-    """What a model holds: everything given, checked, as plain values without summaries."""
+    """Return the checked content of a model: all given fields, as plain values without
+    summaries.
+    """
     made = _encode(encoder_for(message, {}), message, value, None, _DEFAULT_INPUT)
     return MessageDecoder(message).decode(made, LOSSLESS)
 

@@ -1,9 +1,8 @@
-"""pydantic models of interfaces, for Python callers who want typed attributes and editors that know
-them.
+"""pydantic models of interfaces, for Python callers and editors with typed attributes.
 
-The encoder is the only judge of what is valid; a model asks it and then holds the result, so the
-two cannot disagree. Names that Python or pydantic keep for themselves get a trailing underscore as
-attribute (`from` -> `from_`) and stay what they are in the data.
+Only the encoder validates; a model calls it and stores the result, so the two cannot disagree.
+Names reserved by Python or pydantic get a trailing underscore as attribute (`from` -> `from_`) but
+keep their name in the data.
 """
 
 from __future__ import annotations
@@ -39,9 +38,7 @@ _TAKEN = frozenset(dir(BaseModel)) | frozenset(BaseModel.__annotations__)
 
 
 def attribute_name(field: str) -> str:
-    """The attribute under which a field is found on a model: its own name wherever Python and
-    pydantic allow it.
-    """
+    """Attribute name of a field on a model: its own name if Python and pydantic allow it."""
     name = field.lstrip("_") or "field"
     if keyword.iskeyword(name) or name in _TAKEN or name != field:
         name += "_"
@@ -49,7 +46,7 @@ def attribute_name(field: str) -> str:
 
 
 def make_model(message: MessageType, canonical: Canonical) -> type[BaseModel]:
-    """Return the model class of a message; nested messages get classes of their own, each once."""
+    """Return the model class of a message; each nested message type gets one class."""
     return _Maker(canonical).make(message)
 
 
@@ -123,9 +120,7 @@ class _Maker:
 
 
 def prune(whole: Plain, given: object) -> object:
-    """Keep of the complete value only the fields that were given, so that a model knows what was
-    omitted.
-    """
+    """Reduce the complete value to the given fields, so that a model knows the omitted ones."""
     if isinstance(whole, dict) and isinstance(given, Mapping):
         return {name: prune(value, given[name]) for name, value in whole.items() if name in given}
     if isinstance(whole, list) and isinstance(given, list | tuple):

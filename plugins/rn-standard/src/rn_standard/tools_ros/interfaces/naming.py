@@ -1,6 +1,4 @@
-"""Names of ROS interfaces: how they are written, which ones are installed, what was probably
-meant.
-"""
+"""Names of ROS interfaces: format, installed ones, suggestions for unknown ones."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ class InterfaceName:
 
 
 def interface_prefixes(environ: Mapping[str, str] | None = None) -> tuple[Path, ...]:
-    """Installation prefixes that may hold interfaces: AMENT_PREFIX_PATH first, then `sys.prefix`
+    """Installation prefixes that may contain interfaces: AMENT_PREFIX_PATH first, then `sys.prefix`
     (the pip wheels).
 
     Nothing is written to the environment. Only existing folders are returned, each once.
@@ -56,8 +54,8 @@ def list_interfaces(
     """Return the installed interfaces, sorted, whose package can be imported by this interpreter.
 
     Args:
-        package: only this one's; an unknown package is an empty answer.
-        prefixes: where to look; `interface_prefixes()` when not given.
+        package: only this package's; empty for an unknown package.
+        prefixes: prefixes to search; `interface_prefixes()` by default.
     """
     found: set[InterfaceName] = set()
     for prefix in interface_prefixes() if prefixes is None else prefixes:
@@ -90,20 +88,18 @@ def _package_folders(package: str) -> tuple[Path, ...]:
 
 
 def is_interface_package(package: str, kind: str) -> bool:
-    """Whether `package` is importable and has a subpackage `kind`; nothing is imported to find
-    out.
-    """
+    """True if `package` is importable and has a subpackage `kind`; nothing is imported."""
     if not _PACKAGE.match(package) or kind not in KINDS:
         return False
     return any((folder / kind / "__init__.py").is_file() for folder in _package_folders(package))
 
 
 def parse_interface_name(text: str) -> tuple[InterfaceName, ...]:
-    """Return the names that `text` may stand for: one for "package/kind/Name", one per kind for
+    """Return the possible names of `text`: one for "package/kind/Name", one per kind for
     "package/Name".
 
     Raises:
-        ConfigurationError: `text` is not written like an interface name.
+        ConfigurationError: `text` is not a valid interface name.
     """
     parts = text.split("/") if isinstance(text, str) else []
     kinds = (parts.pop(1),) if len(parts) == 3 else KINDS
@@ -120,7 +116,7 @@ def parse_interface_name(text: str) -> tuple[InterfaceName, ...]:
 
 
 def unknown_interface(text: str, known: Sequence[InterfaceName]) -> ConfigurationError:
-    """Return the error for a name that nothing installed has, with the nearest names as a hint."""
+    """Create the error for an interface that is not installed, with the nearest names as a hint."""
     names = [str(name) for name in known]
     short = {f"{n.package}/{n.name}": str(n) for n in known}
     near = difflib.get_close_matches(text, names, n=3, cutoff=0.6)

@@ -31,7 +31,7 @@ _ALIASES = {"8UC1": "mono8", "8UC3": "bgr8", "8UC4": "bgra8"}
 _JPEG_QUALITY = 85
 _MAX_PIXELS = 64_000_000
 PICTURE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-"""Messages that can be shown as a picture."""
+"""Message types that can be shown as a picture."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,7 +43,7 @@ class MessagePicture:
         data: the encoded file.
         mime_type: "image/jpeg" (colour) or "image/png" (grey, depth).
         width, height: size as encoded [px].
-        note: what was changed on the way: scaled down, stretched to grey.
+        note: changes: scaled down, stretched to grey.
     """
 
     path: str
@@ -60,7 +60,7 @@ def to_picture(
     """Return an Image or CompressedImage message as a picture of at most `longest_side_px`.
 
     Raises:
-        InvalidInputError: the encoding is not known or the buffer does not hold the image.
+        InvalidInputError: the encoding is unknown or the buffer is incomplete.
     """
     from PIL import Image  # heavy: only where pictures are made
 
@@ -96,7 +96,9 @@ def to_picture(
 
 
 def _to_colour(message: Image, encoding: str) -> PIL.Image.Image:
-    """Raises InvalidInputError as `frame_from_buffer`, with the other encodings that are shown."""
+    """Convert colour encodings. Raises InvalidInputError as `frame_from_buffer`, with the other
+    supported encodings.
+    """
     from PIL import Image as Picture  # heavy: only where pictures are made
 
     try:

@@ -1,5 +1,5 @@
-"""Refusing a value: where it stands, what came, what is allowed. Never echoes more than a few words
-of the input.
+"""Errors for refused values: their path, the value, and what is allowed. The input is quoted with a
+few words at most.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _SHOWN = 60
 
 
 class Mismatch(Exception):
-    """Raised where a value does not fit; every level above adds its own step to the path."""
+    """Raised for a value that does not fit; every level above adds its step to the path."""
 
     def __init__(self, got: str, allowed: str, *steps: str | int) -> None:
         super().__init__(got, allowed)
@@ -39,7 +39,7 @@ def format_path(steps: Iterable[str | int]) -> str:
 
 
 def describe_value(value: object) -> str:
-    """Say what came in a few words, without looking inside of containers."""
+    """Describe a value in a few words, without inspecting containers."""
     if value is None:
         return "null"
     if isinstance(value, bool):
@@ -66,7 +66,7 @@ def describe_value(value: object) -> str:
 
 
 def unknown_field(name: object, known: Sequence[str]) -> Mismatch:
-    """The mismatch for a field that the type does not have."""
+    """Create the mismatch for an unknown field."""
     shown = _clip(name) if isinstance(name, str) else describe_value(name)
     near = difflib.get_close_matches(shown, known, n=1, cutoff=0.5)
     listed = ", ".join(known[:20]) + (" ..." if len(known) > 20 else "")

@@ -1,4 +1,4 @@
-"""Encoders of single values: from JSON to exactly what a rosidl field must hold."""
+"""Encoders of single values: from JSON to the exact type of a rosidl field."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from rn_standard.tools_ros.interfaces.description import FLOAT32_MAX, FieldChoic
 from rn_standard.tools_ros.interfaces.refusal import Mismatch, describe_value
 
 NONFINITE_NAMES = {"NaN": math.nan, "Infinity": math.inf, "-Infinity": -math.inf}
-"""JSON has no such numbers; fields configured for them accept and give these texts."""
+"""Texts for numbers that JSON lacks; used by fields configured for them."""
 
 
 @dataclass(slots=True)
 class Budget:
-    """What is left of the input limits during one encoding, and the time for omitted stamps.
+    """Remaining input limits during one encoding, and the time for omitted stamps.
 
     Attributes:
         limits: per-value bounds.
-        items: list elements that may still come.
+        items: list elements still allowed.
         now_ns: ROS time for omitted header stamps [ns]; None leaves them zero.
     """
 
@@ -29,7 +29,7 @@ class Budget:
     now_ns: int | None
 
     def take(self, count: int) -> None:
-        """Use up list elements. Raises Mismatch when too many came."""
+        """Count list elements. Raises Mismatch if there are too many."""
         self.items -= count
         if self.items < 0:
             raise Mismatch(
@@ -42,9 +42,7 @@ Encoder = Callable[[object, Budget], object]
 
 
 def make_scalar_encoder(scalar: Scalar, choices: tuple[FieldChoice, ...] = ()) -> Encoder:
-    """Return a function (value, budget) -> wire value that raises Mismatch for what does not
-    fit.
-    """
+    """Return a function (value, budget) -> wire value that raises Mismatch for invalid values."""
     if scalar.ros == "boolean":
         return _encode_boolean
     if scalar.is_integer:

@@ -1,8 +1,8 @@
-"""JSON schemas that every MCP client can read: types always given, nothing but plain keywords.
+"""JSON schemas for every MCP client: types always given, basic keywords only.
 
 Used keywords: type, properties, required, additionalProperties, items, minItems, maxItems, minimum,
-maximum, maxLength, enum, anyOf, default, description; `$defs` and `$ref` only where a schema would
-otherwise grow over `INLINE_BYTES`.
+maximum, maxLength, enum, anyOf, default, description; `$defs` and `$ref` only if a schema would
+otherwise exceed `INLINE_BYTES`.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from rn_standard.tools_ros.interfaces.description import (
 from rn_standard.tools_ros.interfaces.scalars import NONFINITE_NAMES
 
 INLINE_BYTES = 8192
-"""A schema over this size keeps repeated messages in `$defs`. Most clients read references, a few
-do not.
+"""Size above which a schema uses `$defs` for repeated messages. Most clients support references, a
+few do not.
 """
 
 _SHORT, _LONG = 110, 400
@@ -33,7 +33,9 @@ Schema = JsonSchemaValue
 
 
 def make_schema(message: MessageType, *, inline_bytes: int = INLINE_BYTES) -> Schema:
-    """Return the schema of what the encoder of `message` accepts; a new dictionary at each call."""
+    """Return the schema of the values that the encoder of `message` accepts; a new dictionary at
+    each call.
+    """
     schema = _Writer(shared=frozenset()).write_root(message)
     if len(json.dumps(schema)) <= inline_bytes:
         return schema
@@ -156,8 +158,8 @@ def _scalar(scalar: Scalar) -> Schema:
 
 
 def field_text(field: MessageField) -> str:
-    """One line about a field: comment, unit, and for nested messages without a comment what they
-    are.
+    """Text of a field in one line: comment, unit, and the type of nested messages without a
+    comment.
     """
     text = field.text
     element = field.type.element if isinstance(field.type, Array) else field.type
@@ -186,7 +188,7 @@ def _first_sentence(text: str) -> str:
 
 
 def _clip(text: str, length: int) -> str:
-    """Cut at the end of a sentence where one fits, else at a word."""
+    """Truncate at the end of a sentence if possible, else at a word."""
     if len(text) <= length:
         return text
     cut = text[: length - 3]

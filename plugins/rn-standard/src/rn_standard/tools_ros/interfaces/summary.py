@@ -1,6 +1,4 @@
-"""Short, truthful summaries of what is too large for an agent: long arrays, laser scans, point
-clouds.
-"""
+"""Short summaries of data too large for an agent: long arrays, laser scans, point clouds."""
 
 from __future__ import annotations
 
@@ -25,7 +23,7 @@ Summarizer = Callable[[object, DecodeLimits], Plain]
 
 
 def to_number(value: float, digits: int = 6) -> Plain:
-    """A float as JSON can carry it: rounded to significant digits, non-finite values as text."""
+    """Convert a float to JSON: rounded to significant digits, non-finite values as text."""
     if math.isnan(value):
         return "NaN"
     if math.isinf(value):
@@ -51,17 +49,17 @@ def summarize_numbers(values: NDArray[np.number], first: Sequence[Plain]) -> Pla
 
 
 def _mean(values: NDArray[np.number]) -> float:
-    """The mean in float64, also where the sum would overflow."""
+    """The mean in float64, also if the sum would overflow."""
     with np.errstate(over="ignore", invalid="ignore"):
         mean = float(np.mean(values, dtype=np.float64))
     return mean if math.isfinite(mean) else float(np.sum(values.astype(np.float64) / values.size))
 
 
 def summarize_scan(scan: LaserScan, limits: DecodeLimits) -> Plain:
-    """LaserScan.ranges: how many beams are valid, where the nearest obstacle is, the nearest range
-    per sector.
+    """LaserScan.ranges: number of valid beams, direction of the nearest obstacle, nearest range per
+    sector.
 
-    Angles in rad, counter-clockwise from the scanner's x axis; ranges in m. A beam is valid when it
+    Angles in rad, counter-clockwise from the scanner's x axis; ranges in m. A beam is valid if it
     is finite and within range_min .. range_max (Source: sensor_msgs/msg/LaserScan).
     """
     ranges = np.asarray(scan.ranges, dtype=np.float64)
@@ -133,8 +131,8 @@ def summarize_cloud(cloud: PointCloud2, limits: DecodeLimits) -> Plain:
 
 
 def summarize_pixels(image: Image, limits: DecodeLimits) -> Plain:
-    """Image.data and CompressedImage.data: only its length; the picture itself is given as an
-    image.
+    """Image.data and CompressedImage.data: only the length; the picture itself is sent as
+    an image.
     """
     return {"length": len(image.data), "shown_as": "image"}
 
@@ -145,4 +143,4 @@ SUMMARIES: dict[tuple[str, str], Summarizer] = {
     ("sensor_msgs/msg/Image", "data"): summarize_pixels,
     ("sensor_msgs/msg/CompressedImage", "data"): summarize_pixels,
 }
-"""Fields with a summary of their own, by (message type, field)."""
+"""Fields with a special summary, by (message type, field)."""
