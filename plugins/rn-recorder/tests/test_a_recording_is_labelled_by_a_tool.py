@@ -11,7 +11,7 @@ import pytest
 
 from rn_recorder.tools import LabelRecording, RecordingEnds, recording_tools
 from rn_recorder_runs.files import write_json
-from rn_recorder_runs.store import LABELS, RUN_FILE, WHOLE_RUN, Store
+from rn_recorder_runs.store import LABELS, RUN_FILE, WHOLE_RUN, RunStore
 from roboneuron import InvalidInputError
 
 Do = Callable[..., Any]
@@ -27,9 +27,9 @@ class Context:
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> Store:
+def store(tmp_path: Path) -> RunStore:
     """With one recording that was stopped as a failure."""
-    made = Store(tmp_path)
+    made = RunStore(tmp_path)
     made.make()
     folder = made.recordings / "20260101-run"
     folder.mkdir()
@@ -39,7 +39,7 @@ def store(tmp_path: Path) -> Store:
 
 
 @pytest.fixture
-def label(store: Store) -> Do:
+def label(store: RunStore) -> Do:
     tools = {
         tool.name: tool for tool in recording_tools(store, lambda: None, False, RecordingEnds())
     }
@@ -51,7 +51,7 @@ def label(store: Store) -> Do:
     return do
 
 
-def test_what_is_said_is_stored_as_by_the_command(store: Store, label: Do) -> None:
+def test_what_is_said_is_stored_as_by_the_command(store: RunStore, label: Do) -> None:
     said = label(run="20260101-run", outcome="success", comment="turned")
     assert (said.outcome, said.comment) == ("success", "turned")
     by_tool = store.get("20260101-run").facts
@@ -60,7 +60,7 @@ def test_what_is_said_is_stored_as_by_the_command(store: Store, label: Do) -> No
     assert by_tool[LABELS] == {WHOLE_RUN: {"outcome": "success", "comment": "turned"}}
 
 
-def test_what_is_not_said_stays(store: Store, label: Do) -> None:
+def test_what_is_not_said_stays(store: RunStore, label: Do) -> None:
     said = label(run="latest", comment="too fast")
     assert (said.outcome, said.comment) == ("failure", "too fast")
     with pytest.raises(InvalidInputError, match="nothing to say"):

@@ -8,11 +8,11 @@ import pytest
 
 from rn_eval.agents.cell import wait_for_incident
 from rn_eval.agents.client import ToolAnswer
-from rn_eval.agents.task import Fault
+from rn_eval.agents.task import InjectedFault
 from roboneuron import NotReadyError
 
-KILLED = Fault(module="perception", kind="kill")
-FROZEN = Fault(module="perception", kind="freeze")
+KILLED = InjectedFault(module="perception", kind="kill")
+FROZEN = InjectedFault(module="perception", kind="freeze")
 STALLED = {"id": "1", "module": "perception", "what": "stalled"}
 OTHER = {"id": "2", "module": "inference", "what": "exited"}
 RESTART = {"id": "3", "module": "inference", "what": "restart"}
@@ -31,7 +31,7 @@ class Recorded:
         return ToolAnswer(ok=True, data={"incidents": found})
 
 
-def wait(tools: Recorded, fault: Fault, within_s: float = 5.0) -> None:
+def wait(tools: Recorded, fault: InjectedFault, within_s: float = 5.0) -> None:
     asyncio.run(wait_for_incident(tools, fault, {"1", "2"}, within_s))
 
 
