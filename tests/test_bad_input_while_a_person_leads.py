@@ -1,22 +1,30 @@
-"""What a gamepad gives that no person means: numbers that are not finite."""
+"""What reaches a lead that no person means, or no longer: numbers that are not finite, a flood, a
+device that is unplugged, a disk that is full.
+"""
 
 from __future__ import annotations
 
+import os
+import resource
+import struct
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "plugins" / "rn-view" / "tests"))
 sys.path.insert(0, str(Path(__file__).parent))
 from lead_client import LeadPage
-from led_cell import Cell
+from led_cell import STILL, Cell
 
 sys.path.pop(0)
 sys.path.pop(0)
+
+from websockets.exceptions import ConnectionClosed
 
 from rn_testing.waiting import wait_until
 
@@ -30,6 +38,8 @@ AHEAD = [0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
 REST_M_S, REST_S, OBSERVED_S = 0.005, 0.2, 0.06
 """As in test_a_person_leads_and_takes_over.py."""
 MOVED_M = 0.03
+PRESS, PUSH = b"\x03\x01\x00", struct.pack("<B3h", 1, 0, -200, 0)
+"""Reports of a SpaceMouse: its first button, and its cap pushed forwards."""
 
 
 @contextmanager
@@ -87,3 +97,96 @@ def test_a_gamepad_that_gives_no_number_brakes_the_arm(
         check_rests(cell, time.monotonic())
         assert not page.is_led
         assert told in page.text
+
+
+def test_a_thousand_samples_a_second_end_the_lead(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    with served(environment, tmp_path) as cell, LeadPage(cell.url) as page:
+        assert page.lead() == ""
+
+        def push() -> None:
+            page.press()
+            page.push(AHEAD, 0.6)
+
+        pushed(cell, push)
+        end_s = time.monotonic() + 5.0
+        with suppress(ConnectionClosed):
+            while time.monotonic() < end_s:
+                page.send(AHEAD)
+                time.sleep(0.001)
+            pytest.fail("the page may send as much as it likes")
+        check_rests(cell, time.monotonic())
+        with LeadPage(cell.url) as other:
+            assert other.lead() == ""
+            other.ask({"back": 1})
+
+
+def test_a_device_that_is_unplugged_leaves_the_arm_at_rest(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    device = tmp_path / "hidraw0"
+    os.mkfifo(device)
+    more = f'[plugins.spacemouse]\ndevice = "{device}"\n'
+    with served(environment, tmp_path, more) as cell:
+        plug = os.open(device, os.O_RDWR)
+        cell.call("lead_arm", source="spacemouse")
+
+        def push() -> None:
+            os.write(plug, b"\x03\x00\x00")
+            time.sleep(0.1)
+            os.write(plug, PRESS)
+            end_s = time.monotonic() + 0.6
+            while time.monotonic() < end_s:
+                os.write(plug, PUSH)
+                time.sleep(0.01)
+
+        pushed(cell, push)
+        os.close(plug)  # nobody else has it open for writing: its reader sees the end
+        check_rests(cell, time.monotonic())
+        assert "Nobody leads" in cell.refusal("hand_back")
+
+
+def test_a_disk_that_is_full_ends_neither_the_lead_nor_the_switch(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    environment["ROBONEURON_RECORDER"] = "on"
+    with served(environment, tmp_path) as cell, LeadPage(cell.url) as page:
+        run = cell.call("start_recording", name="led")
+        assert page.lead() == ""
+
+        def push() -> None:
+            page.press()
+            page.push(AHEAD, 0.6)
+
+        pushed(cell, push)
+        fill_disk(Path(run["directory"]))
+        page.push(STILL, 0.1, held=False)
+        wait_until(lambda: bool(cell.call("list_recordings")["problem"]), 30.0, poll_s=0.1)
+        up = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
+
+        def lift() -> None:
+            page.press()
+            page.push(up, 0.6)
+
+        pushed(cell, lift)
+        page.send(up, held=False)
+        released_s = time.monotonic()
+        page.push(STILL, 1.0, held=False)
+        assert cell.speed_m_s(released_s + REST_S + OBSERVED_S) < REST_M_S
+        assert page.is_led
+        assert page.ask({"back": 1}) == ""
+        assert cell.call("list_recordings")["lost"] > 0
+
+
+def fill_disk(directory: Path) -> None:
+    """Let the recorder's files grow no more, as on a disk that is full."""
+    for process in psutil.Process().children(recursive=True):
+        with suppress(psutil.Error):
+            opened = [file.path for file in process.open_files()]
+            if any(Path(path).is_relative_to(directory) for path in opened):
+                size = max(path.stat().st_size for path in directory.iterdir())
+                _, hard = resource.prlimit(process.pid, resource.RLIMIT_FSIZE)
+                resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (size, hard))
+                return
+    pytest.fail("no process writes there")

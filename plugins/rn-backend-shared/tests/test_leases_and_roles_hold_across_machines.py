@@ -1,6 +1,6 @@
 """Agents on both machines, a policy on one, the robot on the other (network namespaces): who may
-start and switch it, what ends when its operator falls silent, and that nothing moves afterwards
-before somebody asks for it. Needs root.
+start and switch it, what ends when its operator falls silent or the cable is cut, and that nothing
+moves afterwards before somebody asks for it. Needs root.
 """
 
 from __future__ import annotations
@@ -135,6 +135,14 @@ class Lab:
         found: dict[str, Any] = next(one for one in modules if one["module"] == "inference")
         return found
 
+    def wait_for_the_fallback(self, agent: FarAgent) -> None:
+        """Wait for the policy of this machine to act."""
+        wait_until(
+            lambda: self.inference(agent)["metrics"].get("fallback.acting") == "reflex",
+            30.0,
+            f"the fallback acts: {self.inference(agent)}",
+        )
+
 
 @contextmanager
 def served_robot(robot: Machine, site: str) -> Iterator[str]:
@@ -213,3 +221,38 @@ def test_one_operator_holds_the_policy_of_another_machine_while_it_is_heard_of(l
     lab.wait_until_it_moves()
     lab.wait_until_it_asks()
     assert "'bob' operates the robot" in lab.ann.fail("switch_inference", model="one", host="gpu")
+
+
+def test_neither_a_lapsed_lease_nor_a_stop_needs_the_cable_and_nothing_moves_with_its_return(
+    lab: Lab,
+) -> None:
+    lab.start(lab.bob)
+    lab.gpu.cut()
+    lab.wait_for_the_fallback(lab.ann)
+    wait_until(
+        lambda: lab.inference(lab.ann)["phase"] == "stopped",
+        LEASE_S + 10.0,
+        "nothing is heard of the operator, who is behind the cable",
+    )
+    lab.wait_until_it_stands(5.0)
+    lab.gpu.plug()
+    lab.check_nothing_moves()
+    lab.bob.close()
+
+    lab.ann.beat()
+    lab.ann.do("start_inference", model="one", host="gpu", instruction="go on")
+    lab.wait_until_it_moves()
+    lab.wait_until_it_asks()
+    lab.gpu.cut()
+    lab.wait_for_the_fallback(lab.ann)
+    lab.wait_until_it_moves()
+    stopped = lab.ann.do("emergency_stop", reason="to be seen while the cable is cut")
+    assert set(stopped["confirmed_by"]) == {"robot", "perception", "inference", "control"}
+    lab.wait_until_it_stands(5.0)
+    lab.gpu.plug()
+    lab.check_nothing_moves()
+    lab.ann.do("reset_emergency_stop")
+    lab.check_nothing_moves()
+    lab.ann.do("set_instruction", instruction="go on")
+    lab.wait_until_it_moves()
+    lab.wait_until_it_asks()

@@ -32,6 +32,7 @@ BROUGHT_BY_SGLANG = {
     "tokenizers",
     "torch",
     "transformers",
+    "typing-extensions",  # pydantic asks for it
 }
 
 

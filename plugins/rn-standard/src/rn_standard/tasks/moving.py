@@ -49,7 +49,7 @@ class MoveToArguments(Arguments):
     """Arguments of move_to."""
 
     name: str = Field(description="Where to.")
-    preview: bool = False
+    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class MovedTo(Result):

@@ -75,7 +75,7 @@ class RunTask(Arguments):
         max_length=64,
         description="At the end: hold, stop (the policy), or a name of move_to.",
     )
-    preview: bool = False
+    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class FinalArm(Result):

@@ -35,7 +35,7 @@ class MoveEndEffector(Arguments):
         default=None, gt=0, description="Time for the move; as fast as allowed when omitted [s]."
     )
     dry_run: bool = Field(default=False, description="Only say what would happen.")
-    preview: bool = Field(default=False, description="Only in a simulated twin.")
+    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class EndEffectorMove(Result):

@@ -58,7 +58,7 @@ class MoveJoints(Arguments):
         default=None, gt=0, description="Duration [s]; at a moderate speed if omitted."
     )
     dry_run: bool = Field(default=False, description="Only say what would happen.")
-    preview: bool = False
+    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class JointMove(Result):

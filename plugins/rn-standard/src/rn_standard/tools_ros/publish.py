@@ -56,7 +56,7 @@ class Publish(PublishingCall):
         gt=0,
         description="Duration [s]; then it is stopped. Joints reach their targets within it.",
     )
-    preview: bool = False
+    preview: bool = Field(default=False, description="Simulate only.")
 
 
 class Publishing:
