@@ -9,9 +9,7 @@ from rn_standard.teleoperation.rows import LeadRow
 
 Who = Literal["policy", "person", "blend", "nobody"]
 SILENT_S = 0.12
-"""Time without rows after which a lead holds the arm; with the braking it stands still within 0.2
-s.
-"""
+"""Time without rows after which a lead holds the arm; with the braking it rests within 0.3 s."""
 LOST_S = 1.0
 """Silence after which a lead is over, and motion needs a new start."""
 
