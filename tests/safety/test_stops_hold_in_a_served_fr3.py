@@ -240,6 +240,10 @@ def test_a_foreign_node_cannot_deactivate_the_robot(arm: ServedArm, wait: Wait) 
             SetParameters.Request(parameters=[simulated]),
         ),
     ]
+    def count() -> int:
+        return int(arm.robot()["dropped_by"].get("foreign_request", 0))
+
+    before = count()
     for service_type, name, request in requests:
         path = f"/fr3/robot/{name}"
         wait(
@@ -251,8 +255,10 @@ def test_a_foreign_node_cannot_deactivate_the_robot(arm: ServedArm, wait: Wait) 
         wait(call.done, 5.0, "it is answered")
         assert "successful=True" not in str(call.result())
         assert "success=True" not in str(call.result())
-    wait(lambda: arm.robot()["dropped_by"].get("foreign_request", 0) == 2, 5.0, "both are counted")
+    wait(lambda: count() == before + 2, 5.0, "both are counted")
+    # a report may be late on a busy machine
+    wait(lambda: arm.robot()["health"] == "ok", 10.0, "the robot is well")
     robot = arm.robot()
-    assert (robot["health"], robot["state"]) == ("ok", "active")
+    assert robot["state"] == "active"
     assert "/witness" in robot["metrics"]["foreign_request"]
     assert any(i["what"] == "foreign_request" for i in arm.do("list_incidents")["incidents"])
