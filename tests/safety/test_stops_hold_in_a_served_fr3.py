@@ -240,6 +240,7 @@ def test_a_foreign_node_cannot_deactivate_the_robot(arm: ServedArm, wait: Wait) 
             SetParameters.Request(parameters=[simulated]),
         ),
     ]
+
     def count() -> int:
         return int(arm.robot()["dropped_by"].get("foreign_request", 0))
 
