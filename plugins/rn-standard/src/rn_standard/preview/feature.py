@@ -157,18 +157,7 @@ class PreviewFeature(Feature[PreviewOptions]):
             twin.end_s = end_s + _GRACE_S
             arm = TwinArm(twin, controller, limiter, limited, survey, end_s)
             session = Session(host, exposed, limited, rules, controller, arm, twin, context)
-            outcome: Outcome = "reached"
-            rule = reason = ""
-            try:
-                session.call(tool, parsed)
-            except EndedError as error:
-                outcome, rule, reason = error.outcome, error.rule, str(error)
-            except TooLongError:
-                outcome = "unclear"
-                reason = (
-                    f"The preview took longer than {self.options.limit_s:g} s; it has come to "
-                    f"{arm.passed_s:.1f} s of the motion."
-                )
+            outcome, rule, reason = self._ended(session, tool, parsed)
             names = [part.name for part in limited.each_arm]
             named = getattr(parsed, "arm", "")
             pose = arm.poses()[names.index(named) if named in names else 0]
@@ -192,6 +181,20 @@ class PreviewFeature(Feature[PreviewOptions]):
                 took_s=round(time.monotonic() - began_s, 3),
             )
             return Reply(result=result, pictures=self._pictures(twin))
+
+    def _ended(self, session: Session, tool: Tool[Any], parsed: object) -> tuple[Outcome, str, str]:
+        """Carry out the call; return its outcome, and the rule and the reason that ended it."""
+        try:
+            session.call(tool, parsed)
+        except EndedError as error:
+            return error.outcome, error.rule, str(error)
+        except TooLongError:
+            reason = (
+                f"The preview took longer than {self.options.limit_s:g} s; it has come to "
+                f"{session.arm.passed_s:.1f} s of the motion."
+            )
+            return "unclear", "", reason
+        return "reached", "", ""
 
     def _twin(self, profile: RobotProfile) -> TwinProcess:
         """The process of the last preview, or another one. Raises NotReadyError."""

@@ -68,7 +68,11 @@ class _Inline:
 
 
 class Session:
-    """Carries out calls one after the other, from where the one before has ended; one thread."""
+    """Carries out calls one after the other, from where the one before has ended; one thread.
+
+    Attributes:
+        arm: of the twin.
+    """
 
     def __init__(
         self,
@@ -92,7 +96,7 @@ class Session:
         context: of the call.
         """
         self._host, self._exposed, self._profile, self._rules = host, exposed, profile, rules
-        self._arm, self._twin, self._context = arm, twin, context
+        self.arm, self._twin, self._context = arm, twin, context
         self._paths = PathLimiter(rules, profile, inspector_of(controller))
 
     def call(self, tool: Tool[Any], arguments: object) -> None:
@@ -119,19 +123,19 @@ class Session:
         except RefusedError as error:
             _refuse(error)
         try:
-            for _ in mover.drive(order, self._arm):
+            for _ in mover.drive(order, self.arm):
                 pass
         except RefusedError as error:
-            held = bool(self._arm.held)
-            self._arm.settle()
+            held = bool(self.arm.held)
+            self.arm.settle()
             outcome: Outcome = "blocked" if self._twin.moved() and not held else "stopped"
-            raise EndedError(outcome, self._arm.rule or error.rule, error.message) from error
-        self._arm.settle()
+            raise EndedError(outcome, self.arm.rule or error.rule, error.message) from error
+        self.arm.settle()
 
     def _move_joints(self, mover: JointMover, arguments: MoveJoints) -> None:
         mover.check(arguments)
         try:
-            request, _ = mover.request(arguments, self._arm.joints(), self._context)
+            request, _ = mover.request(arguments, self.arm.joints(), self._context)
         except RefusedError as error:
             _refuse(error)
         self._play(request.messages[0])
@@ -144,7 +148,7 @@ class Session:
 
     def _play(self, message: Any) -> None:
         """A joint trajectory: judged as the gate does, then played."""
-        joints = self._arm.joints()
+        joints = self.arm.joints()
         limits = joint_space.JointLimit.by_joint(self._profile, self._rules)
         try:
             legs = check_joints(limits, list(joint_commands(message)), joints)
@@ -152,7 +156,7 @@ class Session:
         except RefusedError as error:
             error.rule = error.rule or "joints"
             _refuse(error)
-        if not self._arm.play(legs):
+        if not self.arm.play(legs):
             reason = "The joints do not come to the end of the way."
             raise EndedError("blocked" if self._twin.moved() else "stopped", "path", reason)
 
@@ -166,7 +170,7 @@ class Session:
     def _run_task(self, handler: TaskTool, arguments: RunTask) -> None:
         """The task's own rules; what is done after its end is not looked at."""
         judge, plan = handler.rehearsal(arguments, self._profile)
-        end = run_in_twin(self._host, self._arm, self._twin, self._profile, judge, plan)
+        end = run_in_twin(self._host, self.arm, self._twin, self._profile, judge, plan)
         if end.outcome != "succeeded":
             outcome: Outcome = "unclear" if end.outcome == "unclear" else "stopped"
             raise EndedError(outcome, end.outcome.value, f"{end.reason.rstrip('.')}.")
@@ -179,13 +183,13 @@ class Session:
             raise NotReadyError(
                 f"There is no tool {name} now.", hint="It comes with rn-tools-arm and an arm."
             )
-        began_s = self._arm.passed_s
+        began_s = self.arm.passed_s
         self.call(tool, tool.parsed(arguments))
-        return {"duration_s": self._arm.passed_s - began_s, "error": 0.0}
+        return {"duration_s": self.arm.passed_s - began_s, "error": 0.0}
 
     def _pose_now(self, arm: str) -> tuple[F64, F64]:
         names = [part.name for part in self._profile.each_arm]
-        pose = self._arm.poses()[names.index(arm)]
+        pose = self.arm.poses()[names.index(arm)]
         return np.array(pose.position_m), matrix_from_quaternion(pose.quaternion_xyzw)
 
 
