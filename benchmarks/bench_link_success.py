@@ -119,7 +119,9 @@ LONGEST_S = 12 * 3600
 """Of one run of the evaluation, which goes on where it was ended."""
 
 
-def play(files: Sequence[Path], executions: Sequence[str], episodes: int, out: Path) -> None:
+def play(
+    files: Sequence[Path], executions: Sequence[str], episodes: int, workers: int, out: Path
+) -> None:
     """Play what is missing of so many seeds with each file of times and each execution."""
     policy = out / "policy"
     if not policy.exists():
@@ -128,6 +130,7 @@ def play(files: Sequence[Path], executions: Sequence[str], episodes: int, out: P
     for path in files:
         words += ["--latency", f"file:{path}"]
     more = ["--execution", ",".join(executions), "--seed", str(FIRST_SEED), "--strips", "none"]
+    more += ["--workers", str(workers)]
     for count in sorted({episodes, *(size for size in ROUNDS if size < episodes)}):
         size = ["--episodes", str(count), "--out", str(out / "episodes"), "--retry-errors"]
         subprocess.run(
@@ -177,6 +180,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--episodes", type=int, default=20, help="seeds of each variant")
     parser.add_argument("--links", nargs="+", default=LINKS)
     parser.add_argument("--executions", nargs="+", choices=EXECUTIONS, default=EXECUTIONS)
+    parser.add_argument("--workers", type=int, default=1, help="episodes at a time")
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--answers", action="store_true", help="only time answers")
     parser.add_argument("--judge", action="store_true", help="only print what is there")
@@ -197,7 +201,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     if not given.judge:
         files = [path for path, _ in found.values()]
-        play(files, given.executions, given.episodes, given.out)
+        play(files, given.executions, given.episodes, given.workers, given.out)
     table(found, given.out)
     return 0
 

@@ -59,12 +59,26 @@ class Judge:
         self._data.qpos[self._places] = position
         mujoco.mj_kinematics(self._model, self._data)
         tcps = [self._data.body(f"{arm}_fr3_hand_tcp").xpos.copy() for arm in ARMS]
-        distances = (
-            mujoco.mj_geomDistance(self._model, self._data, a, b, _FAR_M, None)
-            for a in self._left
-            for b in self._right
-        )
-        return tcps, min(distances)
+        return tcps, self._least_distance_m()
+
+    def _least_distance_m(self) -> float:
+        """Between a shape of each arm; at most `_FAR_M`. The pair with the nearest bounding spheres
+        comes first, until the spheres alone are further apart than shapes that were measured.
+        """
+        middle, radius = self._data.geom_xpos, self._model.geom_rbound
+        left, right = np.array(self._left), np.array(self._right)
+        apart = np.linalg.norm(middle[left][:, None] - middle[right], axis=-1)
+        bounds = apart - radius[left][:, None] - radius[right]
+        least_m = _FAR_M
+        for pair in np.argsort(bounds, axis=None):
+            i, j = divmod(int(pair), len(right))
+            if bounds[i, j] >= least_m:
+                break
+            found = mujoco.mj_geomDistance(
+                self._model, self._data, self._left[i], self._right[j], _FAR_M, None
+            )
+            least_m = min(least_m, float(found))
+        return least_m
 
 
 @dataclass

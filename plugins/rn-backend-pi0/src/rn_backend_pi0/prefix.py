@@ -25,7 +25,10 @@ class PrefixNetwork(nn.Module):
         self.dims = dims
         self.vision = VisionTower(dims.vision)
         self.projector = nn.Linear(dims.vision.width, dims.prefix.width)
-        self.embedding = nn.Embedding(dims.vocabulary, dims.prefix.width)
+        # Without given values nn.Embedding draws them, and on the meta device PyTorch imports 800
+        # modules (1.7 s) to do so.
+        values = torch.empty(dims.vocabulary, dims.prefix.width)
+        self.embedding = nn.Embedding(dims.vocabulary, dims.prefix.width, _weight=values)
         self.prefix = Gemma(dims.prefix, keys_only_last=keys_only_last)
 
     def embed_prefix(self, pixels: Tensor, token_ids: Tensor) -> Tensor:

@@ -5,7 +5,7 @@ collision shapes.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -88,9 +88,11 @@ class CollisionModel:
             self._measure(home)
             own = len(self._links) - len(collision.obstacles)
             touching = [
-                pair
-                for pair, _, distance_m in self._results()
-                if pair.second < own and distance_m <= 0.0
+                self._pin.CollisionPair(pair.first, pair.second)  # to remove one moves others
+                for pair, found in zip(
+                    self._shapes.collisionPairs, self._contacts.distanceResults, strict=True
+                )
+                if pair.second < own and found.min_distance <= 0.0
             ]
             for pair in touching:
                 self._shapes.removeCollisionPair(pair)
@@ -115,30 +117,14 @@ class CollisionModel:
         ):
             return ()
         self._measure(full)
-        found: dict[tuple[str, str], Proximity] = {}
-        for pair, least_m, distance_m in self._results():
-            names = (self._links[pair.first], self._links[pair.second])
-            if distance_m < least_m and (
-                names not in found or distance_m < found[names].distance_m
-            ):
-                found[names] = Proximity(
-                    first=names[0], second=names[1], distance_m=distance_m, least_m=least_m
-                )
-        return tuple(found.values())
+        return tuple(self._nearest(only_close=True))
 
     def distances(self, joints: JointSample) -> tuple[Proximity, ...]:
         """Every pair of bodies that are compared, each once with its smallest distance, the nearest
         first. Takes ten times as long as `near`.
         """
         self._measure(self._full(joints))
-        found: dict[tuple[str, str], Proximity] = {}
-        for pair, least_m, distance_m in self._results():
-            names = (self._links[pair.first], self._links[pair.second])
-            if names not in found or distance_m < found[names].distance_m:
-                found[names] = Proximity(
-                    first=names[0], second=names[1], distance_m=distance_m, least_m=least_m
-                )
-        return tuple(sorted(found.values(), key=lambda pair: pair.distance_m))
+        return tuple(sorted(self._nearest(only_close=False), key=lambda pair: pair.distance_m))
 
     def _place_base(self, base_link: str) -> pinocchio.SE3:
         """Pose of the base link in the model's own frame; obstacles are given in the base frame."""
@@ -198,35 +184,40 @@ class CollisionModel:
                 self._shapes.addCollisionPair(self._pin.CollisionPair(first, second))
 
     def _prepare(self) -> None:
-        """Create scratch memory, and the required distance of each pair."""
+        """Create scratch memory, and the names and the required distance [m] of each pair."""
         self._contacts = self._shapes.createData()
         obstacles = {obstacle.name for obstacle in self._collision.obstacles}
-        self._least: list[float] = []
+        self._required: list[tuple[tuple[str, str], float]] = []
         for pair, request in zip(
             self._shapes.collisionPairs, self._contacts.collisionRequests, strict=True
         ):
             is_tool = self._links[pair.first] in self._collision.tool_links
             is_close = is_tool and self._links[pair.second] in obstacles
             least_m = self._collision.min_distance_m
-            self._least.append(min(_TOUCH_M, least_m) if is_close else least_m)
-            request.security_margin = self._least[-1]
+            least_m = min(_TOUCH_M, least_m) if is_close else least_m
+            names = (self._links[pair.first], self._links[pair.second])
+            self._required.append((names, least_m))
+            request.security_margin = least_m
 
     def _measure(self, full: F64) -> None:
         self._pin.computeDistances(self._model, self._data, self._shapes, self._contacts, full)
 
-    def _results(self) -> list[tuple[pinocchio.CollisionPair, float, float]]:
-        """Pair, required distance and distance [m] of the last `_measure`; copies, because removing
-        a pair moves others.
+    def _nearest(self, *, only_close: bool) -> Iterable[Proximity]:
+        """The smallest distance of each pair of bodies in the last `_measure`; `only_close`: only
+        of those that are closer than allowed.
         """
-        return [
-            (self._pin.CollisionPair(pair.first, pair.second), least_m, float(result.min_distance))
-            for pair, least_m, result in zip(
-                self._shapes.collisionPairs,
-                self._least,
-                self._contacts.distanceResults,
-                strict=True,
-            )
-        ]
+        nearest: dict[tuple[str, str], Proximity] = {}
+        for (names, least_m), found in zip(
+            self._required, self._contacts.distanceResults, strict=True
+        ):
+            distance_m = found.min_distance
+            if only_close and distance_m >= least_m:
+                continue
+            if names not in nearest or distance_m < nearest[names].distance_m:
+                nearest[names] = Proximity(
+                    first=names[0], second=names[1], distance_m=distance_m, least_m=least_m
+                )
+        return nearest.values()
 
     def _full(self, joints: JointSample) -> F64:
         names, source, place = self._order
