@@ -132,14 +132,21 @@ def test_what_a_driver_runs_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_build_of_torch_is_told_where_there_is_no_gpu(
     version: str, cuda: str | None, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    no_gpu = SimpleNamespace(is_available=lambda: False)
-    torch = SimpleNamespace(__version__=version, version=SimpleNamespace(cuda=cuda), cuda=no_gpu)
-    monkeypatch.setattr(checks.importlib, "import_module", lambda name: torch)
-    monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: object())
+    (tmp_path / "version.py").write_text(
+        f"__version__ = {version!r}\ncuda = {cuda!r}\nhip = None\n"
+    )
+    found = SimpleNamespace(origin=str(tmp_path / "__init__.py"))
+    monkeypatch.setattr(checks.importlib.util, "find_spec", lambda name: found)
+    imported: list[str] = []
+    no_gpu = SimpleNamespace(cuda=SimpleNamespace(is_available=lambda: False))
+    monkeypatch.setattr(
+        checks.importlib, "import_module", lambda name: imported.append(name) or no_gpu
+    )
     finding = checks._gpu(config_in(tmp_path))
     assert finding.verdict is Severity.WARNING
     assert finding.text == said
     assert ("the CPU build, which is smaller" in finding.hint) == (cuda is not None)
+    assert imported == (["torch"] if cuda else [])
 
 
 def test_a_configuration_that_names_what_is_not_installed_fails(tmp_path: Path) -> None:
@@ -234,6 +241,8 @@ def test_the_command_survives_what_it_is_for(
         f'[robot]\nname = "nobody"\n[supervisor]\nstate_directory = "{tmp_path / "state"}"\n'
     )
     environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
+    if variable == "PYTHONIOENCODING":
+        environment["RMW_IMPLEMENTATION"] = "rmw_nope_cpp"  # so that it need not wait for ROS
     environment[variable] = foreign_rclpy(tmp_path) if value == "foreign" else value
     command = [sys.executable, "-P", "-m", "roboneuron.cli.main", "doctor", "--config", str(config)]
     done = subprocess.run(

@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 import os
 import platform
+import runpy
 import shutil
 import sys
 import tempfile
@@ -259,29 +260,28 @@ def _chosen(config: Config, registry: Registry) -> str:
 
 
 def _gpu(_: Config) -> Finding:
-    if importlib.util.find_spec("torch") is None:
+    found = importlib.util.find_spec("torch")
+    if found is None or found.origin is None:
         return ok("torch is not installed: model backends cannot run, visual servoing needs none.")
-    # heavy; an optional part of the machine, not of this package
-    torch = importlib.import_module("torch")
-
-    build = f"CUDA {torch.version.cuda} build" if torch.version.cuda else "CPU build"
-    if not torch.cuda.is_available():
-        small = (
-            " Without a GPU the CPU build, which is smaller, does the same."
-            if torch.version.cuda
-            else ""
-        )
-        return warning(
-            f"torch {torch.__version__} ({build}) sees no CUDA device.",
-            "Models of billions of parameters take seconds for an action on a CPU. With an NVIDIA "
-            "GPU: nvidia-smi "
-            f"must list it, and torch must be a CUDA build.{small} README.md, PyTorch, says how "
-            "to choose.",
-        )
-    properties = torch.cuda.get_device_properties(0)
-    return ok(
-        f"torch {torch.__version__} ({build}) on {properties.name}, "
-        f"{properties.total_memory // _MIB} MiB."
+    # this file alone: PyTorch itself takes seconds to import, and its CPU build sees no GPU anyway
+    built = runpy.run_path(str(Path(found.origin).with_name("version.py")))
+    version, cuda = built["__version__"], built.get("cuda")
+    build = f"CUDA {cuda} build" if cuda else "ROCm build" if built.get("hip") else "CPU build"
+    if build != "CPU build":
+        torch = importlib.import_module("torch")
+        if torch.cuda.is_available():
+            properties = torch.cuda.get_device_properties(0)
+            return ok(
+                f"torch {version} ({build}) on {properties.name}, "
+                f"{properties.total_memory // _MIB} MiB."
+            )
+    small = " Without a GPU the CPU build, which is smaller, does the same." if cuda else ""
+    return warning(
+        f"torch {version} ({build}) sees no CUDA device.",
+        "Models of billions of parameters take seconds for an action on a CPU. With an NVIDIA "
+        "GPU: nvidia-smi "
+        f"must list it, and torch must be a CUDA build.{small} README.md, PyTorch, says how "
+        "to choose.",
     )
 
 
