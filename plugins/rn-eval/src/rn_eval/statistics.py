@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from rn_eval.record import EpisodeRecord
 
@@ -44,6 +43,8 @@ def proportion(successes: int, trials: int, confidence: float = CONFIDENCE) -> P
     """
     if not trials:
         return Proportion(0, 0, 0.0, 1.0)
+    from scipy import stats  # takes a second to import
+
     interval = stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
     return Proportion(successes, trials, float(interval.low), float(interval.high))
 
@@ -71,6 +72,8 @@ def mcnemar(first: Mapping[object, bool], second: Mapping[object, bool]) -> Pair
     Source: McNemar 1947; the exact test is a binomial test of the pairs that differ, with
     probability 1/2.
     """
+    from scipy import stats
+
     common = first.keys() & second.keys()
     only_first = sum(first[key] and not second[key] for key in common)
     only_second = sum(second[key] and not first[key] for key in common)
