@@ -198,7 +198,7 @@ def test_a_local_folder_stands_for_a_name_of_the_hub(
 def test_code_in_the_folder_of_a_backbone_is_refused(checkpoint: Make, options: Options) -> None:
     folder = checkpoint("smolvla")
     (folder / "backbone" / "modeling.py").write_text("print('hello')")
-    with pytest.raises(CheckpointError, match=r"backbone brings code \(modeling\.py\)"):
+    with pytest.raises(CheckpointError, match=r"backbone contains code \(modeling\.py\)"):
         wire(LeRobotOptions.model_validate({**options, "checkpoint": folder}))
 
 
