@@ -123,11 +123,11 @@ def test_answers_of_another_width_or_not_finite_are_refused(
 
 
 def test_joints_that_do_not_fit_are_refused(policy_server: Any) -> None:
-    with pytest.raises(ConfigurationError, match="'joints' has no use"):
+    with pytest.raises(ConfigurationError, match="'joints' has no effect"):
         _backend(policy_server, profile="libero")
     with pytest.raises(ConfigurationError, match="needs the option 'joints'"):
         _backend(policy_server, joints=None)
     with pytest.raises(ConfigurationError, match="names 6 joints, profile 'droid' has 7"):
         _backend(policy_server, joints=ARM[:6])
-    with pytest.raises(ConfigurationError, match="each joint stands once"):
+    with pytest.raises(ConfigurationError, match="each joint appears once"):
         _backend(policy_server, joints=(*ARM[:6], ARM[0]))
