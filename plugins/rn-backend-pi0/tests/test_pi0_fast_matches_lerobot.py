@@ -155,7 +155,7 @@ def test_half_a_character_is_refused(checkpoint: Path, tmp_path: Path) -> None:
     tokenizer = Tokenizer(models.BPE(vocab={"a": 0, "Ã": 1}, merges=[]))
     tokenizer.decoder = decoders.ByteLevel()
     tokenizer.save(str(tmp_path / "action_tokenizer" / "tokenizer.json"))
-    with pytest.raises(UngroundedError, match="no whole coefficients"):
+    with pytest.raises(UngroundedError, match="no complete coefficients"):
         _tokenizer(tmp_path).to_actions([1, 0])
 
 
@@ -208,7 +208,7 @@ def test_each_backend_runs_its_own_variants(checkpoint: Path, tiny_checkpoint: P
     ("key", "value", "message"),
     [
         ("temperature", 0.7, "temperature is 0.7"),
-        ("output_features", {}, "output_features says no width"),
+        ("output_features", {}, "output_features has no width"),
         ("fast_skip_tokens", 400, "do not fit into a vocabulary"),
     ],
 )

@@ -216,7 +216,7 @@ def test_loading_without_joints_is_refused(checkpoints: dict[str, Path]) -> None
 
 
 def test_joints_of_a_policy_that_moves_the_tcp_are_refused(tiny_checkpoint: Path) -> None:
-    with pytest.raises(ConfigurationError, match="'joints' has no use"):
+    with pytest.raises(ConfigurationError, match="'joints' has no effect"):
         _backend(tiny_checkpoint).load()
     assert pi0_space({"checkpoint": str(tiny_checkpoint)}, ROBOT) is EE_DELTA
 
