@@ -1,4 +1,4 @@
-"""The network side of `roboneuron serve-policy`: admits robots, and carries their frames to the
+"""The network side of `roboneuron serve-policy`: admits robots, and forwards their frames to the
 process of the model that they name.
 """
 
@@ -29,29 +29,29 @@ from roboneuron import ConfigurationError
 
 log = logging.getLogger(__name__)
 _ADMIT_S = 5.0
-"""Whoever connects has this long to shake hands and to introduce itself."""
+"""Time limit of handshake and identification of a new connection [s]."""
 _MOST_UNKNOWN = 64
-"""Connections that have not introduced themselves; the oldest of the address with most of them
-gives way.
+"""Limit of unidentified connections; beyond it, the oldest one of the address with the most is
+ended.
 """
 _MOST_THREADS = 512
 _FRAME_S = 10.0
-"""A frame that takes longer to arrive is not waited for."""
+"""Time limit for receiving one frame [s]."""
 _LOOK_S = 0.1
 _KEYS_LOOK_S = 0.5
 _TELL_S = 10.0
-"""How often the log tells of connections that were refused: strangers must not fill it."""
+"""Period of the log's summary of refused connections, so that strangers cannot fill the log [s]."""
 _NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _NO_HANDLES_S = 1.0
 
 
 class PolicyServer:
-    """Serves several models, each in a process of its own, to robots that prove who they are.
+    """Serves several models, each in its own process, to authenticated robots.
 
     Args:
-        options: of the server.
-        folder: for sockets and logs, this user's alone.
-        name: of the server among others in the folder.
+        options: options of the server.
+        folder: folder for sockets and logs, accessible only to this user.
+        name: name of the server among others in the folder.
     """
 
     def __init__(self, options: PolicyServerOptions, folder: Path, name: str) -> None:
