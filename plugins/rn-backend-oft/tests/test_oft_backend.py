@@ -199,7 +199,7 @@ def test_tokens_that_are_no_actions_are_counted_over_the_chunk_and_refused_above
     tokens[:outside] = 17
     backend._runtime.run = lambda request: RowsReply(values=tokens)
     if refused:
-        with pytest.raises(UngroundedError, match=f"{outside} of 56 tokens are no action tokens"):
+        with pytest.raises(UngroundedError, match=f"{outside} of 56 tokens are not action tokens"):
             backend.predict(_observation())
         return
     chunk = backend.predict(_observation())
