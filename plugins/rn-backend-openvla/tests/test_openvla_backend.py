@@ -221,7 +221,7 @@ def test_one_token_that_is_no_action_is_counted_and_told(tiny, caplog, token):
     first, second = backend.predict(_observation(90)), backend.predict(_observation(90))
     assert first.metrics["tokens_outside_actions"] == 1
     assert second.metrics["tokens_outside_actions_total"] == 2
-    assert "1 of 7 tokens are no action tokens" in first.note
+    assert "1 of 7 tokens are not action tokens" in first.note
     assert "full-scale" in caplog.text
 
 
@@ -236,7 +236,7 @@ def test_action_tokens_of_both_ends_are_not_counted(tiny):
 def test_more_tokens_that_are_no_actions_than_allowed_are_refused(tiny):
     tokens = [5, 5, 31872, 31872, 31872, 31872, 31872]
     with pytest.raises(
-        UngroundedError, match=r"2 of 7 tokens are no action tokens, 2 since .*max_outside_share"
+        UngroundedError, match=r"2 of 7 tokens are not action tokens, 2 since .*max_outside_share"
     ):
         _saying(tiny, tokens).predict(_observation(90))
     assert _saying(tiny, tokens, max_outside_share=0.3).predict(_observation(90)).note
