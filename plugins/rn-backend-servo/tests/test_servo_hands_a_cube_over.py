@@ -182,7 +182,7 @@ def test_an_image_that_comes_again_is_refused() -> None:
         cell._look = lambda: before  # type: ignore[method-assign]
         before = cell._frames
         cell.step("hand over the red cube")
-        with pytest.raises(UngroundedError, match="is the one seen before"):
+        with pytest.raises(UngroundedError, match="is the previous one"):
             cell.step("hand over the red cube")
 
 

@@ -106,7 +106,7 @@ def test_an_image_that_shows_nothing_useful_moves_nothing(
 
 def test_an_image_that_comes_again_is_refused(servo: ServoBackend) -> None:
     servo.predict(look(0))
-    with pytest.raises(UngroundedError, match="the one seen before"):
+    with pytest.raises(UngroundedError, match="the previous one"):
         servo.predict(look(0))
 
 
