@@ -139,7 +139,7 @@ def test_a_token_goes_over_tls_where_the_servers_certificate_is_known(
     assert answers(robot(server.address, ca=str(tmp_path / "ca.pem"), **options))
     with pytest.raises(ConfigurationError, match="not trusted"):
         robot(server.address, ca=str(tmp_path / "other.pem"), **options)
-    with pytest.raises(NotReadyError, match="closed the connection without a word"):
+    with pytest.raises(NotReadyError, match="closed the connection without an answer"):
         robot(server.address, start_timeout_s=0.5, **options)
 
 

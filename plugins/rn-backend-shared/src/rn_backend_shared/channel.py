@@ -128,7 +128,7 @@ class FrameChannel:
             left_s = _LONG_S if deadline_s is None else deadline_s - time.monotonic()
             if left_s <= 0:
                 raise TimeoutError("no data arrived in time")
-            self._in.settimeout(left_s)  # never None: it would make the other half blocking too
+            self._in.settimeout(left_s)  # never None: it would make the other direction block
             count = self._in.recv_into(rest[self._filled :])
             if not count:
                 raise ConnectionError("the other side has closed the connection")

@@ -330,7 +330,7 @@ def _remembers(error: RoboNeuronError) -> ConfigurationError:
     return ConfigurationError(
         "The model answered an observation and refused the same one when it was repeated to "
         f"measure the effect of coded images: it keeps a history of observations. Error: {error}",
-        hint="Such a model must not be served with stateless = true: it would mix robots up. For one "
+        hint="Such a model must not be served with stateless = true: it mixes robots up. For one "
         "robot alone set coding = 'raw' or 'png' in [plugins.shared], which repeats no request.",
     )
 
