@@ -214,7 +214,7 @@ def test_a_change_records_nothing_when_told_not_to_and_says_so(toy, monkeypatch)
     engine.set_acceleration(EqualSelection())
     assert len(engine._graphs) == 1
     reply = engine.answer(toy.token_request(9), lambda: None)
-    assert reply.note == "CUDA graph: eager, none is recorded for the preset in force."
+    assert reply.note == "CUDA graph: eager, none is recorded for the current preset."
 
 
 def test_there_are_never_more_recordings_than_may_be(toy, monkeypatch):
