@@ -168,7 +168,7 @@ def test_a_round_under_way_is_ended_by_its_own_plan(
     wheel.begin(weights, plan, [])
     with pytest.raises(StateError, match=r"Round 1 .* by another plan"):
         wheel.begin(weights, plan.model_copy(update={"seeds": 7}), [])
-    with pytest.raises(StateError, match="Round 1 is under way"):
+    with pytest.raises(StateError, match="Round 1 is unfinished"):
         wheel.roll_back()
     held = alone_in(tmp_path / "out")
     with (

@@ -63,7 +63,7 @@ def test_times_are_short(seconds: float, text: str) -> None:
 def test_demonstrations_are_counted(tmp_path: Path, workers: int) -> None:
     said: list[str] = []
     record(tmp_path, 2, workers=workers, say=said.append, views=12)
-    assert said[0].startswith("demonstrations: 0 of 2 shards are there")
+    assert said[0].startswith("demonstrations: 0 of 2 shards exist")
     assert re.match(
         r"demonstrations: views 24/24 \(100 %\), [\d.]+ a (second|minute), 0 s left", said[-1]
     )
