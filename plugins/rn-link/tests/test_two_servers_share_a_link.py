@@ -135,7 +135,7 @@ async def use_both(arm: LinkedAgent, base: LinkedAgent, gpu: Machine) -> None:
     # a cut cable stops neither, and is told on both sides
     gpu.cut()
     cut = await arm.until_connected("gpu", False)
-    assert "Is gpu on, 10.213.91.2 its address, and TCP 7411 open there?" in cut["hint"], cut
+    assert "Is gpu on, 10.213.91.2 its address, and its TCP port 7411 open?" in cut["hint"], cut
     assert (await base.until_connected("robot", False))["hint"]
     await base.do("publish_velocity", message=twist, duration_s=1.0)
     await arm.do("read_joint_states", timeout_s=10.0)

@@ -87,10 +87,10 @@ def test_without_a_relay_nothing_is_connected(
     pair_machines(robot, gpu)  # type: ignore[arg-type]
     StateFile(robot.link).connected("gpu")  # of one that was killed
     assert read_connections(robot.link) is None
-    assert "No relay runs here: start RoboNeuron, or `roboneuron link run`." in show(capsys)
+    assert "No relay is running: start RoboNeuron, or `roboneuron link run`." in show(capsys)
     assert json.loads(show(capsys, "--json"))["connections"] is None
     ((is_well, text, hint),) = LinkCommand().findings()
-    assert (is_well, text) == (False, "The link to gpu is not carried now.")
+    assert (is_well, text) == (False, "The link to gpu is down: no relay is running.")
     assert "`roboneuron link run`" in hint
 
 
@@ -122,7 +122,7 @@ def test_each_machine_is_told_with_its_time_or_its_error(
     assert verdicts == {
         "gpu": (True, ""),
         "desk": (False, "Is desk on?"),
-        "lab": (False, "Look again in a moment."),
+        "lab": (False, "Check again in a moment."),
     }
     state.forget("gpu")
     assert "gpu" not in json.loads((robot.link / STATE).read_text())
@@ -146,11 +146,11 @@ def expired() -> ssl.SSLCertVerificationError:
     ("error", "told"),
     [
         (ConnectionRefusedError(), "Start RoboNeuron on gpu"),
-        (TimeoutError(), "Is gpu on, 10.0.0.2 its address, and TCP 7411 open there?"),
+        (TimeoutError(), "Is gpu on, 10.0.0.2 its address, and its TCP port 7411 open?"),
         (OSError(errno.EHOSTUNREACH, "no route"), "Is gpu on, 10.0.0.2"),
         (expired(), "expired: type `roboneuron link add gpu` on the hub"),
         (ssl.SSLError("alert unknown ca"), "Pair it again: `roboneuron link add gpu`"),
-        (OSError("else"), "Look at gpu and at the network between"),
+        (OSError("else"), "Check gpu and the network"),
     ],
 )
 def test_every_error_has_something_to_do(error: OSError, told: str) -> None:
