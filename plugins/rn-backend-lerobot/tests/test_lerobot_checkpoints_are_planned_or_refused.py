@@ -1,4 +1,4 @@
-"""What is known of a checkpoint before anything is loaded, and what is refused, by name."""
+"""Properties of a checkpoint known before loading, and refusals by name."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def test_a_missing_file_is_named(checkpoint: Make, options: Options, name: str) 
 def test_statistics_that_are_missing_are_named(
     checkpoint: Make, options: Options, file: str, key: str, value: Any, message: str
 ) -> None:
-    """LeRobot itself goes on without them, with numbers of another scale."""
+    """LeRobot itself continues without them, with numbers of another scale."""
     folder = checkpoint()
     tensors: dict[str, Any] = dict(read_tensors(folder / file))
     del tensors[key]
