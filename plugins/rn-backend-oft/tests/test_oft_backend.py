@@ -164,8 +164,8 @@ def test_state_of_bridge_is_position_angles_against_gripper_down_and_opening():
 
 
 def test_constants_that_do_not_fit_the_head_are_refused(complete):
-    """A bridge chunk of five on a LIBERO head cannot be told from the head, but its state width
-    can.
+    """The head does not reveal a bridge chunk of five instead of LIBERO's, but its state width
+    does.
     """
     with pytest.raises(ConfigurationError, match="8 proprio values"):
         _backend(complete, constants="bridge").load()
