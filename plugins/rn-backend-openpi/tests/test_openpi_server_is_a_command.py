@@ -1,4 +1,4 @@
-"""The command `roboneuron openpi-server`: what it serves, and what it refuses by name."""
+"""The command `roboneuron openpi-server`: what it serves, and refusals by name."""
 
 from __future__ import annotations
 
