@@ -75,8 +75,8 @@ def test_the_instruction_reaches_the_model_in_lower_case(backend):
 
 
 def test_a_served_runtime_gets_text_and_image_and_its_tokens_become_the_action(tiny):
-    """The seam of a runtime that never sees weights: only the text and the RGB image, only ids
-    back.
+    """The interface of a runtime without weights: it gets only the text and the RGB image, and
+    returns only ids.
     """
 
     class Served:
@@ -177,13 +177,13 @@ def test_without_a_runtime_it_says_what_to_install(tiny):
 
 
 def test_what_the_boundary_costs_at_model_size_stays_small(backend):
-    """Everything between observation and action but the model itself, at 224 x 224, best of ten."""
+    """Everything between observation and action except the model, at 224 x 224, best of ten."""
     image = np.random.default_rng(0).integers(0, 256, (224, 224, 3)).astype(np.uint8)
     costs = []
     for _ in range(10):
         metrics = backend.predict(_observation(image)).metrics
         costs.append(metrics["inference_ms"] - metrics["model_ms"])
-    # 1.3 ms was seen on an idle core; the bound leaves room for a busy machine
+    # 1.3 ms was measured on an idle core; the bound leaves a margin for a busy machine
     assert min(costs) < 10.0
 
 
