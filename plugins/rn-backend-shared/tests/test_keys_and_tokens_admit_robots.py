@@ -1,4 +1,4 @@
-"""Keys of a pair and tokens: who is admitted to a policy server, and whom a robot trusts."""
+"""Keys of a pair and tokens: admission to a policy server, and servers that a robot trusts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_server_with_a_certificate_of_somebody_else_is_not_trusted(
     serve: Serve, robot: Robot, tmp_path: Path
 ) -> None:
     server = serve()
-    # swapped: the robot is now paired with another machine of that name
+    # exchanged: the robot is now paired with another machine of that name
     pair(tmp_path / "robot", tmp_path / "third")
     with pytest.raises(ConfigurationError, match="not trusted"):
         robot(server.address)

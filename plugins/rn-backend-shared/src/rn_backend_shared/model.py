@@ -59,9 +59,7 @@ class SharedModel:
         """
         options, registry = self._options, discover()
         if options.backend is None:
-            raise ConfigurationError(
-                "The option `backend` does not name the backend of the shared model."
-            )
+            raise ConfigurationError("The option `backend` of the shared model is not set.")
         self.spec = spec = registry.get(BackendSpec, options.backend)
         runtime = options.runtime or spec.default_runtime
         parts: dict[str, object] = {"runtime": None, "acceleration": None}
