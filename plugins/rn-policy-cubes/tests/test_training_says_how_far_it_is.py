@@ -1,4 +1,4 @@
-"""Demonstrations and training tell rate, time left and figures from the first seconds on."""
+"""Demonstrations and training print rate, remaining time and metrics from the first seconds on."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_a_full_disk_is_told_with_the_file_and_keeps_what_was_there(
     path = tmp_path / "state.bin"
     path.write_bytes(b"before")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))  # as on a disk that is full
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))  # like a full disk
     try:
         with pytest.raises(StateError, match=r"state\.bin cannot be written"):
             save(kind, path)
