@@ -1,5 +1,5 @@
-"""For every paired machine `link show` and `doctor` say whether it is connected now, as the relay
-knows it.
+"""For every paired machine `link show` and `doctor` report whether it is connected, according to
+the relay.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def gpu(tmp_path: Path) -> Place:
 
 @contextmanager
 def relay_lock(place: Place) -> Iterator[None]:
-    """As if a relay ran."""
+    """Hold the lock, as a running relay does."""
     lock = os.open(place.link / LOCK, os.O_RDWR | os.O_CREAT)
     fcntl.flock(lock, fcntl.LOCK_EX)
     try:
@@ -85,7 +85,7 @@ def test_without_a_relay_nothing_is_connected(
     robot: Place, gpu: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pair_machines(robot, gpu)  # type: ignore[arg-type]
-    StateFile(robot.link).connected("gpu")  # of one that was killed
+    StateFile(robot.link).connected("gpu")  # of a killed relay
     assert read_connections(robot.link) is None
     assert "No relay is running: start RoboNeuron, or `roboneuron link run`." in show(capsys)
     assert json.loads(show(capsys, "--json"))["connections"] is None
@@ -178,7 +178,7 @@ def test_the_relay_tells_what_becomes_of_a_connection(
     assert member is not None
 
     async def serve() -> Any:
-        """The other machine, as far as its TLS goes."""
+        """The TLS part of the other machine."""
 
         async def take(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             taken.append(writer)

@@ -31,10 +31,10 @@ SWITCH = "ROBONEURON_LINK"
 
 
 def join_link() -> None:
-    """Let this process, and what it starts, use the link of this machine, if it has one.
+    """Let this process and its children use the link of this machine, if it has one.
 
-    Nothing is changed when the user has set what contradicts the link, or the link cannot be used:
-    ROS then stays on this machine, and `LinkFeature.check` says why.
+    Nothing is changed if a variable of the user conflicts with the link, or the link cannot be
+    used: ROS then stays on this machine, and `LinkFeature.check` reports the reason.
     """
     folder = link_folder()
     try:
