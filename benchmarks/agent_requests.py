@@ -1,4 +1,6 @@
-"""Fourteen requests of people, each with what an agent calls and what must be true then."""
+"""Fourteen requests of people, each with the agent's calls and the conditions that must hold
+afterwards.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ NEAR_M = 0.03
 
 @dataclass
 class Seen:
-    """What came of a request: its checks, and the bytes of the answers that an agent reads."""
+    """Results of a request: its checks, and the size of the answers that an agent reads in
+    bytes.
+    """
 
     checks: list[tuple[str, bool]] = field(default_factory=list)
     size: int = 0
@@ -28,8 +32,8 @@ class Seen:
 
 
 class Agent:
-    """A client that calls what is listed; what it reads is counted, what the simulator says is
-    not.
+    """A client that calls listed tools. The bytes that it reads are counted, but not those of the
+    simulator's state.
     """
 
     def __init__(self, client: Client, tools: dict[str, types.Tool]) -> None:
@@ -41,16 +45,16 @@ class Agent:
         self.seen.checks.append((what, bool(is_met)))
 
     def has(self, tool: str, *arguments: str) -> bool:
-        """Whether a tool with these arguments is listed."""
+        """True if a tool with these arguments is listed."""
         found = self.tools.get(tool)
         return found is not None and set(arguments) <= set(found.input_schema.get("properties", {}))
 
     async def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """The structured answer; of an error its text, as "error"."""
+        """The structured answer; for an error its text, as "error"."""
         if tool not in self.tools:
             return {"error": f"There is no tool {tool}."}
         answer = await self._client.call_tool(tool, arguments)
-        # The structured content says the same again; clients show an agent one of the two.
+        # The structured content repeats the text; clients show an agent one of the two.
         self.seen.size += sum(
             len(part.model_dump_json(by_alias=True, exclude_none=True)) for part in answer.content
         )
@@ -74,7 +78,7 @@ def _images(answer: types.CallToolResult) -> int:
 
 
 def worked(answer: dict[str, Any]) -> bool:
-    return not isinstance(answer.get("error"), str)  # a number is how far off a motion ended
+    return not isinstance(answer.get("error"), str)  # a number is a motion's remaining distance
 
 
 async def look(agent: Agent) -> None:

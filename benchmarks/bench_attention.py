@@ -1,15 +1,14 @@
-"""Attention over a whole prompt on the CPU, as the runtime "torch" computes it, beside its floor in
-the same run.
+"""Attention over a whole prompt on the CPU, as the runtime "torch" computes it, compared with its
+floor in the same run.
 
     python benchmarks/bench_attention.py [--threads 1] [--repeat 20]
 
 One layer of real width, batch 1: OpenVLA's decoder (280 positions, causal, keys and values in the
-cache) and OFT's (600 positions, each sees all). "products" is the floor: the FLOP of both matrix
-products at the speed of a square product of the same type; all scores count, also those that a
-causal prompt masks, because the kernel computes them. "softmax" is torch's softmax of the scores,
-which that floor leaves out. "separately" is product, softmax, product, one after the other. Times
-are the best of `--repeat`, in turns: processor time on one thread, which others on a shared machine
-disturb less, else wall time.
+cache) and OFT's (600 positions, without a mask). "products" is the floor: the FLOP of both matrix
+products at the speed of a square product of the same type; all scores count, including masked ones,
+because the kernel computes them. "softmax" is torch's softmax of the scores, which the floor
+excludes. "separately" is product, softmax, product in sequence. Times are the best of `--repeat`
+interleaved runs: processor time on one thread, which other load disturbs less, otherwise wall time.
 """
 
 from __future__ import annotations
@@ -38,7 +37,7 @@ LLAMA = DecoderShape(
     max_positions=1024,
 )
 PROMPTS = {"openvla": (280, True), "oft": (600, False)}
-"""Positions, and whether each sees only those before it."""
+"""Number of positions, and whether the mask is causal."""
 SQUARE = 1536
 TOLERANCE = {torch.float32: 1e-5, torch.bfloat16: 0.05}
 """Values reach 5; bfloat16 keeps 8 bits of a result."""
@@ -46,7 +45,7 @@ CPU = torch.device("cpu")
 
 
 def best_ms(actions: dict[str, Callable[[], object]], repeat: int) -> dict[str, float]:
-    """Best time of each, in turns, after a turn that does not count."""
+    """Best time of each action, interleaved, after one warm-up run."""
     now_s = time.process_time if torch.get_num_threads() == 1 else time.perf_counter
     times: dict[str, list[float]] = {name: [] for name in actions}
     for _ in range(repeat + 1):
@@ -97,7 +96,7 @@ def measure(name: str, dtype: torch.dtype, repeat: int) -> str:
 
 
 def check_same(ours: Tensor, query: Tensor, key: Tensor, value: Tensor, causal: bool) -> None:
-    """Against plain attention in float64; see TOLERANCE."""
+    """Compare with plain attention in float64; see TOLERANCE."""
     query, key, value = (tensor.double() for tensor in (query, key, value))
     scores = query @ key.transpose(-1, -2) / query.shape[-1] ** 0.5
     if causal:

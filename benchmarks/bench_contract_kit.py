@@ -1,11 +1,11 @@
-"""How many broken plugins the contract kit finds, and whether it blames good ones.
+"""Detection rate of the contract kit for broken plugins, and its false alarms for good ones.
 
     python benchmarks/bench_contract_kit.py [--only WORD] [--good]
 
-Every mutant of plugins/rn-testing/tests/mutants runs in a process of its own (many of them change
-the process), first under the rule that is named for it, then under the others of its kind until one
-fails. `--good` counts false alarms instead: every rule on everything that is installed, as
-`roboneuron plugins check` runs it.
+Every mutant of plugins/rn-testing/tests/mutants runs in its own process (many of them change the
+process), first under the rule named for it, then under the others of its kind until one fails.
+`--good` counts false alarms instead: every rule on all installed plugins, as in `roboneuron plugins
+check`.
 """
 
 from __future__ import annotations
@@ -28,19 +28,17 @@ from roboneuron.plugins.specs import FeatureSpec
 
 TESTS = Path(__file__).parents[1] / "plugins" / "rn-testing" / "tests"
 FOUND, MISSED = 0, 7
-"""Exit statuses of a process that tries one mutant."""
+"""Exit statuses of a process that runs one mutant."""
 
 
 def finds(case: Any, named: str, kind: str) -> bool:
-    """Whether any rule of the kind fails, the named one first."""
+    """True if any rule of the kind fails, the named one first."""
     rules = sorted(RULES[kind], key=lambda rule: rule.id != named)
     return any(verify(rule, case).verdict is RuleVerdict.FAILED for rule in rules)
 
 
 def try_apart(work: Any) -> bool:
-    """Run `work` in a forked process; whether it returned true. One that dies has shown its
-    mistake.
-    """
+    """Run `work` in a forked process; True if it returned true, or if the process died."""
     child = os.fork()
     if child == 0:
         status = MISSED
@@ -54,7 +52,7 @@ def try_apart(work: Any) -> bool:
 
 
 def count_mutants(word: str) -> None:
-    """Print how many mutants are found, by module, of those with `word` in their name."""
+    """Print the number of detected mutants by module, among those with `word` in their name."""
     sys.path[:0] = [str(TESTS / "mutants"), str(TESTS)]
     mutants_unclaimed = importlib.import_module("mutants_unclaimed")
     tests = importlib.import_module("test_every_rule_can_fail")
@@ -87,7 +85,7 @@ def count_mutants(word: str) -> None:
 
 
 def count_false_alarms() -> int:
-    """Print what rules say against installed plugins; returns how often."""
+    """Print violations reported for installed plugins; returns their number."""
     outcomes: Counter[RuleVerdict] = Counter()
     for offer in discover().all_offers:
         if offer.status is not Status.READY:
@@ -115,7 +113,7 @@ def count_false_alarms() -> int:
 
 
 def main() -> None:
-    """Count one or the other."""
+    """Run one of the two counts."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,18 +1,19 @@
-"""Direct path: from the agent's call to the message at a subscriber in another process, beside its
-two floors.
+"""Direct path: time from the agent's call to the message at a subscriber in another process,
+compared with two floors.
 
     python benchmarks/bench_direct.py [--calls 300] [--stops 100] [--starts 3] [--sizes 3 100 1000]
 
-Floors, in the same run and in turns with ours: a tool that does nothing, on the same transport as
-ours (stdio, MCP SDK, our line reader and writer), and a bare rclpy publish to the same subscriber.
-The tool is timed twice: until it answers, and one way, until its handler is entered. Ours is timed
-until the message is at the subscriber, and until it answers. "overhead" is ours minus the sum of
-both floors at the same percentile; the one that counts is "one way", because in the other the
-floor's way back flatters us. Times are taken on one host with one clock (CLOCK_MONOTONIC), from
-just before the call to the subscriber's callback. The start of the server is timed from the spawn
-of its process to the answer of `initialize`, of the first `tools/list`, and to the first message at
-the subscriber (which waits for ROS to be joined and matched). The stop is measured from the
-emergency_stop call to the zero message at the subscriber, during a 10 s sequence.
+Floors, interleaved with RoboNeuron in the same run: a tool that does nothing, on the same transport
+(stdio, MCP SDK, the same line reader and writer), and a bare rclpy publish to the same subscriber.
+The empty tool is timed twice: until it answers, and one way, until its handler is entered.
+RoboNeuron is timed until the message is at the subscriber, and until the answer. "overhead" is
+RoboNeuron minus the sum of both floors at the same percentile. The relevant one is "one way",
+because the other includes the floor's way back and looks too good. Times are taken on one host with
+one clock (CLOCK_MONOTONIC), from just before the call to the subscriber's callback. The start of
+the server is timed from the spawn of its process to the answer of `initialize`, of the first
+`tools/list`, and to the first message at the subscriber (which waits for ROS to be joined and
+matched). The stop is measured from the emergency_stop call to the zero message at the subscriber,
+during a 10 s sequence.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ BUDGET_MS = 0.3
 
 
 def percentile(values: list[float], share: float) -> float:
-    """The smallest value that this share of them does not exceed: of 100 values, p99 is the second
+    """Smallest value that is not exceeded by this fraction: of 100 values, p99 is the second
     largest.
     """
     return sorted(values)[max(0, math.ceil(share * len(values)) - 1)]
@@ -50,7 +51,7 @@ def percentile(values: list[float], share: float) -> float:
 async def measure(
     size: int, calls: int, listener: Listener, folder: Path, publish: Any
 ) -> dict[str, list[float]]:
-    """Milliseconds of ours and both floors, one after the other in each round."""
+    """Milliseconds of RoboNeuron and both floors, interleaved in each round."""
     times: dict[str, list[float]] = {
         "tool": [],
         "entered": [],
@@ -109,8 +110,8 @@ async def measure(
 async def measure_stops(
     count: int, listener: Listener, folder: Path
 ) -> tuple[list[float], list[float]]:
-    """Milliseconds from the call of emergency_stop, and from cancelling the sequence, to the zero
-    message.
+    """Milliseconds to the zero message, from the call of emergency_stop and from cancelling the
+    sequence.
     """
     stops: list[float] = []
     cancels: list[float] = []
@@ -118,7 +119,7 @@ async def measure_stops(
     async with bounded(server(configuration(folder, 3, True))) as client:
         await client.list_tools()
         for index in range(count * 2):
-            # until the motion before has let go of the robot, and its last message is here
+            # until the previous motion has released the robot, and its last message has arrived
             with anyio.fail_after(30):
                 while not (
                     await client.call_tool(
@@ -175,7 +176,7 @@ async def measure_start(size: int, listener: Listener, folder: Path) -> tuple[fl
 
 
 def show_starts(console: Console, rows: dict[int, list[tuple[float, float, float]]]) -> None:
-    """The start of the server, the median of each size."""
+    """Start of the server, the median for each size."""
     table = Table(title="From the spawn of `serve` [s], median", title_justify="left")
     for column in ("endpoints", "starts", "initialize", "tools/list", "first message"):
         table.add_column(column, justify="right")
@@ -239,7 +240,7 @@ def show_delivery(console: Console, rows: dict[int, dict[str, list[float]]]) -> 
 
 
 def main() -> int:
-    """Run both measurements; status 1 when a message was lost."""
+    """Run both measurements; status 1 if a message was lost."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

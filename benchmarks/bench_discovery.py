@@ -1,13 +1,13 @@
-"""How many participants on one host find each other: each node in a participant of its own, as a
-module's is.
+"""Number of participants on one host that discover each other, with one node per participant, as in
+modules.
 
     python benchmarks/bench_discovery.py [--participants 24 48] [--probed 32 96]
 
-With discovery in the range LOCALHOST a participant announces itself to as many ports of this host
-as the Fast DDS profile says (`maxInitialPeersRange`, which RoboNeuron's profile takes from
-ROBONEURON_PARTICIPANTS). Two that both have a higher number than that never hear of each other. A
-row says which share of all pairs have found each other, and which share of a core all of them take
-while they do nothing but announce themselves.
+With discovery in the range LOCALHOST a participant announces itself to the number of ports of this
+host set in the Fast DDS profile (`maxInitialPeersRange`, which RoboNeuron's profile takes from
+ROBONEURON_PARTICIPANTS). Two participants with higher numbers than that never discover each other.
+A row shows the fraction of all pairs that have discovered each other, and the CPU load (in cores)
+of all of them while they only announce themselves.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ for node in nodes:
 
 
 def measure(participants: int, probed: int, seconds: float) -> tuple[float, float]:
-    """Share of the pairs that have found each other, and share of a core that all took together."""
+    """Fraction of discovered pairs, and the total CPU load in cores."""
     environment = {
         **os.environ,
         "ROS_DOMAIN_ID": str(free_ros_domain()),
@@ -80,7 +80,7 @@ def measure(participants: int, probed: int, seconds: float) -> tuple[float, floa
             if process.stdout.readline() != "up\n":
                 raise SystemExit("A process with nodes did not come up.")
         answers = []
-        time.sleep(2.0)  # the participants that came last announce themselves
+        time.sleep(2.0)  # the last participants announce themselves
         for process in processes:
             assert process.stdin is not None
             process.stdin.write("\n")

@@ -1,11 +1,11 @@
-"""What `roboneuron eval` costs beside a plain loop over the same simulator and policy, and what a
-second worker brings.
+"""Overhead of `roboneuron eval` compared with a plain loop over the same simulator and policy, and
+the speed-up of a second worker.
 
     python benchmarks/bench_eval.py [--episodes 8] [--workers 2]
 
 The plain loop opens the same scene, renders, predicts, computes the joint command and steps the
-physics, nothing else. Loop and evaluation alternate episode by episode; compared is the CPU time of
-the process, which other load disturbs least.
+physics. Loop and evaluation alternate episode by episode; the CPU time of the process is compared,
+because other load disturbs it least.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def plan_of(episodes: int) -> EvalPlan:
 
 
 def plain_episode(runner: Runner, episode: Episode, *, with_limits: bool) -> int:
-    """Play an episode without the evaluation's clock, ledger and statistics; returns the number of
+    """Run an episode without the evaluation's clock, ledger and statistics; returns the number of
     steps.
     """
     policy, setup = runner._policy_of("none"), runner._setup
@@ -74,7 +74,7 @@ def plain_episode(runner: Runner, episode: Episode, *, with_limits: bool) -> int
 
 
 def overhead(count: int) -> None:
-    """CPU time of each way, episode by episode."""
+    """CPU time of both, episode by episode."""
     plan = plan_of(count)
     runner = Runner(plan)
     jobs = list(plan.jobs(plan.build_suite(discover()).episodes(count + 1, 0)))
@@ -109,14 +109,14 @@ def overhead(count: int) -> None:
 
 
 def scaling(count: int, workers: int) -> None:
-    """Episodes a minute with one worker and with several, the start of Ray left out."""
+    """Episodes per minute with one worker and with several, without the start of Ray."""
     plan = plan_of(count)
     quiet = Console(file=io.StringIO())
     jobs = list(plan.jobs(plan.build_suite(discover()).episodes(count, 0)))
     rates = {}
     for number in (1, workers):
         with OnRay(plan, workers=number) as pool:
-            for _ in pool.run(jobs[:number]):  # processes are started and have loaded the policy
+            for _ in pool.run(jobs[:number]):  # so that processes have loaded the policy
                 pass
             begun_s = time.monotonic()
             done = sum(1 for _ in pool.run(jobs))

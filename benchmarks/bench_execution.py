@@ -1,22 +1,22 @@
-"""Chunks executed in real time: which share of its rate a policy that answers late keeps, mode by
-mode.
+"""Chunks executed in real time: the fraction of its rate that a policy with late answers keeps, for
+each mode.
 
-    python benchmarks/bench_execution.py [--seconds 12]
-    python benchmarks/bench_execution.py --virtual [--seeds 3] [--duration 45]
+    python benchmarks/bench_execution.py [--seconds 12] python benchmarks/bench_execution.py
+    --virtual [--seeds 3] [--duration 45]
 
-The policy follows a target that circles in either sense, so that two chunks disagree; rows are 50
-ms long.
+The policy follows a target that circles in either direction, so that two chunks disagree; rows are
+50 ms long.
 
-Without --virtual our inference module runs in its process, the benchmark is its camera and its arm,
-and the policy sleeps until its latency has passed (lognormal, 20 %). Each case is run in each mode
-in turns, with the same trial by the virtual clock beside it. Rate, starved periods and longest gap
-are those of the action topic; jumps are the status's. "Late ticks" are those of a thread that only
-sleeps 50 ms at a time: what comes half a period late there is the machine's doing, and starved
-periods of about that number are too.
+Without --virtual RoboNeuron's inference module runs in its process, the benchmark simulates its
+camera and arm, and the policy sleeps for its latency (lognormal, 20 %). The modes of each case are
+interleaved, next to the same trial with the virtual clock. Rate, starved periods and longest gap
+are those of the action topic; jumps come from the status. "Late ticks" are those of a thread that
+only sleeps 50 ms at a time: ticks that are half a period late are caused by the machine, and so is
+about that number of starved periods.
 
-With --virtual the executor runs by a virtual clock, without processes: the table of
-docs/benchmarks.md. "sequential" is the baseline in both tables; the ideal is the rate that the
-chunks ask for, 20 Hz.
+With --virtual the executor runs with a virtual clock, without processes: the table of
+docs/benchmarks.md. "sequential" is the baseline in both tables; the ideal is the rate of the
+chunks, 20 Hz.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ MAX_IMAGE_AGE_S = 2.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Way:
-    """How chunks are executed in one row of the table.
+    """Execution of chunks in one row of the table.
 
     Attributes:
-        name: in the table.
-        mode: fixed mode; None to choose.
-        abilities: what the policy declares.
+        name: name in the table.
+        mode: fixed mode; None for automatic choice.
+        abilities: abilities that the policy declares.
     """
 
     name: str
@@ -94,13 +94,13 @@ def virtual_trials(
 
 
 def mean(values: Iterable[float | None]) -> float:
-    """Of those that are known."""
+    """Mean of the known values."""
     known = [value for value in values if value is not None]
     return float(np.mean(known)) if known else float("nan")
 
 
 def chosen(way: Way, mode: str) -> str:
-    """The row's name, and what was chosen."""
+    """The row's name, and the chosen mode."""
     return way.name if way.mode else f"{way.name}: {mode}"
 
 
@@ -125,7 +125,7 @@ def virtual_cells(trials: list[Outcomes], duration_s: float) -> list[str]:
 
 
 def virtual_table(seeds: int, duration_s: float) -> Table:
-    """Every horizon, latency and mode, by the virtual clock."""
+    """Every horizon, latency and mode, with the virtual clock."""
     table = Table(
         title=f"Virtual clock, rows of 50 ms, latency with 20 % jitter, {seeds} runs of "
         f"{duration_s:g} s"
@@ -158,7 +158,7 @@ def virtual_table(seeds: int, duration_s: float) -> Table:
 def measure(
     horizon: int, latency_ms: float, way: Way, cell: Cell, folder: Path, seconds: float
 ) -> Measured:
-    """Run our inference module on one case."""
+    """Run RoboNeuron's inference module on one case."""
     backend = "late-rtc" if way.abilities.conditions_on_rows else "late"
     configuration = (
         '[robot]\nname = "bench"\n'
@@ -190,7 +190,7 @@ def real_cells(measured: Measured, seconds: float) -> list[str]:
 
 
 def real_table(seconds: float, folder: Path) -> Table:
-    """Real processes, each case beside the same one by the virtual clock."""
+    """Real processes, each case next to the same one with the virtual clock."""
     table = Table(
         title=f"Real processes, {seconds:g} s each, rows of 50 ms, latency with 20 % jitter"
     )

@@ -1,18 +1,18 @@
-"""How soon a fault is noticed, and how soon the arm stands: crashes and emergency stops of a moving
+"""Time until a fault is detected, and until the arm stands: crashes and emergency stops of a moving
 arm, in one run.
 
     python benchmarks/bench_faults.py [--trials 100] [--rows 16 --delay-ms 100] [--json out.json]
 
-An arm swings at 30 Hz. Each trial waits until it moves, does one thing, and looks at what the
-joints did: "last motion" is the time from the fault to the last change of the measured joints;
-"noticed" is when the supervisor's watch told its listeners; "hold" is when control commanded, or
-the driver reported, a hold. Only the module that was killed is started again. The gantry reaches
-each command at once, so that its last motion is the last command's; an arm with inertia adds its
-braking. With --rows the backend answers with chunks, which are executed as `auto` decides. The
-floor is how long it takes this process to learn that a bare child was killed.
+An arm swings at 30 Hz. Each trial waits until it moves, causes one fault, and observes the joints:
+"last motion" is the time from the fault to the last change of the measured joints; "noticed" is
+when the supervisor's watch notified its listeners; "hold" is when control commanded, or the driver
+reported, a hold. Only the killed module is restarted. The gantry reaches each command at once, so
+that its last motion is that of the last command; an arm with inertia adds its braking. With --rows
+the backend answers with chunks, executed in the mode `auto`. The floor is the time until this
+process detects that a bare child was killed.
 
-A trial in which something did not come within its wait is told as missed and has no times; the cell
-is brought up again and the next trial goes on. Exit status 1 when no trial of a fault succeeded.
+A trial with an event that did not occur in time is reported as missed and has no times; the cell is
+restarted for the next trial. Exit status 1 if no trial of a fault succeeded.
 """
 
 from __future__ import annotations
@@ -63,16 +63,16 @@ BOUNDS_S = {
     ("emergency stop, by the file alone", MOTION): 0.1,
     ("emergency stop, by the topic alone", MOTION): 0.1,
 }
-"""What the configuration and the issue promise; printed beside what was measured."""
+"""Limits of the configuration and the issue; printed next to the measurements."""
 KINDS: tuple[ModuleKind, ...] = ("robot", "perception", "control", "inference")
 
 
 class NotSeen(RuntimeError):
-    """What a trial waits for did not come."""
+    """An event that a trial waits for did not occur."""
 
 
 class Bench:
-    """A moving cell, and what is told about it."""
+    """A moving cell, and its events."""
 
     def __init__(self, loop: ClosedLoop, witness: JointWitness) -> None:
         self.loop, self.witness = loop, witness
@@ -99,12 +99,12 @@ class Bench:
         self._watch.start()
 
     def close(self) -> None:
-        """End the watch, and leave the ROS graph."""
+        """Stop the watch, and leave the ROS graph."""
         self._watch.close()
         self._link.close()
 
     def _on_command(self, message: Any) -> None:
-        """A hold names the arm without its gripper."""
+        """Note a hold, which names the arm without its gripper."""
         if "finger" not in message.joint_names:
             with self._changed:
                 self._holds.append(time.monotonic())
@@ -124,7 +124,7 @@ class Bench:
         return found
 
     def noticed_s(self, kind: str, health: Health, since_s: float) -> float:
-        """When the watch told that a module is so."""
+        """Time at which the watch reported this health of a module."""
         return self._first(
             lambda: next(
                 (at for at, k, h in self._told if at >= since_s and (k, h) == (kind, health)), None
@@ -134,14 +134,14 @@ class Bench:
         )
 
     def held_s(self, since_s: float) -> float:
-        """When control commanded a hold."""
+        """Time at which control commanded a hold."""
         return self._first(
             lambda: next((at for at in self._holds if at >= since_s), None), 3.0, "control holds"
         )
 
     def driver_held_s(self, since_s: float) -> float:
-        """When the driver's hold was reported; reports come every 0.2 s, so that older ones tell of
-        the time before.
+        """Time at which the driver's hold was reported; reports come every 0.2 s, so that older
+        ones describe the time before.
         """
 
         def holding() -> bool:
@@ -157,7 +157,7 @@ class Bench:
         return time.monotonic()
 
     def ready(self) -> None:
-        """Wait until the arm moves well: by 5 mm within the last 0.3 s."""
+        """Wait until the arm moves steadily: by 5 mm within the last 0.3 s."""
         deadline_s = time.monotonic() + 30.0
         while time.monotonic() < deadline_s:
             recent = [x for at, x in self.witness.joints() if at > time.monotonic() - 0.3]
@@ -168,7 +168,7 @@ class Bench:
         raise NotSeen(f"the arm does not move; the modules say: {said}")
 
     def stood_s(self, since_s: float) -> float:
-        """Last motion after `since_s`, once the arm has stood for 0.4 s."""
+        """Last motion after `since_s`, once the arm has been at rest for 0.4 s."""
         deadline_s = time.monotonic() + 5.0
         while not self.witness.stands():
             if time.monotonic() > deadline_s:
@@ -179,11 +179,11 @@ class Bench:
         return max(0.0, last - since_s)
 
     def note(self, fault: str, word: str, took_s: float) -> None:
-        """Keep one time."""
+        """Store one time."""
         self.times[fault, word].append(took_s)
 
     def kill(self, kind: ModuleKind) -> None:
-        """One crash, and the restart of that module."""
+        """Crash a module once, and restart it."""
         fault = f"{kind} killed"
         process = self.loop.modules.view(kind).process
         assert process is not None
@@ -207,7 +207,7 @@ class Bench:
         self._swing()
 
     def _swing(self) -> None:
-        """A restart and a release start no motion."""
+        """Start the motion again, because a restart or a release starts none."""
         if (
             self.loop.modules.view("inference").phase == "running"
             and not self.loop.starts.instruction
@@ -215,7 +215,7 @@ class Bench:
             give_instruction(self.loop, "swing", 10.0)
 
     def attempt(self, what: str, trial: Callable[[], None]) -> None:
-        """Run a trial; what it did not see is told, and the cell brought up again."""
+        """Run a trial; a missing event is reported, and the cell restarted."""
         try:
             trial()
         except (NotSeen, RoboNeuronError) as error:
@@ -226,7 +226,7 @@ class Bench:
                     self._start(kind)
 
     def freeze(self) -> None:
-        """Inference is stopped, and goes on."""
+        """Suspend inference, and resume it."""
         process = self.loop.modules.view("inference").process
         assert process is not None
         self.ready()
@@ -242,7 +242,7 @@ class Bench:
             os.kill(process.pid, signal.SIGCONT)
 
     def press(self, way: str, press: Callable[[], object]) -> None:
-        """One emergency stop, and its reset."""
+        """Trigger one emergency stop, and reset it."""
         fault = f"emergency stop, {way}"
         self.ready()
         at_s = time.monotonic()
@@ -254,7 +254,7 @@ class Bench:
         self._swing()
 
     def stops(self) -> None:
-        """One stop by each way."""
+        """Trigger one stop in each way."""
         from std_msgs.msg import Bool
 
         stop, namespace = self.loop.emergency_stop, self.loop.config.namespace

@@ -3,7 +3,7 @@ load, lost processes.
 
     make bench-fci ARGS="--targets 500 --stops 100 --stream-s 1800"
 
-Everything is judged by the simulator's own joints. Distances and times are those of this machine.
+All results come from the simulator's own joints. Distances and times are those of this machine.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def tcp(joints: Any) -> Any:
 
 
 def open_driver(host: str, factor: float = 0.5) -> FciDriver:
-    """A driver that is connected."""
+    """A connected driver."""
     options = FciDriverOptions(
         host=host, realtime="ignored", gripper=False, dynamics_factor=factor, watchdog_s=5.0
     )
@@ -63,7 +63,7 @@ def open_driver(host: str, factor: float = 0.5) -> FciDriver:
 
 
 def go(driver: FciDriver, target: Any, duration_s: float = 0.1) -> JointCommand:
-    """Send and keep the watchdog quiet."""
+    """Send a target and serve the watchdog."""
     if fault := driver.read().detail["fault"]:
         print(f"    fault: {fault}", flush=True)
         driver.recover()
@@ -81,7 +81,7 @@ def speeds(sim: FrankaSim) -> Any:
 
 
 def wait(driver: FciDriver | None, check: Callable[[], bool], limit_s: float = 20.0) -> float:
-    """Seconds until it holds."""
+    """Wait until `check` holds; returns the time [s]."""
     began_s = time.monotonic()
     end_s = began_s + limit_s
     while not check():
@@ -94,9 +94,7 @@ def wait(driver: FciDriver | None, check: Callable[[], bool], limit_s: float = 2
 
 
 def arrived(driver: FciDriver, sim: FrankaSim, target: Any) -> bool:
-    """Wait until it stands at the target; False when a fault came between, which is recovered
-    from.
-    """
+    """Wait until it stands at the target; False if a fault occurred, from which it recovers."""
 
     def is_over() -> bool:
         if driver.read().detail["fault"]:
@@ -113,7 +111,7 @@ def arrived(driver: FciDriver, sim: FrankaSim, target: Any) -> bool:
 
 
 def accuracy(driver: FciDriver, sim: FrankaSim, count: int) -> None:
-    """Final error of random targets within 5 cm of the last."""
+    """Final error of random targets within 5 cm of the last one."""
     random, target, errors, faults = np.random.default_rng(1), HOME, [], 0
     for number in range(1, count + 1):
         while True:
@@ -146,7 +144,7 @@ def accuracy(driver: FciDriver, sim: FrankaSim, count: int) -> None:
 
 
 def stops(driver: FciDriver, sim: FrankaSim, record: Path, count: int) -> None:
-    """From hold() to rest, by the simulator's record: time, way, and how far the arm went back
+    """From hold() to rest, in the simulator's record: time, distance, and motion back
     afterwards.
     """
     random, side, within, rows = np.random.default_rng(2), 1.0, 0, []
@@ -165,10 +163,10 @@ def stops(driver: FciDriver, sim: FrankaSim, record: Path, count: int) -> None:
         did = read_record(record, 3.0).since(held_s)
         speed = np.abs(did.velocity[0])
         gone = (did.position - did.position[0]) * np.sign(did.velocity[0])
-        # braking at 10 rad/s2, the ramps of the jerk, 10 ms from hold() to the robot, 2 mrad by
-        # which the servo lags
+        # braking at 10 rad/s2, the jerk's ramps, 10 ms from hold() to the robot, and 2 mrad lag of
+        # the servo
         allowed = speed**2 / 20.0 + speed * (0.010 + 10.0 / JERK_LIMIT_RAD_S3) + 2e-3
-        # the client library allows joint 2 no more
+        # the client library limits joint 2 more strictly
         allowed[1] += speed[1] ** 2 * (1.0 / 14.8 - 1.0 / 20.0)
         is_within = bool((gone.max(axis=0) <= allowed).all())
         within += is_within
@@ -193,11 +191,10 @@ def stops(driver: FciDriver, sim: FrankaSim, record: Path, count: int) -> None:
 def latency(
     driver: FciDriver, sim: FrankaSim, record: Path, count: int, is_running: bool
 ) -> list[float]:
-    """From send() to the first step of the simulator in which a joint moves, by its own record
-    [ms].
+    """From send() to the simulator's first step in which a joint moves, from its own record [ms].
 
-    `is_running`: the control loop runs already, as it does under a policy; otherwise it has to be
-    started.
+    `is_running`: True if the control loop is already running, as under a policy; otherwise it must
+    be started.
     """
     sent: list[float] = []
     for index in range(count):
@@ -225,7 +222,7 @@ def latency(
 
 
 def stream(driver: FciDriver, sim: FrankaSim, limit_s: float, what: str) -> None:
-    """Targets at 20 Hz; every fault counts."""
+    """Stream targets at 20 Hz; every fault is counted."""
     random, rates, faults, at = np.random.default_rng(3), [], 0, HOME.copy()
     end_s = time.monotonic() + limit_s
     while time.monotonic() < end_s:
@@ -246,7 +243,7 @@ def stream(driver: FciDriver, sim: FrankaSim, limit_s: float, what: str) -> None
 
 
 def child(host: str) -> None:
-    """Streams until it is ended, for a minute at the most; for `lost_processes`."""
+    """Stream until killed, for at most a minute; for `lost_processes`."""
     driver, step = open_driver(host), 0
     end_s = time.monotonic() + 60.0
     while time.monotonic() < end_s:
@@ -256,7 +253,7 @@ def child(host: str) -> None:
 
 
 def lost_processes(sim: FrankaSim, log: Path, trials: int) -> None:
-    """What the arm does when the process of the driver is gone or frozen while it moves."""
+    """Motion of the arm when the driver's process is killed or frozen while it moves."""
     for number, name in (
         (signal.SIGKILL, "kill -9"),
         (signal.SIGSTOP, "SIGSTOP"),
@@ -289,7 +286,7 @@ def lost_processes(sim: FrankaSim, log: Path, trials: int) -> None:
 
 
 def main() -> None:
-    """All of it."""
+    """Run all measurements."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--targets", type=int, default=100)
     parser.add_argument("--stops", type=int, default=40)

@@ -1,14 +1,14 @@
-"""A policy moves the FR3 through a strict control box that loses packets; each command is judged by
-published limits.
+"""A policy moves the FR3 through a strict control box that loses packets; each command is checked
+against published limits.
 
     python benchmarks/bench_fci_box.py --minutes 60 [--loss 0,1,2,5] [--duplicate 0] [--reorder 0]
     [--delay 0]
 
 A served FR3 (server, perception, policy at 20 Hz, control, robot) behind `rn_robot_fr3.fci.box` and
-franka-sim. The losses [%] of both directions take turns of `TURN_S` each. What the arm counts as
-commanded, extrapolated cycles included, is judged for velocity at its place, acceleration and jerk.
-A line per turn goes to out/bench-fci/box/turns.jsonl; a run that was ended goes on where it was,
-`--judge` only prints, `--fresh` begins anew.
+franka-sim. The losses [%] of both directions alternate every `TURN_S`. The commands that the arm
+counts, extrapolated cycles included, are checked for velocity at their position, acceleration and
+jerk. One line per turn is written to out/bench-fci/box/turns.jsonl; an interrupted run can be
+resumed, `--judge` only prints, `--fresh` starts again.
 """
 
 from __future__ import annotations
@@ -32,14 +32,13 @@ OUT = Path("out/bench-fci/box")
 TURN_S = 30.0
 _LOOK_S = 0.25
 STANDS_S = 6.0
-"""The policy never stands so long by itself: on a busy machine modules end, and are started again.
-"""
+"""The policy never stands this long by itself: on a busy machine modules end, and are restarted."""
 SUMS = ("commands", "extrapolated", "violations", "late", "repeated", "states")
 WORST = ("longest_gap", "worst_velocity", "worst_acceleration", "worst_jerk")
 
 
 def turn(cell: FciCell, faults: dict[str, float], lasts_s: float) -> dict[str, Any]:
-    """Let the policy go on for so long; returns what the box saw."""
+    """Let the policy continue for this time; returns the box's statistics."""
     assert cell.box is not None
     cell.box.tell(fresh=1, **faults)
     began_s, moving, looks, arm_faults = time.monotonic(), 0, 0, list[str]()
@@ -73,7 +72,7 @@ def turn(cell: FciCell, faults: dict[str, float], lasts_s: float) -> dict[str, A
 
 
 def restart(cell: FciCell) -> None:
-    """Start what has ended, and the policy anew."""
+    """Restart ended modules and the policy."""
     for step in (
         lambda: cell.start("robot", "perception", "control"),
         lambda: cell.agent.do("stop_inference"),
@@ -84,7 +83,7 @@ def restart(cell: FciCell) -> None:
 
 
 def report(rows: list[dict[str, Any]]) -> int:
-    """Rows of the table; returns how many commands were beyond a limit."""
+    """Print rows of the table; returns the number of commands beyond a limit."""
     print(
         "| loss each way | time, moving | commands; cycles extrapolated; longest gap | beyond a "
         "limit |",
@@ -126,7 +125,7 @@ def report(rows: list[dict[str, Any]]) -> int:
 
 
 def main() -> int:
-    """Run what is left, print the table; 0 when nothing was beyond a limit."""
+    """Run the missing turns, print the table; 0 if nothing was beyond a limit."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--loss", default="0,1,2,5", help="per cent, in turn")

@@ -1,12 +1,12 @@
-"""Three client libraries of the FCI side by side: targets at 20 Hz to franka-sim with both
+"""Comparison of three client libraries of the FCI: targets at 20 Hz to franka-sim with both
 enforcement flags.
 
     python benchmarks/bench_fci_clients.py --clients DIR/bin/python
 
 DIR is an environment with franky-control==2.0.0, pylibfranka==0.21.3 and franka-rs==0.4.0. Each
 client follows the same sine of 0.25 rad on seven joints, alone, and with another Python thread that
-keeps the interpreter for 50 ms three times per second, as a garbage collection or a slow import
-does. "aborted" is the simulated robot's own verdict.
+holds the interpreter for 50 ms three times per second, like a garbage collection or a slow import.
+"aborted" is the simulated robot's own report.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def franky_client() -> tuple[list[float], Callable[[Any], None], Callable[[], An
 
 
 def rust_client() -> tuple[list[float], Callable[[Any], None], Callable[[], Any]]:
-    """Rust thread with a planner of its own, 0.5 of the official limits."""
+    """Rust thread with its own planner, 0.5 of the official limits."""
     import franka
 
     robot = franka.Robot("127.0.0.1", realtime="ignore")
@@ -57,7 +57,7 @@ def rust_client() -> tuple[list[float], Callable[[Any], None], Callable[[], Any]
 
 
 def python_client() -> tuple[list[float], Callable[[Any], None], Callable[[], Any]]:
-    """libfranka's bindings: the loop is Python, with a filter of third order."""
+    """libfranka's bindings: the loop is in Python, with a third-order filter."""
     import numpy as np
     import pylibfranka
 
@@ -111,7 +111,7 @@ def keep_interpreter() -> None:
 
 
 def one(name: str, paused: bool) -> None:
-    """One client, one condition; prints a row."""
+    """Run one client under one condition; prints a row."""
     import numpy as np
 
     try:
@@ -148,7 +148,7 @@ def one(name: str, paused: bool) -> None:
 
 
 def main() -> None:
-    """Every client in both conditions, each in a process and against a simulator of its own."""
+    """Run every client under both conditions, each with its own process and simulator."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--clients", type=Path, default=Path(sys.executable))
     parser.add_argument("--one", choices=sorted(CLIENTS))

@@ -5,16 +5,16 @@ random actions.
     [--actions 10000]
 
 - `latency`: from a command to the first motion.
-- `policy`: 20 Hz with warm switches at random times, moving all the time; faults, violations, and
-  the period of the control loop by the times at which commands arrived at the simulator.
+- `policy`: 20 Hz with warm switches at random times, always moving; faults, violations, and the
+  period of the control loop from the arrival times of commands at the simulator.
 - `random`: actions of any size and direction on the action topic.
 
-`--busy 0,8` does everything twice, with no and with eight busy processes beside it. All is judged
-by what the simulator recorded (`fci_judge`).
+`--busy 0,8` runs everything twice, with no and with eight busy processes. All results come from the
+simulator's record (`fci_judge`).
 
-What happens is written as it happens: out/bench-fci/loop/PART-busyN/events.jsonl, and go-M/ with
-the simulator's record, 0.2 GB in ten minutes. A run that was ended goes on where it was, as another
-go; `--judge` only prints what is there, `--fresh` begins anew.
+Events are written at once to out/bench-fci/loop/PART-busyN/events.jsonl, and the simulator's record
+to go-M/, 0.2 GB in ten minutes. An interrupted run is resumed in another go; `--judge` only prints
+existing results, `--fresh` starts again.
 """
 
 from __future__ import annotations
@@ -50,16 +50,18 @@ SWITCH_S = (8.0, 25.0)
 ACTION_HZ = 50.0
 LATENCY_TRIALS = 30
 AFTER_SWITCH_S = 2.0
-"""The old backend's process ends in this time."""
+"""Time in which the old backend's process ends."""
 LEAST_MOVING = 0.1
-"""Of the time; an arm that stands keeps every limit. Control holds it while images are late, as on
-a busy machine.
+"""Fraction of the time; a standing arm keeps every limit. Control holds it while images are late,
+as on a busy machine.
 """
 BUSY = "import os\np = os.getppid()\nwhile os.getppid() == p:\n    for _ in range(100000): pass"
 
 
 def policy(cell: FciCell, ledger: Ledger, minutes: float, seed: int) -> None:
-    """The policy with warm switches, until the arm was moved for `minutes` in all goes together."""
+    """Run the policy with warm switches, until the arm has moved for `minutes` in all goes
+    together.
+    """
     dice = random.Random(seed + len(ledger.all("go")))
     cell.start_policy()
     left_s = 60.0 * minutes - ledger.done_s()
@@ -90,7 +92,7 @@ def policy(cell: FciCell, ledger: Ledger, minutes: float, seed: int) -> None:
             ledger.note("switch", done=False, began_s=began_s, why=str(error))
             print(f"    switch: {error}", flush=True)
         next_s = time.monotonic() + dice.uniform(*SWITCH_S)
-    cell.record(1.0)  # so that what is buffered is written
+    cell.record(1.0)  # so that buffered data is written
     ledger.note("ended", dropped=cell.agent.modules()["control"].get("dropped_by"))
 
 
@@ -108,7 +110,7 @@ def actions(cell: FciCell, ledger: Ledger, count: int, seed: int) -> None:
     began_s = time.monotonic()
     way, bias = np.zeros(6), 0.0
     for index in range(count):
-        if index % 80 == 0:  # two seconds in one direction reach the edges of what is allowed
+        if index % 80 == 0:  # two seconds in one direction reach the edges of the limits
             way, bias = dice.normal(size=6), dice.choice([0.0, 0.7, 0.95])
         direction = bias * way + (1.0 - bias) * dice.normal(size=6)
         size = 10.0 ** (
@@ -127,7 +129,7 @@ def actions(cell: FciCell, ledger: Ledger, count: int, seed: int) -> None:
 
 
 def latencies(ledger: Ledger, factor: float) -> None:
-    """From send() of the driver to the first motion, control loop idle and running before."""
+    """From send() of the driver to the first motion, with the control loop idle and running."""
     record = ledger.folder / "record.bin"
     options = (*STRICT, "--no-gripper", "--record", str(record))
     with FrankaSim(PYTHON, seed=1, options=options, log=ledger.folder / "franka-sim.log") as sim:
@@ -141,7 +143,7 @@ def latencies(ledger: Ledger, factor: float) -> None:
 
 
 def report_latency(ledger: Ledger) -> int:
-    """Rows of the table; 1 when a trial is missing."""
+    """Print rows of the table; 1 if a trial is missing."""
     for row in ledger.all("latency"):
         loop = "running" if row["running"] else "idle"
         print(
@@ -155,7 +157,7 @@ def report_latency(ledger: Ledger) -> int:
 
 
 def report(ledger: Ledger) -> int:
-    """Rows of the table; returns how much was exceeded or failed."""
+    """Print rows of the table; returns the number of violations and failures."""
     goes = ledger.goes()
     if not goes:
         print("| nothing was measured | |")
@@ -245,7 +247,7 @@ def beside(count: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def broken_off(ledger: Ledger) -> Iterator[None]:
-    """Note an error that ends the block; what was measured before it is judged all the same."""
+    """Note an error that ends the block; earlier measurements are still evaluated."""
     try:
         yield
     except (RuntimeError, OSError, SystemExit) as error:
@@ -254,7 +256,7 @@ def broken_off(ledger: Ledger) -> Iterator[None]:
 
 
 def run(part: str, ledger: Ledger, busy: int, arguments: argparse.Namespace) -> None:
-    """What of this part is not done yet; what ended it early is noted."""
+    """Run the missing trials of this part; an error that ends it early is noted."""
     with beside(busy), broken_off(ledger):
         if part == "latency":
             if len(ledger.all("latency")) < 2:
@@ -269,7 +271,7 @@ def run(part: str, ledger: Ledger, busy: int, arguments: argparse.Namespace) -> 
 
 
 def main() -> int:
-    """Run the parts, print rows of the table; 0 when nothing was exceeded and nothing failed."""
+    """Run the parts, print rows of the table; 0 without violations and failures."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--minutes", type=float, default=30.0)
     parser.add_argument("--actions", type=int, default=10_000)

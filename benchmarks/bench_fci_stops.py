@@ -3,13 +3,13 @@ speeds.
 
     python benchmarks/bench_fci_stops.py --trials 100
 
-One line of out/bench-fci/stops.jsonl per trial; a run that was ended goes on where it was (--fresh
-begins anew). The joints of the simulator are recorded 1000 times per second. Each trial is judged
-by itself:
+One line of out/bench-fci/stops.jsonl per trial; an interrupted run can be resumed (--fresh starts
+again). The joints of the simulator are recorded 1000 times per second. Each trial is evaluated
+separately:
 
-- reaction: from pressing the stop to the moment from which the fastest joint only slows down;
-- braking: from there to rest. Each joint may take its speed / 10 rad/s2, the ramps of a jerk of
-  1800 rad/s3 at both ends and `SERVO_S`, in which the simulated servo follows.
+- reaction: from triggering the stop to the time from which the fastest joint only decelerates;
+- braking: from then to rest. Each joint may take its speed / 10 rad/s2, the ramps of a jerk of 1800
+  rad/s3 at both ends and `SERVO_S`, in which the simulated servo follows.
 """
 
 from __future__ import annotations
@@ -40,17 +40,15 @@ WAYS = ("tool", "topic", "file")
 ALLOWED_RAD_S2 = 10.0
 RAMPS_S = 2 * ALLOWED_RAD_S2 / float(JERK_LIMIT_RAD_S3[0])
 SERVO_S = 0.04
-"""kd / kp of franka-sim's position servo is 0.1 s: what it lags behind at the end fades in that
-time.
-"""
+"""kd / kp of franka-sim's position servo is 0.1 s: its final lag vanishes within this time."""
 CENTRE_RAD = HOME + np.array([0.0, 0.5, 0.0, 0.45, 0.0, 0.1, 0.0])
-"""The middle of the workspace."""
+"""Centre of the workspace."""
 AMPLITUDE_RAD = np.array([0.35, 0.08, 0.25, 0.1, 0.6, 0.2, 1.1])
 DIRECT_S = (1.0, 2.2)
 
 
 def presses(cell: FciCell) -> dict[str, Callable[[], object]]:
-    """Ways to press the stop."""
+    """Ways to trigger the stop."""
     from std_msgs.msg import Bool
 
     publisher = cell.link.on_executor(
@@ -65,8 +63,8 @@ def presses(cell: FciCell) -> dict[str, Callable[[], object]]:
 
 
 def braking(record: Record, pressed_s: float) -> tuple[float, float]:
-    """When the fastest joint began to only slow down after the stop was pressed, and when the arm
-    was at rest.
+    """Times at which, after the stop, the fastest joint began to only decelerate, and at which the
+    arm was at rest.
     """
     speed = np.abs(record.velocity).max(axis=1)
     window = 5
@@ -81,7 +79,7 @@ def braking(record: Record, pressed_s: float) -> tuple[float, float]:
 def trial(
     cell: FciCell, press: Callable[[], object], way: str, random: np.random.Generator, side: int
 ) -> dict[str, Any] | None:
-    """One stop of a `move_joints` on its way; None when it had arrived before."""
+    """One stop during a `move_joints`; None if it had already arrived."""
     target = CENTRE_RAD + side * AMPLITUDE_RAD * random.uniform(0.7, 1.0)
     duration_s = random.uniform(*DIRECT_S)
     wanted = random.uniform(0.2, 0.8) * float(np.abs(target - cell.position()).max()) / duration_s
@@ -119,7 +117,7 @@ def trial(
 
 
 def run(folder: Path, rows: list[dict[str, Any]], trials: int, out: Path) -> None:
-    """Trials until there are enough."""
+    """Run the missing trials."""
     with served_fci(folder) as cell:
         cell.start("robot")
         cell.move(CENTRE_RAD, 3.0).join(60.0)
@@ -129,7 +127,7 @@ def run(folder: Path, rows: list[dict[str, Any]], trials: int, out: Path) -> Non
             random = np.random.default_rng(len(rows))
             side = 1 if cell.position()[6] < CENTRE_RAD[6] else -1
             row = trial(cell, ways[way], way, random, side)
-            # so that all agree on it before it is released
+            # so that all modules agree before it is released
             cell.agent.do("emergency_stop", reason="trial")
             cell.agent.do("reset_emergency_stop")
             if cell.fault():
@@ -143,7 +141,7 @@ def run(folder: Path, rows: list[dict[str, Any]], trials: int, out: Path) -> Non
 
 
 def table(rows: list[dict[str, Any]]) -> None:
-    """Rows of the table."""
+    """Print rows of the table."""
     print(
         "| by | trials | speed rad/s | reaction ms, median / worst | braking ms, median / worst | "
         "within | faults |"

@@ -56,11 +56,11 @@ CALL_S, START_S, DRIVE_S = 180.0, 600.0, 30.0
 POLL_S = 0.005
 PARTS = ("stops", "drive")
 AT_ONCE = 4
-"""So many robots are started at once: each start imports rclpy, which a core does in a second."""
+"""Robots started at the same time: each start imports rclpy, which takes a core a second."""
 
 
 async def start(agent: DemoAgent, bases: Iterable[Base]) -> None:
-    """All robot processes, some at a time."""
+    """Start all robot processes, a few at a time."""
     limit = anyio.CapacityLimiter(AT_ONCE)
 
     async def one(base: Base) -> None:
@@ -76,7 +76,7 @@ async def start(agent: DemoAgent, bases: Iterable[Base]) -> None:
 
 
 async def until(condition: Callable[[], bool], timeout_s: float) -> bool:
-    """Whether it came true in time."""
+    """True if the condition came true in time."""
     end_s = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > end_s:
@@ -86,14 +86,14 @@ async def until(condition: Callable[[], bool], timeout_s: float) -> bool:
 
 
 class Rows:
-    """What was measured, as it comes: a line of JSON each, kept in a file if there is one."""
+    """Measurements as lines of JSON, stored in a file if one is given."""
 
     def __init__(self, path: Path | None, robots: int) -> None:
         self._path = path
         self._robots = robots
         lines = path.read_text().splitlines() if path is not None and path.exists() else []
         self.before = [row for row in map(json.loads, lines) if row["robots"] == robots]
-        """Rows of earlier runs with so many robots."""
+        """Rows of earlier runs with the same number of robots."""
 
     def add(self, part: str, **facts: Any) -> None:
         """Append a row, with the load of the last minute."""
@@ -110,8 +110,8 @@ class Rows:
 
 
 async def stop_once(agent: DemoAgent, bases: list[Base]) -> list[float | None]:
-    """Drive all, stop all, release all; ms until each base was told to stand, None for one that was
-    not.
+    """Drive all, stop all, release all; returns ms until each base was commanded to stand, None for
+    one that was not.
     """
     before = {base.name: base.count() for base in bases}
 
@@ -138,13 +138,13 @@ async def stop_once(agent: DemoAgent, bases: list[Base]) -> list[float | None]:
             lambda: all(base.count() > before[base.name] for base in bases), DRIVE_S
         ):
             raise SystemExit("Some base got no command within 30 s.")
-        await anyio.sleep(0.3)  # away from the burst of the beginning
+        await anyio.sleep(0.3)  # not during the initial burst
         stopped_ns = time.monotonic_ns()
         try:
             await agent.call("emergency_stop", {"reason": "benchmark"})
         except (
             RoboNeuronError
-        ) as error:  # some module did not confirm it in time: its base may stand all the same
+        ) as error:  # a module did not confirm it in time, but its base may stand all the same
             print(error, file=sys.stderr)
         await until(lambda: all(zero_ns(base, stopped_ns) is not None for base in bases), ZERO_S)
     zeros = [zero_ns(base, stopped_ns) for base in bases]
@@ -155,9 +155,7 @@ async def stop_once(agent: DemoAgent, bases: list[Base]) -> list[float | None]:
 
 
 async def drive_for(agent: DemoAgent, base: Base, begin_s: float, end_s: float, rows: Rows) -> None:
-    """Sequences until the time is over; robots begin one after the other, as they would, not all in
-    one instant.
-    """
+    """Run sequences until the time is over; robots start one after the other, not all at once."""
     await anyio.sleep(begin_s)
     while (left_s := end_s - time.monotonic()) > 1.0:
         steps = max(1, min(MOST_STEPS, round(left_s / STEP_S)))
@@ -170,7 +168,7 @@ async def drive_for(agent: DemoAgent, base: Base, begin_s: float, end_s: float, 
             return
         base.told.append((first, first + steps - 1))
         sent = done["sent"]
-        assert isinstance(sent, int)  # by the tool's output schema
+        assert isinstance(sent, int)  # guaranteed by the tool's output schema
         base.published += sent
         came = {number for _, x, number in base.arrivals(before) if x}
         missing = sum(number not in came for number in range(first, first + steps))
@@ -178,7 +176,7 @@ async def drive_for(agent: DemoAgent, base: Base, begin_s: float, end_s: float, 
 
 
 async def measure(path: Path, bases: list[Base], arguments: argparse.Namespace, log: Path) -> Found:
-    """Start, stop many times, then drive with one robot killed half way."""
+    """Start, stop many times, then drive with one robot killed halfway."""
     rows = Rows(arguments.out, len(bases))
     found = Found(
         victim=bases[-1].name, stops_ms=[row["ms"] for row in rows.before if row["part"] == "stop"]
@@ -220,12 +218,12 @@ async def measure(path: Path, bases: list[Base], arguments: argparse.Namespace, 
                     await anyio.sleep(30.0 * arguments.minutes)
                     os.kill(bases[-1].pid, signal.SIGKILL)
                     found.killed_ns = time.monotonic_ns()
-            await anyio.sleep(0.5)  # what was sent last arrives
+            await anyio.sleep(0.5)  # the last sent messages arrive
     return found
 
 
 def main() -> int:
-    """Measure and print; status 1 when a bound does not hold."""
+    """Measure and print; status 1 if a bound does not hold."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--robots", type=int, default=16)
     parser.add_argument(

@@ -1,14 +1,13 @@
-"""How soon an authenticated stop is answered while somebody fills a port of the server; on loopback
-only.
+"""Response time of an authenticated stop while a port of the server is flooded; on loopback only.
 
     python benchmarks/bench_full_ports.py                    # every port; about three minutes
     python benchmarks/bench_full_ports.py --ports http --trials 5
 
 A server with `ulimit -n 1024`, MCP over HTTP with tokens, metrics and the live view. One port after
-the other gets 1,000 connections that say nothing, then 6,000 connects a second, by processes of
-their own. Meanwhile a client with a token opens a connection and a session and calls
-`emergency_stop`, again and again; the stop is released in between. The shared model's port is a
-Unix socket of a process of its own: it gets the same while the server's stop is measured.
+the other gets 1,000 silent connections, then 6,000 connects a second, from separate processes.
+Meanwhile a client with a token repeatedly opens a connection and a session and calls
+`emergency_stop`; the stop is released in between. The shared model's port is a Unix socket of a
+separate process: it gets the same while the server's stop is measured.
 """
 
 from __future__ import annotations
@@ -101,7 +100,9 @@ else:
         pass
     print(made / (time.monotonic() - begun), flush=True)
 """  # noqa: E501
-"""Fills a port: kind, family, address, number of connections or of connects a second, time [s]."""
+"""Program that floods a port: kind, family, address, number of connections or of connects a second,
+time [s].
+"""
 
 
 @contextmanager
@@ -147,7 +148,7 @@ def running(state: Path) -> Iterator[dict[str, tuple[str, str]]]:
 
 
 def wait_for(log: Path, pattern: str) -> str:
-    """What a line of the log says; ends the benchmark when it does not come."""
+    """Match in a line of the log; ends the benchmark if it does not appear."""
     deadline_s = time.monotonic() + START_S
     while not (found := re.search(pattern, log.read_text(encoding="utf-8"))):
         if time.monotonic() > deadline_s:
@@ -159,7 +160,7 @@ def wait_for(log: Path, pattern: str) -> str:
 
 
 def stop(port: int, timeout_s: float) -> float:
-    """Time of a stop by a new client: connection, session and call [s]; infinite when it failed."""
+    """Time of a stop by a new client: connection, session and call [s]; infinite if it failed."""
     begun_s = time.monotonic()
     session: dict[str, str] = {}
     hello = {
@@ -206,7 +207,7 @@ def _headers() -> dict[str, str]:
 
 
 def measure(state: Path, port: int, trials: int) -> tuple[list[float], int]:
-    """Times of stops [s], and how many of them left the latch."""
+    """Times of stops [s], and the number of them that latched."""
     latch = EmergencyStopLatch(state / ESTOP_FILE, time.time_ns)
     audit = AuditLog(state / "bench.jsonl", time.time_ns)
     times_s, latched = [], 0
@@ -221,7 +222,7 @@ def measure(state: Path, port: int, trials: int) -> tuple[list[float], int]:
 
 
 def main(arguments: argparse.Namespace) -> int:
-    """Fill each port in both ways; 1 when a stop took too long."""
+    """Flood each port in both ways; 1 if a stop took too long."""
     is_good = True
     with tempfile.TemporaryDirectory() as name:
         state = Path(name)

@@ -1,12 +1,12 @@
-"""How long the gate takes to judge joint motions, against bare forward kinematics of the same
+"""Time of the gate's check of joint motions, compared with bare forward kinematics of the same
 postures.
 
     python benchmarks/bench_gate.py
 
 For random moves of the FR3: the whole check of a joint trajectory (joint limits, then task-space
-limits and distances of links and table along the way), and its floor, pinocchio's forward
-kinematics of as many postures. And for control: one command through its limits with and without the
-distances. Both in turns in one run.
+limits and distances of links and table along the path), and its floor, pinocchio's forward
+kinematics of the same number of postures. And for control: one command through its limits, with and
+without the distances. Both are interleaved in one run.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def row(name: str, values: list[float], unit: str = "ms") -> None:
 
 
 class Counting:
-    """A controller whose looks are counted."""
+    """A controller that counts its inspections."""
 
     def __init__(self, robot: RobotProfile) -> None:
         self.controller = UrdfController(None, robot)
@@ -59,7 +59,7 @@ class Counting:
         self.looks = 0
 
     def inspect(self, joints: JointSample) -> object:
-        """As the controller's."""
+        """Inspect like the controller, and count."""
         self.looks += 1
         return self.controller.inspect(joints)
 
@@ -100,7 +100,7 @@ def joint_motions(robot: RobotProfile, moves: int, seed: int) -> None:
         is_allowed = check()
         took_ms = (time.perf_counter() - began_s) * 1e3
         count = counting.looks
-        if not count:  # refused by the joint limits alone
+        if not count:  # refused by the joint limits already
             continue
         passed += is_allowed
         checks.append(took_ms)
@@ -115,7 +115,7 @@ def joint_motions(robot: RobotProfile, moves: int, seed: int) -> None:
 
 
 def commands(robot: RobotProfile, count: int) -> None:
-    """One command of control through its limits, with and without distances, in turns."""
+    """One command of control through its limits, with and without distances, interleaved."""
     limiters = {}
     for name, shown in (("with distances", robot), ("without", replace(robot, collision=None))):
         controller = UrdfController(None, shown)

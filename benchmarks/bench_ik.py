@@ -1,17 +1,17 @@
 """Inverse kinematics of the controller "urdf" on the FR3: success, accuracy, step size and time
-against a floor.
+compared with a floor.
 
     python benchmarks/bench_ik.py [--targets 500] [--seed 0]
 
 Two sets of targets, each at most 5 cm and 0.15 rad from the posture the controller is seeded with:
     postures within
 0.5 rad of home ("work") and postures uniform within the joint limits ("uniform"). A target counts
-as reached when the forward kinematics of the command lies within 0.1 mm and 1 mrad; a command that
-does not is wrong, everything else must be a refusal with a reason. The floor is one pinocchio
-forward kinematics with Jacobian and one 6x6 solve: what the cheapest possible iteration costs.
-Times are wall times of one call: "solve" is the inverse kinematics alone, "compute" the whole step
-with every check. A slower median is told as missed; exit status 1 when too few targets are reached,
-a command is wrong, or a refusal has no numbers.
+as reached if the forward kinematics of the command is within 0.1 mm and 1 mrad; other commands are
+wrong, and everything else must be a refusal with a reason. The floor is one pinocchio forward
+kinematics with Jacobian and one 6x6 solve: the cost of the cheapest possible iteration. Times are
+wall times of one call: "solve" is the inverse kinematics alone, "compute" the whole step with every
+check. A slower median is reported as missed; exit status 1 if too few targets are reached, a
+command is wrong, or a refusal has no numbers.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ WARM_UP = 50
 
 @dataclass(kw_only=True, slots=True)
 class Tally:
-    """What one set of targets gave; times in microseconds, one per target."""
+    """Results of one set of targets; times in microseconds, one per target."""
 
     name: str
     targets: int
@@ -157,7 +157,7 @@ def floor_us(robot: RobotProfile, calls: int) -> list[float]:
 
 
 def percentile(values: list[float], q: float) -> float:
-    """Percentile `q`, NaN of nothing."""
+    """Percentile `q`; NaN without values."""
     return float(np.percentile(values, q)) if values else float("nan")
 
 
@@ -204,14 +204,14 @@ def table(tallies: list[Tally], floor: list[float]) -> Table:
 
 
 def main() -> int:
-    """Run both sets, print the table, compare with the issue's figures."""
+    """Run both sets, print the table, compare with the issue's limits."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--targets", type=int, default=500, help="targets per set (default 500)")
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of the random postures and targets (default 0)"
     )
     arguments = parser.parse_args()
-    # The workspace box would refuse targets for reasons that have nothing to do with solving.
+    # The workspace box would refuse targets for reasons unrelated to solving.
     robot = replace(fr3_profile(), workspace=None)
     floor = floor_us(robot, arguments.targets)
     tallies = [run(name, robot, arguments.targets, arguments.seed) for name in ("work", "uniform")]

@@ -1,9 +1,9 @@
-"""Encoding and decoding of types made at run time beside the compiled ones, in turns.
+"""Encoding and decoding of types created at run time compared with the compiled ones, interleaved.
 
     python benchmarks/bench_interfaces.py [--rounds 30]
 
-Prints, for a JointState of seven joints and an image of 640x480, the least time of this thread in
-microseconds and the ratio. The definitions are those of the wheels, learnt under another package's
+Prints, for a JointState of seven joints and an image of 640x480, the smallest thread time in
+microseconds and the ratio. The definitions are those of the wheels, learnt under another package
 name.
 """
 
@@ -23,11 +23,11 @@ from typing import Any
 
 WORDS = ("JointState", "Image")
 CALLS = {"JointState": 500, "Image": 20}
-"""In each turn."""
+"""Calls in each turn."""
 
 
 def fill(message: Any) -> Any:
-    """Give a message of either package the values that are measured."""
+    """Fill a message of either package with the measured values."""
     message.header.frame_id = "base"
     if hasattr(message, "encoding"):
         message.height, message.width, message.step = 480, 640, 1920
@@ -60,7 +60,7 @@ def learn_copies(scratch: Path) -> None:
 
 
 def least_us(rounds: int, calls: int, functions: Sequence[Callable[[], object]]) -> list[float]:
-    """Least thread time of each function [us]; they take turns."""
+    """Smallest thread time of each function [us], interleaved."""
     times: list[list[float]] = [[] for _ in functions]
     for _ in range(rounds):
         for number, function in enumerate(functions):

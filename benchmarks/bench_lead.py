@@ -1,13 +1,13 @@
-"""How soon a joint command follows when a person who leads by the page presses, and when it is let
-go.
+"""Delay of the joint command after a person who leads by the page presses the switch, and after it
+is released.
 
     .venv/bin/python benchmarks/bench_lead.py [--presses 60]
 
-A page without a browser sends samples at 50 Hz to a server whose simulated FR3 is led. From the
-sample that presses the switch to the first joint command that moves, as a node beside the modules
-receives it; the echo is the way to control and back that the page shows. All clocks are this
-machine's. The floor is one period of the lead, 20 ms: a sample waits for none of it when it comes
-in time.
+A page without a browser sends samples at 50 Hz to a server whose simulated FR3 is led. The delay is
+from the sample that presses the switch to the first joint command that moves, received by a
+separate node; the echo is the round trip to control that the page shows. All clocks are this
+machine's. The floor is one period of the lead, 20 ms: a sample that arrives in time waits for none
+of it.
 """
 
 from __future__ import annotations
@@ -53,14 +53,14 @@ _MOVES_RAD = 1e-5
 
 
 class Commands:
-    """When commands came that lead the joints elsewhere than the one before."""
+    """Times of commands that move the joints relative to the previous command."""
 
     def __init__(self) -> None:
         self.moved_s: list[float] = []
         self._last: np.ndarray | None = None
 
     def take(self, message: object) -> None:
-        """A JointTrajectory has come."""
+        """Handle a JointTrajectory."""
         position = np.array(message.points[-1].positions)  # type: ignore[attr-defined]
         if self._last is not None and np.abs(position - self._last).max() > _MOVES_RAD:
             self.moved_s.append(time.monotonic())

@@ -1,11 +1,12 @@
-"""What the boundary between the robot and a LeRobot policy costs, beside calling the policy itself.
+"""Overhead of the boundary between the robot and a LeRobot policy, compared with calling the policy
+directly.
 
     .venv-lerobot-policies/bin/python benchmarks/bench_lerobot.py [--rounds 200]
 
-The policy computes nothing, so that the differences are those of the boundary: LeRobot's own calls
-in this process, the backend `lerobot` in this process (as an inference module has it), and the
-backend in the model server of rn-backend-shared. Each is asked in turn, with one thread of PyTorch;
-numbers are medians of the differences of a round.
+The policy computes nothing, so the differences are those of the boundary: LeRobot's own calls in
+this process, the backend `lerobot` in this process (as an inference module has it), and the backend
+in the model server of rn-backend-shared. Calls are interleaved, with one thread of PyTorch; numbers
+are medians of the differences within a round.
 """
 
 from __future__ import annotations
@@ -100,7 +101,7 @@ class NullPolicy(PreTrainedPolicy):
 
 
 def install(site: Path) -> None:
-    """A third party's policy, found by LeRobot by the name of its package."""
+    """Install a third party's policy, which LeRobot finds by the name of its package."""
     package, info = site / "lerobot_policy_null", site / "lerobot_policy_null-1.0.dist-info"
     package.mkdir(parents=True)
     info.mkdir()
@@ -113,12 +114,12 @@ def install(site: Path) -> None:
 
 
 def make_checkpoint(directory: Path, cameras: tuple[str, ...], width: int, height: int) -> None:
-    """A policy that answers its normalised state."""
+    """Create a policy that answers its normalised state."""
     import torch
     from lerobot.configs import FeatureType, PolicyFeature
     from lerobot.processor.factory import make_default_pre_post_processors
 
-    # made by `install` a moment ago
+    # created by `install` just before
     configuration = importlib.import_module("lerobot_policy_null.configuration_null")
     modeling = importlib.import_module("lerobot_policy_null.modeling_null")
     keys = [f"observation.images.{camera}" for camera in cameras]
@@ -141,7 +142,7 @@ def make_checkpoint(directory: Path, cameras: tuple[str, ...], width: int, heigh
 
 
 def observe(cameras: tuple[str, ...], width: int, height: int, random: Any) -> Observation:
-    """Noise, and joints."""
+    """An observation of noise and joints."""
     frames = {
         role: Frame(
             camera=camera,
@@ -160,7 +161,7 @@ def observe(cameras: tuple[str, ...], width: int, height: int, random: Any) -> O
 
 
 def lerobots_own(directory: Path) -> Callable[[Observation], Any]:
-    """LeRobot's calls, as its own loop makes them, on what its robots give."""
+    """LeRobot's calls, as in its own loop, on the data of its robots."""
     import torch
     from lerobot.configs import PreTrainedConfig
     from lerobot.policies.factory import get_policy_class, make_pre_post_processors
@@ -186,7 +187,7 @@ def lerobots_own(directory: Path) -> Callable[[Observation], Any]:
 
 
 def measure(folder: Path, site: Path, name: str, rounds: int) -> dict[str, float]:
-    """Milliseconds of the three, and what the two boundaries add."""
+    """Times of the three in milliseconds, and the overhead of the two boundaries."""
     size, _, two = name.partition(" x ")
     width, height = (int(part) for part in size.split("x"))
     cameras = ("front", "wrist") if two else ("front",)
@@ -245,7 +246,7 @@ def measure(folder: Path, site: Path, name: str, rounds: int) -> dict[str, float
 
 
 def main() -> int:
-    """Print a table; 1 when a boundary costs more than it may."""
+    """Print a table; 1 if a boundary exceeds its limit."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--rounds", type=int, default=200)
     parser.add_argument("--json", type=Path, help="write the numbers there too")

@@ -1,10 +1,10 @@
-"""Images over the encrypted link beside plain UDP, on a link that delays and loses packets.
+"""Images over the encrypted link compared with plain UDP, on a link with delay and packet loss.
 
     python benchmarks/bench_link.py [--seconds 10] [--delays 0 10 25] [--losses 0 1]
 
-Two network namespaces, joined by a program that hands on Ethernet frames: each later by the delay
-[ms, one way], and each lost with the probability [%], both ways. A process in one sends 224x224
-images at 30 Hz, best effort; one in the other says how many came, and how long each took (both read
+Two network namespaces, joined by a program that forwards Ethernet frames: each after the delay [ms,
+one way], and each lost with the probability [%], both ways. A process in one sends 224x224 images
+at 30 Hz, best effort; one in the other reports the received images and their latencies (both read
 the same monotonic clock). The floors are the same bytes in a bare TCP and a bare TLS stream. Needs
 root.
 """
@@ -48,10 +48,10 @@ _MOST_FRAME = 65_536
 
 
 def open_tap(machine: Machine, device: str) -> int:
-    """Make an Ethernet device in that machine; returns the descriptor of its other end."""
+    """Create an Ethernet device in that machine; returns the descriptor of its other end."""
     made: list[int] = []
 
-    def enter() -> None:  # a thread of its own: the change of namespace is this thread's alone
+    def enter() -> None:  # on a new thread, because a change of namespace affects only its thread
         with open(f"/proc/{machine.pid}/ns/net", "rb") as namespace:
             libc = ctypes.CDLL(None, use_errno=True)
             if libc.setns(namespace.fileno(), _NEW_NET) != 0:
@@ -68,10 +68,10 @@ def open_tap(machine: Machine, device: str) -> int:
 
 
 class Cable:
-    """Hands frames on between two devices, from `start` to `close`.
+    """Forwards frames between two devices, from `start` to `close`.
 
     Args:
-        delay_s: of each frame [s].
+        delay_s: delay of each frame [s].
         loss: probability that a frame is lost, 0 to 1.
     """
 
@@ -84,7 +84,7 @@ class Cable:
         self._thread = threading.Thread(target=self._run)
 
     def start(self) -> None:
-        """Begin on a thread of its own."""
+        """Start on its own thread."""
         self._thread.start()
 
     def close(self) -> None:
@@ -114,7 +114,7 @@ class Cable:
 
 
 def node(role: str, report: Path, seconds: float) -> None:
-    """One of the two processes."""
+    """Run one of the two processes."""
     from rn_link.environment import join_link
     from rn_link.keeper import keep_link
     from roboneuron.command import environment
@@ -148,20 +148,20 @@ def node(role: str, report: Path, seconds: float) -> None:
     deadline_s = time.monotonic() + 30.0
     while publisher.get_subscription_count() == 0 and time.monotonic() < deadline_s:
         rclpy.spin_once(made, timeout_sec=0.05)
-    time.sleep(2.0)  # until the connection has its speed
+    time.sleep(2.0)  # until the connection has reached its rate
     sent_s: list[float] = []
     for number in range(int(seconds * RATE_HZ)):
         sent_s.append(time.monotonic())
         image.header.frame_id = repr(sent_s[-1])
         publisher.publish(image)
         time.sleep(max(0.0, sent_s[0] + (number + 1) / RATE_HZ - time.monotonic()))
-    time.sleep(2.0)  # for what is under way
+    time.sleep(2.0)  # for messages in transit
     report.write_text(json.dumps(sent_s))
     os._exit(0)
 
 
 def stream(role: str, report: Path, seconds: float, over: str) -> None:
-    """One side of a floor: as many bytes in one stream, the time of sending before them."""
+    """Run one side of a floor: the same bytes in one stream, preceded by the send time."""
     from rn_link.machine import link_folder, read_machine
     from rn_link.tls import tls_context
 
@@ -199,7 +199,7 @@ def _connect(address: str) -> socket.socket:
     while True:
         try:
             return socket.create_connection((address, PORT), 20.0)
-        except OSError:  # it does not listen yet
+        except OSError:  # not listening yet
             if time.monotonic() > deadline_s:
                 raise
             time.sleep(0.05)
@@ -230,7 +230,7 @@ def measure(over: str, delay_ms: float, loss_percent: float, seconds: float) -> 
 
 
 def _run(over: str, sides: Sequence[Machine], seconds: float) -> list[float | None]:
-    """Latency of each image [s]; None: it did not come."""
+    """Latency of each image [s]; None for a lost one."""
     robot, gpu = sides
     processes = []
     for side, role in ((gpu, "receiver"), (robot, "sender")):

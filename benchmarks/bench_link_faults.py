@@ -1,19 +1,19 @@
-"""Faults of the link between a moving arm and the server of its policy, drawn at random and judged
-one by one.
+"""Faults of the link between a moving arm and the server of its policy, drawn at random and
+evaluated one by one.
 
     python benchmarks/bench_link_faults.py [--trials 100] [--out out/bench/link-faults] [--judge]
 
 Two machines (network namespaces): a simulated gantry with all its modules on one, `roboneuron
 serve-policy` on the other, with the keys of `roboneuron link`. Half of the trials have a local
 fallback. Half reach the server through a program with the server's own keys that spoils answers
-(`link_liar`). Number of a trial: seed, cell and kind of fault. Each is a line of JSON in
-OUT/trials.jsonl; a run that was ended goes on there. Needs root.
+(`link_liar`). The number of a trial determines seed, cell and kind of fault. Each trial is a line
+of JSON in OUT/trials.jsonl; an interrupted run can be resumed. Needs root.
 
-Each trial is judged (`link_fault_judge`): joints within their limits; no step beyond STEP_M and no
-speed beyond SPEED_M_S; no row of an image older than configured, and none of an older image after a
-newer one; where answers cease for long, the fallback moves the arm without a rest and gives back
-after three good seconds, or the arm holds; the arm moves by its remote policy in the end. Exit
-status 1 when a trial fails.
+Each trial is checked (`link_fault_judge`): joints within their limits; no step beyond STEP_M and no
+speed beyond SPEED_M_S; no row from an image older than configured, and none from an older image
+after a newer one; if answers stop for long, the fallback moves the arm without a pause and hands
+back after three good seconds, or the arm holds; at the end the remote policy moves the arm. Exit
+status 1 if a trial fails.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ address = "gpu:7420"
 timeout_s = 0.3
 coding = "raw"
 """
-"""Pixels number the images, which JPEG would change."""
+"""Pixels encode the number of an image, which JPEG would change."""
 POLICY = f"rows = {ROWS}\nstep_s = {STEP_S}\n"
 
 
 def instruct(loop: ClosedLoop) -> str:
-    """Ask for motion anew after a stop that forbids it until somebody does; returns its reason."""
+    """Request motion again after a stop that requires a new start; returns its reason."""
     view = loop.modules.view("inference")
     if view.phase != "running":
         with contextlib.suppress(RoboNeuronError):
@@ -72,13 +72,13 @@ def instruct(loop: ClosedLoop) -> str:
     report = view.report
     if report is None or not report.needs_start:
         return ""
-    with contextlib.suppress(RoboNeuronError):  # asked again as long as nothing moves
+    with contextlib.suppress(RoboNeuronError):  # repeated as long as nothing moves
         give_instruction(loop, "move on", 10.0)
     return report.needs_start
 
 
 def work(folder: Path, numbers: Sequence[int], ledger: Path) -> None:
-    """The trials of one cell, inside the robot's machine."""
+    """Run the trials of one cell, inside the robot's machine."""
     first = Trial.of(numbers[0])
     facts = json.loads((folder / "facts.json").read_text())
     more = {
@@ -120,7 +120,7 @@ def hardware_of(words: Sequence[str]) -> str:
 
 
 def run_cell(numbers: Sequence[int], ledger: Path) -> None:
-    """Make two machines, and let one of them do the trials."""
+    """Create two machines, and let one of them run the trials."""
     folder = Path(tempfile.mkdtemp(prefix="rn-faults-"))
     try:
         with machines(folder, "robot", "gpu") as both:
@@ -160,7 +160,7 @@ def read(ledger: Path) -> list[dict[str, Any]]:
 
 
 def table(trials: Sequence[dict[str, Any]]) -> int:
-    """Print what came of them; returns how many failed."""
+    """Print the results; returns the number of failed trials."""
     print("|fault|trials|fallback took over|longest rest with it s|back s|oldest image s|wrong|")
     print("|---" * 7 + "|")
     for kind in (*DIRECT, *SPOILT):
@@ -187,7 +187,7 @@ def table(trials: Sequence[dict[str, Any]]) -> int:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Do what is missing, and print all."""
+    """Run the missing trials, and print all."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -198,7 +198,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--judge", action="store_true", help="only print what is there")
     parser.add_argument("--work", nargs="+", help=argparse.SUPPRESS)
     given = parser.parse_args(arguments)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that servers end with it
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that servers end too
     if given.work:
         folder, ledger, *numbers = given.work
         work(Path(folder), [int(number) for number in numbers], Path(ledger))

@@ -1,16 +1,16 @@
-"""Success of the learned policy on cubes against the link to its server, by the evaluation's clock.
+"""Success of the learned policy on cubes as a function of the link to its server, with the
+evaluation's clock.
 
     python benchmarks/bench_link_success.py [--episodes 20] [--links 150/0/0/1000/auto ...]
 
-First the answers of a policy server behind each link are timed, in real time, from the image to the
-answer: `bench_serve_links` makes the link, ROUND-TRIP/JITTER/LOSS/RATE/CODING, and a model that
+First, the answers of a policy server behind each link are timed in real time, from the image to the
+answer: `bench_serve_links` creates the link, ROUND-TRIP/JITTER/LOSS/RATE/CODING, and a model that
 takes 20 ms. An answer that missed its deadline of 1 s counts as one of 1 s: all its rows are too
-old. Then `roboneuron eval run` plays the same seeds with times drawn from these, sequential and
-overlapped: simulated time stands still while the policy computes, so that the load of this machine
-changes nothing. What the draws leave out: that slow answers come together, and what JPEG does to
-images.
+old. Then `roboneuron eval run` runs the same seeds with times drawn from these, sequential and
+overlapped: simulated time stops while the policy computes, so the load of this machine has no
+effect. The draws ignore that slow answers come in bursts, and the effect of JPEG on images.
 
-Everything is kept in `--out`; what was ended goes on where it was. The first part needs root.
+Everything is stored in `--out`; an interrupted run can be resumed. The first part needs root.
 """
 
 from __future__ import annotations
@@ -66,15 +66,15 @@ FIRST_SEED = 20_000
 STEP_S = 0.1
 ANSWERS, ANSWERS_S, WARM = 80, 60.0, 5
 PAUSE_S = 0.2
-"""Between an answer and the next question, as a chunk that is played makes it."""
+"""Pause between an answer and the next request, as caused by executing a chunk."""
 ROUNDS = (2, 5, 10, 20, 35, 50, 100, 200)
-"""Episodes are added to all links alike, so that what was ended early compares them."""
+"""Episodes are added to all links equally, so that an interrupted run still compares them."""
 OUT = Path("out/bench/link-success")
 PROGRAM = str(Path(sys.executable).with_name("roboneuron"))
 
 
 def robot(options: str) -> dict[str, Any]:
-    """Ask again and again, and say how long each answer took."""
+    """Send requests repeatedly, and return the time of each answer."""
     backend = SharedBackend(SharedOptions.model_validate_json(options))
     backend.load()
     seen, image = make_observation(BACKEND), camera_image()
@@ -98,9 +98,7 @@ def robot(options: str) -> dict[str, Any]:
 
 
 def times_of(text: str, folder: Path) -> tuple[Path, dict[str, Any]]:
-    """The file of times of a link [s], and what else is known of them; measured when there is
-    none.
-    """
+    """File of the answer times of a link [s], and further facts about them; measured if missing."""
     path = folder / f"{text.replace('/', '-')}.txt"
     known = path.with_suffix(".json")
     if not known.exists():
@@ -116,13 +114,13 @@ def times_of(text: str, folder: Path) -> tuple[Path, dict[str, Any]]:
 
 
 LONGEST_S = 12 * 3600
-"""Of one run of the evaluation, which goes on where it was ended."""
+"""Time limit of one run of the evaluation, which can be resumed."""
 
 
 def play(
     files: Sequence[Path], executions: Sequence[str], episodes: int, workers: int, out: Path
 ) -> None:
-    """Play what is missing of so many seeds with each file of times and each execution."""
+    """Run the missing episodes with each file of times and each execution mode."""
     policy = out / "policy"
     if not policy.exists():
         subprocess.run([PROGRAM, "cubes-policy", "unpack", str(policy)], check=True, timeout=300)
@@ -142,7 +140,7 @@ def play(
 
 
 def cell_of(records: Sequence[EpisodeRecord]) -> str:
-    """What became of the episodes of a variant: success, its interval, rows in time, time held."""
+    """Results of a variant's episodes: success, its interval, rows in time, time held."""
     if not records:
         return "-"
     moved_s = sum(record.outcome.rows for record in records) * STEP_S
@@ -155,7 +153,7 @@ def cell_of(records: Sequence[EpisodeRecord]) -> str:
 
 
 def table(found: dict[str, tuple[Path, dict[str, Any]]], out: Path) -> None:
-    """Print what is there."""
+    """Print the existing results."""
     by_variant: dict[tuple[str, str], list[EpisodeRecord]] = defaultdict(list)
     for record in read_records(out / "episodes"):
         by_variant[record.key.latency, record.key.execution].append(record)

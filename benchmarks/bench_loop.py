@@ -1,11 +1,11 @@
-"""Image in, action out at the controller: our inference process beside a bare rclpy relay, in
-turns, in one run.
+"""Latency from an image to the action at the controller: RoboNeuron's inference process compared
+with a bare rclpy relay, interleaved in one run.
 
     python benchmarks/bench_loop.py [--frames 300] [--rounds 3]
 
-Both answer at once, so that the figure is what RoboNeuron adds: conversion, hand-over between
-threads, checks, status. "Added" is the median beyond the relay's: what the boundary costs. "Oldest
-frame" is the greatest age of an action's image when the action arrives; it must stay below one
+Both answer at once, so the difference is RoboNeuron's overhead: conversion, hand-over between
+threads, checks, status. "Added" is the difference of the medians: the cost of the boundary. "Oldest
+frame" is the largest age of an action's image when the action arrives; it must stay below one
 camera period.
 """
 
@@ -44,7 +44,7 @@ CONFIGURATION = '[robot]\nname = "bench"\n[inference]\nbackend = "echo"\ninstruc
 
 
 class Camera:
-    """Publishes numbered images and notes when the action for each arrives."""
+    """Publishes numbered images and notes the arrival of each action."""
 
     def __init__(self) -> None:
         import rclpy
@@ -74,7 +74,7 @@ class Camera:
             self._executor.spin_once(timeout_sec=0.1)
 
     def close(self) -> None:
-        """End the node."""
+        """Shut the node down."""
         import rclpy
 
         self._stop.set()
@@ -86,7 +86,7 @@ class Camera:
         self.answers.append((int(message.data[0]), time.perf_counter()))
 
     def wait_for_peer(self) -> None:
-        """Until exactly one process listens to images and one publishes actions."""
+        """Wait until exactly one process subscribes to images and one publishes actions."""
         end_s = time.monotonic() + 30
         while time.monotonic() < end_s:
             if (
@@ -98,7 +98,7 @@ class Camera:
         sys.exit("the other process was not found within 30 s")
 
     def wait_until_alone(self) -> None:
-        """Until nobody publishes actions any more; an ended process stays in the graph for up to 20
+        """Wait until no process publishes actions; an ended process stays in the graph for up to 20
         s.
         """
         end_s = time.monotonic() + 60
@@ -108,8 +108,8 @@ class Camera:
             time.sleep(0.02)
 
     def run(self, height: int, width: int, frames: int) -> tuple[np.ndarray, float, int]:
-        """Publish at RATE_HZ; returns latencies [s], the oldest image acted on [s], and the number
-        of answers.
+        """Publish at RATE_HZ; returns latencies [s], the age of the oldest image used [s], and the
+        number of answers.
         """
         from roboneuron.contract import Frame
         from roboneuron.ros.messages import to_image
@@ -136,7 +136,7 @@ class Camera:
 
 
 def end(process: subprocess.Popen[bytes]) -> None:
-    """Wait until the process has ended; kill it when it does not."""
+    """Wait until the process has ended; kill it if it does not."""
     try:
         process.wait(10)
     except subprocess.TimeoutExpired:
@@ -145,10 +145,10 @@ def end(process: subprocess.Popen[bytes]) -> None:
 
 
 def activate(process: subprocess.Popen[bytes], log: Path) -> None:
-    """Configure and activate the inference module; a request or answer that is lost is repeated.
+    """Configure and activate the inference module; lost requests or answers are repeated.
 
-    A service that has not discovered its caller yet cannot answer it: on a fast machine that is so
-    for the first one.
+    A service that has not discovered its caller yet cannot answer: on a fast machine this affects
+    the first request.
     """
     from roboneuron.ros.link import RosLink
 
@@ -178,7 +178,7 @@ def activate(process: subprocess.Popen[bytes], log: Path) -> None:
 @contextmanager
 def relay(environment: dict[str, str]) -> Iterator[None]:
     """The bare relay process."""
-    # a session of its own, as ours: the kernel shares out processor time by sessions
+    # a new session as for the module: the kernel distributes processor time by sessions
     process = subprocess.Popen(
         [sys.executable, str(HERE / "loop_relay.py")], env=environment, start_new_session=True
     )
@@ -193,7 +193,9 @@ def relay(environment: dict[str, str]) -> Iterator[None]:
 def inference(
     environment: dict[str, str], scratch: Path, configuration: str = CONFIGURATION
 ) -> Iterator[None]:
-    """Our inference module in its process, configured and active; the robot is named "bench"."""
+    """RoboNeuron's inference module in its process, configured and active; the robot is named
+    "bench".
+    """
     settings = ModuleSettings(
         kind="inference",
         node_name="inference",
@@ -222,7 +224,7 @@ def inference(
 
 
 def install(scratch: Path) -> Path:
-    """The folder with the plugin whose backend answers at once, made when it is not there."""
+    """Folder of the plugin whose backend answers at once; created if missing."""
     site = scratch / "site"
     info = site / "loop_plugin-1.0.dist-info"
     info.mkdir(parents=True, exist_ok=True)
@@ -233,7 +235,7 @@ def install(scratch: Path) -> Path:
 
 
 def measure(frames: int, rounds: int, scratch: Path) -> Table:
-    """Run both, in turns, for every size."""
+    """Run both, interleaved, for every size."""
     site = install(scratch)
     os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     prepare_environment(scratch / "log")
@@ -248,11 +250,11 @@ def measure(frames: int, rounds: int, scratch: Path) -> Table:
 def compare(
     camera: Camera, environment: dict[str, str], scratch: Path, *, frames: int, rounds: int
 ) -> Table:
-    """The table of both processes, in turns, for every size."""
+    """The table of both processes, interleaved, for every size."""
     found: dict[tuple[str, str], list[np.ndarray]] = {}
     oldest_s: dict[tuple[str, str], float] = {}
     for _ in range(rounds):
-        # a camera that changes its size is refused: a process per size
+        # a camera that changes its size is refused, so each size gets a process
         for size, (height, width) in SIZES.items():
             for name in ("relay", "inference"):
                 peer = relay(environment) if name == "relay" else inference(environment, scratch)

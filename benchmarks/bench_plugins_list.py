@@ -1,12 +1,12 @@
-"""Time of `roboneuron plugins list` with everything that is installed, beside the bare interpreter
-that runs it.
+"""Time of `roboneuron plugins list` with all installed packages, compared with the bare
+interpreter.
 
     python benchmarks/bench_plugins_list.py [--repeat 15]
 
-The floor is `python -c pass` of the same interpreter; the commands are run in turns, so that other
-work on the machine hits all of them; processor time is without that work. A median wall time of 400
-ms or more is told as missed; the exit status is 1 when one of numpy, torch, rclpy, mcp and pydantic
-is imported.
+The floor is `python -c pass` of the same interpreter; the commands are interleaved, so that other
+load on the machine affects all of them; processor time excludes that load. A median wall time of
+400 ms or more is reported as missed; the exit status is 1 if one of numpy, torch, rclpy, mcp and
+pydantic is imported.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def main() -> int:
     parser.add_argument("--repeat", type=int, default=15, help="runs of each command (15)")
     repeat = parser.parse_args().repeat
     for command in COMMANDS.values():
-        run_ms(command)  # byte code and page cache
+        run_ms(command)  # warms byte code and page cache
     times: dict[str, list[tuple[float, float]]] = {name: [] for name in COMMANDS}
     for _ in range(repeat):
         for name, command in COMMANDS.items():

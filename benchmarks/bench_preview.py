@@ -1,14 +1,14 @@
-"""What previews promise, against what then happens in the simulated cell.
+"""Predictions of previews, compared with the result in the simulated cell.
 
     python benchmarks/bench_preview.py [--scenes 500] [--pushes 50] [--tasks 50] [--minutes 60]
     python benchmarks/bench_preview.py --judge
 
 A scene is a random posture of the FR3 among cubes, a lamp and a zone, and one call of move_ee or
 move_joints; a push is a move along the table, past a cube or against it; a task is run_task with a
-cube that may be there or not. Everything is drawn from its number. The call is made with
-preview=true, then without, at a server of `roboneuron serve` in real time. Each is a line of a
-ledger in the folder; a run goes on where it was, and --judge prints the tables of what is there. A
-joint command that is sent during a preview would move the joints: how far they moved is noted too.
+cube that may be missing. Everything is drawn from its number. The call is made with preview=true,
+then without, at a server of `roboneuron serve` in real time. Each is a line of a ledger in the
+folder; an interrupted run can be resumed, and --judge prints the tables of existing results. A
+joint command sent during a preview would move the joints, so their motion is noted too.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ upper_m = [0.45, 0.45, 0.8]
 state_directory = "{folder}/state"
 """
 CUBES_EVERY = 20
-"""After so many scenes the cubes lie elsewhere."""
+"""Number of scenes after which the cubes are placed differently."""
 ATTEMPTS = 8
 REST_S = 0.6
-"""The arm comes to its hold after the last action."""
+"""Time in which the arm comes to rest after the last action."""
 COLOURS = ("red", "green", "blue", "yellow", "purple")
-"""The last one is in no scene."""
+"""The last colour is in no scene."""
 MOVED_M = 0.004
 WORDS = {
     "would enter": "zone",
@@ -74,14 +74,14 @@ WORDS = {
     "in one step": "joint_jump",
     "beyond its limits": "position",
     "limits shorten": "limits",
-    # what control says of itself meanwhile
+    # reported by control meanwhile
     "following actions": "limits",
 }
-"""What limits say of themselves, by the name in the table."""
+"""Texts of limits, by the name in the table."""
 
 
 def kind_of(outcome: str, rule: str, text: str) -> str:
-    """One word for how a move ended, of a preview and of a call alike."""
+    """One word for the end of a motion, for previews and calls alike."""
     if outcome == "reached":
         return outcome
     named = next((word for said, word in WORDS.items() if said in text), rule or "short")
@@ -89,18 +89,18 @@ def kind_of(outcome: str, rule: str, text: str) -> str:
 
 
 class Cell:
-    """A server with a simulated FR3, and what its client does."""
+    """A server with a simulated FR3, and its client."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
         self.seed = -1
 
     async def ask(self, tool: str, arguments: dict[str, Any]) -> Any:
-        """A call, whatever becomes of it."""
+        """Make a call; errors are returned."""
         return await self._client.call_tool(tool, arguments)
 
     async def must(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """A call that has to succeed."""
+        """Make a call that must succeed."""
         answer = await self.ask(tool, arguments)
         if answer.is_error:
             raise SystemExit(f"{tool} failed: {answer.content[0].text}")
@@ -108,7 +108,7 @@ class Cell:
         return result
 
     async def restart(self, seed: int) -> None:
-        """The arm at home, among cubes of a seed."""
+        """Restart with the arm at home, among the cubes of a seed."""
         await self.must("stop_all")
         await self.must("start_robot", options={"seed": seed})
         await self.must("start_control")
@@ -120,12 +120,12 @@ class Cell:
         return dict(zip(message["name"], message["position"], strict=True))
 
     async def tcp(self) -> list[float]:
-        """Measured place of the TCP [m]."""
+        """Measured position of the TCP [m]."""
         place = (await self.must("read_ee_pose"))["messages"][0]["pose"]["position"]
         return [place["x"], place["y"], place["z"]]
 
     async def cubes(self) -> dict[str, list[float]]:
-        """Where the simulator has the cubes."""
+        """Positions of the cubes in the simulator."""
         status = await self.must("get_status")
         found = _find(status, "cubes")
         cubes: dict[str, dict[str, Any]] = json.loads(found) if found else {}
@@ -144,7 +144,7 @@ def _find(node: Any, key: str) -> Any:
 
 
 def drawn_posture(chance: random.Random) -> dict[str, float]:
-    """Somewhere around home."""
+    """A random posture around home."""
     return {
         name: min(high - 0.05, max(low + 0.05, home + chance.uniform(-0.45, 0.45)))
         for name, home, low, high in zip(ARM_JOINTS, HOME_RAD, LOWER_RAD, UPPER_RAD, strict=True)
@@ -152,7 +152,7 @@ def drawn_posture(chance: random.Random) -> dict[str, float]:
 
 
 def drawn_call(chance: random.Random, tcp: list[float]) -> tuple[str, dict[str, Any]]:
-    """A move to somewhere in and around the workspace."""
+    """A move to a random target in and around the workspace."""
     if chance.random() < 0.4:
         return "move_joints", {"positions": drawn_posture(chance)}
     place = chance.uniform(0.26, 0.66), chance.uniform(-0.45, 0.45), chance.uniform(0.0, 0.6)
@@ -163,7 +163,7 @@ def drawn_call(chance: random.Random, tcp: list[float]) -> tuple[str, dict[str, 
 
 
 async def compare(cell: Cell, tool: str, arguments: dict[str, Any]) -> dict[str, Any]:
-    """The preview of a call, and the call."""
+    """The preview of a call, and then the call."""
     before, cubes = await cell.joints(), await cell.cubes()
     told = await cell.must(tool, **arguments, preview=True)
     after = await cell.joints()
@@ -194,7 +194,7 @@ async def compare(cell: Cell, tool: str, arguments: dict[str, Any]) -> dict[str,
 
 
 def _words(told: dict[str, Any], happened: Any) -> tuple[str, str]:
-    """How a preview says that it ends, and how it ended."""
+    """The predicted end of a call, and the actual one."""
     if told["tool"] == "run_task" and not happened.is_error:
         promised = "succeeded" if told["outcome"] == "reached" else told["rule"]
         return promised, happened.structured_content["outcome"]
@@ -208,7 +208,7 @@ def _words(told: dict[str, Any], happened: Any) -> tuple[str, str]:
 
 
 async def play_scene(cell: Cell, number: int) -> dict[str, Any]:
-    """A random call from a random posture."""
+    """Make a random call from a random posture."""
     if cell.seed != number // CUBES_EVERY:
         await cell.restart(number // CUBES_EVERY)
     chance = random.Random(f"preview {number}")
@@ -220,7 +220,7 @@ async def play_scene(cell: Cell, number: int) -> dict[str, Any]:
 
 
 async def play_push(cell: Cell, number: int) -> dict[str, Any]:
-    """A closed hand goes along the table, past a cube or against it."""
+    """Move a closed hand along the table, past a cube or against it."""
     await cell.restart(2000 + number)
     chance = random.Random(f"push {number}")
     place = chance.choice(list((await cell.cubes()).values()))
@@ -236,7 +236,7 @@ async def play_push(cell: Cell, number: int) -> dict[str, Any]:
 
 
 async def play_task(cell: Cell, number: int) -> dict[str, Any]:
-    """A cube is to be picked up; it may not be there."""
+    """Run a task to pick up a cube, which may be missing."""
     await cell.restart(1000 + number)
     await cell.must("start_all")
     colour = COLOURS[number % len(COLOURS)]
@@ -253,11 +253,11 @@ async def play_task(cell: Cell, number: int) -> dict[str, Any]:
 
 
 PLAYS = {"scenes": play_scene, "pushes": play_push, "tasks": play_task}
-"""What makes a line of each ledger."""
+"""Functions that create a line of each ledger."""
 
 
 async def run(folder: Path, wanted: dict[str, int], minutes: float) -> None:
-    """Play what is missing, for so long."""
+    """Run the missing items, within this time."""
     missing = [
         (what, number)
         for what, count in wanted.items()
@@ -294,12 +294,12 @@ def rows_of(folder: Path, what: str) -> list[dict[str, Any]]:
 
 
 def percentile(values: list[float], share: float) -> float:
-    """The smallest value that this share of them does not exceed."""
+    """The smallest value that is not exceeded by this fraction of them."""
     return sorted(values)[max(0, math.ceil(share * len(values)) - 1)]
 
 
 def judge(what: str, rows: list[dict[str, Any]]) -> None:
-    """Print what is in a ledger."""
+    """Print the results in a ledger."""
     console = Console(width=120)
     pairs = Counter((row["promised"], row["happened"]) for row in rows)
     columns = sorted({happened for _, happened in pairs})
@@ -338,7 +338,7 @@ def judge(what: str, rows: list[dict[str, Any]]) -> None:
 
 
 def main() -> None:
-    """Play and judge."""
+    """Run and report."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("--scenes", type=int, default=500)
     parser.add_argument("--pushes", type=int, default=50, help="along the table, past cubes")

@@ -1,13 +1,13 @@
-"""What recording costs: two cameras 640x480 at 30 Hz, joints at 120 Hz, with and without the
-recorder, in turns.
+"""Overhead of recording: two cameras 640x480 at 30 Hz, joints at 120 Hz, with and without the
+recorder, interleaved.
 
 A source publishes images and joint states, a relay answers each image of the first camera with an
-action, and the source takes the time from an image's stamp to its action. Every other turn a
-recorder (JPEG) runs beside them and records. At the end the files are read: messages that the
-publishers counted and the files lack.
+action, and the source measures the time from an image's stamp to its action. In every other turn a
+recorder (JPEG) runs too. At the end the files are read to find published messages that are missing
+in them.
 
-    python benchmarks/bench_recorder.py                   # 2 minutes
-    python benchmarks/bench_recorder.py --minutes 10      # the figure that is asked for
+    python benchmarks/bench_recorder.py                   # 2 minutes python
+    benchmarks/bench_recorder.py --minutes 10      # the figure that is asked for
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def source(seconds: float) -> None:
             due_s += 1 / JOINT_HZ
             time.sleep(max(0.0, due_s - time.monotonic()))
 
-    time.sleep(3.0)  # everybody has found everybody
+    time.sleep(3.0)  # until all have discovered each other
     end_s = time.monotonic() + seconds
     moving = threading.Thread(target=move)
     moving.start()
@@ -132,7 +132,7 @@ def relay() -> None:
 
 
 def record(directory: Path, turn: int) -> tuple[subprocess.Popen[bytes], list[dict[str, Any]]]:
-    """Start a recorder that records, and collect what it says."""
+    """Start a recorder that records, and collect its output."""
     rules = RulesSettings(
         ring_s=30.0,
         after_s=5.0,
@@ -170,7 +170,7 @@ def record(directory: Path, turn: int) -> tuple[subprocess.Popen[bytes], list[di
 
 
 def turn_of(directory: Path, turn: int, seconds: float, *, recorded: bool) -> dict[str, Any]:
-    """One turn; returns latencies and the recorder's share of a core."""
+    """One turn; returns latencies and the recorder's CPU load."""
     child, answers = record(directory, turn) if recorded else (None, [])
     if child is not None:
         time.sleep(2.0)
@@ -225,7 +225,7 @@ def main() -> None:
 
 
 def measure(directory: Path, seconds: float, pairs: int) -> None:
-    """Both kinds of turns, in turns."""
+    """Both kinds of turns, interleaved."""
     found: dict[bool, list[dict[str, Any]]] = {False: [], True: []}
     for turn in range(2 * pairs):
         recorded = turn % 2 == 1

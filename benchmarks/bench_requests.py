@@ -1,16 +1,16 @@
-"""Fourteen everyday requests to a served FR3, by a scripted client that keeps what an agent would
-see.
+"""Fourteen everyday requests to a served FR3, by a scripted client that keeps everything an agent
+would read.
 
     python benchmarks/bench_requests.py [--only 3 5] [--engine pybullet] [--record-s 5]
 
-The client reads tools/list once; each request then uses listed tools and their answers only. A
+The client reads tools/list once; each request then uses only listed tools and their answers. A
 request has five checks, one point each: that there is a tool for it, that its calls work, that the
-answers say what a person asked for, and what the simulator says (`detail.cubes` of get_status),
-which an agent does not look at. Printed are the score and the bytes of the answers of each request,
-and the bytes of tools/list. Exit status 1 when a request has less than 4.
+answers contain what the person asked for, and the simulator's state (`detail.cubes` of get_status),
+which an agent does not read. Printed are the score and the bytes of the answers of each request,
+and the bytes of tools/list. Exit status 1 if a request has less than 4.
 
-Requests follow each other on one robot, as in a conversation. Where a person has to agree, the
-client's person does.
+Requests follow each other on one robot, as in a conversation. If a person must agree, the client's
+simulated person does.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ state_directory = "{state}"
 
 
 async def run(arguments: argparse.Namespace, folder: Path) -> list[tuple[str, Seen]]:
-    """Have the conversation; prints a line for each request."""
+    """Run the conversation; prints a line for each request."""
     config = folder / "roboneuron.toml"
     config.write_text(CONFIG.format(state=folder / "state", engine=arguments.engine))
     environment = {
@@ -86,7 +86,7 @@ async def run(arguments: argparse.Namespace, folder: Path) -> list[tuple[str, Se
             began_s = time.monotonic()
             try:
                 await request(agent)
-            except Exception as error:  # a request that cannot be judged has the points it has
+            except Exception as error:  # a request that cannot be evaluated keeps the points it has
                 agent.check(f"{type(error).__name__}: {error}", False)
             agent.seen.took_s = time.monotonic() - began_s
             _show(number, text, agent.seen)

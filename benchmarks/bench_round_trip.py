@@ -1,13 +1,13 @@
-"""A tool call of `roboneuron serve` against one of a minimal low-level server, both over stdio,
-seen by one client.
+"""A tool call of `roboneuron serve` compared with one of a minimal low-level server, both over
+stdio, with one client.
 
     python benchmarks/bench_round_trip.py --calls 300
 
 The client validates each answer against the listed output schema, as clients of the MCP 1.x SDK do:
     it checks the
-schema and compiles a validator with every call. The minimal server answers one field and does
-nothing else, so the ratio is what RoboNeuron adds: checks of arguments, a status of four modules,
-and its larger answer.
+schema and compiles a validator with every call. The minimal server only answers one field, so the
+ratio shows RoboNeuron's overhead: checks of arguments, a status of four modules, and its larger
+answer.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ anyio.run(main)
 
 
 ANSWER_S = 60.0
-"""A server that does not answer within this time is killed, which ends the benchmark."""
+"""Time after which a server without an answer is killed, which ends the benchmark."""
 
 
 class Wire:
-    """A client that speaks JSON lines with a server process, and nothing else."""
+    """A minimal client that exchanges JSON lines with a server process."""
 
     def __init__(self, command: list[str]) -> None:
         self._process = subprocess.Popen(
@@ -82,7 +82,7 @@ class Wire:
         self._schemas = {tool["name"]: tool["outputSchema"] for tool in tools}
 
     def _watch(self) -> None:
-        """Kill a server that does not answer: what waits for it then ends."""
+        """Kill a server that does not answer, which also ends pending waits."""
         while not self._over.wait(1.0):
             if time.monotonic() > self._asked_s + ANSWER_S:
                 self._process.kill()
@@ -93,7 +93,7 @@ class Wire:
         self._process.stdin.flush()
 
     def ask(self, method: str, params: dict[str, Any]) -> dict[str, Any]:
-        """The result of a request; RuntimeError when it is an error or the server is gone."""
+        """The result of a request; RuntimeError if it is an error or the server has ended."""
         self._count += 1
         self._asked_s = time.monotonic()
         self._send({"jsonrpc": "2.0", "id": self._count, "method": method, "params": params})
@@ -126,7 +126,7 @@ class Wire:
 
 
 def main() -> None:
-    """Run both side by side and print one table."""
+    """Run both and print one table."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -145,9 +145,9 @@ def main() -> None:
             kinds = {"minimal server": (minimal, "get_status"), "get_status": (full, "get_status")}
             kinds["list_robots"] = (full, "list_robots")
             for wire, tool in kinds.values():
-                for _ in range(20):  # joins ROS with the first call
+                for _ in range(20):  # the first call joins ROS
                     wire.call_ms(tool)
-            # In turns, so that what else the machine does falls on all of them alike.
+            # Interleaved, so that other load on the machine affects all of them equally.
             took_ms: dict[str, list[float]] = {name: [] for name in kinds}
             for _ in range(arguments.calls):
                 for name, (wire, tool) in kinds.items():

@@ -1,18 +1,18 @@
-"""Rows that reach the arm in time when the model is behind a link that is late, lossy or narrow.
+"""Rows that reach the arm in time if the link to the model is slow, lossy or narrow.
 
     python benchmarks/bench_serve_links.py [--seconds 12] [--links 150/0/0/1000 400/0/0/1000 ...]
 
-Two network namespaces, joined by a program that hands on Ethernet frames. A link is written
+Two network namespaces, joined by a program that forwards Ethernet frames. A link is written
 ROUND-TRIP/JITTER/LOSS/RATE [ms/ms/%/Mbit a second]: half the round trip each way, the jitter added
-at random without a change of order, the loss each way. A loss of 1~100 is one in bursts that last
-100 ms in the mean, as of radio: the link is dead for 1 % of the time.
+at random without reordering, the loss each way. A loss of 1~100 comes in bursts with a mean of 100
+ms, as with radio: the link is dead for 1 % of the time.
 
-In one runs `roboneuron serve-policy` with a model that takes 20 ms and answers chunks of 16 rows of
-50 ms; in the other the backend `shared` and the executor of the inference module, with one image of
-224x224 for each prediction. A row that is not there when it is due counts as missed; the longest
-gap is the longest hold. Needs root.
+One runs `roboneuron serve-policy` with a model that takes 20 ms and answers chunks of 16 rows of 50
+ms; the other runs the backend `shared` and the executor of the inference module, with one image of
+224x224 for each prediction. A row that is not available when due counts as missed; the longest gap
+is the longest hold. Needs root.
 
-Judged: at a round trip of 150 ms at least 99 % of the rows are sent in time.
+Bound: at a round trip of 150 ms at least 99 % of the rows are sent in time.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ BOUNDS = Bounds(first_s=1.0)
 
 
 def camera_image() -> NDArray[np.uint8]:
-    """An image that codes as a camera's does: smooth, with a little noise."""
+    """An image that compresses like a camera's: smooth, with a little noise."""
     rows, columns = np.mgrid[:SIDE, :SIDE]
     smooth = np.stack([columns * 255 / SIDE, rows * 255 / SIDE, (rows + columns) % 256], -1)
     noise = np.random.default_rng(0).integers(-4, 5, smooth.shape)
@@ -86,7 +86,7 @@ def camera_image() -> NDArray[np.uint8]:
 
 
 def robot(options: str, seconds: float) -> dict[str, Any]:
-    """Play rows for so long, and say how many came in time."""
+    """Execute rows for this time, and report how many were in time."""
     backend = SharedBackend(SharedOptions.model_validate_json(options))
     backend.load()
     executor = AdaptiveExecutor(Abilities(conditions_on_rows=True), fixed=None, bounds=BOUNDS)
@@ -154,7 +154,7 @@ def robot(options: str, seconds: float) -> dict[str, Any]:
 
 @contextmanager
 def robot_before(link: Link) -> Iterator[Machine]:
-    """The robot's machine; a policy server behind the link, called gpu, has one model."""
+    """The robot's machine; a policy server named gpu behind the link has one model."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         here, there = (
@@ -182,7 +182,7 @@ def robot_before(link: Link) -> Iterator[Machine]:
 
 
 def ask_there(here: Machine, script: str, coding: str, *words: str) -> Any:
-    """What a script that is told `--robot OPTIONS *words` prints in that machine, from JSON."""
+    """Run a script with `--robot OPTIONS *words` in that machine, and return its JSON output."""
     given = {"address": "gpu:7420", "timeout_s": TIMEOUT_S, "coding": coding}
     done = subprocess.run(
         here.inside(sys.executable, script, "--robot", json.dumps(given), *words),
@@ -196,7 +196,7 @@ def ask_there(here: Machine, script: str, coding: str, *words: str) -> Any:
 
 
 def measure(link: Link, coding: str, seconds: float) -> dict[str, Any]:
-    """What the robot says at the end."""
+    """The robot's final report."""
     with robot_before(link) as here:
         found: dict[str, Any] = ask_there(here, __file__, coding, str(seconds))
     return found

@@ -1,16 +1,16 @@
-"""What it costs to have a model on another machine, beside calling it in the robot's own process,
-over a link without latency.
+"""Overhead of a model on another machine, compared with calling it in the robot's own process, over
+a link without latency.
 
     python benchmarks/bench_serve_policy.py [--rounds 300] [--side 224]
 
-A backend that computes nothing is asked with one image, in turns: in this process, by the Unix
-socket of the shared backend, and by `roboneuron serve-policy` over TLS 1.3 on the loopback
-interface with the keys of a link. The floor is an echo in Python over TLS with the same keys: as
-many bytes there, as many back as a chunk has. Images go raw. CPU is user and system time of all
+A backend that computes nothing gets requests with one image, interleaved: in this process, over the
+Unix socket of the shared backend, and over `roboneuron serve-policy` with TLS 1.3 on the loopback
+interface with the keys of a link. The floor is an echo in Python over TLS with the same keys: the
+same number of bytes in each direction. Images are sent raw. CPU is user and system time of all
 processes for one observation, divided by the time of the round trip.
 
-Judged: at 224x224 the boundary over TLS (its time minus that in process) costs at most 1.5 ms in
-the median.
+Bound: at 224x224 the boundary over TLS (its time minus that in process) costs at most 1.5 ms in the
+median.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ Ask = Callable[[], object]
 
 
 def pair(folder: Path) -> None:
-    """Make the state directories `robot` and `gpu` of two paired machines."""
+    """Create the state directories `robot` and `gpu` of two paired machines."""
     hub, member = (folder / name / "roboneuron" / "link" for name in ("robot", "gpu"))
     become_hub(hub, "robot", datetime.now(UTC), 365)
     key = new_key()
@@ -119,7 +119,7 @@ def pair(folder: Path) -> None:
 
 
 def cpu_s(pids: Sequence[int]) -> float:
-    """User and system time that processes have taken [s]."""
+    """User and system time of processes [s]."""
     ticks = 0
     for pid in pids:
         words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
@@ -144,7 +144,7 @@ def started(stack: ExitStack, words: Sequence[str], **more: Any) -> subprocess.P
 
 
 def serve(stack: ExitStack, folder: Path, environment: Mapping[str, str]) -> tuple[str, list[int]]:
-    """Start `roboneuron serve-policy`; its address, and its processes."""
+    """Start `roboneuron serve-policy`; returns its address and its processes."""
     config = folder / "policies.toml"
     config.write_text(
         f'[listen]\nport = 0\ndirectory = "{folder / "run"}"\n'
@@ -170,7 +170,7 @@ def serve(stack: ExitStack, folder: Path, environment: Mapping[str, str]) -> tup
 def echo(
     stack: ExitStack, folder: Path, environment: Mapping[str, str], asked: int
 ) -> tuple[Ask, int]:
-    """What asks an echo over TLS, and the process of the echo."""
+    """Client of an echo over TLS, and the process of the echo."""
     gpu, robot = (folder / name / "roboneuron" / "link" for name in ("gpu", "robot"))
     words = [sys.executable, "-c", ECHO, str(gpu), str(asked), str(ANSWER_BYTES)]
     process = started(stack, words, env=environment, stdout=subprocess.PIPE)
@@ -201,7 +201,7 @@ def seen(side: int) -> Observation:
 
 
 def main() -> int:
-    """Run it; exit status 0 unless something does not work."""
+    """Run it; exit status 0 unless something fails."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -271,7 +271,7 @@ def main() -> int:
 
 
 def measure(ways: Mapping[str, Ask], rounds: int) -> dict[str, list[float]]:
-    """Times of each way, asked in turns [ms]; the first ones are not counted."""
+    """Times of each way, interleaved [ms]; the first ones are not counted."""
     took_ms: dict[str, list[float]] = {way: [] for way in ways}
     for number in range(rounds + 20):
         for way, ask in ways.items():
@@ -283,7 +283,7 @@ def measure(ways: Mapping[str, Ask], rounds: int) -> dict[str, list[float]]:
 
 
 def cpu_share(ask: Ask, pids: Sequence[int], rounds: int) -> float:
-    """CPUs that are busy in these processes while one asks without a pause."""
+    """CPU load (in cores) of these processes during continuous requests."""
     before_s, begun_s = cpu_s(pids), time.monotonic()
     for _ in range(rounds):
         ask()

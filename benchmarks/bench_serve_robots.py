@@ -1,20 +1,21 @@
-"""Sixteen robots on one policy server, one of them greedy: what each of them gets.
+"""Sixteen robots on one policy server, one of them greedy: the share of each.
 
-    python benchmarks/bench_serve_robots.py [--demand 0.4] [--seconds 20] [--replicas 1]
-    python benchmarks/bench_serve_robots.py --demand 1.8 --connections 50
+    python benchmarks/bench_serve_robots.py [--demand 0.4] [--seconds 20] [--replicas 1] python
+    benchmarks/bench_serve_robots.py --demand 1.8 --connections 50
 
-The model is small (one layer over mean colours) and takes 25 ms at least, as one on a GPU would,
-whatever else the CPU does. It is asked one by one, behind `roboneuron serve-policy` over TLS 1.3
-with the keys of a link. Each robot is a backend `shared` with a connection of its own, four to a
-process. Each asks `--demand` / n times as often as the model answers one alone; the greedy one
-(robot 0) asks again at once, with half the deadline. A robot plays eight rows of a quarter of its
-period: rows that were due before their answer came are late, all of a period when there was none.
+The model is small (one layer over mean colours) and takes at least 25 ms, like one on a GPU,
+independent of the CPU load. It answers one by one, behind `roboneuron serve-policy` over TLS 1.3
+with the keys of a link. Each robot is a backend `shared` with its own connection, four per process.
+Each sends requests at `--demand` / n times the rate that the model achieves for one alone; the
+greedy one (robot 0) sends the next request at once, with half the deadline. A robot executes eight
+rows of a quarter of its period: rows due before their answer arrived are late, and all rows of a
+period without an answer.
 
-With `--connections` the greedy one is a client that asks over so many connections at once. Robots
-are then told apart by their addresses, in 127.0.0.0/8, and show a token in clear.
+With `--connections` the greedy one is a client with that number of simultaneous connections. Robots
+are then identified by their addresses, in 127.0.0.0/8, and send a token unencrypted.
 
-Judged: none of the others gets less than 0.75 times their median; where they ask for far more than
-there is (`--demand` of 1.5 and more), the greedy one at most 1.25 times that.
+Bounds: none of the others gets less than 0.75 times their median; under overload (`--demand` of 1.5
+and more) the greedy one gets at most 1.25 times that.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ from roboneuron import NotReadyError, Observation
 
 MOST_SHARE, LEAST_SHARE, CROWDED = 1.25, 0.75, 1.5
 ROWS_PLAYED, ROWS = 4, 8
-"""Of each chunk, and in it."""
+"""Executed rows of each chunk, and rows in it."""
 IN_A_PROCESS = 4
 WARM = 20
 SIDE = 64
@@ -63,13 +64,13 @@ MOST_CONNECTIONS = 80
 
 @dataclass
 class Robot:
-    """What a robot was answered.
+    """Answers to a robot.
 
     Attributes:
         name: 0 for the greedy one.
-        took_s: of each answer.
-        refused: observations without one.
-        late_rows: see above; of `rows` that were due.
+        took_s: time of each answer.
+        refused: observations without an answer.
+        late_rows: see above; out of `rows` that were due.
     """
 
     name: int
@@ -79,7 +80,7 @@ class Robot:
     rows: int = 0
 
     def note(self, took_s: float | None, step_s: float) -> None:
-        """Count an answer, or that there was none."""
+        """Count an answer, or a missing one."""
         self.rows += ROWS_PLAYED
         if took_s is None:
             self.refused += 1
@@ -91,17 +92,17 @@ class Robot:
 
 
 class Asker(Protocol):
-    """What a robot asks."""
+    """Client interface of a robot."""
 
     def predict(self, observation: Observation) -> object:
-        """The answer; raises NotReadyError when there is none in time."""
+        """The answer; raises NotReadyError without one in time."""
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
 
 
 class Connection:
-    """A connection from an address of its own, with a token."""
+    """A connection from its own address, with a token."""
 
     def __init__(self, source: str, address: str, token: str, timeout_s: float) -> None:
         host, _, port = address.rpartition(":")
@@ -125,7 +126,7 @@ class Connection:
 
 
 def asker_of(robot: Robot, address: str, timeout_s: float) -> Asker:
-    """What a robot asks its questions with."""
+    """The client of a robot."""
     if token := os.environ.get(TOKEN):
         return Connection(f"127.0.1.{robot.name + 1}", address, token, timeout_s)
     options = SharedOptions(
@@ -137,7 +138,7 @@ def asker_of(robot: Robot, address: str, timeout_s: float) -> Asker:
 
 
 def drive(robot: Robot, address: str, period_s: float, begin_s: float, seconds: float) -> None:
-    """Ask as this robot does, from the monotonic time `begin_s` on."""
+    """Send this robot's requests, from the monotonic time `begin_s` on."""
     is_greedy = robot.name == 0
     backend = asker_of(robot, address, period_s * (1.0 if is_greedy else 2.0))
     observation = seen(SIDE)
@@ -160,11 +161,11 @@ def drive(robot: Robot, address: str, period_s: float, begin_s: float, seconds: 
 
 
 JOIN_S = 120.0
-"""From the start of a robot's thread to its end, beside the time that is measured."""
+"""Time from the start of a robot's thread to its end, besides the measured time."""
 
 
 def drive_some(words: Sequence[str]) -> None:
-    """Robots of one process; writes what they were answered to stdout."""
+    """Run the robots of one process; writes their answers to stdout."""
     names, address, period_s, begin_s, seconds = words
     robots = [Robot(int(name)) for name in names.split(",")]
     threads = [
@@ -210,7 +211,7 @@ def serve(stack: ExitStack, folder: Path, path: str, replicas: int, *, by_token:
 
 
 def forward_s(address: str) -> float:
-    """How long the server takes for one robot that asks alone [s], in the median."""
+    """Median time that the server takes for a robot alone [s]."""
     alone = Robot(1)
     backend = asker_of(alone, address, 30.0)
     observation = seen(SIDE)
@@ -223,7 +224,7 @@ def forward_s(address: str) -> float:
 
 
 def together(robots: Sequence[Robot]) -> list[Robot]:
-    """What each was answered over all its connections."""
+    """Answers to each robot over all its connections."""
     found: dict[int, Robot] = {}
     for robot in robots:
         one = found.setdefault(robot.name, Robot(robot.name))
@@ -250,7 +251,7 @@ def table(robots: Sequence[Robot]) -> str:
 
 
 def main() -> int:
-    """Run it; exit status 0 unless something does not work."""
+    """Run it; exit status 0 unless something fails."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

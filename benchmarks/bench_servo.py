@@ -1,4 +1,4 @@
-"""How often the backend "servo" lifts the cube it is told to: servo -> controller "urdf" ->
+"""Success rate of the backend "servo" in lifting the named cube: servo -> controller "urdf" ->
 simulated FR3, headless.
 
     python benchmarks/bench_servo.py [--seeds 50] [--jobs 2] [--latency-frames 1] [--cameras
@@ -6,13 +6,13 @@ simulated FR3, headless.
                                      [--added-latency-ms 300] [--rows 12]
 
 One process per job, no ROS: everything runs at 10 Hz of simulated time, as fast as the machine
-allows. Images are one frame (100 ms) older than the pose that comes with them. Each seed is a scene
-of four cubes; the named colour is random. Only the simulator's own state counts: the named cube is
-at least 10 cm above where it lay, for one second without a break, and no other cube is. The floor
-is what the bare simulation (physics and both pictures) of the same steps costs. With
---added-latency-ms each answer of the servo comes so much later in simulated time; the executor of
-the inference module plays its chunks meanwhile, and the table tells at which rate. Exit status 1
-below 95 %.
+allows. Images are one frame (100 ms) older than the pose with them. Each seed is a scene of four
+cubes; the named colour is random. Only the simulator's own state counts: the named cube must be at
+least 10 cm above its initial position, for one second without interruption, and no other cube. The
+floor is the cost of the bare simulation (physics and both images) of the same steps. With
+--added-latency-ms each answer of the servo is delayed by that simulated time; the executor of the
+inference module executes its chunks meanwhile, and the table shows the rate. Exit status 1 below 95
+%.
 """
 
 from __future__ import annotations
@@ -34,26 +34,25 @@ from rn_robot_fr3.simulation import ArmSimulation
 from rn_standard.execution.mode import MODES
 
 SCENE_S = 900.0
-"""Bound on the wait for one scene; on an idle machine it takes some 10 s."""
+"""Time limit of one scene; on an idle machine it takes about 10 s."""
 LEAST_SHARE = 0.95
 ROWS_WITH_LATENCY = 12
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outcome:
-    """What became of one scene.
+    """Result of one scene.
 
     Attributes:
-        seed, instruction: which one.
-        is_lifted: judged by the simulator's state.
-        reason: why not; empty when it was.
+        seed, instruction: the scene.
+        is_lifted: from the simulator's state.
+        reason: why it was not lifted; empty if it was.
         simulated_s: time until it was held, or given up.
         failed_attempts: grasps that the servo had to repeat.
         holds: refusals of the controller by code.
-        predict_ms, simulate_ms: median wall time per step of the servo, and of physics and
-            pictures.
-        mode, rate, starved_periods, longest_gap_s: of chunk execution; empty, 1 and 0 without added
-            latency.
+        predict_ms, simulate_ms: median wall time per step of the servo, and of physics and images.
+            mode, rate, starved_periods, longest_gap_s: of chunk execution; empty, 1 and 0 without
+            added latency.
     """
 
     seed: int
@@ -72,7 +71,7 @@ class Outcome:
 
 
 def run(job: Job) -> Outcome:
-    """Play one scene to its end."""
+    """Run one scene to its end."""
     with ArmSimulation(job.seed) as simulation:
         episode = Episode(job, simulation)
         mode, rate, starved_periods, longest_gap_s = "", 1.0, 0, 0.0
@@ -104,7 +103,7 @@ def run(job: Job) -> Outcome:
 
 
 def report(outcomes: list[Outcome], console: Console) -> None:
-    """Print the figures and every failure."""
+    """Print the results and every failure."""
     lifted = [o for o in outcomes if o.is_lifted]
     times = [o.simulated_s for o in lifted] or [float("nan")]
     predict = float(np.median([o.predict_ms for o in outcomes]))
@@ -148,7 +147,7 @@ def report(outcomes: list[Outcome], console: Console) -> None:
 
 
 def main() -> int:
-    """Run all seeds and judge."""
+    """Run all seeds and check the bound."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--seeds", type=int, default=50, help="number of scenes (default 50)")
     parser.add_argument(
@@ -192,7 +191,7 @@ def main() -> int:
     ]
     console = Console()
     with multiprocessing.get_context("spawn").Pool(arguments.jobs) as pool:
-        # each waited for: a worker that dies never answers
+        # with a time limit, because a worker that dies never answers
         waiting = [pool.apply_async(run, [job]) for job in jobs]
         bounded = (result.get(SCENE_S) for result in waiting)
         outcomes = list(track(bounded, total=len(jobs), description="scenes", console=console))

@@ -1,22 +1,23 @@
-"""Eight robots on one shared model: answered in batches against one at a time, in the same run.
+"""Eight robots on one shared model: answers in batches compared with one at a time, in the same
+run.
 
     python benchmarks/bench_shared_inference.py [--model tiny|learned] [--clients 8] [--seconds 1.5]
     [--rounds 9]
 
 The model `tiny` is synthetic (128 layers of 256, random weights, one CPU thread): as with a large
-model on a GPU, a forward costs little more for eight observations than for one. `--layers 12
+model on a GPU, a forward pass costs little more for eight observations than for one. `--layers 12
 --width 2048` is a model whose products are limited by the CPU's arithmetic instead. Two servers of
 rn-backend-shared hold it, one with `most = 1`, one with `most = 8`; rounds alternate between them.
-Each client asks again as soon as it was answered: first without a deadline that matters, which
-gives the throughput, then with one of 12 forwards, at least 100 ms, which counts the misses.
+Each client sends the next request after each answer: first without an effective deadline, which
+gives the throughput, then with one of 12 forward passes, at least 100 ms, which counts the misses.
 
 `--model learned` is the policy of rn-policy-cubes (OpenVLA-OFT layout, 256 visual tokens) in
-float32 on one thread; its prompts have several lengths. One thread has no more arithmetic for eight
-than for one, so its throughput and misses are shown and not judged.
+float32 on one thread; its prompts have several lengths. One thread computes eight no faster than
+one, so throughput and misses are shown without a bound.
 
-Judged: chunks of batches within 1e-5 of those that were answered alone; with `tiny`, answers per
-second at least 3 times those of one at a time (median of the rounds' ratios), and the share of
-missed deadlines not larger.
+Bounds: chunks of batches within 1e-5 of those of single answers; with `tiny`, answers per second at
+least 3 times those of one at a time (median of the rounds' ratios), and the fraction of missed
+deadlines not larger.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ from roboneuron import NotReadyError, Observation
 
 LEAST_RATIO, MOST_DIFFERENCE, DEADLINE_FORWARDS = 3.0, 1e-5, 12.0
 LEAST_DEADLINE_S, FREE_S = 0.1, 60.0
-"""Throughput is measured without misses: nobody is in a hurry there."""
+"""Throughput is measured without effective deadlines."""
 JOIN_S = 120.0
 """Longest wait for a client; a prediction is bounded by its deadline."""
 SOURCE = '''
@@ -110,7 +111,7 @@ def roboneuron_backends():
 
 @dataclass
 class Count:
-    """What clients were answered in a round."""
+    """Answers to clients in a round."""
 
     answered: int = 0
     missed: int = 0
@@ -126,7 +127,7 @@ ASKED = (
 
 
 def seen(number: int) -> Observation:
-    """What a robot sees: its own noise."""
+    """Observation of a robot, with its own noise."""
     observation = make_observation(BACKEND, ASKED[number % len(ASKED)])
     image = np.random.default_rng(number).integers(0, 256, (224, 224, 3), dtype=np.uint8)
     return replace(
@@ -135,7 +136,7 @@ def seen(number: int) -> Observation:
 
 
 def play(robots: list[SharedBackend], seconds: float) -> Count:
-    """Let all of them ask again and again."""
+    """Let all robots send requests continuously."""
     counts = [Count() for _ in robots]
     end_s = time.monotonic() + seconds
 
@@ -174,7 +175,7 @@ def forward_s(robot: SharedBackend) -> float:
 
 
 def model_options(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    """Which model the servers hold, as fields of `SharedOptions`."""
+    """The model of the servers, as fields of `SharedOptions`."""
     if given.model == "tiny":
         PluginSite(path=folder / "site").install("rn-tiny-benchmark", SOURCE, header="")
         return {
@@ -197,7 +198,7 @@ def model_options(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Run it; the exit status says whether everything was as it should be."""
+    """Run it; exit status 0 if all bounds hold."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -275,8 +276,8 @@ def main() -> int:
 
 
 def compare(robots: list[SharedBackend], expected: list[np.ndarray]) -> tuple[float, float]:
-    """Largest difference of an action from `expected`, and the largest batch, while all ask at
-    once.
+    """Largest difference of an action from `expected`, and the largest batch, with simultaneous
+    requests.
     """
     worst, largest = 0.0, 0.0
 

@@ -1,12 +1,12 @@
-"""What a row of each control space costs on its way from the backend's answer to the joint command,
-beside one of TCP deltas.
+"""Processing time of a row of each control space, from the backend's answer to the joint command,
+compared with one of TCP deltas.
 
     python benchmarks/bench_spaces.py [--chunks 400]
 
-Everything of that way that depends on the space, for the FR3 with its collision checks: a chunk is
-made and agreed on, its row becomes a message and is checked, the controller and the limits answer,
-and the command becomes a message. The same small motions in all spaces, in turns in one run. What
-is the same for all (images, prediction, ROS) is left out.
+It covers all steps that depend on the space, for the FR3 with its collision checks: a chunk is
+created and checked, its row is converted to a message and checked, controller and limits compute
+the command, and the command is converted to a message. The motions are the same small ones in all
+spaces, interleaved in one run. Steps common to all (images, prediction, ROS) are left out.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ from roboneuron.ros.messages import (
 RATE_HZ = 15.0
 STEP_S = 1.0 / RATE_HZ
 SPEED = 0.05
-"""Of a joint [rad/s] and of the TCP [m/s]: no limit acts."""
+"""Speed of a joint [rad/s] and of the TCP [m/s], at which no limit acts."""
 F64 = np.ndarray
 
 
 class Way:
-    """From answers in one space to commands."""
+    """All steps from answers in one space to commands."""
 
     def __init__(self, kind: str) -> None:
         robot = profile()
@@ -70,7 +70,7 @@ class Way:
         self.took_ms: list[float] = []
 
     def go(self, sign: float) -> None:
-        """One chunk of one row: time it, and follow its command."""
+        """Process and time one chunk of one row, and follow its command."""
         numbers = self._row(sign)
         begun_s = time.perf_counter()
         declared = self._agreement.declared
@@ -112,7 +112,7 @@ class Way:
 
 
 def measure(chunks: int) -> dict[str, float]:
-    """Median time of one row by space [ms]; the spaces in turns."""
+    """Median time of one row by space [ms], interleaved."""
     ways = {kind: Way(kind) for kind in SPACE_KINDS}
     for chunk in range(chunks):
         for way in ways.values():

@@ -1,11 +1,11 @@
-"""start_all against the four start calls in a row: time to the first action, on the same server in
-turn.
+"""start_all compared with the four start calls in sequence: time to the first action, interleaved
+on the same server.
 
     python benchmarks/bench_start_all.py [--cycles 5]
 
-Each cycle starts everything with an instruction both ways, in an order that alternates, and stops
-everything in between. "First action" is the return of the last call: inference has published an
-action for the instruction by then.
+Each cycle starts everything with an instruction both ways, in alternating order, and stops
+everything in between. "First action" is the return of the last call: by then inference has
+published an action for the instruction.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ async def at_once(agent: DemoAgent) -> None:
 
 
 async def measure(cycles: int, scratch: Path) -> dict[str, list[float]]:
-    """Seconds to the first action, by way."""
+    """Seconds to the first action, for each way."""
     os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     prepare_environment(scratch / "log")
     parameters = StdioServerParameters(
@@ -60,14 +60,14 @@ async def measure(cycles: int, scratch: Path) -> dict[str, list[float]]:
                 for name in sorted(ways, reverse=bool(cycle % 2)):
                     started_s = time.perf_counter()
                     await ways[name](agent)
-                    if cycle:  # the first one warms the disk cache
+                    if cycle:  # the first cycle warms the disk cache
                         took[name].append(time.perf_counter() - started_s)
                     await agent.call("stop_all")
     return took
 
 
 def main() -> int:
-    """Measure and print; status 1 when the bound does not hold."""
+    """Measure and print; status 1 if the bound does not hold."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--cycles", type=int, default=5)
     parser.add_argument("--json", type=Path, help="write the times here")

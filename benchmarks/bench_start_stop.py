@@ -1,9 +1,9 @@
-"""Ten starts and stops of the whole loop over MCP: how long, and what is left behind.
+"""Ten starts and stops of the whole loop over MCP: their times, and leftovers.
 
     python benchmarks/bench_start_stop.py [--cycles 10]
 
 Counts what belongs to the server (child processes, sockets) and Fast DDS files in shared memory
-after each cycle; run it on a machine where nothing else speaks DDS. The floor is a bare rclpy
+after each cycle; run it on a machine without other DDS processes. The floor is a bare rclpy
 process: spawn, import, create a node, leave.
 """
 
@@ -38,7 +38,7 @@ BARE_NODE = (
 
 
 def left_behind(server: psutil.Process) -> dict[str, int]:
-    """What exists now: the server's children, their and its sockets, files in shared memory, the
+    """Existing resources: the server's children, their and its sockets, files in shared memory, the
     server's threads.
     """
     family = [server, *server.children(recursive=True)]

@@ -1,14 +1,14 @@
-"""Replacing the backend while the arm moves: warm and cold beside each other, in one run.
+"""Replacement of the backend while the arm moves: warm compared with cold, in one run.
 
     python benchmarks/bench_switch.py [--switches 50] [--cold 5] [--rates 10 30] [--rows 16
     --delay-ms 100]
 
-The camera numbers its images and the actions carry the number back, so that a missed period is an
-image that nobody acted on, and a late one is seen in the times at which actions were sent (DDS
-source times). "Elsewhere" is the same stream between change-overs: what the machine itself does to
-it. The velocity step is the change of the commanded velocity of the moving joint from one command
-to the next. With --rows the backends answer with chunks, which are executed as `auto` decides; each
-row belongs to a period of the camera, and periods without a row are what is missed.
+The camera numbers its images and the actions return the number, so that a missed period is an image
+without an action, and a late one shows in the send times of actions (DDS source times). "Elsewhere"
+is the same stream between switches: the effect of the machine itself. The velocity step is the
+change of the commanded velocity of the moving joint from one command to the next. With --rows the
+backends answer with chunks, executed in the mode `auto`; each row belongs to a period of the
+camera, and periods without a row count as missed.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from roboneuron.errors import RoboNeuronError
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outcome:
-    """What one series of change-overs did.
+    """Results of one series of switches.
 
     Attributes:
-        gaps_s: last action of the old to first action of the new backend.
-        missed: images, or periods of a chunk, without an action at the change-overs.
+        gaps_s: time from the last action of the old to the first action of the new backend.
+        missed: images, or periods of a chunk, without an action at the switches.
         elsewhere_s: times between the other actions.
-        skipped: the same between the change-overs, of `images`.
+        skipped: the same between the switches, of `images`.
         twice: rows of a chunk that were sent twice.
         step_m_s, step_elsewhere_m_s: largest change of the commanded velocity.
         took_s: median duration of the call.
@@ -63,7 +63,7 @@ class Outcome:
 def judge(
     actions: list[Sent], commands: list[tuple[int, float, float]], took_s: list[float]
 ) -> Outcome:
-    """Compare the stream at the change-overs with the rest of it."""
+    """Compare the stream at the switches with the rest of it."""
     pairs = list(itertools.pairwise(actions))
     changes = [(a, b) for a, b in pairs if a.tag != b.tag]
     rest = [(a, b) for a, b in pairs if a.tag == b.tag]
@@ -87,7 +87,7 @@ def judge(
 
 
 def _await_stream(switching: Switching, witness: object) -> None:
-    """Some actions of the backend that works now: its own stream, and the end of the last gap."""
+    """Wait for some actions of the current backend: its own stream, and the end of the last gap."""
     plan = switching.loop.modules.view("inference").plan
     tag = 2 if plan is not None and plan.names["backend"] == "second" else 1
     deadline_s = time.monotonic() + 5.0
@@ -100,7 +100,7 @@ def _await_stream(switching: Switching, witness: object) -> None:
 def series(
     switching: Switching, witness: object, mode: SwitchMode, count: int, console: Console
 ) -> Outcome:
-    """Switch `count` times and judge the stream meanwhile."""
+    """Switch `count` times and evaluate the stream meanwhile."""
     first_action = max(0, len(witness.actions()) - 1)  # type: ignore[attr-defined]
     first_command = len(witness.commands())  # type: ignore[attr-defined]
     took_s = []
@@ -111,7 +111,7 @@ def series(
         try:
             arguments = StartChosenInference(backend=other, options={})
             took_s.append(switching.switch("inference", arguments, mode).took_s)
-        except RoboNeuronError as error:  # nothing changed, and that is what is counted
+        except RoboNeuronError as error:  # nothing changed, which is counted
             console.log(f"{mode} {number + 1}/{count} refused: {error.message}")
             continue
         console.log(f"{mode} {number + 1}/{count}: {took_s[-1]:.1f} s")

@@ -1,17 +1,16 @@
-"""A scripted person takes over a running policy at random moments, and is lost in the middle of a
-motion.
+"""A scripted person takes over a running policy at random times, or disconnects during a motion.
 
-    python benchmarks/bench_takeovers.py takeovers --trials 200 [--minutes 4] [--browser 10]
-    python benchmarks/bench_takeovers.py lost --trials 100 [--minutes 4]
-    python benchmarks/bench_takeovers.py report
+    python benchmarks/bench_takeovers.py takeovers --trials 200 [--minutes 4] [--browser 10] python
+    benchmarks/bench_takeovers.py lost --trials 100 [--minutes 4] python
+    benchmarks/bench_takeovers.py report
 
-A server whose simulated FR3 follows the servo policy; the person sits at the page's websocket (or,
-in the first --browser trials, at its keys in a headless Chromium), in a process of its own.
-Every fourth trial gives a new instruction. Each waits for a random time, takes over (a third
-blended), drives, and hands back, half of the time while the arm moves; or the page is closed, goes
-silent with its connection open (SIGSTOP), is killed, or its switch is released. A node beside the
-modules judges: see takeover_judge.py. The undisturbed policy of the same trial is what a hand-over
-is compared with. The ledger --out is continued; a trial's seed decides what the person does.
+A server whose simulated FR3 follows the servo policy; the person uses the page's websocket (or, in
+the first --browser trials, its keys in a headless Chromium), in a separate process. Every fourth
+trial gives a new instruction. Each waits for a random time, takes over (a third blended), drives,
+and hands back, half of the time while the arm moves; or the page is closed, stops sending with its
+connection open (SIGSTOP), is killed, or its switch is released. A separate node evaluates: see
+takeover_judge.py. A hand-over is compared with the undisturbed policy of the same trial. The ledger
+--out is continued; a trial's seed determines the person's actions.
 """
 
 from __future__ import annotations
@@ -65,16 +64,16 @@ seed = {seed}
 """
 COLOURS = ("red", "green", "blue")
 EACH = 20
-"""Trials with one server; the cubes lie where a seed says."""
+"""Trials with one server; a seed determines the cubes' positions."""
 PER_EPISODE = 4
-"""Takeovers for one instruction."""
+"""Number of takeovers for one instruction."""
 WATCHED_S = 1.8
-"""After a page is lost; a lead that is silent is over after 1 s."""
+"""Observation time after a page is lost; a lead without messages ends after 1 s."""
 OUT = Path("out/takeovers.jsonl")
 
 
 class Cell:
-    """A server with its page, its agent, and the onlooker."""
+    """A server with its page, its agent, and the observer."""
 
     def __init__(self, folder: Path, seed: int, stack: ExitStack) -> None:
         config, log = folder / "roboneuron.toml", folder / "log.txt"
@@ -99,13 +98,13 @@ class Cell:
         return dict(answer.structured_content or {})
 
     def needs_start(self) -> str:
-        """Why control lets nothing move; empty when it does."""
+        """Reason why control prevents motion; empty for none."""
         modules = self.do("get_status")["modules"]
         return str(next(one for one in modules if one["module"] == "control").get("needs_start"))
 
     def follow_policy(self, draw: random.Random, *, is_new: bool) -> None:
-        """Return at a random moment at which the policy moves the arm; a new instruction is given
-        if that is asked for, or the last one is fulfilled.
+        """Return at a random time at which the policy moves the arm; a new instruction is given if
+        `is_new`, or if the last one is completed.
         """
         for tries in range(8):
             if is_new or tries:
@@ -123,12 +122,12 @@ class Cell:
         modules = self.do("get_status")["modules"]
         inference = next(one for one in modules if one["module"] == "inference")
         start = inference["phase"] != "running"
-        with suppress(RuntimeError):  # a cube that is not seen: another colour is tried
+        with suppress(RuntimeError):  # if the cube is not visible, another colour is tried
             self.do("start_inference" if start else "set_instruction", instruction=text)
 
 
 def driven(draw: random.Random) -> list[float]:
-    """A twist in the base frame that a person may ask for: rather up than down [m/s, rad/s]."""
+    """A plausible twist in the base frame, upwards more than downwards [m/s, rad/s]."""
     linear = [draw.uniform(-0.2, 0.2), draw.uniform(-0.2, 0.2), draw.uniform(-0.03, 0.2)]
     return [*linear, *([0.0] * 3 if draw.random() < 0.5 else [draw.uniform(-0.5, 0.5)] * 3)]
 
@@ -136,7 +135,7 @@ def driven(draw: random.Random) -> list[float]:
 def take_over(
     cell: Cell, page: PageProcess, draw: random.Random, *, is_new: bool
 ) -> dict[str, Any]:
-    """One takeover, of a new episode or of the one that runs; the row of the ledger."""
+    """One takeover, in a new or the running episode; returns the row of the ledger."""
     mode = "blend" if draw.random() < 1 / 3 else "person"
     begun_ns = time.time_ns()
     cell.follow_policy(draw, is_new=is_new)
@@ -168,7 +167,7 @@ def take_over(
         "all": (led["begun_ns"], end_ns),
     }
     motions = {name: seen.motion(*span) for name, span in spans.items()}
-    # the release itself comes up to a period before the page is answered
+    # the release itself comes up to a period before the page gets its answer
     inside = seen.who(led["done_ns"] + 100_000_000, asked_ns)
     return {
         "mode": mode,
@@ -185,8 +184,8 @@ def take_over(
 def lose(
     cell: Cell, page: PageProcess, way: str, draw: random.Random, spare: Callable[[], object]
 ) -> dict[str, Any]:
-    """The page is lost in the middle of a motion; the row of the ledger. `spare` opens the next
-    page, once the arm has to be at rest.
+    """Lose the page during a motion; returns the row of the ledger. `spare` opens the next page,
+    once the arm should be at rest.
     """
     cell.follow_policy(draw, is_new=True)
     for _ in range(4):
@@ -236,7 +235,7 @@ def lose(
 
 @contextmanager
 def served(folder: Path, seed: int) -> Iterator[Cell]:
-    """A cell of its own, on a ROS domain of its own, with what it writes in a new folder."""
+    """A cell on its own ROS domain, with its files in a new folder."""
     os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     folder.mkdir()
     with ExitStack() as stack:
@@ -250,7 +249,7 @@ def served(folder: Path, seed: int) -> Iterator[Cell]:
 
 
 def play(arguments: argparse.Namespace, rows: list[dict[str, Any]], folder: Path) -> None:
-    """Trials with one server, each noted in the ledger at once."""
+    """Run trials with one server, each written to the ledger at once."""
     part, done = arguments.part, sum(row["part"] == arguments.part for row in rows)
     end_s = time.monotonic() + 60.0 * arguments.minutes
     chromium = shutil.which("chromium") or ""
@@ -292,7 +291,7 @@ def play(arguments: argparse.Namespace, rows: list[dict[str, Any]], folder: Path
 
 
 def main() -> int:
-    """Play trials until there are enough or the time is over, then report."""
+    """Run trials until there are enough or the time is over, then report."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("part", choices=("takeovers", "lost", "report"))
     parser.add_argument("--trials", type=int, default=200)

@@ -1,18 +1,18 @@
-"""run_task against the simulator's truth: the servo in PyBullet, with grasps made to fail at
-random.
+"""run_task compared with the simulator's true state: the servo in PyBullet, with random grasp
+failures.
 
     python benchmarks/bench_tasks.py --runs 200 [--workers 2] [--minutes 5] [--out out/tasks.jsonl]
 
-Each run is a scene of its own (its seed decides everything) by the clock of the simulation: the
+Each run is a separate scene (its seed determines everything) with the clock of the simulation: the
 servo, the controller and its limits, the task's runner, its predicates and its detectors are those
-of a running robot; processes and ROS are left out. Pictures are small (--image-px; a robot's are
+of a running robot; processes and ROS are left out. Images are small (--image-px; a robot's are
 224). A grasp fails with the probability --fail in one of two ways: the fingers jam before they
-touch the cube, so that the policy believes that it holds something; or they let go on the way up.
-The ledger --out is continued.
+touch the cube, so that the policy assumes a grasp; or they open during the lift. The ledger --out
+is continued.
 
-Judged: how many tasks succeed within three attempts (truth: the cube is 10 cm up when the task has
-ended), how many outcomes say what the simulator says, false successes, and the time from the
-predicate's becoming true until the last motion, in runs that end in the middle of the lift.
+Evaluated: number of tasks that succeed within three attempts (truth: the cube is 10 cm up at the
+end of the task), number of outcomes that agree with the simulator, false successes, and the time
+from the predicate becoming true to the last motion, in runs that end during the lift.
 """
 
 from __future__ import annotations
@@ -47,15 +47,17 @@ from roboneuron.plugins.registry import Registry
 
 LEAST_SUCCESS, LEAST_RIGHT = 0.95, 0.99
 PERIOD_S = 0.05
-"""Period of the task's looks."""
+"""Period of the task's checks."""
 BRAKING_S = 0.5
-"""Bound on what follows the last action: its own 0.1 s and the way to rest, by the arm's limits."""
+"""Limit of the motion after the last action: its own 0.1 s and the braking within the arm's
+limits.
+"""
 PAUSE_S = 0.5
 
 
 @functools.lru_cache(maxsize=1)
 def parts(grasps: int, image_px: int) -> tuple[Registry, Setup, Suite, Backend]:
-    """Plugins, controller, suite and backend: made once for all runs of a process."""
+    """Plugins, controller, suite and backend: created once for all runs of a process."""
     config = load_config(None)
     config = config.model_copy(
         update={"plugins": {**config.plugins, "servo": {"max_attempts": grasps}}}
@@ -78,7 +80,7 @@ def parts(grasps: int, image_px: int) -> tuple[Registry, Setup, Suite, Backend]:
 
 
 def play(seed: int, fail: float, grasps: int, braking: bool, image_px: int) -> dict[str, Any]:
-    """One task in one scene."""
+    """Run one task in one scene."""
     begun_s = time.perf_counter()
     registry, setup, suite, backend = parts(grasps, image_px)
     episode = suite.episodes(1, seed)[0]
@@ -101,7 +103,7 @@ def play(seed: int, fail: float, grasps: int, braking: bool, image_px: int) -> d
         cell.wait(PAUSE_S)
         stopped_s = None
         if braking and end.stop_s is not None:
-            # The look that found it true was the one before the stop; looks are PERIOD_S apart.
+            # The check before the stop found it true; checks are PERIOD_S apart.
             found_s = next(at for at, text in told if "stopping:" in text)
             stopped_s = max(0.0, cell.moved_s - found_s)
         state = scene._simulation.cubes()[colour]
@@ -128,7 +130,7 @@ def play(seed: int, fail: float, grasps: int, braking: bool, image_px: int) -> d
 
 
 def report(lines: list[dict[str, Any]]) -> int:
-    """Print the table; status 1 when a bound does not hold."""
+    """Print the table; status 1 if a bound does not hold."""
     tasks, stops = [x for x in lines if not x["braking"]], [x for x in lines if x["braking"]]
     bad = 0
     if tasks:
@@ -184,7 +186,7 @@ def _is_right(line: dict[str, Any]) -> bool:
 
 
 def main() -> int:
-    """Measure what is missing from the ledger, and print."""
+    """Run the measurements missing in the ledger, and print."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--braking-runs", type=int, default=10)

@@ -1,12 +1,12 @@
-"""How old a picture is when a browser shows it, and how soon an arm stands after a click on the
+"""Age of an image when a browser shows it, and time until an arm stands after a click on the
 emergency stop.
 
     .venv/bin/python benchmarks/bench_view.py [--seconds 20] [--clicks 12]
 
-Pictures of 640 x 480 are published at 10 Hz on a ROS topic, each of another grey level; the page,
-in a real browser, notes when its first picture changes. Then the stop is clicked on the page of a
-server whose simulated FR3 turns its wrist, and measured at the joints (`view_stops.py`). All clocks
-are this machine's.
+Images of 640 x 480 are published at 10 Hz on a ROS topic, each with another grey level; the page,
+in a real browser, notes the time when its first image changes. Then the stop is clicked on the page
+of a server whose simulated FR3 turns its wrist, and measured at the joints (`view_stops.py`). All
+clocks are this machine's.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-
 
 
 def measure_pictures(browser: Any, folder: Path, seconds: float) -> tuple[int, list[float]]:
-    """How many pictures were sent, and how old each was when it was shown [ms], youngest first."""
+    """Number of sent images, and the age of each when shown [ms], youngest first."""
     import numpy as np
 
     config = load_config(None)
@@ -119,7 +119,7 @@ def table(title: str, rows: dict[str, list[float]], digits: int = 0) -> None:
 
 
 def measure(seconds: float, clicks: int) -> int:
-    """Print the tables; returns the exit status. What the machine lacks or is too busy for is told
+    """Print the tables; returns the exit status. Bounds that the machine cannot reach are reported
     as missed.
     """
     chromium = shutil.which("chromium")

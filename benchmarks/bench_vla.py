@@ -1,5 +1,5 @@
-"""OpenVLA and OpenVLA-OFT, each FastV preset, beside a plain eager transformers loop and the
-device's roofline.
+"""OpenVLA and OpenVLA-OFT with each FastV preset, compared with a plain eager transformers loop and
+the device's roofline.
 
     python benchmarks/bench_vla.py [--device cpu|cuda] [--size small|full] [--repeat 5] [--threads
     1]
@@ -7,15 +7,15 @@ device's roofline.
 Random weights, batch 1, a prompt of 24 tokens, all in one process. On the CPU the models are scaled
 down ("small") and computed in `--dtype`, float32 by default; on CUDA they have their real size
 ("full"), bfloat16, with CUDA graphs. "eager" is transformers' Llama with eager attention, its own
-cache and a Python loop, on the same weights, behind the same vision front; in float32 its tokens or
-actions must equal ours. A time is that of one request, pixels on the host to tokens or actions on
-the host, the best of `--repeat`: wall time, or on one CPU thread the processor time, which others
-on a shared machine disturb less.
+cache and a Python loop, on the same weights, with the same vision front; in float32 its tokens or
+actions must be identical. A time is that of one request, from pixels on the host to tokens or
+actions on the host, the best of `--repeat`: wall time, or on one CPU thread the processor time,
+which other load disturbs less.
 
 The roofline adds up, for vision, prefill and each decode step, the larger of weight bytes /
-bandwidth and FLOP / throughput; both are measured here, in the same number type, as the best of
-several runs of a matrix-vector and a square matrix product. The boundary is the backend's share of
-one prediction at 224 x 224: all but the runtime's.
+bandwidth and FLOP / throughput; both are measured in the same number type, as the best of several
+runs of a matrix-vector and a square matrix product. The boundary is the backend's part of one
+prediction at 224 x 224, without the runtime's.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ PLAIN_TOLERANCE = 1e-3
 
 
 def best_ms(action: Callable[[Request], object], request: Request, repeat: int) -> float:
-    """Best time of `action` after a run that does not count."""
+    """Best time of `action` after a warm-up run."""
     times = []
     for _ in range(repeat + 1):
         started = now_s()
@@ -67,9 +67,7 @@ def best_ms(action: Callable[[Request], object], request: Request, repeat: int) 
 
 
 class EagerLoop:
-    """transformers' Llama with eager attention on an engine's weights, behind the engine's
-    front.
-    """
+    """transformers' Llama with eager attention on an engine's weights, after the engine's front."""
 
     def __init__(self, engine: Engine, model: PolicyModel) -> None:
         self.engine, self.shape = engine, model.decoder
@@ -86,13 +84,13 @@ class EagerLoop:
         )
         with torch.device("meta"):
             self.llama = transformers.LlamaForCausalLM(config)
-        with torch.inference_mode():  # the engine's own memory, no second copy
+        with torch.inference_mode():  # shares the engine's memory, without a second copy
             self.llama.load_state_dict(engine._decoder.slots(), assign=True)
         rotary = self.llama.model.rotary_emb
         self.llama.model.rotary_emb = type(rotary)(config=config).to(engine._device)
 
     def run(self, request: Request) -> Tensor:
-        """Tokens, or what the back makes of the rows."""
+        """Tokens, or the output of the back for the rows."""
         engine = self.engine
         with torch.inference_mode():
             held = {
@@ -123,7 +121,7 @@ class EagerLoop:
 
 
 def check_same(ours: Tensor, eager: Tensor, dtype: torch.dtype, name: str) -> None:
-    """In float32 both must give the same; half precision is only reported."""
+    """In float32 both must be identical; in half precision the difference is only reported."""
     if dtype is torch.float32:
         difference = (ours.float() - eager.float()).abs().max().item()
         assert difference < PLAIN_TOLERANCE, (
@@ -133,7 +131,7 @@ def check_same(ours: Tensor, eager: Tensor, dtype: torch.dtype, name: str) -> No
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Bench:
-    """How to measure, and where the rows go."""
+    """Settings of the measurement, and destination of the rows."""
 
     config: TorchRuntimeConfig
     speed: Speed
@@ -167,7 +165,7 @@ class Bench:
 
 
 def answer(engine: Engine, request: Request) -> tuple[Tensor, int]:
-    """Our tokens or actions, and the visual tokens that were kept."""
+    """The engine's tokens or actions, and the number of kept visual tokens."""
     reply = engine.answer(request, lambda: None)
     values = reply.values if isinstance(reply, RowsReply) else reply.tokens
     return torch.tensor(values), round(reply.metrics["tokens_kept"])
@@ -191,7 +189,7 @@ def row(
 
 
 def measure_boundary(repeat: int) -> float:
-    """Median milliseconds of one prediction that are not the runtime's, at 224 x 224."""
+    """Median time of one prediction outside the runtime [ms], at 224 x 224."""
     spec = roboneuron_backends()[0]
     with tempfile.TemporaryDirectory() as folder:
         make_tiny(Path(folder))

@@ -1,4 +1,4 @@
-"""Processes that the benchmark of the direct path measures: a server, a floor, a subscriber."""
+"""Processes of the benchmark of the direct path: a server, a floor, a subscriber."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ rclpy.spin(node)
 
 
 class Listener:
-    """A subscriber in a process of its own that tells when each message arrived."""
+    """A subscriber in its own process that reports the arrival of each message."""
 
     def __init__(self, folder: Path) -> None:
         self._out = (folder / "listener.txt").open("w+b")
@@ -77,7 +77,7 @@ class Listener:
         raise SystemExit("The subscriber did not come up.")
 
     def poll(self) -> list[tuple[int, float, float]]:
-        """Everything that has arrived: time [ns], linear.x, linear.y."""
+        """All arrivals: time [ns], linear.x, linear.y."""
         self._rest += self._reader.read()
         *complete, self._rest = self._rest.split(b"\n")
         for line in complete:
@@ -86,7 +86,7 @@ class Listener:
         return self._lines
 
     def arrival_ns(self, mark: float, timeout_s: float = 2.0) -> int | None:
-        """When the message with linear.y == mark arrived; blocks."""
+        """Arrival of the message with linear.y == mark; blocks."""
         end_s = time.monotonic() + timeout_s
         while time.monotonic() < end_s:
             found = next((at for at, _, y in reversed(self.poll()) if y == mark), None)
@@ -96,8 +96,8 @@ class Listener:
         return None
 
     def close(self) -> None:
-        """End the process, which leaves the graph: the next publisher would take one that was
-        killed for a subscriber until its lease runs out.
+        """End the process so that it leaves the graph: a killed one would count as a subscriber of
+        the next publisher until its lease expires.
         """
         self._process.terminate()
         try:
@@ -108,7 +108,7 @@ class Listener:
 
 
 def configuration(folder: Path, endpoints: int, repeat: bool) -> Path:
-    """A robot that no plugin knows, with that many endpoints."""
+    """Configuration of a robot without a plugin, with that number of endpoints."""
     lines = ["[robot]", 'name = "bench"', "[server]", 'reset_emergency_stop = "client"']
     lines += ["[supervisor]", f'state_directory = "{folder / "state"}"']
     twist = 'kind = "publish"\ntype = "geometry_msgs/msg/Twist"'
@@ -143,8 +143,8 @@ SERVE = (
 
 
 def server(path: Path) -> StdioServerParameters:
-    """Our server, quiet; the check that the robot's plugin is installed is left out, because the
-    robot is none.
+    """RoboNeuron's server, quiet; without the check that the robot's plugin is installed, because
+    there is none.
     """
     return StdioServerParameters(
         command=sys.executable, args=["-c", SERVE, str(path)], env=with_bytecode()
@@ -152,14 +152,14 @@ def server(path: Path) -> StdioServerParameters:
 
 
 def with_bytecode() -> dict[str, str]:
-    """The environment of a process whose start is timed: users start what they started before, and
-    where bytecode is not kept, each start compiles 320 modules.
+    """The environment of a process whose start is timed. Users start a program repeatedly, but
+    without stored bytecode each start would compile 320 modules.
     """
     return {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
 
 
 def bounded(parameters: StdioServerParameters) -> Client:
-    """A client whose calls fail when no answer comes."""
+    """A client whose calls fail without an answer in time."""
     return Client(parameters, read_timeout_seconds=CALL_S)
 
 

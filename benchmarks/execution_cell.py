@@ -1,5 +1,5 @@
-"""The camera and the arm of bench_execution.py: what the real inference process sees, and what it
-is measured by.
+"""The camera and the arm of bench_execution.py: inputs of the real inference process, and
+measurement of its outputs.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ FOUND_S, FIRST_ACTION_S, GONE_S = 30.0, 30.0, 60.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Measured:
-    """What was seen on the action topic, and what the status said in the end.
+    """Measurements on the action topic, and the final status.
 
     Attributes:
-        rate: actions to periods, from the first to the last of the run.
+        rate: ratio of actions to periods, from the first to the last of the run.
         starved_periods: periods without an action.
         longest_gap_s: between two actions [s].
-        late_ticks: of a thread of the benchmark that only sleeps to a grid of the same period; what
-            came half a period late there is the machine's doing.
+        late_ticks: ticks that were half a period late in a thread that only sleeps with the same
+            period; the machine causes them.
         status: the metrics `execution.*` of the inference module, without that prefix.
     """
 
@@ -41,8 +41,8 @@ class Measured:
 
 
 class Cell:
-    """Publishes images that hold the TCP, carries actions out with a lag, and notes when they
-    came.
+    """Publishes images that contain the TCP, executes actions with a lag, and notes their
+    arrival.
     """
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class Cell:
             thread.start()
 
     def close(self) -> None:
-        """End the node."""
+        """Shut the node down."""
         import rclpy
 
         self._stop.set()
@@ -91,14 +91,14 @@ class Cell:
         rclpy.try_shutdown()
 
     def wait_for_peer(self) -> None:
-        """Until exactly one process listens to images and one publishes actions, and the first
-        action has come.
+        """Wait until exactly one process subscribes to images and one publishes actions, and the
+        first action has arrived.
         """
         _wait(self._is_found, FOUND_S, "the inference process was not found")
         _wait(lambda: bool(self._arrivals_s), FIRST_ACTION_S, "no action came")
 
     def wait_until_alone(self) -> None:
-        """Until nobody publishes actions any more; then everything starts anew."""
+        """Wait until no process publishes actions any more, then reset."""
         _wait(
             lambda: not self.node.count_publishers("/bench/action"),
             GONE_S,
@@ -110,7 +110,7 @@ class Cell:
             self._start_m, self._goal_m = np.zeros(3), np.zeros(3)
 
     def measure(self, warm_up_s: float, duration_s: float) -> Measured:
-        """Count what comes within `duration_s`, after `warm_up_s` in which the mode is chosen."""
+        """Count the actions within `duration_s`, after `warm_up_s` in which the mode is chosen."""
         time.sleep(warm_up_s)
         with self._lock:
             self._arrivals_s.clear()

@@ -1,8 +1,8 @@
-"""The plugin bench_execution.py measures with: a policy that answers late, on a robot that exists
-only as a profile.
+"""The plugin of bench_execution.py: a policy that answers late, on a robot that exists only as a
+profile.
 
-The first 24 bytes of an image hold the place of the TCP, so that the policy closes the loop without
-a robot process.
+The first 24 bytes of an image hold the position of the TCP, so that the policy closes the loop
+without a robot process.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ STEP_S = 0.05
 
 
 class LateOptions(BaseModel):
-    """How late it answers, and with what."""
+    """Latency and rows of the answers."""
 
     rows: int = Field(default=8, ge=1, le=64, description="rows of a chunk")
     latency_ms: float = Field(
@@ -37,7 +37,7 @@ class LateOptions(BaseModel):
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """The same policy twice: knowing nothing of rows under way, and continuing them."""
+    """The same policy twice: ignoring the rows ahead, and continuing them."""
     space = ActionSpace(horizon=64, step_s=STEP_S)
     return [
         BackendSpec(
@@ -68,7 +68,7 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
 
 
 def profile() -> RobotProfile:
-    """A robot that has a camera and nothing else."""
+    """A robot with only a camera."""
     from roboneuron.contract import CameraProfile, RobotProfile
 
     camera = CameraProfile(
@@ -78,8 +78,8 @@ def profile() -> RobotProfile:
 
 
 class Late:
-    """Follows the protocol `Backend`; the policy of the virtual cell, which sleeps until its
-    latency has passed.
+    """Implements the protocol `Backend`: the policy of the virtual cell, which sleeps for its
+    latency.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class Late:
         return chunk
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Nothing to reset."""
 
     def close(self) -> None:
         """Nothing to release."""

@@ -1,4 +1,4 @@
-"""A closed loop around `fault_plugin`, files that make its parts fail, and a witness of the
+"""A closed loop with `fault_plugin`, files that make its parts fail, and an observer of the
 gantry's true joints.
 """
 
@@ -27,7 +27,7 @@ from roboneuron.supervisor.supervisor import Supervisor
 
 HERE = Path(__file__).parent
 PARTS = ("backend", "camera", "gantry", "memory", "camera_clock")
-"""What can be made to fail; a file of that name says how."""
+"""Parts that can be made to fail; a file of that name gives the mode."""
 CONFIG = """
 [robot]
 name = "gantry"
@@ -80,11 +80,11 @@ def config_text(folder: Path, rate_hz: float, *, backend: str = "first", **more:
     """The configuration as TOML.
 
     Args:
-        folder: where state and the files that make parts fail are.
+        folder: folder of the state and of the files that make parts fail.
         rate_hz: images per second.
-        backend: "first" and "second" go on blindly, "steady" and "steadier" swing about a place by
-            what is measured.
-        more: more keys of `robot`, `perception`, `inference`, `control`, `supervisor`, `camera`,
+        backend: "first" and "second" move without feedback, "steady" and "steadier" swing about a
+            position with feedback.
+        more: further keys of `robot`, `perception`, `inference`, `control`, `supervisor`, `camera`,
             and of each backend: `policy`.
     """
     tables = ("robot", "perception", "inference", "control", "supervisor", "camera", "policy")
@@ -101,12 +101,12 @@ def fail(folder: Path, part: str, mode: str) -> None:
 
 
 class JointWitness:
-    """Keeps the gantry's first joint as it is, whatever anybody says of it, and counts actions.
-    Times are monotonic.
+    """Records the true position of the gantry's first joint, and counts actions. Times are
+    monotonic.
 
     Args:
-        node: of the graph that is watched; its executor must turn.
-        add: runs a function where subscriptions may be made.
+        node: node of the observed graph; its executor must spin.
+        add: runs a function on a thread that may create subscriptions.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class JointWitness:
         self._actions: deque[float] = deque(maxlen=4000)
         self._count = 0
         self.newest_image = -1
-        """Number of the image that the newest action answers."""
+        """Number of the image of the newest action."""
         qos = QoSProfile(depth=200)
         true, action = f"/{namespace}/true_joint_states", f"/{namespace}/action"
         add(lambda: node.create_subscription(JointState, true, self._on_joints, qos))
@@ -156,7 +156,7 @@ class JointWitness:
         ]
 
     def moved_s(self) -> float | None:
-        """When the joint was last seen to move; None while nothing has been measured for 0.5 s."""
+        """Time of the joint's last measured motion; None without measurements for 0.5 s."""
         joints = self.joints()
         if not joints or time.monotonic() - joints[-1][0] > 0.5:
             return None
@@ -166,38 +166,38 @@ class JointWitness:
         return joints[0][0]
 
     def stood_s(self) -> float:
-        """For how long the joint has stood; 0 while nothing is measured."""
+        """Time for which the joint has been at rest; 0 without measurements."""
         moved_s = self.moved_s()
         return 0.0 if moved_s is None else time.monotonic() - moved_s
 
     def moves(self) -> bool:
-        """Whether it moved within the last 0.3 s."""
+        """True if it moved within the last 0.3 s."""
         return 0.0 < self.stood_s() < 0.3
 
     def stands(self) -> bool:
-        """Whether it has stood for 0.4 s."""
+        """True if it has been at rest for 0.4 s."""
         return self.stood_s() > 0.4
 
     def largest_step_m(self, since_s: float) -> float:
-        """Farthest that the joint was from one measurement to the next since then."""
+        """Largest distance between two consecutive measurements since then."""
         places = [position for at_s, position in self.joints() if at_s >= since_s]
         return max((abs(b - a) for a, b in itertools.pairwise(places)), default=0.0)
 
 
 def environment(folder: Path) -> AbstractContextManager[None]:
-    """This process and its children find the plugin, on a ROS domain of their own."""
+    """Make the plugin available to this process and its children, on their own ROS domain."""
     return installed(folder, "rn-fault", ("fault_plugin", "fault_parts", "switch_plugin"))
 
 
 def quiet(_: str) -> None:
-    """Nobody wants to know how far a call has come."""
+    """Ignore the progress of a call."""
 
 
 @contextmanager
 def standing_loop(
     folder: Path, rate_hz: float, **more: str
 ) -> Iterator[tuple[ClosedLoop, JointWitness]]:
-    """The control plane of a cell in which nothing runs yet; everything is stopped at the end."""
+    """The control plane of a cell without running modules; everything is stopped at the end."""
     with environment(folder):
         config = parse_config(config_text(folder, rate_hz, **more))
         supervisor = Supervisor(folder / "state")

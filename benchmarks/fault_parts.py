@@ -1,8 +1,7 @@
-"""Parts of a robot cell that fail on demand: what is wrong with each is read from a file while it
-runs.
+"""Parts of a robot cell that fail on demand: the fault of each is read from a file at run time.
 
-The gantry's driver lies about its joints, and `true_joint_states` carries where they are; cameras
-and processes have clocks that jump; the backend eats memory.
+The gantry's driver reports wrong joints, while `true_joint_states` contains the true ones; the
+clocks of cameras and processes jump; the backend consumes memory.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ class LargeCameraOptions(CameraOptions):
 
 
 class HungryBackendOptions(BackendOptions):
-    """Options of the naming backend with an appetite."""
+    """Options of the naming backend that can consume memory."""
 
     memory_file: str = Field(
         default="", description="each prediction keeps 40 MB while this file holds a word"
@@ -56,7 +55,7 @@ class HungryBackendOptions(BackendOptions):
 
 
 class LyingCamera(NumberingCamera):
-    """Follows the protocol `PerceptionSource`; its stamps may be wrong."""
+    """Implements the protocol `PerceptionSource`; its stamps may be wrong."""
 
     def __init__(
         self, config: LargeCameraOptions | None, topics: Topics, cameras: tuple[CameraProfile, ...]
@@ -74,7 +73,7 @@ class LyingCamera(NumberingCamera):
 
 
 class HungryBackend(NamingBackend):
-    """Follows the protocol `Backend`; it may keep what it should forget."""
+    """Implements the protocol `Backend`; it may leak memory."""
 
     def __init__(
         self, config: HungryBackendOptions | None, runtime: Any = None, acceleration: Any = None
@@ -84,21 +83,21 @@ class HungryBackend(NamingBackend):
         self._kept: list[Any] = []
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """As the naming backend's."""
+        """As the naming backend, but may leak memory."""
         if read_mode(self._memory_file):
             self._kept.append(np.ones(5_000_000))
         return super().predict(observation)
 
 
 class SteadyBackendOptions(HungryBackendOptions):
-    """Options of the backend that swings about a place."""
+    """Options of the backend that swings about a position."""
 
     centre_m: float = Field(default=0.1, description="x of the TCP about which it swings")
 
 
 class SteadyBackend(HungryBackend):
-    """Follows the protocol `Backend`: swings 60 mm to and fro in 8 s by what is measured, so that
-    it never drifts.
+    """Implements the protocol `Backend`: swings by 60 mm in 8 s with feedback, so that it never
+    drifts.
     """
 
     def __init__(
@@ -108,10 +107,10 @@ class SteadyBackend(HungryBackend):
         self._centre_m = (config or SteadyBackendOptions()).centre_m
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """Steps of at most 3 mm towards where the swing is: all of a lone row's way, a tenth of it
-        in rows of a chunk.
+        """Steps of at most 3 mm towards the position of the swing: the whole distance for a single
+        row, a tenth of it for rows of a chunk.
 
-        The first rows of a chunk are too old when it comes, so that each row has to bring its part.
+        The first rows of a chunk are too old on arrival, so each row must contribute.
         """
         chunk = super().predict(observation)
         assert observation.ee_pose is not None
@@ -126,7 +125,7 @@ class SteadyBackend(HungryBackend):
 
 
 def set_clock(mode: str, process: str) -> None:
-    """Set this process's wall clock, as Python sees it, when `mode` says so of `process`, and right
+    """Set this process's wall clock, as seen by Python, if `mode` names `process`, and restore it
     otherwise.
     """
     word = f"{process}-clock"
@@ -138,7 +137,7 @@ def set_clock(mode: str, process: str) -> None:
 
 
 class LyingDriver(FakeDriver):
-    """Follows the protocol `RobotDriver`; what `read` tells may be wrong."""
+    """Implements the protocol `RobotDriver`; the results of `read` may be wrong."""
 
     def __init__(self, config: FaultOptions | None, profile: RobotProfile, topics: Topics) -> None:
         super().__init__(None, profile, topics)
@@ -148,7 +147,7 @@ class LyingDriver(FakeDriver):
         self._turn = 0
 
     def read(self) -> RobotState:
-        """The positions last sent, or something else."""
+        """The last sent positions, or wrong ones."""
         state = super().read()
         self._publish(to_joint_state(state.joints))
         mode = read_mode(self._mode_file)
@@ -189,15 +188,15 @@ class LyingDriver(FakeDriver):
 
 
 class JumpingController(GantryController):
-    """Follows the protocol `Controller`; its process's clock may be wrong."""
+    """Implements the protocol `Controller`; its process's clock may be wrong."""
 
     def __init__(self, config: FaultOptions | None, profile: RobotProfile) -> None:
         super().__init__(None, profile)
         self._mode_file = (config or FaultOptions()).mode_file
 
     def forward(self, joints: JointSample) -> Pose:
-        """As the gantry's; it is asked with every joint state, and so sets the clock even when no
-        action comes.
+        """As the gantry's; it is called for every joint state, and so sets the clock even without
+        actions.
         """
         set_clock(read_mode(self._mode_file), "control")
         return super().forward(joints)

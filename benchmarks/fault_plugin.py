@@ -1,5 +1,5 @@
-"""The plugin that faults are judged with: robot, camera, controller and backends that misbehave
-when a file says so.
+"""The plugin of the fault benchmarks: robot, camera, controller and backends that misbehave on
+request by a file.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PARTS = "fault_parts"
 
 
 def read_mode(path: str) -> str:
-    """What is wrong now; empty when nothing is."""
+    """The current fault; empty for none."""
     try:
         return Path(path).read_text(encoding="ascii") if path else ""
     except FileNotFoundError:
@@ -37,9 +37,7 @@ def read_mode(path: str) -> str:
 
 
 class FaultOptions(BaseModel):
-    """Options of the gantry and of its controller: the table of plugin options of that name is
-    one.
-    """
+    """Options of the gantry and of its controller, in one table of plugin options."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -52,7 +50,7 @@ class FaultOptions(BaseModel):
 
 
 def profile() -> RobotProfile:
-    """The fake gantry's, whose trajectories an agent may send directly too."""
+    """Profile of the fake gantry; an agent may also send its trajectories directly."""
     from rn_testing.fakes.robot import gantry_profile
     from roboneuron.contract import Endpoint
 
@@ -70,8 +68,8 @@ def profile() -> RobotProfile:
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """Two policies, each under two names: one that goes on blindly, and one that swings about a
-    place.
+    """Two policies, each under two names: one without feedback, and one that swings about a
+    position.
     """
     first = BackendSpec(
         name="first",
@@ -105,7 +103,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
 
 @hookimpl
 def roboneuron_controllers() -> Sequence[ControllerSpec]:
-    """The fake gantry's."""
+    """The controller of the fake gantry."""
     return [
         ControllerSpec(
             name="gantry",

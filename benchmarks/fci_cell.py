@@ -1,7 +1,8 @@
-"""A served FR3 behind franka-sim: server, modules and simulator are processes of their own, the
-agent is this one.
+"""A served FR3 behind franka-sim: server, modules and simulator are separate processes, the agent
+is this one.
 
-The judge is the record of the simulator: its joints, 1000 times per second, with monotonic times.
+Results come from the record of the simulator: its joints, 1000 times per second, with monotonic
+times.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ PYTHON = Path(
 )
 HOME = np.array(HOME_RAD)
 STILL_RAD_S = 0.02
-"""Every joint slower than this: the arm stands. The simulated servo creeps for 0.1 s over the last
-0.01 rad/s.
+"""Joint velocity below which the arm counts as standing. The simulated servo creeps for 0.1 s over
+the last 0.01 rad/s.
 """
 _COLUMNS = 15
 CONFIG = """
@@ -76,7 +77,7 @@ tag = 2
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Record:
-    """What the simulator's joints did.
+    """Record of the simulator's joints.
 
     Attributes:
         at_s: float64 (n,), monotonic time.
@@ -88,7 +89,7 @@ class Record:
     velocity: F64
 
     def since(self, begin_s: float, end_s: float = np.inf) -> Record:
-        """The part between two moments."""
+        """The part between two times."""
         first, last = np.searchsorted(self.at_s, [begin_s, end_s])
         return Record(
             at_s=self.at_s[first:last],
@@ -97,7 +98,7 @@ class Record:
         )
 
     def rest_s(self) -> float:
-        """When the arm came to rest for good; inf when it moves at the end."""
+        """Time at which the arm finally came to rest; inf if it moves at the end."""
         moving = np.flatnonzero(np.abs(self.velocity).max(axis=1) > STILL_RAD_S)
         if len(moving) == 0:
             return float(self.at_s[0])
@@ -105,8 +106,8 @@ class Record:
 
 
 def read_record(path: Path, last_s: float | None = None) -> Record:
-    """What the simulator has written so far; only the newest `last_s` seconds (at 1000 rows a
-    second) if given.
+    """The simulator's record so far; only the newest `last_s` seconds (at 1000 rows a second) if
+    given.
     """
     size = path.stat().st_size // (8 * _COLUMNS)
     skip = 0 if last_s is None else max(0, size - round(last_s * 1000))
@@ -117,15 +118,15 @@ def read_record(path: Path, last_s: float | None = None) -> Record:
 
 
 class FciCell:
-    """The cell and what can be done to it.
+    """The cell and its operations.
 
     Attributes:
         agent: the MCP client, with every role.
-        link: a node of its own on the same graph.
-        folder: where state, logs and the record are.
-        server: process id.
+        link: a separate node on the same graph.
+        folder: folder of state, logs and the record.
+        server: process id of the server.
         box: the control box before franka-sim, in a cell that has one.
-        refusal: what the newest `move` was refused or ended with.
+        refusal: error of the newest `move`.
     """
 
     def __init__(
@@ -138,29 +139,29 @@ class FciCell:
 
     def record(self, last_s: float | None = None) -> Record:
         """The simulator's record until now."""
-        # when its network is cut, its buffer is written now and then all the same
+        # if its network is cut, its buffer is still written now and then
         with contextlib.suppress(OSError):
             self._sim.tell(flush=1)
         return read_record(self.folder / "record.bin", last_s)
 
     def sim_log(self) -> str:
-        """What the simulator has said."""
+        """The simulator's output."""
         return (self.folder / "franka-sim.log").read_text(errors="replace")
 
     def speed(self) -> float:
-        """Fastest joint of the simulator now [rad/s]."""
+        """Present velocity of the simulator's fastest joint [rad/s]."""
         return float(np.abs(self._sim.tell()["velocities"]).max())
 
     def position(self) -> F64:
-        """The simulator's joints now [rad]."""
+        """Present positions of the simulator's joints [rad]."""
         return np.array(self._sim.tell()["joints"][:7])
 
     def pid(self, kind: str) -> int:
-        """Of a module's process."""
+        """Pid of a module's process."""
         return int(self.agent.modules()[kind]["pid"])
 
     def fault(self) -> str:
-        """What the driver says ails the arm; empty when nothing does."""
+        """The driver's fault; empty for none."""
         return str((self.agent.modules()["robot"].get("detail") or {}).get("fault", ""))
 
     def start(self, *kinds: str) -> None:
@@ -179,7 +180,7 @@ class FciCell:
         until(lambda: self.speed() > 5 * STILL_RAD_S, 30.0, "the arm moves")
 
     def move(self, target: F64, duration_s: float) -> threading.Thread:
-        """Begin a `move_joints`; `refusal` says afterwards why it was refused or ended."""
+        """Start a `move_joints`; afterwards `refusal` has its error."""
         self.refusal = ""
         positions = dict(zip(ARM_JOINTS, map(float, target), strict=True))
 
@@ -206,15 +207,15 @@ def served_fci(
     more: str = "",
     with_box: bool = False,
 ) -> Iterator[FciCell]:
-    """A cell in which only the server and the simulator run; all is ended.
+    """A cell in which only the server and the simulator run; everything ends with it.
 
     Args:
-        folder: for everything that is written; empty.
-        options: of franka-sim.
-        factor: dynamics_factor.
-        server_timeout_s: of robot and control.
-        host, prefix: where franka-sim serves, and what its command begins with, as in `FrankaSim`.
-        more: more TOML.
+        folder: an empty folder for all files.
+        options: options of franka-sim.
+        factor: the option dynamics_factor.
+        server_timeout_s: timeout of robot and control.
+        host, prefix: address of franka-sim, and prefix of its command, as in `FrankaSim`.
+        more: further TOML.
         with_box: put a `ControlBox` between driver and franka-sim; it is the cell's `box`.
     """
     options = (*options, "--no-gripper", "--record", str(folder / "record.bin"))
@@ -257,7 +258,7 @@ def served_fci(
 
 @contextlib.contextmanager
 def frozen(pid: int) -> Iterator[None]:
-    """A process stands still within the block."""
+    """Suspend a process within the block."""
     os.kill(pid, signal.SIGSTOP)
     try:
         yield
@@ -267,7 +268,7 @@ def frozen(pid: int) -> Iterator[None]:
 
 
 def watched(check: Callable[[], bool], limit_s: float) -> bool:
-    """Whether something comes true in time."""
+    """True if the check succeeds in time."""
     deadline_s = time.monotonic() + limit_s
     while not check():
         if time.monotonic() > deadline_s:

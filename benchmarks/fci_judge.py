@@ -1,9 +1,9 @@
-"""What a served FR3 behind franka-sim did, by the files that the simulator wrote: limits, control
-loop, missed cycles.
+"""Evaluation of a served FR3 behind franka-sim from the simulator's files: limits, control loop,
+missed cycles.
 
 Acceleration and jerk are those of a cubic fitted to 61 ms of positions, where the simulator itself
-was never late by more than 2 ms: it reads the commands by a clock of its own, so what it does
-within a few milliseconds says more of the machine than of the arm.
+was never late by more than 2 ms: it reads the commands with its own clock, so its behaviour within
+a few milliseconds depends more on the machine than on the arm.
 """
 
 from __future__ import annotations
@@ -42,22 +42,24 @@ STEP_S = 0.001
 LATE_S = 0.002
 CHUNK_S = 60.0
 EVERY = 20
-"""Each how many rows the TCP and the distances are computed."""
+"""Number of rows after which the TCP and the distances are computed."""
 MISSING = 2.0
-"""In the simulator's record of commands: it had to extrapolate, for none came in time."""
+"""Mark in the simulator's record of commands: it had to extrapolate, because none arrived in
+time.
+"""
 _COMMAND_COLUMNS = 11
 _BETWEEN_MOTIONS_MS = 25.0
-"""After 20 cycles without a command the robot ends a motion: what is longer lies between two
+"""After 20 cycles without a command the robot ends a motion, so longer gaps are between two
 motions.
 """
 _BEFORE_S = 0.003
 
 
 def fitted(record: Record) -> tuple[F64, F64, float]:
-    """Greatest |acceleration| and |jerk| (7,) of cubics through `WINDOW` ms of positions, and the
-    share judged.
+    """Largest |acceleration| and |jerk| (7,) of cubics through `WINDOW` ms of positions, and the
+    evaluated fraction.
 
-    By the times at which the rows were written: the simulator makes up for time that it has lost.
+    It uses the times at which rows were written, because the simulator catches up after delays.
     """
     grid_s = np.arange(record.at_s[0], record.at_s[-1], STEP_S)
     if len(grid_s) < 4 * WINDOW:
@@ -85,7 +87,7 @@ def chunks(record: Record) -> Iterator[Record]:
 
 @dataclass(kw_only=True, slots=True)
 class Limits:
-    """How near the simulator's joints came to each limit."""
+    """Smallest distances of the simulator's joints from each limit."""
 
     room_rad: float = np.inf
     velocity_room_rad_s: float = np.inf
@@ -98,7 +100,7 @@ class Limits:
     moving_s: float = 0.0
 
     def add(self, record: Record) -> None:
-        """Judge another piece."""
+        """Evaluate another piece."""
         position, velocity = record.position, record.velocity
         lowest, highest = zip(*(velocity_bounds(q) for q in position[::EVERY]), strict=True)
         over = np.maximum(
@@ -137,7 +139,7 @@ class Limits:
             }
 
     def print(self) -> int:
-        """Rows of the table; returns how many limits were exceeded."""
+        """Print rows of the table; returns the number of exceeded limits."""
         room_rad_s, outside_m = self.velocity_room_rad_s, self.outside_m
         facts = {
             f"nearest to a joint limit {self.room_rad:.4f} rad": self.room_rad < 0.0,
@@ -163,15 +165,15 @@ class Limits:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Loop:
-    """The control loop as the simulator saw it.
+    """The control loop as measured by the simulator.
 
     Attributes:
-        period_ms: float64 (n,), between commands as they arrived, within motions.
-        cycles: that were due within motions.
-        run_cycles: int (m,), of each run of cycles without a command: how many.
-        run_at_s: float64 (m,), when each of them began, monotonic.
-        run_is_wide: bool (m,), the physics thread of the simulator was late then, too: not only the
-            client stood still.
+        period_ms: float64 (n,), between arrivals of commands, within motions.
+        cycles: number of cycles due within motions.
+        run_cycles: int (m,), length of each run of cycles without a command.
+        run_at_s: float64 (m,), start of each of them, monotonic.
+        run_is_wide: bool (m,), True if the physics thread of the simulator was late too, so that
+            not only the client was delayed.
     """
 
     period_ms: F64
@@ -210,7 +212,7 @@ def control_loop(path: Path, record: Record, began_s: float) -> Loop:
 
 
 def print_loops(loops: list[Loop]) -> None:
-    """Rows of the table."""
+    """Print rows of the table."""
     period_ms = np.concatenate([loop.period_ms for loop in loops])
     runs = np.concatenate([loop.run_cycles for loop in loops])
     wide = np.concatenate([loop.run_is_wide for loop in loops])
@@ -229,7 +231,7 @@ def print_loops(loops: list[Loop]) -> None:
 
 
 def read_go(folder: Path, began_s: float, limits: Limits) -> Loop | None:
-    """Judge what a run wrote below `folder` since `began_s`; None when it wrote nothing then."""
+    """Evaluate the files of a run below `folder` since `began_s`; None if there are none."""
     record = read_record(folder / "record.bin").since(began_s)
     if len(record.at_s) < 2:
         return None

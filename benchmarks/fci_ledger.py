@@ -1,4 +1,4 @@
-"""What happened in the parts of bench_fci_loop.py, kept over several sessions."""
+"""Events in the parts of bench_fci_loop.py, stored over several runs."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 
 
 class Ledger:
-    """What happened in one part, a line of JSON each, kept over several goes.
+    """Events of one part, a line of JSON each, stored over several goes.
 
     Attributes:
-        folder: where it is.
-        rows: what happened so far.
+        folder: its folder.
+        rows: events so far.
     """
 
     def __init__(self, folder: Path, fresh: bool) -> None:
@@ -37,7 +37,7 @@ class Ledger:
             self.rows = [json.loads(line) for line in self._path.read_text().splitlines()]
 
     def note(self, event: str, **facts: Any) -> None:
-        """Write it down, with the monotonic time."""
+        """Append an event, with the monotonic time."""
         row = {"event": event, "at_s": time.monotonic(), **facts}
         with self._writing:
             self.rows.append(row)
@@ -49,8 +49,8 @@ class Ledger:
         return [row for row in self.rows if row["event"] == event]
 
     def goes(self) -> list[tuple[Path, float, float]]:
-        """Of each run in which the arm moved: its folder, when it began, and when the last thing
-        was noted [s].
+        """For each run in which the arm moved: its folder, its start, and the time of the last
+        event [s].
         """
         found, folder, began_s = list[tuple[Path, float, float]](), "", 0.0
         for row in self.rows:
@@ -64,12 +64,12 @@ class Ledger:
         return found
 
     def done_s(self) -> float:
-        """How long the arm was moved, over all goes."""
+        """Total time of motion over all goes."""
         return sum(last_s - began_s for _, began_s, last_s in self.goes())
 
     @contextlib.contextmanager
     def go(self, busy: int, factor: float) -> Iterator[FciCell]:
-        """Another go: a cell with a folder of its own."""
+        """Start another go: a cell with its own folder."""
         folder = self.folder / f"go-{len(self.all('go')) + 1}"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
@@ -86,14 +86,14 @@ class Ledger:
 
 
 def stolen_s() -> float:
-    """Time that the hypervisor gave to others while this machine wanted to run, all cores together
-    (proc(5), steal).
+    """Time that the hypervisor gave to others while this machine was ready to run, summed over
+    cores (proc(5), steal).
     """
     return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) * _TICK_S
 
 
 def look(cell: FciCell, ledger: Ledger, before: str) -> str:
-    """Note a new fault and how the loop is, and recover; returns the fault."""
+    """Note a new fault and the state of the loop, and recover; returns the fault."""
     detail = cell.agent.modules()["robot"].get("detail") or {}
     fault = str(detail.get("fault", ""))
     if fault:

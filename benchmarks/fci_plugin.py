@@ -1,5 +1,5 @@
-"""The plugin that the served FR3 of `fci_cell` is moved with: a cheap camera, one policy of TCP
-deltas under two names, and one of joint velocities.
+"""The plugin for the served FR3 of `fci_cell`: a cheap camera, one policy of TCP deltas under two
+names, and one of joint velocities.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ CENTRE_M = (0.45, 0.0, 0.40)
 SWAY_M = (0.06, 0.12, 0.08)
 PERIODS_S = (7.0, 5.0, 11.0)
 STEP_M = 0.008
-"""Longest way of one action; at 20 Hz that is 0.16 m/s."""
+"""Longest translation of one action; at 20 Hz that is 0.16 m/s."""
 
 PATH_HZ, PATH_ROWS, CHUNK_ROWS = 15.0, 150, 30
-"""Rows per second of the path, rows of all of it, and of one chunk."""
+"""Rows per second of the path, and the number of rows of the whole path and of one chunk."""
 PATH_RAD = (0.30, -0.15, 0.20, -0.25, 0.10, 0.20, -0.30)
 PATH_TURNS = (1, 2, 1, 2, 3, 1, 2)
-"""How far each joint leaves its home posture, and how often."""
+"""Amplitude of each joint about its home posture, and number of oscillations."""
 
 
 class SwayOptions(BaseModel):
@@ -49,7 +49,7 @@ class SwayOptions(BaseModel):
 
 
 class BlankCamera:
-    """Follows the protocol `PerceptionSource`: black images at `RATE_HZ`."""
+    """Implements the protocol `PerceptionSource`: black images at `RATE_HZ`."""
 
     def __init__(self, config: None, topics: Topics, cameras: tuple[CameraProfile, ...]) -> None:
         self._topics, self._camera = topics, cameras[0]
@@ -60,7 +60,7 @@ class BlankCamera:
         self._start_s = time.monotonic()
 
     def read(self, timeout_s: float) -> Frame:
-        """The next image; its first four bytes number it, so that no two are the same."""
+        """The next image; its first four bytes number it, so that no two are equal."""
         import numpy as np
 
         from roboneuron.contract import Frame
@@ -77,8 +77,8 @@ class BlankCamera:
 
 
 class Sway:
-    """Follows the protocol `Backend`: leads the TCP along a curve before the arm, by where it is
-    measured.
+    """Implements the protocol `Backend`: moves the TCP along a curve in front of the arm, with
+    feedback.
     """
 
     def __init__(
@@ -106,14 +106,14 @@ class Sway:
         return ActionChunk(actions=np.array([[*way_m, 0.0, 0.0, 0.0, 1.0]]), step_s=1.0 / RATE_HZ)
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Nothing to reset."""
 
     def close(self) -> None:
         """Nothing to release."""
 
 
 def path_rad(row: float) -> list[float]:
-    """Joints at a row of the path, which begins and ends at rest and at home [rad]."""
+    """Joints at a row of the path, which starts and ends at rest and at home [rad]."""
     from rn_robot_fr3.profile import HOME_RAD
 
     done = min(1.0, max(0.0, row / PATH_ROWS))
@@ -125,22 +125,22 @@ def path_rad(row: float) -> list[float]:
 
 
 def path_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
-    """What `JointPath` yields."""
+    """Control space of `JointPath`."""
     from roboneuron.contract import robot_space
 
     return robot_space("joint_velocity", profile, PATH_HZ)
 
 
 class JointPath:
-    """Follows the protocol `Backend`: the velocities of a known path, open loop; a row that is lost
-    or sent twice shifts all that comes after it.
+    """Implements the protocol `Backend`: the velocities of a known path, open loop; a row that is
+    lost or sent twice shifts all later motion.
     """
 
     def __init__(self, config: None, runtime: Any = None, acceleration: Any = None) -> None:
         self._row = 0
 
     def load(self) -> None:
-        """What the rows are."""
+        """Compute the rows."""
         from rn_robot_fr3.profile import profile
 
         self._space = path_space({}, profile())
@@ -158,7 +158,7 @@ class JointPath:
         return ActionChunk(actions=rows, step_s=1.0 / PATH_HZ, space=self._space, note=note)
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Restart the path."""
         self._row = 0
 
     def close(self) -> None:
@@ -191,5 +191,5 @@ def roboneuron_backends() -> Sequence[BackendSpec]:
 
 @hookimpl
 def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
-    """Images without a picture."""
+    """Black images."""
     return [PerceptionSpec(name="blank", summary="Black images.", target=f"{PLUGIN}:BlankCamera")]

@@ -1,4 +1,4 @@
-"""The bases of bench_fleet.py as its client knows them, and their configuration."""
+"""The client's state of the bases of bench_fleet.py, and their configuration."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ SPEED_M_S = 0.2
 
 @dataclass
 class Base:
-    """One robot as the client knows it.
+    """The client's state of one robot.
 
     Attributes:
-        notes: what its driver writes.
-        told: first and last number of each sequence whose call said that it was played to the end.
+        notes: file written by its driver.
+        told: first and last number of each sequence whose call reported that it was sent
+            completely.
     """
 
     name: str
@@ -27,7 +28,7 @@ class Base:
     number: int = 1
     told: list[tuple[int, int]] = field(default_factory=list)
     published: int = 0
-    """Messages of those sequences, the stop message included, by the tool's answer."""
+    """Messages of those sequences, including the stop message, according to the tool's answer."""
     pid: int = 0
     failures: list[str] = field(default_factory=list)
 
@@ -42,12 +43,12 @@ class Base:
         return [(at_ns, x, int(number)) for at_ns, x, number in NOTE.iter_unpack(content[:whole])]
 
     def count(self) -> int:
-        """How many commands it has noted."""
+        """Number of noted commands."""
         return self.notes.stat().st_size // NOTE.size if self.notes.exists() else 0
 
     def sequence(self, steps: int) -> tuple[int, dict[str, Any]]:
-        """The next numbers as arguments of publish_velocity_sequence; returns the first number
-        too.
+        """The next numbers as arguments of publish_velocity_sequence; also returns the first
+        number.
         """
         first, self.number = self.number, self.number + steps
         messages = [

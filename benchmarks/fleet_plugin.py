@@ -1,10 +1,10 @@
-"""The plugin bench_fleet.py measures with: a mobile base that drives nowhere and notes when each
-command arrived.
+"""The plugin of bench_fleet.py: a mobile base that does not move and notes the arrival of each
+command.
 
 A command carries its number in `linear.y`. A note is 24 bytes: CLOCK_MONOTONIC [ns] as int64,
-`linear.x` and the number as float64. A `hold` of the driver is noted as speed 0 and number -1: a
-robot module that knows of an emergency stop holds, and hands its driver no more commands, the zero
-of the server included.
+`linear.x` and the number as float64. A `hold` of the driver is noted as speed 0 and number -1:
+after an emergency stop a robot module holds, and passes no more commands to its driver, including
+the zero of the server.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class LightOptions(BaseModel):
 
 
 def profile() -> RobotProfile:
-    """A base that takes velocities, again and again while they last, and stops with zero."""
+    """A base that takes repeated velocities while they last, and stops with zero."""
     from roboneuron.contract import Endpoint, RobotProfile
 
     bounds = {"linear.x": (-1.0, 1.0), "linear.y": (0.0, MOST_NUMBER), "angular.z": (-1.0, 1.0)}
@@ -75,7 +75,7 @@ def profile() -> RobotProfile:
 
 
 class Light:
-    """Follows the protocol `RobotDriver`."""
+    """Implements the protocol `RobotDriver`."""
 
     def __init__(self, config: LightOptions, profile: RobotProfile, topics: Topics) -> None:
         self._path = config.notes
@@ -83,7 +83,7 @@ class Light:
         self._file = -1
 
     def open(self) -> None:
-        """Listen to commands."""
+        """Subscribe to commands."""
         from geometry_msgs.msg import Twist
 
         self._file = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
@@ -93,7 +93,7 @@ class Light:
         os.write(self._file, NOTE.pack(time.monotonic_ns(), message.linear.x, message.linear.y))
 
     def read(self) -> RobotState:
-        """One wheel that stands."""
+        """State of one wheel at rest."""
         import numpy as np
 
         from roboneuron.contract import JointSample, RobotState
@@ -106,13 +106,13 @@ class Light:
         )
 
     def send(self, command: Any) -> Any:
-        """A base has no joints to command."""
+        """Do nothing: a base has no joints."""
         return command
 
     def hold(self) -> None:
-        """Note it: a base would brake now."""
+        """Note the hold, at which a real base would brake."""
         if self._file >= 0:
             os.write(self._file, NOTE.pack(time.monotonic_ns(), 0.0, -1.0))
 
     def close(self) -> None:
-        """Leave the file open: the process ends next, and late commands are noted too."""
+        """Leave the file open: the process ends next, and late commands should be noted too."""

@@ -1,4 +1,4 @@
-"""What bench_fleet.py found, as a table, and whether its bounds hold."""
+"""Results of bench_fleet.py as a table, and the check of its bounds."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from fleet_bases import STEP_S, Base
 
 MOST_STOP_MS, MOST_RATIO = 50.0, 1.10
 ZERO_S = 5.0
-"""A base that was not told to stand by then was not stopped."""
+"""Time after which a base without a stop command counts as not stopped."""
 
 
 def lateness_ms(base: Base, split_ns: int) -> tuple[list[float], list[float]]:
-    """Lateness of the first arrival of each number, before and after a moment."""
+    """Lateness of the first arrival of each number, before and after a given time."""
     first_at: dict[int, int] = {}
     for at_ns, x, number in base.arrivals():
         if x:
@@ -32,14 +32,14 @@ def lateness_ms(base: Base, split_ns: int) -> tuple[list[float], list[float]]:
 
 
 def percentile(values: list[float], share: float) -> float:
-    """The smallest value that this share of them does not exceed."""
+    """The smallest value that is not exceeded by this fraction of them."""
     ordered = sorted(values)
     return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
 
 
 @dataclass
 class Found:
-    """What was measured."""
+    """Measurements."""
 
     stops_ms: list[float | None] = field(default_factory=list)
     victim: str = ""
@@ -48,7 +48,7 @@ class Found:
 
 
 def report(found: Found, bases: list[Base]) -> int:
-    """Print the table; status 1 when a bound does not hold."""
+    """Print the table; status 1 if a bound does not hold."""
     bad = _report_stops(found.stops_ms, len(bases))
     if not found.killed_ns:
         return int(bad)

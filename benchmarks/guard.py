@@ -1,12 +1,12 @@
-"""The hot paths beside their floors: a lane that fails when one of them has become slow.
+"""The hot paths compared with their floors: fails if one of them has become slow.
 
     python benchmarks/guard.py [--rounds 2]
 
-Each figure is the median of ours over the median of a floor that does the same work without
-RoboNeuron, taken in turns in this run, so that a slow or busy machine raises both. A figure beyond
-its bound is measured once more: what another process did for a moment is not a change of ours. Exit
-status 1 when it is beyond both times. The bounds are about twice what was measured when they were
-written (docs/benchmarks.md); the benchmarks that are named there give exact figures.
+Each figure is the ratio of RoboNeuron's median to that of a floor that does the same work without
+RoboNeuron, interleaved in this run, so that a slow or busy machine raises both. A figure beyond its
+bound is measured once more, to exclude the effect of other processes. Exit status 1 if it is beyond
+both times. The bounds are about twice the values measured when they were written
+(docs/benchmarks.md); the benchmarks named there give exact figures.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ publisher = node.create_publisher(Twist, "cmd_vel", 10)
 print("up", flush=True)
 sys.stdin.read()
 """
-"""What every server of this kind has to load and to make before it can answer."""
+"""Imports and objects that every server of this kind needs before it can answer."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -64,10 +64,10 @@ class Guard:
     """One hot path.
 
     Attributes:
-        name: what is timed.
-        floor: what it is compared with.
+        name: the timed path.
+        floor: the compared floor.
         bound: largest ratio.
-        measure: gives ours and the floor [ms].
+        measure: returns RoboNeuron's time and the floor's [ms].
     """
 
     name: str
@@ -77,7 +77,7 @@ class Guard:
 
 
 def image_to_action(folder: Path, rounds: int) -> tuple[float, float]:
-    """Ours and a bare relay, 224 x 224 at 30 Hz [ms]."""
+    """Times of RoboNeuron and of a bare relay, 224 x 224 at 30 Hz [ms]."""
     environment = os.environ | {"PYTHONPATH": str(bench_loop.install(folder))}
     ours: list[float] = []
     floor: list[float] = []
@@ -98,7 +98,7 @@ def image_to_action(folder: Path, rounds: int) -> tuple[float, float]:
 
 
 def call_to_message(folder: Path, endpoints: int) -> tuple[float, float]:
-    """Ours one way, and an empty tool's way in plus a bare publish [ms]."""
+    """Time of RoboNeuron one way, and of an empty tool's way in plus a bare publish [ms]."""
     listener = direct_cell.Listener(folder)
     try:
         with direct_cell.publisher() as publish:
@@ -110,7 +110,9 @@ def call_to_message(folder: Path, endpoints: int) -> tuple[float, float]:
 
 
 def start_to_message(folder: Path, rounds: int) -> tuple[float, float]:
-    """From the spawn of `serve` to its first message, and of a bare node to its publisher [ms]."""
+    """Time from the start of `serve` to its first message, and from that of a bare node to its
+    publisher [ms].
+    """
     ours: list[float] = []
     floor: list[float] = []
     listener = direct_cell.Listener(folder)
@@ -134,7 +136,9 @@ def start_to_message(folder: Path, rounds: int) -> tuple[float, float]:
 
 
 def inverse_kinematics() -> tuple[float, float]:
-    """One solution for the FR3, and one bare iteration: Jacobian, placement and solve [ms]."""
+    """Time of one solution for the FR3, and of one bare iteration: Jacobian, placement and solve
+    [ms].
+    """
     robot = fr3_profile()
     assert robot.home_rad is not None
     model = build_arm_model(robot)
@@ -170,7 +174,7 @@ def inverse_kinematics() -> tuple[float, float]:
 
 
 def joint_space_row() -> tuple[float, float]:
-    """From answer to command: a row of joint velocities, and one of TCP deltas [ms]."""
+    """Time from answer to command: a row of joint velocities, and one of TCP deltas [ms]."""
     took_ms = bench_spaces.measure(TARGETS)
     return took_ms["joint_velocity"], took_ms["ee_delta"]
 
@@ -180,7 +184,7 @@ def _least_us(call: Callable[[], object]) -> float:
 
 
 def judge(guards: list[Guard], console: Console) -> bool:
-    """Measure all, those beyond their bound twice; whether all are within it."""
+    """Measure all, those beyond their bound twice; True if all are within."""
     table = Table(title="Hot paths beside their floors", title_justify="left")
     for column in ("path", "floor", "ours ms", "floor ms", "ratio", "bound"):
         table.add_column(column, justify="left" if column in ("path", "floor") else "right")
@@ -200,7 +204,7 @@ def judge(guards: list[Guard], console: Console) -> bool:
 
 
 def main() -> int:
-    """Measure and judge."""
+    """Measure and check the bounds."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--rounds", type=int, default=2)
     arguments = parser.parse_args()

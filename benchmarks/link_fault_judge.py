@@ -1,4 +1,4 @@
-"""What the arm did in a trial of bench_link_faults.py, and whether it may."""
+"""Evaluation of the arm's motion in a trial of bench_link_faults.py."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from rn_testing.waiting import holds_within
 
 IMAGE_AGE_S, TAIL_AGE_S = 0.5, 0.5 + ROWS * STEP_S
 BUSY_S = 0.05
-"""What a busy machine adds between the check of a row and its sending."""
+"""Margin on a busy machine between the check of a row and its sending."""
 STEP_M, SPEED_M_S = 0.006, 0.15
-"""The policy asks for at most 3 mm in 50 ms."""
+"""The policy moves by at most 3 mm in 50 ms."""
 HOLDS_S, TAKES_OVER_S = 2.0, 2.0
 BACK_S = 3.0
 LONG_S = 2.5
-"""Faults that last longer must be noticed by hold or fallback."""
+"""Duration of faults from which a hold or fallback must occur."""
 STOOD_S = 0.6
 AGAIN_S = 60.0
 REMOTE, LOCAL = 1, 2
@@ -32,12 +32,12 @@ REMOTE, LOCAL = 1, 2
 
 
 class Row(NamedTuple):
-    """An action as it was sent.
+    """A sent action.
 
     Attributes:
-        at_s: when, by the wall clock.
-        age_s: of its image then.
-        image, tag: which, and by which policy.
+        at_s: time of the wall clock.
+        age_s: age of its image at that time.
+        image, tag: number of the image, and policy.
     """
 
     at_s: float
@@ -47,8 +47,8 @@ class Row(NamedTuple):
 
 
 class Witness:
-    """All actions with the age of what they answer, and the true joint; by the times at which they
-    were sent and measured, so that a busy witness changes nothing.
+    """Records all actions with the age of their images, and the true joint; with send and
+    measurement times, so that a busy observer has no effect.
 
     Args:
         node: in the robot's namespace.
@@ -80,7 +80,7 @@ class Witness:
         self._sent.append((int(info["source_timestamp"]) / 1e9, named[0], named[2]))
 
     def since(self, since_s: float, tag: int | None = None) -> list[Row]:
-        """Actions after that time, of one policy or all."""
+        """Actions after that time, of one policy or of all."""
         return [
             Row(at_s, at_s - self._captured_s(image), image, by)
             for at_s, image, by in list(self._sent)
@@ -88,14 +88,14 @@ class Witness:
         ]
 
     def _captured_s(self, image: int) -> float:
-        """When an image was captured; at the latest, where it was lost here."""
+        """Capture time of an image; for one lost here, the latest possible time."""
         if image in self._stamps:
             return self._stamps[image]
         later = [number for number in list(self._stamps) if number > image]
         return self._stamps[min(later)] if later else max(self._stamps.values())
 
     def sees(self) -> bool:
-        """Whether images have come."""
+        """True if images have arrived."""
         return bool(self._stamps)
 
     def joints(self, since_s: float) -> list[tuple[float, float]]:
@@ -108,19 +108,19 @@ def _seconds(stamp: Any) -> float:
 
 
 class Judge:
-    """Watches one trial.
+    """Evaluates one trial.
 
     Args:
-        witness: of actions and the joint.
-        instruct: asks for motion anew where the inference module needs that; returns why, or an
-            empty text.
+        witness: observer of actions and the joint.
+        instruct: requests motion again if the inference module needs a new start; returns the
+            reason, or an empty text.
     """
 
     def __init__(self, witness: Witness, instruct: Callable[[], str], trial: Trial) -> None:
         self._witness, self._instruct, self._trial = witness, instruct, trial
 
     def goes_on(self) -> bool:
-        """The arm moves by its remote policy, and by nothing else."""
+        """True if the remote policy, and nothing else, moves the arm."""
         if not self._witness.sees():
             return False
         since_s = time.time() - 0.5
@@ -130,7 +130,7 @@ class Judge:
         return is_remote and max(places, default=0.0) - min(places, default=0.0) > STILL_M
 
     def run(self, site: Site) -> dict[str, Any]:
-        """Let it happen, and judge it."""
+        """Cause the fault, and evaluate the trial."""
         trial, drawn = self._trial, random.Random(self._trial.number)
         told: dict[str, Any] = {**trial._asdict(), "wrong": []}
         if not self._comes_back()[0]:
@@ -141,7 +141,7 @@ class Judge:
         with site.fault(trial.kind):
             time.sleep(lasts_s)
             end_s = time.time()
-        time.sleep(0.8)  # what follows may begin a moment later
+        time.sleep(0.8)  # later effects may begin a moment later
         wrong = told["wrong"]
         is_back, told["stopped"] = self._comes_back()
         if not is_back:
@@ -158,8 +158,8 @@ class Judge:
         return told
 
     def _comes_back(self) -> tuple[bool, str]:
-        """Whether the arm moves by its remote policy within AGAIN_S, and what has stopped it for
-        good before: a server that is silent, as on a busy machine.
+        """True if the remote policy moves the arm within AGAIN_S, and the reason of an earlier
+        final stop: a server without heartbeats, as on a busy machine.
         """
         end_s, why = time.monotonic() + AGAIN_S, ""
         while not holds_within(self.goes_on, 2.0):
@@ -169,7 +169,7 @@ class Judge:
         return True, why
 
     def _motion(self, fault_s: float, told: dict[str, Any]) -> list[str]:
-        """Whether the joint kept its bounds; how long it stood is kept in `told`."""
+        """Violations of the joint's bounds; the time at rest is stored in `told`."""
         places, wrong = self._witness.joints(fault_s - 1.0), []
         limits = gantry_profile().limits
         assert limits is not None
@@ -194,7 +194,7 @@ class Judge:
         return wrong
 
     def _ages(self, since_s: float, told: dict[str, Any]) -> list[str]:
-        """No row of an image that is too old, or older than that of a row before."""
+        """Violations by rows from images that are too old, or older than that of an earlier row."""
         wrong, newest = [], {REMOTE: 0, LOCAL: 0}
         rows = self._witness.since(since_s - 1.0)
         told["rows"] = len(rows)
@@ -209,12 +209,12 @@ class Judge:
         return wrong[:5]
 
     def _places(self, fault_s: float, end_s: float, told: dict[str, Any]) -> list[str]:
-        """Who moved the arm when."""
+        """Violations by the wrong policy moving the arm."""
         trial, wrong = self._trial, []
         local = self._witness.since(fault_s, LOCAL)
         told["took_over"] = bool(local)
         answers_ceased = trial.kind not in HARMLESS and end_s - fault_s > LONG_S
-        if trial.kind == "model killed":  # it is back within a second or two
+        if trial.kind == "model killed":  # it restarts within a second or two
             answers_ceased = False
         if not trial.has_fallback:
             late = [r for r in self._witness.since(fault_s + HOLDS_S) if r.at_s < end_s]

@@ -42,17 +42,17 @@ SPOILT = (
     "an old record again",
 )
 HARMLESS = ("answered twice",)
-"""The right answer comes too: what is spoilt must only not be executed."""
+"""The right answer arrives too; the spoilt data must only not be executed."""
 
 
 class Trial(NamedTuple):
-    """What is tried.
+    """Settings of a trial.
 
     Attributes:
-        number: seed of all that is drawn.
+        number: seed of all random draws.
         is_spoilt: the server is reached through `link_liar`.
-        has_fallback: a second policy is there.
-        kind: of the fault.
+        has_fallback: True with a second policy.
+        kind: kind of the fault.
     """
 
     number: int
@@ -69,11 +69,11 @@ class Trial(NamedTuple):
 
 
 class Site:
-    """The other machine, its server, and what is between; used inside the robot's machine.
+    """The other machine, its server, and the path to it; used inside the robot's machine.
 
     Args:
-        folder: with what the parent has made.
-        facts: of the machines.
+        folder: files created by the parent.
+        facts: facts about the machines.
     """
 
     def __init__(self, folder: Path, facts: dict[str, Any], *, is_spoilt: bool) -> None:
@@ -100,7 +100,7 @@ class Site:
         return ["nsenter", "-t", str(self.facts["gpu_pid"]), "-n", "-m", *words]
 
     def start(self) -> None:
-        """Start what is there."""
+        """Start the processes on the other machine."""
         self.server.start()
         if self.is_spoilt:
             script = str(Path(__file__).with_name("link_liar.py"))
@@ -109,20 +109,20 @@ class Site:
             self._liar = subprocess.Popen(words)
 
     def close(self) -> None:
-        """End it."""
+        """End them."""
         if self._liar is not None:
             self._liar.kill()
             self._liar.wait(10.0)
         self.server.end()
 
     def spoil(self, mode: str) -> None:
-        """Tell the liar what to do; nothing with an empty mode."""
+        """Set the liar's mode; an empty mode changes nothing."""
         fresh = self.folder / "liar.new"
         fresh.write_text(mode)
         fresh.replace(self.folder / "liar")
 
     def lied(self) -> int:
-        """How often it has."""
+        """Number of spoilt messages."""
         path = self.folder / "lied"
         return len(path.read_bytes()) if path.exists() else 0
 
@@ -139,7 +139,7 @@ class Site:
             self._neighbour(self.there(), facts["robot_address"], there)
 
     def _swap(self, whose: str) -> None:
-        """Exchange the keys of a machine with those of a stranger."""
+        """Exchange the keys of a machine with those of a foreign machine."""
         own = link_of(Path(self.facts[f"{whose}_state"]))
         other = link_of(self.folder / f"stranger-{whose}")
         spare = own.with_name("link.spare")
@@ -150,7 +150,7 @@ class Site:
 
     @contextlib.contextmanager
     def fault(self, kind: str) -> Iterator[None]:
-        """The fault, until the context ends."""
+        """Cause the fault until the context ends."""
         if kind in SPOILT:
             self.spoil(kind)
             try:

@@ -1,6 +1,6 @@
-"""Stands before a policy server with the server's own keys, and spoils what it answers, as the file
-FOLDER/liar says; each time a byte is added to FOLDER/lied. Before that stands a man in the middle
-without keys, who sends records of TLS again.
+"""A proxy before a policy server, with the server's own keys, that spoils answers as set in the
+file FOLDER/liar; each time a byte is appended to FOLDER/lied. Before it is a man in the middle
+without keys, which replays TLS records.
 
     python link_liar.py FOLDER STATE-OF-THE-SERVER STATE-OF-THE-ROBOT ADDRESS-OF-THE-SERVER
 """
@@ -30,19 +30,19 @@ from rn_link.tls import tls_context
 HEADER = struct.Struct("!4sBBHQQIII")
 ANSWER = 4
 KEPT = 8
-"""Records of each side of a connection that the man in the middle keeps."""
+"""Number of records of each side of a connection that the man in the middle stores."""
 HELD_S, DRIP_S = 2.0, 0.02
 RECORDS = ("answers' records twice", "requests' records twice", "an old record again")
-"""What the man in the middle does."""
+"""Modes of the man in the middle."""
 OLDER = 3
-"""So many answers back is the one that is sent again."""
+"""Age, in answers, of the replayed answer."""
 
 
 class Liar:
     """Spoils answers of one connection at a time; usable from any thread.
 
     Args:
-        folder: with the file that says how.
+        folder: folder of the file with the mode.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -50,21 +50,21 @@ class Liar:
         self._answers: deque[bytes] = deque(maxlen=OLDER)
 
     def mode(self) -> str:
-        """What to do now."""
+        """The current mode."""
         with contextlib.suppress(OSError):
             return (self._folder / "liar").read_text()
         return ""
 
     def note(self) -> None:
-        """Something was spoilt."""
+        """Note a spoilt message."""
         with (self._folder / "lied").open("ab") as file:
             file.write(b".")
 
     def pass_on(self, frame: bytes, robot: ssl.SSLSocket) -> None:
-        """Send an answer, or something else."""
+        """Send an answer, or spoilt data."""
         mode, older = self.mode(), self._answers[0] if self._answers else None
         if mode in ("", *RECORDS):
-            self._answers.append(frame)  # kept from before the fault
+            self._answers.append(frame)  # stored from before the fault
             robot.sendall(frame)
             return
         if frame[5] != ANSWER or (older is None and mode.startswith("replayed")):
@@ -95,7 +95,7 @@ class Liar:
 
 
 def replayed(liar: Liar, recording: Recording, record: bytes, *, asks: bool) -> Sequence[bytes]:
-    """What the man in the middle sends for a record."""
+    """Data sent by the man in the middle for a record."""
     mode = liar.mode()
     before = recording.asked if asks else recording.answered
     if mode == ("requests' records twice" if asks else "answers' records twice"):
@@ -108,7 +108,7 @@ def replayed(liar: Liar, recording: Recording, record: bytes, *, asks: bool) -> 
 
 
 def whole(source: ssl.SSLSocket, count: int) -> bytes:
-    """So many bytes. Raises OSError when it is closed before."""
+    """Read this number of bytes. Raises OSError if the connection closes before."""
     data = b""
     while len(data) < count:
         more = source.recv(count - len(data))
@@ -126,7 +126,7 @@ def frame_of(source: ssl.SSLSocket) -> bytes:
 
 
 def serve(raw: socket.socket, liar: Liar, contexts: tuple[ssl.SSLContext, ...], far: str) -> None:
-    """One robot."""
+    """Serve one robot."""
     mode = liar.mode()
     if mode in ("handshake without a word", "garbage before the handshake"):
         liar.note()
@@ -144,7 +144,7 @@ def serve(raw: socket.socket, liar: Liar, contexts: tuple[ssl.SSLContext, ...], 
                 while data := robot.recv(65536):
                     server.sendall(data)
             with contextlib.suppress(OSError):
-                # closed while it is read from, it would stay one of the server's robots
+                # if it were closed while being read, it would remain one of the server's robots
                 socket.socket.shutdown(server, socket.SHUT_RDWR)
 
         threading.Thread(target=ask, daemon=True).start()
@@ -157,7 +157,7 @@ def serve(raw: socket.socket, liar: Liar, contexts: tuple[ssl.SSLContext, ...], 
 
 
 def context_of(state: Path, peer: str) -> ssl.SSLContext:
-    """What a machine talks to another one with."""
+    """TLS context of a machine for another one."""
     folder = state / "roboneuron" / "link"
     machine = read_machine(folder)
     assert isinstance(machine, Machine)
@@ -165,7 +165,7 @@ def context_of(state: Path, peer: str) -> ssl.SSLContext:
 
 
 def main(folder: str, there: str, here: str, address: str) -> None:
-    """Serve until it is killed."""
+    """Serve until killed."""
     liar = Liar(Path(folder))
     contexts = (context_of(Path(there), "robot"), context_of(Path(here), "gpu"))
     with socket.create_server(("127.0.0.1", 0)) as listener:

@@ -1,8 +1,8 @@
-"""The plugin bench_loop.py measures with: a backend that answers at once, on a robot that exists
-only as a profile.
+"""The plugin of bench_loop.py: a backend that answers at once, on a robot that exists only as a
+profile.
 
-The first four bytes of an image hold its number; the action carries it back in its first value, so
-that the benchmark knows which image an action answers.
+The first four bytes of an image hold its number; the action returns it in its first value, so that
+the benchmark knows which image an action answers.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def roboneuron_robots() -> Sequence[RobotSpec]:
 
 
 def profile() -> RobotProfile:
-    """A robot that has a camera and nothing else."""
+    """A robot with only a camera."""
     from roboneuron.contract import CameraProfile, RobotProfile
 
     camera = CameraProfile(name="front", role="primary", frame_id="front", width=224, height=224)
@@ -55,7 +55,7 @@ def profile() -> RobotProfile:
 
 
 class Echo:
-    """Follows the protocol `Backend`."""
+    """Implements the protocol `Backend`."""
 
     def __init__(self, config: None, runtime: Any = None, acceleration: Any = None) -> None: ...
 
@@ -63,7 +63,7 @@ class Echo:
         """Nothing to load."""
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """The image's number as a translation, which nobody executes."""
+        """The image's number as a translation, which is never executed."""
         import numpy as np
 
         from roboneuron.contract import ActionChunk
@@ -74,7 +74,7 @@ class Echo:
         )
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Nothing to reset."""
 
     def close(self) -> None:
         """Nothing to release."""

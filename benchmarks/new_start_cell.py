@@ -1,5 +1,5 @@
-"""A served FR3 that may stop by itself, its agent, a witness of the simulator's joints, and ways to
-stop and go on.
+"""A served FR3 with protective stops, its agent, an observer of the simulator's joints, and ways to
+stop and to continue.
 """
 
 from __future__ import annotations
@@ -72,12 +72,12 @@ realtime = "ignored"
 gripper = false
 """
 REFLEX = 21
-"""Of libfranka's errors the one that franka-sim is told to have."""
+"""The libfranka error that franka-sim is set to raise."""
 KINDS = ("robot", "perception", "control", "inference")
 NEVER = {"kind": "tcp_in", "lower_m": [9, 9, 9], "upper_m": [10, 10, 10]}
 MOVED_RAD = 0.02
-"""A joint that is farther than this from where the arm came to rest has been moved: it sags by less
-than 0.002.
+"""Distance of a joint from its rest position above which it counts as moved: it sags by less than
+0.002.
 """
 STILL_RAD_S = 0.02
 WATCH_S = 1.5
@@ -93,7 +93,7 @@ class Witness:
         self.states: list[tuple[float, np.ndarray, np.ndarray]] = []
 
     def watch_topic(self, link: Any, robot: str) -> None:
-        """See what the simulation's driver reads."""
+        """Subscribe to the measurements of the simulation's driver."""
         from sensor_msgs.msg import JointState  # heavy
 
         from roboneuron.ros.qos import NEWEST  # heavy
@@ -104,7 +104,7 @@ class Witness:
         self._add(message.position, message.velocity)
 
     def watch_simulator(self, sim: FrankaSim, end: threading.Event) -> None:
-        """Ask franka-sim itself until the event is set; runs on a thread of its own."""
+        """Query franka-sim itself until the event is set; runs on its own thread."""
         while not end.wait(0.015):
             with contextlib.suppress(OSError):
                 told = sim.tell()
@@ -114,24 +114,24 @@ class Witness:
         self.states.append((time.monotonic(), np.array(position[:7]), np.array(velocity[:7])))
 
     def is_still(self) -> bool:
-        """The last 0.3 s of states, which are recent, show no motion."""
+        """True if the recent states of the last 0.3 s show no motion."""
         now_s = time.monotonic()
         recent = [np.abs(v).max() for at_s, _, v in self.states[-60:] if at_s > now_s - 0.3]
         return len(recent) > 8 and max(recent) < STILL_RAD_S
 
     def is_moving(self) -> bool:
-        """The newest state moves."""
+        """True if the newest state shows motion."""
         return bool(self.states) and np.abs(self.states[-1][2]).max() > 3 * STILL_RAD_S
 
     def moved_rad(self, since_s: float) -> float:
-        """Farthest that any joint got from where it was at that time [rad]; a new simulation begins
-        anew.
+        """Largest distance of any joint from its position at that time [rad]; a new simulation sets
+        a new reference.
         """
         base, farthest, before_s = None, 0.0, since_s
         for at_s, position, _ in self.states:
             if at_s < since_s:
                 continue
-            # silent meanwhile: another process, or one that was restarted
+            # after a gap: another process, or a restarted one
             if base is None or at_s - before_s > 1.0:
                 base = position
             before_s = at_s
@@ -140,7 +140,7 @@ class Witness:
 
 
 class Cell:
-    """What sequences are made on; calls block."""
+    """The cell of the sequences; calls block."""
 
     def __init__(
         self,
@@ -158,11 +158,11 @@ class Cell:
         self.answers: list[Any] = []
 
     def ask(self, tool: str, **arguments: Any) -> Any:
-        """The answer, errors too."""
+        """Call a tool and return the answer, including errors."""
         return self._portal.call(self._client.call_tool, tool, arguments)
 
     def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """Structured content; RuntimeError when it fails."""
+        """Call a tool and return its structured content; RuntimeError if it fails."""
         answer = self.ask(tool, **arguments)
         if answer.is_error:
             raise RuntimeError(f"{tool}: {answer.content[0].text}")
@@ -173,7 +173,7 @@ class Cell:
         return {module["module"]: module for module in self.do("get_status")["modules"]}
 
     def later(self, tool: str, **arguments: Any) -> None:
-        """Call without waiting; the answer goes to `answers`."""
+        """Call without waiting; the answer is appended to `answers`."""
 
         def call() -> None:
             with contextlib.suppress(Exception):
@@ -184,13 +184,13 @@ class Cell:
         thread.start()
 
     def join(self, timeout_s: float) -> None:
-        """Wait for calls under way, each for so long."""
+        """Wait for the running calls, up to this time for each."""
         for thread in self._calls:
             thread.join(timeout_s)
         self._calls.clear()
 
     def until(self, fact: Callable[[], bool], within_s: float, what: str) -> None:
-        """Wait for a fact; RuntimeError when it does not come true."""
+        """Wait until a condition is true; RuntimeError otherwise."""
         deadline_s = time.monotonic() + within_s
         while not fact():
             if time.monotonic() > deadline_s:
@@ -205,45 +205,43 @@ class Cell:
                 os.kill(pid, signal.SIGKILL)
 
     def press_topic(self) -> None:
-        """A node of the graph stops."""
+        """Trigger the emergency stop by the topic."""
         from std_msgs.msg import Bool  # heavy
 
         from roboneuron.ros.qos import NEWEST  # heavy
 
         if not hasattr(self, "_topic"):
             self._topic = self._link.advertise(Bool, f"/{self._robot}/emergency_stop", NEWEST)
-            time.sleep(1.0)  # until it is discovered: what is sent to nobody is lost
+            time.sleep(1.0)  # until it is discovered, because earlier messages are lost
         self._topic(Bool(data=True))
         self.until(
             (self.folder / "state" / ESTOP_FILE).exists, 5.0, "the stop of the topic is latched"
         )
 
     def cause_fault(self) -> None:
-        """The arm stops by itself, as with a reflex."""
+        """Make the arm stop by itself, as with a reflex."""
         if self._sim is None:
             (self.folder / "fault").touch()
         else:
             self._sim.tell(error=REFLEX)
 
     def release_by_file(self) -> None:
-        """What `roboneuron estop --reset` does."""
+        """Release as `roboneuron estop --reset` does."""
         latch = self.folder / "state" / ESTOP_FILE
         os.replace(latch, latch.with_name(latch.name + RESET_SUFFIX))
 
     def everything_runs(self) -> None:
-        """Start what does not run, as an agent does, without an instruction for the policy that was
-        not there.
-        """
+        """Start missing modules like an agent, without a new instruction for the policy."""
         for kind in KINDS:
             deadline_s = time.monotonic() + 60.0
             while (phase := self.modules()[kind]["phase"]) in ("starting", "stopping", "exited"):
-                time.sleep(0.2)  # a restart may be under way
+                time.sleep(0.2)  # a restart may be in progress
                 if phase == "exited" and time.monotonic() > deadline_s - 55.0:
                     break
                 if time.monotonic() > deadline_s:
                     raise RuntimeError(f"{kind} stays {phase}")
             if phase in ("stopped", "exited") and kind != "inference":
-                with contextlib.suppress(RuntimeError):  # restarted by itself meanwhile
+                with contextlib.suppress(RuntimeError):  # may have been restarted automatically
                     self.do(f"start_{kind}")
 
 
@@ -266,7 +264,7 @@ STARTS = ("set_instruction", "run_task", "start_inference")
 
 
 def start(cell: Cell, how: str, instruction: str) -> None:
-    """Ask for motion."""
+    """Request motion."""
     running = cell.modules()["inference"]["phase"] == "running"
     if how == "run_task":
         cell.later("run_task", instruction=instruction, until=NEVER, max_s=60, max_attempts=1)
@@ -297,7 +295,7 @@ def stop(cell: Cell, how: str) -> None:
 
 
 def go_on(cell: Cell, draw: random.Random) -> list[str]:
-    """Release, recover and restart whatever is stopped; nothing of it is a start of motion."""
+    """Release, recover and restart everything that is stopped; none of these starts motion."""
     done = []
     if (cell.folder / "state" / ESTOP_FILE).exists():
         if draw.random() < 0.5:
@@ -325,7 +323,7 @@ def go_on(cell: Cell, draw: random.Random) -> list[str]:
 
 @contextlib.contextmanager
 def served_cell(folder: Path, engine: str, restart: str, seed: int) -> Iterator[Cell]:
-    """A server with everything running and no instruction; all is ended."""
+    """A server with all modules running and no instruction; everything ends with it."""
     folder.mkdir(parents=True, exist_ok=True)
     with contextlib.ExitStack() as stack:
         sim = None
@@ -360,7 +358,7 @@ def served_cell(folder: Path, engine: str, restart: str, seed: int) -> Iterator[
 
 @contextlib.contextmanager
 def _client(folder: Path, config: Path) -> Iterator[tuple[Client, BlockingPortal]]:
-    """An agent of a server of its own."""
+    """An agent with its own server."""
     from mcp.client.stdio import stdio_client  # heavy
 
     command = ["-m", "roboneuron.cli.main", "serve", "--config", str(config)]

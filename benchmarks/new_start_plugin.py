@@ -1,7 +1,7 @@
-"""The simulated FR3 with protective stops: a file makes the arm stop by itself, as a reflex does.
+"""The simulated FR3 with protective stops: a file makes the arm stop by itself, like a reflex.
 
-As unhelpful as a robot may be: once recovered it follows the next command at once, whoever sends
-it.
+It simulates the worst allowed robot: after recovery it follows the next command at once, from any
+sender.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class ReflexDriver(SimulatedFr3Driver):
         return replace(state, detail={**state.detail, "fault": self._fault})
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Refuse while the fault stands."""
+        """Refuse commands during the fault."""
         if self._fault:
             raise UnsafeError("The arm has stopped by itself: reflex.")
         return super().send(command)
@@ -61,13 +61,13 @@ class ReflexDriver(SimulatedFr3Driver):
 
 
 def profile() -> RobotProfile:
-    """The FR3's."""
+    """Profile of the FR3."""
     return replace(fr3_profile(), name=NAME)
 
 
 @hookimpl
 def roboneuron_robots() -> Sequence[RobotSpec]:
-    """The FR3 that stops by itself."""
+    """The FR3 with protective stops."""
     from rn_robot_fr3.plugin import roboneuron_robots as fr3_robots
 
     driver = DriverSpec(

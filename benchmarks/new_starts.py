@@ -1,16 +1,17 @@
-"""Random sequences of starts, switches, stops, releases, recoveries and deaths: nothing moves
+"""Random sequences of starts, switches, stops, releases, recoveries and crashes: nothing moves
 without a new start.
 
     python benchmarks/new_starts.py --engine mujoco --sequences 50 --folder /tmp/new-starts
 
-Each sequence asks for motion (set_instruction, run_task, start_inference), may switch a module
+Each sequence requests motion (set_instruction, run_task, start_inference), may switch a module
 meanwhile, stops the arm (emergency stop by tool, topic, file or signal; a fault of the robot; a
-module killed or stopped), and then does all that ends a stop: reset, recovery, starts and restarts
-of modules, switches. From standstill on until somebody asks for motion again, no joint of the
-simulation may move by more than 0.02 rad. Then motion is asked for, and the arm has to move. What a
-busy machine hinders (a restart by a time-out, a late image) is counted apart; it breaks no rule.
+module killed or stopped), and then performs everything that ends a stop: reset, recovery, starts
+and restarts of modules, switches. From standstill until the next request for motion, no joint of
+the simulation may move by more than 0.02 rad. Then motion is requested, and the arm must move.
+Failures caused by a busy machine (a restart by a time-out, a late image) are counted separately;
+they break no rule.
 
-Results are lines in FOLDER/ENGINE.jsonl: a run that was ended goes on there.
+Results are lines in FOLDER/ENGINE.jsonl; an interrupted run can be resumed.
 """
 
 from __future__ import annotations
@@ -51,10 +52,10 @@ class Result:
     """One sequence.
 
     Attributes:
-        moved_rad: farthest motion without a start.
-        problems: what broke the rule; empty is well.
-        hindered: why it was not carried out to its end.
-        idle: starts after which the arm did not move in time; they say nothing about the rule.
+        moved_rad: largest motion without a start.
+        problems: violations of the rule; empty for none.
+        hindered: why it was not completed.
+        idle: starts after which the arm did not move in time; they do not affect the rule.
     """
 
     number: int
@@ -70,7 +71,7 @@ class Result:
 
 
 def sequence(cell: Cell, number: int, engine: str, restart: str) -> Result:
-    """Make one, by its number alone."""
+    """Run the sequence with this number, which determines everything."""
     draw = random.Random(f"{engine} {number}")
     result = Result(number=number, engine=engine, restart=restart)
     began_s = time.monotonic()
@@ -103,13 +104,13 @@ def _cycle(cell: Cell, draw: random.Random, result: Result) -> None:
     how = draw.choice(STOPS)
     result.steps.append(how)
     stop(cell, how)
-    time.sleep(0.5)  # a robot that is gone says nothing of its motion
+    time.sleep(0.5)  # an ended robot module reports no motion
     if cell.modules()["robot"]["phase"] == "running":
         cell.until(cell.witness.is_still, BRAKE_S + 5.0, f"the arm stands after {how}")
     since_s = time.monotonic()
     result.steps += go_on(cell, draw)
     cell.join(timeout_s=120.0)
-    time.sleep(WATCH_S)  # what is looked for is that nothing happens
+    time.sleep(WATCH_S)  # time in which nothing should happen
     moved_rad = cell.witness.moved_rad(since_s)
     result.moved_rad = max(result.moved_rad, round(moved_rad, 4))
     if moved_rad > MOVED_RAD:
@@ -117,7 +118,7 @@ def _cycle(cell: Cell, draw: random.Random, result: Result) -> None:
 
 
 def main() -> int:
-    """Run, or go on."""
+    """Run, or resume."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -135,7 +136,7 @@ def main() -> int:
     numbers = range(arguments.first, arguments.first + arguments.sequences)
     missing = [number for number in numbers if number not in {line["number"] for line in known}]
     end_s = time.monotonic() + arguments.minutes * 60
-    # Half of them with automatic restarts of all modules, each half on a server of its own.
+    # Half of them with automatic restarts of all modules, each half on its own server.
     for restart in ("on_failure", "never"):
         mine = [number for number in missing if (number % 2 == 0) == (restart == "on_failure")]
         if not mine or time.monotonic() > end_s:

@@ -1,6 +1,4 @@
-"""Plugins that exist for one run only: installed in a folder, found by this process and its
-children.
-"""
+"""Plugins for one run only: installed in a folder, found by this process and its children."""
 
 from __future__ import annotations
 
@@ -23,8 +21,7 @@ def installed(
     """Install modules of `source` below `folder`, on a ROS domain of their own.
 
     Args:
-        folder: where the installation and ROS' logs go; an installation that is there already is
-            used.
+        folder: folder for the installation and ROS's logs; an existing installation is used.
         distribution: its name.
         modules: names without `.py`; the first one is the plugin.
         source: directory of the modules; by default that of the benchmarks.
@@ -57,8 +54,8 @@ def installed(
 
 
 def chunks(rows: int, delay_ms: float, rate_hz: float) -> str:
-    """Options of a backend that answers so late with so many rows, one each period of the camera;
-    none for one row.
+    """Options of a backend that answers with this delay and number of rows, one per period of the
+    camera; empty for one row.
     """
     return (
         "" if rows == 1 else f"rows = {rows}\nstep_s = {1 / rate_hz}\ndelay_s = {delay_ms / 1e3}\n"

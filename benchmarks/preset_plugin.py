@@ -1,8 +1,8 @@
-"""The plugin that presets are changed with: a policy of eight rows whose runtime takes as long as
-its preset says.
+"""The plugin for changes of presets: a policy of eight rows whose preset determines its runtime's
+time.
 
-Cameras, robot and controllers are those of `switch_plugin`. An action's `rz` says in
-milli-nano-radians (1e-12) which share of the model was executed.
+Cameras, robot and controllers are those of `switch_plugin`. An action's `rz` contains the executed
+share of the model, in milli-nano-radians (1e-12).
 """
 
 from __future__ import annotations
@@ -32,9 +32,7 @@ SHARES = {"half": 0.5, "quarter": 0.25}
 
 
 class PresetRuntime:
-    """Follows the protocol `Runtime`, and offers `set_acceleration`; its model is 64 MB of
-    memory.
-    """
+    """Implements the protocol `Runtime`, with `set_acceleration`; its model is 64 MB of memory."""
 
     def __init__(self, config: None) -> None:
         self.share = 1.0
@@ -42,7 +40,7 @@ class PresetRuntime:
         self._model = b""
 
     def load(self, model: object, acceleration: Any = None) -> None:
-        """Take the memory."""
+        """Allocate the memory."""
         self._model = bytes(MODEL_BYTES)
         self.loads += 1
         self.set_acceleration(acceleration)
@@ -55,20 +53,20 @@ class PresetRuntime:
             acceleration.apply(self)
 
     def run(self, request: object) -> object:
-        """Take the time of the share."""
+        """Sleep for the time of the share."""
         time.sleep(WHOLE_S * self.share)
         return self.share
 
     def abort(self) -> None:
-        """Nothing runs long."""
+        """Nothing to abort: no run takes long."""
 
     def close(self) -> None:
-        """Give the memory back."""
+        """Free the memory."""
         self._model = b""
 
 
 class Half:
-    """Executes half."""
+    """Executes half of the model."""
 
     share = SHARES["half"]
 
@@ -76,12 +74,12 @@ class Half:
         pass
 
     def apply(self, decoder: Any) -> None:
-        """Say so to the runtime."""
+        """Set the runtime's share."""
         decoder.share = self.share
 
 
 class Quarter(Half):
-    """Executes a quarter."""
+    """Executes a quarter of the model."""
 
     share = SHARES["quarter"]
 
@@ -97,7 +95,7 @@ class Unfit(Half):
 
 
 class PresetBackend:
-    """Follows the protocol `Backend`."""
+    """Implements the protocol `Backend`."""
 
     def __init__(self, config: None, runtime: Any = None, acceleration: Any = None) -> None:
         self._runtime, self._acceleration = runtime, acceleration
@@ -107,7 +105,7 @@ class PresetBackend:
         self._runtime.load("model", self._acceleration)
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """Eight rows to and fro."""
+        """Eight rows that move back and forth."""
         import numpy as np
 
         from roboneuron.contract import ActionChunk
@@ -122,7 +120,7 @@ class PresetBackend:
         )
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Nothing to reset."""
 
     def close(self) -> None:
         """Release the runtime."""

@@ -1,5 +1,5 @@
-"""A server with a simulated arm, a leader that is a program, and lerobot's own commands beside
-them, in lerobot's environment.
+"""A server with a simulated arm, a leader that is a program, and lerobot's own commands, in
+lerobot's environment.
 """
 
 from __future__ import annotations

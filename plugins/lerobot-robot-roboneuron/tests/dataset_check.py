@@ -1,4 +1,4 @@
-"""Runs in lerobot's environment: opens a data set with lerobot and prints what it holds as JSON."""
+"""Runs in lerobot's environment: opens a data set with lerobot and prints its contents as JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What tests with lerobot's own commands start and watch."""
+"""Processes and observers of the tests with lerobot's own commands."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ CONFIG = ROOT / "examples" / "so101.toml"
 LEADER = ROOT / "examples" / "scripted_leader.py"
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 PATIENT = ("--robot.image_timeout_s=10", "--robot.start_timeout_s=120")
-"""Pictures that come late on a busy machine are not what these tests look at."""
+"""Late images on a busy machine are not the subject of these tests."""
 AT_REST_RAD = 2e-3
-"""Travel of a joint in a tenth of a second that noise of the simulation may make."""
+"""Travel of a joint within a tenth of a second that may be noise of the simulation."""
 
 
 class Watch:
-    """Everything that is measured of the arm's joints, with the time of arrival [monotonic s]."""
+    """All measured joints of the arm, with the time of arrival [monotonic s]."""
 
     def __init__(self, namespace: str, joints: Sequence[str]) -> None:
         self._joints = joints
@@ -56,7 +56,7 @@ class Watch:
         return len(recent) > 3 and bool(np.ptp(recent, axis=0).max() > 10 * AT_REST_RAD)
 
     def rest_after_s(self, fault_s: float) -> float:
-        """Time from a fault until no joint travels any more [s], looked at for 1.5 s after."""
+        """Time from a fault until the joints rest [s], observed for 1.5 s longer."""
         wait_until(lambda: time.monotonic() > fault_s + 2.5, 10.0)
         rows = [(at_s, row) for at_s, row in self.seen if at_s >= fault_s]
         last = rows[-1][1]
@@ -68,7 +68,7 @@ class Watch:
 
 
 class Served:
-    """A server that a client has started robot, perception and control with."""
+    """A server with which a client has started robot, perception and control."""
 
     def __init__(self, portal: BlockingPortal, config: Path, log: Path) -> None:
         self._portal = portal
@@ -85,13 +85,13 @@ class Served:
 
 
 class Lerobot:
-    """Processes of lerobot's environment and of the leader; all are ended with the test."""
+    """Processes of lerobot's environment and of the leader; all end with the test."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
         self._running: list[subprocess.Popen[str]] = []
         self._logs: dict[int, Path] = {}
-        # as in a shell: the test's own process uses the ROS wheels of another environment
+        # as in a shell: the test's own process uses the ROS packages of another environment
         self.environment = {
             **module_environment(str(BIN / "python"), 0),
             "HF_HUB_OFFLINE": "1",
@@ -129,11 +129,11 @@ class Lerobot:
         return process
 
     def told(self, process: subprocess.Popen[str]) -> str:
-        """What a process has printed so far."""
+        """Output of a process so far."""
         return self._logs[process.pid].read_text(encoding="utf-8")
 
     def last_line(self, process: subprocess.Popen[str]) -> str:
-        """The sentence that a failed command of lerobot ends with, below its traceback."""
+        """The final sentence of a failed command of lerobot, below its traceback."""
         lines = [line for line in self.told(process).splitlines() if "Error: " in line]
         return lines[-1] if lines else self.told(process)[-2000:]
 
@@ -149,13 +149,13 @@ class Lerobot:
 
 
 def serve(config: Path) -> str:
-    """The option by which lerobot's process starts a server of its own."""
+    """The option with which lerobot's process starts its own server."""
     command = Path(sys.executable).parent / "roboneuron"
     return f"--robot.serve=[{command}, serve, --config, {config}]"
 
 
 def read_dataset(folder: Path, lerobot: Lerobot) -> dict[str, object]:
-    """What lerobot finds in a data set, opened in its environment."""
+    """Contents of a data set, opened with lerobot in its environment."""
     done = subprocess.run(
         [str(BIN / "python"), str(Path(__file__).with_name("dataset_check.py")), str(folder)],
         capture_output=True,
@@ -169,7 +169,7 @@ def read_dataset(folder: Path, lerobot: Lerobot) -> dict[str, object]:
 
 
 def release_stop(state: Path) -> None:
-    """What a person does: say yes in a terminal."""
+    """Confirm the release of the stop in a terminal, as a person does."""
     person, terminal = pty.openpty()
     try:
         os.write(person, b"y\n")

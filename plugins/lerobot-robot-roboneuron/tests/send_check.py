@@ -1,5 +1,5 @@
 """Runs in lerobot's environment: sends actions to the simulated SO-101 by the robot `roboneuron`,
-and prints as JSON what was asked, what `send_action` returned and where the arm was before.
+and prints as JSON the requested actions, the results of `send_action` and the previous positions.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ class SerialCell:
         self.server.call("move_joints", positions=positions, duration_s=seconds)
 
     def move_in_background(self) -> None:
-        """A long turn; the call ends with the fault that is to come."""
+        """Start a long motion; the call ends with the expected fault."""
         ended: list[NotReadyError] = []
 
         def call() -> None:

@@ -1,5 +1,5 @@
 """An agent's tools, the one gate, RoboNeuron's robot module in lerobot's environment, lerobot's own
-LeKiwi class, and behind a serial port nine motors that speak the protocol of the real ones.
+LeKiwi class, and behind a serial port nine motors with the protocol of the real ones.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from roboneuron import NotReadyError
 from roboneuron.command import environment
 
 STOPPED_S = 1.0
-"""From a stop to wheels at rest: 0.2 s of braking, and what a busy machine adds."""
+"""Time from a stop to wheels at rest: 0.2 s of braking, and a margin for a busy machine."""
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(300)]
 
 
@@ -52,7 +52,7 @@ def drive(cell: SerialCell, seconds: float, **linear: float) -> None:
 
 
 def drive_in_background(cell: SerialCell) -> None:
-    """A long way; the call ends with whatever stops the base."""
+    """Start a long drive; the call ends when the base is stopped."""
 
     def call() -> None:
         with suppress(NotReadyError):
@@ -74,7 +74,7 @@ def test_velocities_pass_the_gate_and_stops_hold_base_and_arm(cell: SerialCell) 
     drive(cell, 1.5, x=0.15, y=-0.05)
     assert rest_after_s(cell, time.monotonic()) < STOPPED_S
     driven = pose(cell)
-    # 0.2 m, and more where a busy machine ends it late
+    # 0.2 m, and more if a busy machine stops it late
     assert 0.12 < driven.x_m < 0.6
     assert driven.y_m == pytest.approx(-driven.x_m / 3.0, abs=0.03)
     np.testing.assert_allclose(cell.arm.position[:5], home, atol=0.01)

@@ -1,5 +1,6 @@
-"""One motion, recorded at the same time by `lerobot-record` and by rn-recorder: the data set that
-lerobot writes and the one that `roboneuron runs export --lerobot` makes, both opened by lerobot.
+"""One motion, recorded at the same time by `lerobot-record` and by rn-recorder: the data set
+written by lerobot and the one exported by `roboneuron runs export --lerobot`, both opened by
+lerobot.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ FRAME_NS = 1_000_000_000 // FPS
 ROUNDING = 2e-4
 """float32 in degrees and percent, and in radians: 1.5e-5 of 200."""
 CODEC = 6.0
-"""Of a frame's mean difference, of 255: what the two codecs may take together."""
+"""Mean difference of a frame, of 255, that the two codecs may cause together."""
 SAME_SHARE = 0.9
-"""Of lerobot's rows: whose action is what control has sent to the arm, and whose state is a message
-that was recorded. A busy machine loses or delays a message now and then.
+"""Fraction of lerobot's rows whose action is a command that control has sent, and whose state is a
+recorded message. A busy machine loses or delays a message now and then.
 """
 MISSED_ROWS = 3
 """Rows that lerobot sends before the recorder has discovered it; measured: one."""
@@ -44,14 +45,14 @@ height = {SIDE_PX}
 
 @pytest.fixture
 def config(config: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Small images, and each of them kept as it is by a recorder."""
+    """Configuration with small images, and a recorder that stores each of them unchanged."""
     monkeypatch.delenv("ROBONEURON_RECORDER", raising=False)
     config.write_text(config.read_text(encoding="utf-8") + SECTIONS, encoding="utf-8")
     return config
 
 
 def arrays_of(folder: Path, lerobot: Lerobot) -> dict[str, np.ndarray]:
-    """What lerobot reads of a data set."""
+    """A data set as read by lerobot."""
     target = folder.with_suffix(".npz")
     done = subprocess.run(
         [str(BIN / "python"), str(HERE / "dataset_arrays.py"), str(folder), str(target)],
@@ -67,7 +68,7 @@ def arrays_of(folder: Path, lerobot: Lerobot) -> dict[str, np.ndarray]:
 
 
 def in_motor_units(values: np.ndarray, names: np.ndarray, motors: MotorMap) -> np.ndarray:
-    """Our rows (n, m) [rad, opening] by name as lerobot's [degrees, percent]."""
+    """Convert rows (n, m) [rad, opening] by name to lerobot's [degrees, percent]."""
     gripper = so101_profile().gripper
     assert gripper is not None
     columns = {str(name): values[:, number] for number, name in enumerate(names)}
@@ -81,7 +82,7 @@ def in_motor_units(values: np.ndarray, names: np.ndarray, motors: MotorMap) -> n
 
 
 def measured_about(streams: Streams, sent_ns: int, motors: MotorMap) -> np.ndarray:
-    """Joint states (n, m) that came within a frame of an action, in motor units."""
+    """Joint states (n, m) within a frame of an action, in motor units."""
     recent = [
         motors.values(dict(zip(streams.joint_names, position.tolist(), strict=True)))
         for at_ns, position in streams.joints
@@ -91,7 +92,9 @@ def measured_about(streams: Streams, sent_ns: int, motors: MotorMap) -> np.ndarr
 
 
 def commanded_after(times_ns: list[int], run: Run, motors: MotorMap) -> np.ndarray:
-    """The commands (n, m) that control made of actions sent at these times, in motor units."""
+    """The commands (n, m) that control computed from actions sent at these times, in motor
+    units.
+    """
     commands = [
         (
             entry.record.log_ns,
@@ -142,7 +145,7 @@ def test_they_are_equal_within_rounding_and_a_frame(
 
 
 def compare(theirs: dict[str, np.ndarray], ours: dict[str, np.ndarray], run: Run) -> None:
-    """Raise AssertionError where the two differ by more than what is said above."""
+    """Raise AssertionError if the two differ by more than the tolerances above."""
     motors, streams = motors_of(so101_profile()), read_streams(run.files)
     assert int(theirs["episodes"]) == int(ours["episodes"]) == 1
     assert int(theirs["fps"]) == int(ours["fps"]) == FPS

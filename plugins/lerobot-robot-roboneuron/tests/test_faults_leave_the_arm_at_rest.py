@@ -1,5 +1,5 @@
-"""What ends lerobot's part, and what then stands still: one sentence, the arm at rest within the
-bounds of the fault matrix, and no motion without a new start.
+"""Faults that end lerobot's part: one error sentence, the arm at rest within the bounds of the
+fault matrix, and no motion without a new start.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from lerobot_lane import Lerobot, Served, Watch, release_stop
 from rn_testing.waiting import wait_until
 
 ACTION_TIMEOUT_S, BRAKING_S = 0.5, 0.3
-"""Of control; what the simulated arm needs beyond it on a busy machine."""
+"""Control's timeout; the simulated arm's braking time on a busy machine."""
 END_S = 200.0
 """Bound on a command of lerobot: importing it takes 6 s of a core, and more on a busy machine."""
 
 
 def led(lerobot: Lerobot, watch: Watch) -> subprocess.Popen[str]:
-    """lerobot moves the arm after a leader."""
+    """Let lerobot move the arm after a leader."""
     lerobot.lead()
     process = lerobot.teleoperate()
     wait_until(lambda: watch.is_moving() or process.poll() is not None, END_S, "the arm to be led")
@@ -120,7 +120,7 @@ def test_a_camera_that_was_renamed_or_is_not_sent_is_refused_by_name(
 def test_two_do_not_lead_one_arm(lerobot: Lerobot, served: Served, watch: Watch) -> None:
     first = led(lerobot, watch)
     second = lerobot.teleoperate()
-    # a first one that has ended, as when its leader falls silent, leaves the arm to the second
+    # if the first one has ended, because its leader stopped publishing, the second one gets the arm
     wait_until(lambda: second.poll() is not None or first.poll() is not None, END_S)
     assert second.poll(), lerobot.last_line(first)
     assert "lerobot_robot sends actions to this robot" in lerobot.last_line(second)

@@ -1,6 +1,4 @@
-"""lerobot's own commands with a simulated arm: two episodes, the data set, and the same motion
-again.
-"""
+"""lerobot's own commands with a simulated arm: two episodes, the data set, and a replay."""
 
 from __future__ import annotations
 
@@ -11,9 +9,7 @@ import pytest
 from lerobot_lane import Lerobot, Watch, read_dataset, serve
 
 TRACKED_DEG = 3.0
-"""Behind a leader that moves at 23 deg/s the arm is a tenth of a second late, and so is what is
-measured of it.
-"""
+"""The arm follows a leader at 23 deg/s a tenth of a second late, and so do its measurements."""
 
 
 @pytest.mark.ros
@@ -50,7 +46,7 @@ def test_what_was_recorded_is_opened_and_moves_the_arm_the_same_way(
         *("shoulder_pan.pos", "shoulder_lift.pos", "elbow_flex.pos", "wrist_flex.pos"),
         *("wrist_roll.pos", "gripper.pos"),
     ]
-    # a picture of the table, not of nothing
+    # an image of the table, not an empty one
     for shape, mean in found["images"].values():  # type: ignore[attr-defined]
         assert shape == [3, 224, 224]
         assert 0.2 < mean < 0.95
@@ -66,7 +62,7 @@ def test_what_was_recorded_is_opened_and_moves_the_arm_the_same_way(
     )
     assert replaying.wait(180) == 0, lerobot.last_line(replaying)
     first = action[np.array(found["episode"]) == 0][:, :5]
-    # from home, which the leader sways about, by a jump to the first row and on to the end
+    # from home, about which the leader sways, by a jump to the first row and on to the end
     again = np.degrees(watch.since(0.0))
     np.testing.assert_allclose(again.max(axis=0), first.max(axis=0), atol=1.0)
     np.testing.assert_allclose(again.min(axis=0), first.min(axis=0), atol=1.0)

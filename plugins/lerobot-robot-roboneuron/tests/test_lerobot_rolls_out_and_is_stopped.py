@@ -15,10 +15,10 @@ from rn_robot_lerobot.arm import SO101
 from rn_testing.waiting import wait_until
 
 ACTION_TIMEOUT_S, BRAKING_S = 0.5, 0.3
-"""Of control; what the simulated arm needs beyond it on a busy machine."""
+"""Control's timeout; the simulated arm's braking time on a busy machine."""
 END_S = 200.0
 TURN_DEG = 8.0
-"""Where the data of the tiny policy were, beside the arm's home."""
+"""Position of the tiny policy's data relative to the arm's home."""
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 MAKE = """
 import sys
@@ -32,7 +32,7 @@ make_tiny(Path(sys.argv[1]), "act", TinyShape(width=224, height=224, means=means
 
 @pytest.fixture
 def policy(lerobot: Lerobot, tmp_path: Path) -> Path:
-    """A tiny random ACT of an SO-101 that wants its first joint turned."""
+    """A tiny random ACT for an SO-101 that turns its first joint."""
     folder = tmp_path / "policy"
     means = [*np.degrees(SO101.home_rad), 50.0]
     means[0] += TURN_DEG
@@ -68,7 +68,7 @@ def test_lerobots_rollout_moves_the_arm_with_a_policy(
     home = np.degrees(SO101.home_rad[0])
     # random weights add a small part of the data's spread, which is 0.05 degrees
     assert pan.max() == pytest.approx(home + TURN_DEG, abs=0.5)
-    # lerobot's own last act: back to where it began
+    # lerobot's last action: back to the start
     assert pan[-1] == pytest.approx(home, abs=1.0)
     others = np.degrees(np.ptp(watch.since(begun_s)[:, 1:], axis=0))
     assert others.max() < 1.0

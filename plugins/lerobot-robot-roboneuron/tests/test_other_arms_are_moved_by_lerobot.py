@@ -1,4 +1,4 @@
-"""lerobot moves an FR3 behind ros2_control, and one over the FCI, which franka-sim serves."""
+"""lerobot moves an FR3 behind ros2_control, and one over the FCI, simulated by franka-sim."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def teleoperate(lerobot: Lerobot, config: Path, namespace: str, seconds: int = 8
 
 
 def assert_swayed(rows: np.ndarray) -> None:
-    """As the leader did, 0.25 rad and 0.3 rad to each side."""
+    """Check that it moved like the leader, 0.25 rad and 0.3 rad to each side."""
     travel = np.ptp(rows, axis=0)
     assert travel[0] == pytest.approx(0.5, abs=0.05)
     assert travel[4] == pytest.approx(0.6, abs=0.06)
@@ -107,7 +107,7 @@ def test_an_arm_over_the_fci_is_teleoperated(
     looking = threading.Thread(target=look)
     looking.start()
     try:
-        # four turns: on a busy machine control holds in some
+        # four periods, because on a busy machine control holds in some
         teleoperate(lerobot, config, "fr3", seconds=16)
     finally:
         ended.set()

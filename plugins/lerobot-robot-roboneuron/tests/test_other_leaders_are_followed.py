@@ -1,5 +1,5 @@
-"""Who may lead an arm beside a program: a person at the live view's sliders, lerobot's own leader
-arm, and another robot of RoboNeuron.
+"""Leaders other than a program: a person at the live view's sliders, lerobot's own leader arm, and
+another robot of RoboNeuron.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.timeout(600)]
 def view(
     config: Path, tmp_path: Path, request: pytest.FixtureRequest
 ) -> Iterator[tuple[str, Callable[[], PageClient]]]:
-    """Address of a served view, and a function that opens a page from which somebody leads."""
+    """Address of a served view, and a function that opens a page with which a person leads."""
     config.write_text(config.read_text(encoding="utf-8") + "\n[view]\nenabled = true\nport = 0\n")
     request.getfixturevalue("served")
     log = tmp_path / "server.log"
@@ -83,7 +83,7 @@ def test_a_person_leads_the_arm_with_the_sliders_of_the_live_view(
     assert process.poll() is None, lerobot.last_line(process)
     others = np.degrees(np.ptp(watch.since(begun_s)[:, 1:], axis=0))
     assert others.max() < 1.0
-    # a slider jumps and the arm does not: a quarter of its 3 rad/s, and what timing adds
+    # a slider jumps, but the arm does not: a quarter of its 3 rad/s, with a margin for timing
     rows = watch.since(begun_s)
     times = np.array([at_s for at_s, _ in watch.seen if at_s >= begun_s])
     first, last = np.searchsorted(np.degrees(rows[:, 0]), [10.0, 25.0])
@@ -117,10 +117,10 @@ def test_a_view_that_is_not_there_and_another_robot_are_named(
 
 
 class HandMovedArm(SerialArm):
-    """The motors of a leader arm, whose first joint a hand turns; without physics.
+    """The motors of a leader arm, whose first joint is turned by hand; without physics.
 
     Attributes:
-        wanted_rad: where the hand turns it to [rad], at 0.2 rad/s.
+        wanted_rad: position to which it is turned [rad], at 0.2 rad/s.
     """
 
     wanted_rad = 0.0

@@ -1,4 +1,6 @@
-"""What control makes of an action comes back to lerobot; what it refuses does not move the arm."""
+"""Control's command for an action is returned to lerobot; a refused action does not move the
+arm.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from lerobot_lane import BIN, Lerobot, Served, Watch
 
 HERE = Path(__file__).parent
 STEP_DEG = 0.05
-"""What the simulated arm still moved between the reading and the answer."""
+"""Motion of the simulated arm between reading and answer."""
 
 
 @pytest.mark.ros
@@ -37,7 +39,7 @@ def test_the_answer_is_the_command_of_control(
     small, jump = told["small"], told["jump"]
     for key, value in small["asked"].items():
         assert small["sent"][key] == pytest.approx(value, abs=STEP_DEG), key
-    # 40 degrees in one step are refused: the answer is where the arm stands
+    # a step of 40 degrees is refused: the answer is the arm's position
     assert jump["sent"]["shoulder_pan.pos"] == pytest.approx(
         jump["measured"]["shoulder_pan.pos"], abs=STEP_DEG
     )

@@ -1,5 +1,5 @@
 """RoboNeuron's robot module in lerobot's environment, lerobot's own SO-101 follower, and behind a
-serial port a simulated arm whose motors speak the protocol of the real ones.
+serial port a simulated arm whose motors have the protocol of the real ones.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from roboneuron import NotReadyError
 from roboneuron.command import environment
 
 REST_S = 0.5
-"""From a fault to an arm at rest: the silence that is a fault, and the way that a motor still has
-to its last goal. The fault matrix allows `command_timeout_s`.
+"""Time from a fault to an arm at rest: the timeout that is the fault, and the motor's remaining
+motion to its last goal. The fault matrix allows `command_timeout_s`.
 """
 
 
@@ -56,7 +56,7 @@ def test_it_goes_where_it_is_sent_and_breaks_no_rule_of_the_motors(cell: SerialC
     cell.start()
     np.testing.assert_allclose(cell.arm.position[:5], SO101.home_rad, atol=0.01)
     cell.move(shoulder_pan=0.4, elbow_flex=-0.3, wrist_roll=-0.5)
-    # the motors' dead zone is none here; a step of the encoder is 1.5 mrad
+    # without the motors' dead zone; a step of the encoder is 1.5 mrad
     expected = [0.4, SO101.home_rad[1], -0.3, SO101.home_rad[3], -0.5]
     wait_until(lambda: np.abs(cell.arm.position[:5] - expected).max() < 0.01, 5.0)
     assert cell.arm.motors.broken_rules == []

@@ -1,4 +1,4 @@
-"""Presets in front of whole models, and combinations that planning refuses."""
+"""Presets with whole models, and combinations that planning refuses."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def test_proprioception_and_words_are_never_dropped(tinies):
 
 
 def _runtime(backend):
-    """The one that the backend was built with."""
+    """The runtime of the backend."""
     return backend._runtime
 
 
@@ -156,7 +156,7 @@ def test_50_changes_read_no_file_and_hold_no_more_memory(tinies, family, monkeyp
     for count in range(54):
         _runtime(backend).set_acceleration(_made(CYCLE[count % len(CYCLE)]))
         backend.predict(observation)
-        if count == len(CYCLE) - 1:  # buffers have met the longest sequence
+        if count == len(CYCLE) - 1:  # buffers have reached their largest size
             before = held_bytes()
     assert held_bytes() == before
     assert [

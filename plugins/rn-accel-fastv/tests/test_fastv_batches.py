@@ -1,4 +1,4 @@
-"""Pruning several observations in one pass: each keeps the tokens that it would keep alone."""
+"""Pruning of several observations in one pass: each keeps the same tokens as alone."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def tiny(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def observations():
-    """Eight, with noise of their own and prompts of several lengths."""
+    """Eight observations, with different noise and prompts of several lengths."""
     made = []
     for number in range(8):
         drawn = np.random.default_rng(number)
@@ -69,7 +69,7 @@ def _loaded(path, preset) -> OftBackend:
 
 @pytest.fixture
 def kept(monkeypatch):
-    """Every choice of visual tokens, in order."""
+    """Every selection of visual tokens, in order."""
     chosen: list[list[int]] = []
     select = AttendedTokens.select
 
@@ -107,7 +107,7 @@ def test_each_of_a_batch_keeps_its_own_tokens_and_gives_its_own_actions(
 
 
 def test_the_choice_hangs_on_no_last_bit(tiny, observations, monkeypatch):
-    """The least attended kept token and the most attended dropped one are 2e-5 apart at least:
+    """The least attended kept token and the most attended dropped one are at least 2e-5 apart, so
     rounding swaps none.
     """
     gaps = []

@@ -1,5 +1,5 @@
-"""Pruning against an oracle that drops nothing and masks instead: eager attention, full length,
-written out plainly.
+"""Pruning compared with an oracle that masks instead of dropping: plain eager attention, full
+length.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ VISUAL, TEXT = 24, 9
 LENGTH = 1 + VISUAL + TEXT
 ROWS = (LENGTH - 6, LENGTH - 2)
 TOLERANCE = 2e-5
-"""float32 through five layers, summed in another order; 1e-6 was seen."""
+"""float32 through five layers, summed in another order; 1e-6 was measured."""
 
 
 def _shape(key_value_heads: int) -> DecoderShape:
@@ -52,7 +52,7 @@ def _hidden() -> torch.Tensor:
 
 
 class Oracle:
-    """The language model with masks; `kept` are the positions that later layers may look at."""
+    """The language model with masks; `kept` are the positions visible to later layers."""
 
     def __init__(
         self, decoder: Decoder, k: int, r: float, causal: bool, rows: tuple[int, int]
@@ -69,7 +69,7 @@ class Oracle:
         )
 
     def _rotate(self, x: torch.Tensor) -> torch.Tensor:
-        """Each pair (i, i + width / 2) is one complex number, turned by its position."""
+        """Each pair (i, i + width / 2) is one complex number, rotated by its position."""
         half = self.shape.head_width // 2
         speeds = 10000.0 ** (-torch.arange(half) / half)
         turns = torch.polar(torch.ones(1), torch.outer(torch.arange(x.shape[1]), speeds))

@@ -37,7 +37,7 @@ def robot() -> RobotProfile:
 
 @pytest.fixture
 def checkpoint(tmp_path: Path) -> Callable[..., Path]:
-    """Return a function that makes a checkpoint folder; each edit changes the JSON file of that
+    """Return a function that creates a checkpoint folder; each edit changes the JSON file of that
     name.
     """
 

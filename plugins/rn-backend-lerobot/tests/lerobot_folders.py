@@ -1,4 +1,4 @@
-"""What these tests make checkpoint folders of."""
+"""Parts of the checkpoint folders in these tests."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ARM = tuple(f"fr3_joint{i}" for i in range(1, 8))
 
 
 def write_tensors(path: Path, tensors: dict[str, Any]) -> None:
-    """A safetensors file of float32 arrays."""
+    """Write a safetensors file of float32 arrays."""
     header, data = {}, b""
     for name, values in tensors.items():
         raw = np.asarray(values, dtype="<f4").tobytes()

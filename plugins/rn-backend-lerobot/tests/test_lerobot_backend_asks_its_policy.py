@@ -1,4 +1,4 @@
-"""When and with what the backend asks a policy; the policy is a stand-in."""
+"""When the backend queries its policy, and with which inputs; the policy is a stand-in."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ PERIOD_NS = 50_000_000
 
 @dataclass
 class FakeEngine:
-    """Follows `PolicyEngine`: row i of a chunk holds i."""
+    """Implements `PolicyEngine`: row i of a chunk holds i."""
 
     folder: Any
     options: Any
@@ -80,7 +80,7 @@ def load(
 
 
 def see(period: float = 0.0, side: int = 96) -> Observation:
-    """An observation so many periods after the first one."""
+    """An observation `period` periods after the first one."""
     frames = {
         role: Frame(
             camera=camera,
@@ -171,7 +171,7 @@ def test_a_policy_that_remembers_is_asked_row_by_row_and_starts_anew_after_a_pau
     assert fake.resets == 0
     backend.predict(see(12))
     assert fake.resets == 1
-    backend._took_s = 0.5  # the time in which the policy computed is no pause
+    backend._took_s = 0.5  # the computing time of the policy does not count as a pause
     backend.predict(see(22))
     assert fake.resets == 1
     backend.reset()

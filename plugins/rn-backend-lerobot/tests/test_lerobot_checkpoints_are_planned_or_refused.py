@@ -1,4 +1,4 @@
-"""What is known of a checkpoint before anything is loaded, and what is refused, by name."""
+"""Properties of a checkpoint known before loading, and refusals by name."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ def test_a_local_folder_stands_for_a_name_of_the_hub(
 def test_code_in_the_folder_of_a_backbone_is_refused(checkpoint: Make, options: Options) -> None:
     folder = checkpoint("smolvla")
     (folder / "backbone" / "modeling.py").write_text("print('hello')")
-    with pytest.raises(CheckpointError, match=r"backbone brings code \(modeling\.py\)"):
+    with pytest.raises(CheckpointError, match=r"backbone contains code \(modeling\.py\)"):
         wire(LeRobotOptions.model_validate({**options, "checkpoint": folder}))
 
 
@@ -235,7 +235,7 @@ def test_a_missing_file_is_named(checkpoint: Make, options: Options, name: str) 
 def test_statistics_that_are_missing_are_named(
     checkpoint: Make, options: Options, file: str, key: str, value: Any, message: str
 ) -> None:
-    """LeRobot itself goes on without them, with numbers of another scale."""
+    """LeRobot itself continues without them, with numbers of another scale."""
     folder = checkpoint()
     tensors: dict[str, Any] = dict(read_tensors(folder / file))
     del tensors[key]

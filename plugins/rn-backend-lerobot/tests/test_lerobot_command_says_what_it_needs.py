@@ -1,4 +1,4 @@
-"""The command that makes tiny checkpoints, where LeRobot is not installed."""
+"""The command that creates tiny checkpoints, without LeRobot."""
 
 from __future__ import annotations
 

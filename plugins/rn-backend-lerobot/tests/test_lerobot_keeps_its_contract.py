@@ -1,4 +1,4 @@
-"""The contract kit: the package here, the backend where LeRobot is installed."""
+"""The contract kit: the package in this environment, the backend in LeRobot's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers of a policy as numbers of the robot, and back."""
+"""Conversion of a policy's numbers to those of the robot, and back."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_grippers_become_openings_within_bounds(unit: Any, number: float, openin
 def test_the_chunk_of_lerobot_becomes_the_chunk_of_the_contract(
     checkpoint: Make, options: dict[str, Any]
 ) -> None:
-    """Numbers recorded in LeRobot's environment, with other units: the policy speaks degrees."""
+    """Numbers recorded in LeRobot's environment, with other units: the policy uses degrees."""
     recorded = np.load(DATA / "act-chunk.npz")
     folder = checkpoint()
     wiring = wire(LeRobotOptions.model_validate({**options, "checkpoint": folder}))

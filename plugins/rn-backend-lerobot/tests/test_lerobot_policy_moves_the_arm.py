@@ -1,5 +1,5 @@
-"""A LeRobot policy under its own interpreter moves the simulated FR3 by images that are published,
-and what happens when something is wrong with it.
+"""A LeRobot policy under its own interpreter moves the simulated FR3 from published images; and
+faults of the policy.
 """
 
 from __future__ import annotations
@@ -71,19 +71,19 @@ device = "cpu"
 threads = 1
 """
 SAME_RAD = 2e-4
-"""The joints that were measured with the image are not those of the newest message: a resting
-simulation moves by less, and the policy answers about as much.
+"""Tolerance, because the joints measured with the image are not those of the newest message: a
+resting simulation moves by less, and so does the policy's answer.
 """
 HOLD_S = 1.5
-"""max_tail_age_s and action_timeout_s are shorter; what a busy machine adds."""
+"""max_tail_age_s and action_timeout_s are shorter; the rest is for a busy machine."""
 LOOKED_AT_S = 3.0
-"""How long the arm is watched after a fault."""
+"""Time for which the arm is observed after a fault."""
 STILL_RAD = 1e-3
 
 
 @dataclass
 class Witness:
-    """What was published so far.
+    """Messages published so far.
 
     Attributes:
         images: newest image by camera, and whether it ever changed before the first action.
@@ -97,30 +97,30 @@ class Witness:
     first: dict[str, Any] = field(default_factory=dict)
 
     def on_image(self, camera: str, message: Any) -> None:
-        """An image came."""
+        """Store an image."""
         image = np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)
         self.images[camera] = image.copy()
 
     def on_joints(self, message: Any) -> None:
-        """The joints were measured."""
+        """Store measured joints."""
         named = dict(zip(message.name, message.position, strict=True))
         self.joints.append((time.monotonic(), named))
 
     def on_action(self, message: Any) -> None:
-        """A row was sent; what was seen before the first one is kept."""
+        """Store a row; with the first one, also the images and joints before it."""
         if not self.actions:
             self.first = {"images": dict(self.images), "joints": self.joints[-1][1]}
         self.actions.append((message.layout.dim[0].label, np.array(message.data)))
 
     def rest_after_s(self, fault_s: float) -> float:
-        """Time from a fault until no joint moved any more, of what was seen [s]."""
+        """Time from a fault until the last motion of a joint, within the observed time [s]."""
         seen = [(at_s, named) for at_s, named in self.joints if at_s >= fault_s]
         last = seen[-1][1]
         away = [at_s for at_s, named in seen if _apart_rad(named, last) > STILL_RAD]
         return away[-1] - fault_s if away else 0.0
 
     def moved_rad(self, since_s: float) -> float:
-        """Largest way of a joint since then."""
+        """Largest travel of a joint since then."""
         seen = [[named[joint] for joint in ARM] for at_s, named in self.joints if at_s >= since_s]
         return float(np.ptp(np.array(seen), axis=0).max()) if seen else 0.0
 
@@ -131,7 +131,7 @@ def _apart_rad(one: dict[str, float], other: dict[str, float]) -> float:
 
 @contextmanager
 def listening() -> Iterator[Witness]:
-    """A node of its own that hears images, joints and actions."""
+    """A node that receives images, joints and actions."""
     from sensor_msgs.msg import Image, JointState
     from std_msgs.msg import Float64MultiArray
 
@@ -153,7 +153,7 @@ def listening() -> Iterator[Witness]:
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Return a function that has LeRobot write a tiny policy, once."""
+    """Return a function that lets LeRobot write a tiny policy, once."""
     root = tmp_path_factory.mktemp("policies")
 
     @functools.cache
@@ -175,7 +175,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 
 @dataclass
 class Cell:
-    """The processes, and what they publish."""
+    """The processes, and their messages."""
 
     supervisor: Supervisor
     seen: Witness
@@ -186,7 +186,7 @@ class Cell:
         self.supervisor.start(fake_plan(kind, self.config))
 
     def rests(self, for_s: float) -> bool:
-        """Whether the arm does not move for so long from now on."""
+        """True if the arm does not move for this time from now on."""
         begin_s = time.monotonic()
         return not holds_within(lambda: self.seen.moved_rad(begin_s) > STILL_RAD, for_s)
 
@@ -241,7 +241,7 @@ def test_it_moves_the_arm_as_lerobot_would_and_stands_when_its_process_is_killed
 def test_other_policies_move_the_arm_as_lerobot_would(
     cell: Cell, made: Callable[[str], Path], tmp_path: Path, policy: str, rows: int
 ) -> None:
-    """Diffusion is asked row by row: its second row answers a second image."""
+    """Diffusion is queried row by row: its second row answers a second image."""
     config = parse_config(CONFIG.format(checkpoint=made(policy), python=PYTHON))
     cell.supervisor.start(fake_plan("inference", config))
     wait_until(lambda: len(cell.seen.actions) >= 20, 30.0, "the policy acts")
@@ -258,7 +258,7 @@ def check_actions(cell: Cell, checkpoint: Path, folder: Path, rows: int) -> None
 def lerobots_actions(
     first: dict[str, Any], checkpoint: Path, folder: Path, rows: int
 ) -> np.ndarray:
-    """What LeRobot's own engine answers to what was published before the first action."""
+    """The answer of LeRobot's own engine to the messages published before the first action."""
     gripper = profile().gripper
     assert gripper is not None
     joints = first["joints"]
@@ -279,7 +279,7 @@ def lerobots_actions(
 
 
 def edited(checkpoint: Path, folder: Path, feature: str) -> Path:
-    """The checkpoint with its front camera called otherwise, or of another type."""
+    """The checkpoint with its front camera renamed, or of another type."""
     shutil.copytree(checkpoint, folder)
     for path in folder.glob("*.json"):
         text = path.read_text().replace("observation.images.front", feature)
@@ -320,7 +320,7 @@ def test_what_does_not_fit_is_one_sentence_and_the_arm_rests(
 
 
 def refusal(cell: Cell, config: Config) -> str:
-    """What inference says when it cannot start."""
+    """Error message of an inference that cannot start."""
     with pytest.raises(RoboNeuronError) as refused:
         cell.supervisor.start(fake_plan("inference", config))
     assert "\n" not in refused.value.message

@@ -164,8 +164,8 @@ def test_state_of_bridge_is_position_angles_against_gripper_down_and_opening():
 
 
 def test_constants_that_do_not_fit_the_head_are_refused(complete):
-    """A bridge chunk of five on a LIBERO head cannot be told from the head, but its state width
-    can.
+    """The head does not reveal a bridge chunk of five instead of LIBERO's, but its state width
+    does.
     """
     with pytest.raises(ConfigurationError, match="8 proprio values"):
         _backend(complete, constants="bridge").load()
@@ -199,7 +199,7 @@ def test_tokens_that_are_no_actions_are_counted_over_the_chunk_and_refused_above
     tokens[:outside] = 17
     backend._runtime.run = lambda request: RowsReply(values=tokens)
     if refused:
-        with pytest.raises(UngroundedError, match=f"{outside} of 56 tokens are no action tokens"):
+        with pytest.raises(UngroundedError, match=f"{outside} of 56 tokens are not action tokens"):
             backend.predict(_observation())
         return
     chunk = backend.predict(_observation())

@@ -1,4 +1,4 @@
-"""Several observations in one pass give what each gives alone."""
+"""Several observations in one pass give the same results as each one separately."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from roboneuron.contract import Frame, Observation, Pose
 from roboneuron.errors import StateError, UngroundedError
 
 TOLERANCE = 1e-5
-"""float32: products of other sizes sum in another order."""
+"""float32: products of other sizes are summed in another order."""
 INSTRUCTIONS = (
     "pick up the red cube",
     "stop",
@@ -30,7 +30,7 @@ INSTRUCTIONS = (
 
 
 def seen(number: int) -> Observation:
-    """What robot `number` sees, and is told."""
+    """Observation and instruction of robot `number`."""
     drawn = np.random.default_rng(number)
     frames = {
         role: Frame(
@@ -56,7 +56,7 @@ OBSERVATIONS = [seen(number) for number in range(8)]
 
 
 class OneByOne:
-    """A runtime that answers one request at a time, as served ones do."""
+    """A runtime that answers one request at a time, like served ones."""
 
     def __init__(self):
         self.inner = TorchRuntime(TorchRuntimeConfig(device="cpu", dtype="float32"))
@@ -86,7 +86,7 @@ def backend(request, tiny) -> OftBackend:
 
 
 def test_prompts_have_many_lengths(backend):
-    """Else the tests below would show nothing about filling up."""
+    """Otherwise the tests below would not test padding."""
     assert len({backend._request(observation).prompt.ids.size for observation in OBSERVATIONS}) >= 6
 
 
@@ -103,8 +103,8 @@ def test_each_row_of_a_batch_is_the_answer_alone(backend, count):
 
 
 def test_observations_of_a_batch_do_not_disturb_each_other(backend):
-    """What the others see and are told moves no answer by more than rounding; their order is that
-    of the questions.
+    """The other observations change no answer by more than rounding; the order of the answers is
+    that of the requests.
     """
     first, *others = OBSERVATIONS
     whole = backend.predict_batch([first, *others])

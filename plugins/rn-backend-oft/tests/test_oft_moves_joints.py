@@ -1,4 +1,4 @@
-"""OFT checkpoints that act on joints: ALOHA's numbers, and a policy of one arm from observation to
+"""OFT checkpoints with joint actions: ALOHA's numbers, and a policy of one arm from observation to
 chunk.
 """
 
@@ -70,7 +70,7 @@ ALOHA = {"constants": "aloha", "profile": "joints", "joints": list(BOTH_ARMS)}
 
 @pytest.fixture(scope="module")
 def aloha() -> dict[str, np.ndarray]:
-    """What OFT's own code computes with ALOHA's constants; see data/README.md."""
+    """Values computed by OFT's own code with ALOHA's constants; see data/README.md."""
     with np.load(Path(__file__).parent / "data" / "aloha.npz") as arrays:
         return dict(arrays)
 
@@ -106,7 +106,7 @@ def _backend(path: Path, **options) -> OftBackend:
 
 @pytest.fixture(scope="module")
 def backend(tiny: Path) -> OftBackend:
-    """It, loaded."""
+    """A loaded backend with this checkpoint."""
     made = _backend(tiny)
     made.load()
     return made
@@ -168,7 +168,7 @@ def both(tmp_path_factory) -> OftBackend:
 
 
 def _both_seen(**changes) -> Observation:
-    """Left joints at 0.01, 0.02 .., right ones at -0.01, -0.02 .., in an order of the robot's."""
+    """Left joints at 0.01, 0.02 .., right ones at -0.01, -0.02 .., in the robot's order."""
     position = np.array([0.01 * int(n[-1]) * (1 if n[0] == "l" else -1) for n in BOTH_ARMS])
     pose = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]))
     grey = np.full((224, 224, 3), 80, dtype=np.uint8)
@@ -239,7 +239,7 @@ def test_arms_of_another_length_or_number_are_refused_by_planning():
 
 def test_an_action_width_that_is_no_two_equal_arms_is_refused():
     odd = dataclasses.replace(CONSTANTS["aloha"], action_width=13)
-    with pytest.raises(ConfigurationError, match="action_width 13 is no joints and a gripper"):
+    with pytest.raises(ConfigurationError, match="action_width 13 does not hold joints"):
         odd.rows()
 
 

@@ -1,4 +1,4 @@
-"""Against what the public modelling code computes in float32; see tests/data/README.md."""
+"""Comparison with the public modelling code in float32; see tests/data/README.md."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_proprioception_is_normalised_as_in_the_original(golden, golden_policy):
     scaling = Scaling.of(_statistics(golden_policy).proprio, "q99", EPSILON)
     np.testing.assert_allclose(
         scaling.to_normalized(golden["proprio_raw"]), golden["proprio_normalized"], atol=1e-6
-    )  # the original keeps some of it in float32
+    )  # the original keeps parts of it in float32
 
 
 def test_action_rows_are_those_of_the_original_model(golden, golden_policy, golden_runtime):
@@ -65,7 +65,7 @@ def test_attention_is_bidirectional_so_a_late_token_changes_the_first_row(
 ):
     request = _request(golden_policy, golden, "hidden")
     ids = request.prompt.ids.copy()
-    ids[-1] = 700  # in the stop token's place, behind every row that is read
+    ids[-1] = 700  # in place of the stop token, after every row that is read
     other = dataclasses.replace(request, prompt=dataclasses.replace(request.prompt, ids=ids))
     difference = golden_runtime.run(request).values[0] - golden_runtime.run(other).values[0]
     assert np.abs(difference).max() > 1e-3

@@ -1,10 +1,10 @@
-"""The published openpi-client against a server of ours; run by its own interpreter, without
+"""The published openpi-client with RoboNeuron's server; run by its own interpreter, without
 RoboNeuron.
 
     python openpi_client_asks.py URL REQUESTS.npz ANSWERS.npz [KEY]
 
 Each request is an array of the first file: `<number>/<key of the request>`; texts are arrays of one
-text. Answers are written likewise, with `metadata` as text.
+text. Answers are written in the same form, with `metadata` as text.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from openpi_client.websocket_client_policy import WebsocketClientPolicy
 
 
 def main(url: str, requests: str, answers: str, key: str | None = None) -> None:
-    """Ask for each request and write what was answered."""
+    """Send each request and write the answers."""
     asked: dict[str, dict[str, object]] = defaultdict(dict)
     with np.load(requests) as arrays:
         for name in arrays.files:

@@ -4,8 +4,8 @@ without RoboNeuron.
     python openpi_server_serves.py OPENPI PORT WIDTH
 
 OPENPI is a checkout of openpi: its file src/openpi/serving/websocket_policy_server.py is loaded,
-which needs nothing but openpi-client. The answer to a request is float32 (10, WIDTH): row i holds i
-plus the sum of every array of the request, each in its own column; "fail" as prompt is an error.
+which needs only openpi-client. The answer to a request is float32 (10, WIDTH): row i holds i plus
+the sum of every array of the request, each in its own column; "fail" as prompt is an error.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from openpi_client.base_policy import BasePolicy
 
 
 class Sums(BasePolicy):
-    """See above."""
+    """The policy described above."""
 
     def __init__(self, width: int) -> None:
         self._width = width
@@ -35,11 +35,11 @@ class Sums(BasePolicy):
         return {"actions": actions, "policy_timing": {"infer_ms": np.float64(1.5)}}
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Nothing to reset."""
 
 
 def main(checkout: str, port: str, width: str) -> None:
-    """Serve for ever."""
+    """Serve forever."""
     path = Path(checkout) / "src" / "openpi" / "serving" / "websocket_policy_server.py"
     spec = importlib.util.spec_from_file_location("websocket_policy_server", path)
     assert spec is not None

@@ -14,7 +14,7 @@ import numpy as np
 
 
 def ask(port: int) -> None:
-    """Ask once as RoboArena's evaluation does."""
+    """Send one request like RoboArena's evaluation."""
     from roboarena.policy_client import WebsocketClientPolicy
     from roboarena.policy_server import PolicyServerConfig
 
@@ -31,7 +31,7 @@ def ask(port: int) -> None:
 
 
 def serve(port: int) -> None:
-    """Serve for ever with RoboArena's server."""
+    """Serve forever with RoboArena's server."""
     from roboarena.policy import BasePolicy
     from roboarena.policy_server import PolicyServerConfig, WebsocketPolicyServer
 

@@ -26,11 +26,11 @@ from rn_backend_openpi.options import OpenpiOptions
 
 
 class PolicyServer:
-    """Stands in for openpi's policy server on a free loopback port: metadata first, then one reply
+    """Replacement of openpi's policy server on a free loopback port: metadata first, then one reply
     per request. `greet` may wait before the metadata are sent.
 
     `answer` gets each request and returns the reply's map; it may raise (a text frame with a
-    traceback, then close 1011, as openpi does), return bytes or text to send as they are, or act on
+    traceback, then close 1011, as openpi does), return bytes or text to be sent unchanged, or use
     `connection` itself and return None.
     """
 
@@ -53,7 +53,7 @@ class PolicyServer:
         return f"{'wss' if self.tls else 'ws'}://127.0.0.1:{self.port}"
 
     def start(self) -> None:
-        """Listen; the second time on the same port as before."""
+        """Start listening; the second time on the same port."""
         deadline_s = time.monotonic() + 5.0
         while True:
             try:
@@ -74,14 +74,14 @@ class PolicyServer:
         threading.Thread(target=self._server.serve_forever, daemon=True).start()
 
     def stop(self) -> None:
-        """Stop listening and cut the connection, as a killed process would."""
+        """Stop listening and cut the connection, like a killed process."""
         if self._server is not None:
             self._server.shutdown()
             self._server = None
         self.cut()
 
     def cut(self) -> None:
-        """Break the current connection without a goodbye."""
+        """Cut the current connection without a closing handshake."""
         if self.connection is not None:
             with suppress(OSError):
                 self.connection.socket.shutdown(2)
@@ -123,7 +123,7 @@ def policy_server() -> Iterator[PolicyServer]:
 
 @pytest.fixture
 def options(policy_server: Any) -> Callable[..., OpenpiOptions]:
-    """Makes options that point at the stand-in."""
+    """Create options for the stand-in."""
 
     def make(**changes: Any) -> OpenpiOptions:
         values = {

@@ -17,9 +17,9 @@ from rn_backend_openpi.options import OpenpiOptions
 
 KEY = "a-key-of-some-length"
 TIMEOUT_S = 1.0
-"""Of a request to the stand-in for openpi's server."""
+"""Time limit of a request to the stand-in for openpi's server."""
 SLACK_S = 10.0
-"""What scheduling on a busy machine may add to a bounded wait."""
+"""Margin of a bounded wait for scheduling on a busy machine."""
 STATE = np.array([0.4, 0.0, 0.5, np.pi, 0.0, 0.0, 0.04, -0.04])
 GREY = np.full((32, 48, 3), 90, dtype=np.uint8)
 REQUEST = {"observation/image": GREY, "observation/state": STATE, "prompt": "go"}

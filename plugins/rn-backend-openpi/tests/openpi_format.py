@@ -1,4 +1,4 @@
-"""openpi's format of arrays, written from its description and not with the code under test."""
+"""openpi's format of arrays, written from its description without the code under test."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def encode(value: Any) -> dict[bytes, Any]:
-    """numpy as openpi puts it on the wire."""
+    """Encode numpy values in openpi's format."""
     if isinstance(value, np.ndarray):
         return {
             b"__ndarray__": True,

@@ -1,5 +1,5 @@
-"""What the client gets from the server is what the backend answers: to the bit in each of the five
-spaces, within rounding behind the public profiles.
+"""The client receives the backend's answers: bit-identical in each of the five spaces, within
+rounding for the public profiles.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ def test_rows_behind_a_public_profile_are_those_of_the_backend(
     with serving(OpenpiOptions(**options), model, space=space) as url:
         chunk = _asked(url, options, seen)
     local = model.predict(seen).actions
-    # scales and openings are multiplied once there and once back
+    # scales and openings are multiplied once in each direction
     np.testing.assert_allclose(chunk.actions, local, atol=1e-14, rtol=0)
     assert chunk.space == space
 
@@ -163,7 +163,7 @@ def test_robots_that_ask_at_the_same_time_get_their_own_answers(observe: Observe
 
 
 class Late(Reflex):
-    """Answers the first observation at once, and others too late."""
+    """Answers the first observation at once, and later ones too late."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""Keys of a client and the URLs they may be sent to."""
+"""Keys of a client, and the URLs that may receive them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The remote backend with served policies that act on joints: what is sent, and what comes back."""
+"""The remote backend with served joint policies: requests and answers."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_droid_is_asked_and_answers_in_its_own_terms(policy_server: Any, observe
     np.testing.assert_allclose(request["observation/joint_position"], POSTURE)
     np.testing.assert_allclose(request["observation/gripper_position"], [0.25])
     assert "observation/state" not in request
-    # 1 is 3 rad/s and the most; DROID counts 1 as closed.
+    # 1 is 3 rad/s and the maximum; in DROID 1 is closed.
     np.testing.assert_allclose(chunk.actions[3], [0.3, -0.6, 0, 0, 0, 0, 3.0, 0.75], atol=1e-12)
     assert chunk.space.kind == "joint_velocity"
     assert chunk.step_s == pytest.approx(1 / 15)
@@ -123,11 +123,11 @@ def test_answers_of_another_width_or_not_finite_are_refused(
 
 
 def test_joints_that_do_not_fit_are_refused(policy_server: Any) -> None:
-    with pytest.raises(ConfigurationError, match="'joints' has no use"):
+    with pytest.raises(ConfigurationError, match="'joints' has no effect"):
         _backend(policy_server, profile="libero")
     with pytest.raises(ConfigurationError, match="needs the option 'joints'"):
         _backend(policy_server, joints=None)
     with pytest.raises(ConfigurationError, match="names 6 joints, profile 'droid' has 7"):
         _backend(policy_server, joints=ARM[:6])
-    with pytest.raises(ConfigurationError, match="each joint stands once"):
+    with pytest.raises(ConfigurationError, match="each joint appears once"):
         _backend(policy_server, joints=(*ARM[:6], ARM[0]))

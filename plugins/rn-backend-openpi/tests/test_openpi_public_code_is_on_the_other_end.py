@@ -1,5 +1,6 @@
-"""openpi-client as published asks our server, and openpi's own server answers our client; likewise
-RoboArena's client and server. All in the environment of `make test-openpi-peers`.
+"""The published openpi-client uses RoboNeuron's server, and openpi's own server answers
+RoboNeuron's client; likewise RoboArena's client and server. All in the environment of `make
+test-openpi-peers`.
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ CASES: dict[str, tuple[ControlSpace, dict[str, Any], float]] = {
 
 
 def _request(profile: str, number: int) -> dict[str, Any]:
-    """What openpi's examples send, with pictures of a camera's size."""
+    """Request of openpi's examples, with images of a camera's size."""
     rng = np.random.default_rng(number)
     images = rng.integers(0, 256, (2, 120, 160, 3), dtype=np.uint8)
     if profile == "libero":
@@ -122,7 +123,7 @@ def _fitted(value: Any) -> Any:
 
 @pytest.fixture
 def foreign_server() -> Iterator[Callable[..., str]]:
-    """Starts a program of `interop` with these arguments, "PORT" replaced; returns its URL."""
+    """Start a program of `interop` with these arguments, "PORT" replaced; returns its URL."""
     processes: list[subprocess.Popen[bytes]] = []
 
     def start(program: str, *arguments: object) -> str:

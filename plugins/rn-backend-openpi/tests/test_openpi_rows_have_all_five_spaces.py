@@ -1,5 +1,5 @@
-"""Rows of every space, in every convention: what they become in the contract, and back; the state
-that goes with them.
+"""Rows of every space, in every convention: conversion to the contract and back; and the state with
+them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,9 @@ ARM = ("a1", "a2", "a3", "b1", "b2", "b3")
 TWO = {"joints": ARM, "arms": ("left", "right")}
 STATE = {"state_keys": {"state": ["joints", "gripper_open"]}}
 ROUNDING = 1e-12
-"""A few products and sums of numbers of order 1; a wrong convention is off by 0.01 and more."""
+"""A few products and sums of numbers of order 1; a wrong convention causes errors of 0.01 and
+more.
+"""
 GRIPPERS = ("open_fraction", "closed_fraction", "signed_open", "signed_close")
 ROTATIONS = ("quaternion", "quaternion_wxyz", "rotvec", "rpy", "rot6d", "rot6d_rows")
 QUARTER = np.array([0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])

@@ -1,4 +1,4 @@
-"""Keys, certificates and TLS: whom the server answers, and what it tells others."""
+"""Keys, certificates and TLS: which clients the server answers, and its replies to others."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_health_is_told_to_anybody_and_nothing_else() -> None:
             status, body = http_get(url, path)
             assert (status, body) == (401, b"")
         status, body = http_get(url, "/", Authorization=f"Api-Key {KEY}")
-        assert status == 426  # no websocket
+        assert status == 426  # not a websocket
         assert KEY.encode() not in body
 
 
@@ -52,7 +52,7 @@ def test_only_the_key_opens() -> None:
 
 @pytest.fixture
 def files(tmp_path: Path) -> dict[str, str]:
-    """A key and a certificate."""
+    """Files of a key and a certificate."""
     if shutil.which("openssl") is None:
         pytest.skip("makes a certificate with openssl")
     pem, key, token = tmp_path / "c.pem", tmp_path / "k.pem", tmp_path / "token"

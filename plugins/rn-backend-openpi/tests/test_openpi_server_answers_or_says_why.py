@@ -1,4 +1,4 @@
-"""Answers of the server to a plain client, and what it says when its model hangs or fails."""
+"""Answers of the server to a plain client, and its errors when the model hangs or fails."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_a_server_that_ends_waits_for_no_model() -> None:
 
 
 class Broken(Reflex):
-    """Fails as no backend should."""
+    """Fails with an unexpected error."""
 
     def answer(self, observations: Any) -> Any:
         raise KeyError("/secret/path")

@@ -1,4 +1,4 @@
-"""The command `roboneuron openpi-server`: what it serves, and what it refuses by name."""
+"""The command `roboneuron openpi-server`: what it serves, and refusals by name."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _text(backend: str, openpi: str = "", server: str = "") -> str:
     ("text", "word"),
     [
         (_text(""), "has no \\[inference\\]"),
-        (_text("openpi"), "asks a server itself"),
+        (_text("openpi"), "is itself a client of a server"),
         (_text("mars"), "There is no backend 'mars'"),
         (
             _text("still-many", 'profile = "ur5e"\njoints = ["a", "b", "c", "d", "e", "f"]'),

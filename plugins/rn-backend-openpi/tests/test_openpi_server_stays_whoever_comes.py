@@ -1,5 +1,5 @@
-"""The server with clients that are slow, silent, many, or send anything: one connection ends, the
-others are answered as before.
+"""The server with clients that are slow, silent, numerous, or send arbitrary data: one connection
+ends, the others are still answered.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def test_a_client_that_takes_all_places_keeps_nobody_out() -> None:
 
 
 class SlowReflex(Reflex):
-    """One that takes 20 ms for each observation, one after the other."""
+    """Takes 20 ms for each observation, one after the other."""
 
     most = 1
 
@@ -99,7 +99,8 @@ def test_a_client_with_many_connections_gets_no_more_answers_than_one() -> None:
             thread.join(60.0)
     one, many = answered.values()
     assert one + many >= 80
-    # alike but for the moments between two of its questions; by connections it were 15 times
+    # equal except for the time between two of its requests; counted by connections it would be 15
+    # times
     assert many < 3 * one, answered
 
 
@@ -114,12 +115,12 @@ for _ in range(40):
     ("request_", "word"),
     [
         (b"", "InvalidInputError"),
-        (b"\xc1", "not of openpi's format"),
+        (b"\xc1", "not in openpi's format"),
         (b"\x00" * 1000, "InvalidInputError"),
         ("text", "this one is text"),
         (msgpack.packb([1]), "expected a map"),
         (msgpack.packb(np.zeros(3), default=encode), "this one is an array"),
-        ({**REQUEST, "prompt": DEEP}, "deep in each other"),
+        ({**REQUEST, "prompt": DEEP}, "nested more than"),
         ({**REQUEST, "x": list(range(5000))}, "exceeds"),
         ({**REQUEST, "prompt": "x" * 100_000}, "exceeds"),
         ({**REQUEST, "endpoint": "shell"}, "no endpoint 'shell'"),
@@ -192,7 +193,7 @@ def test_random_bytes_before_the_handshake_disturb_nobody() -> None:
 
 
 def _is_closed(plain: socket.socket) -> bool:
-    """Whether the other end has closed; told at once."""
+    """True if the other end has closed; returns at once."""
     plain.settimeout(0.5)
     try:
         return plain.recv(1) == b""
@@ -203,7 +204,7 @@ def _is_closed(plain: socket.socket) -> bool:
 
 
 def test_many_who_say_nothing_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    # so nobody of them times out before the others are answered
+    # so that none of them times out before the others are answered
     monkeypatch.setattr("rn_backend_openpi.server._HANDSHAKE_S", 120.0)
     with served(clients=4) as url, ExitStack() as opened:
         good = opened.enter_context(open_client(url))
@@ -215,12 +216,12 @@ def test_many_who_say_nothing_keep_nobody_out(monkeypatch: pytest.MonkeyPatch) -
         late = opened.enter_context(open_client(url))
         assert ask(late)["actions"].shape == (4, 7)
         assert ask(good)["actions"].shape == (4, 7)
-        # no more are kept than the bound says, the newest ones
+        # only as many as the bound are kept, the newest ones
         assert [_is_closed(stranger) for stranger in strangers[:200]] == [True] * 200
 
 
 class Wide(Reflex):
-    """Answers with so many numbers that no socket buffer holds them."""
+    """Answers with more numbers than a socket buffer holds."""
 
     def answer(self, observations: Any) -> Any:
         chunks = super().answer(observations)
@@ -236,7 +237,7 @@ PLAIN = msgpack.packb(
 
 @contextmanager
 def _reading_nothing(url: str) -> Iterator[None]:
-    """A client that asks again and again and reads no answer."""
+    """A client that sends requests repeatedly and reads no answer."""
     with socket.socket() as plain:
         plain.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         plain.connect(("127.0.0.1", int(url.rsplit(":", 1)[1])))
@@ -251,7 +252,7 @@ def _reading_nothing(url: str) -> Iterator[None]:
 
 
 def test_a_client_that_does_not_read_holds_nobody_up() -> None:
-    # were it waited for, that would be for a minute
+    # waiting for it would take a minute
     options = OpenpiOptions(profile="roboneuron", server={"send_timeout_s": 60.0})
     with serving(options, Wide()) as url, _reading_nothing(url), open_client(url) as good:
         start = time.monotonic()

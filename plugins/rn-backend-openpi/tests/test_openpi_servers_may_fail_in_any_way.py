@@ -1,5 +1,5 @@
-"""The remote backend against a stand-in for openpi's server that dies, stalls, lies and comes
-back.
+"""The remote backend with a stand-in for openpi's server that dies, stalls, sends wrong data and
+returns.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from roboneuron.errors import (
 
 Observe = Callable[..., Observation]
 SLACK_S = 6.0
-"""What scheduling on a busy machine may add to a bounded wait."""
+"""Margin of a bounded wait for scheduling on a busy machine."""
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def backend(options: Callable[..., OpenpiOptions]) -> Iterator[OpenpiBackend]:
 
 
 def _recovers(backend: OpenpiBackend, observation: Observation) -> None:
-    """Predict again, asking anew while it says that it is not ready."""
+    """Predict again, repeated while it is not ready."""
     deadline_s = time.monotonic() + 10.0
     while True:
         try:
@@ -105,11 +105,11 @@ def test_an_answer_that_nobody_asked_for_is_not_taken_for_the_next(
     again = policy_server.answer({})
     policy_server.connection.send(policy_server._packed(again))
     deadline_s = time.monotonic() + SLACK_S
-    while True:  # it is on its way for a moment, and an answer to none of these
+    while True:  # it is in transit for a moment, and answers none of these
         try:
             backend.predict(observe())
         except NotReadyError as error:
-            assert "nobody has asked for" in str(error)  # noqa: PT017
+            assert "an answer without a request" in str(error)  # noqa: PT017
             break
         assert time.monotonic() < deadline_s
     policy_server.answer = good
@@ -337,8 +337,8 @@ def test_predict_is_refused_before_load_and_after_close(
 
 
 class _Relay:
-    """Passes bytes between a client and the stand-in until it is frozen; then it leaves everything
-    lying.
+    """Forwards bytes between a client and the stand-in until it is frozen; then it forwards
+    nothing.
     """
 
     def __init__(self, url: str) -> None:
@@ -360,7 +360,7 @@ class _Relay:
         self._listener.close()
 
     def freeze(self) -> None:
-        """From now on nothing is read."""
+        """Read nothing from now on."""
         self._frozen.set()
 
     def _spawn(self, target: Callable[..., None], *args: object) -> None:

@@ -1,8 +1,8 @@
-"""The client with servers of RoboArena's kind (DreamZero, vLLM-Omni), and what of a server's
-metadata is compared with the configuration.
+"""The client with servers of RoboArena's dialect (DreamZero, vLLM-Omni), and the comparison of a
+server's metadata with the configuration.
 
-Frames are those of the public descriptions: roboarena policy_server.py; vLLM-Omni, "OpenPI Robot
-Policy WebSocket API". Two stand here byte by byte, so that no packer agrees with itself.
+Frames follow the public descriptions: roboarena policy_server.py; vLLM-Omni, "OpenPI Robot Policy
+WebSocket API". Two are written byte by byte, so that the packer is not only tested against itself.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ ARENA = {
     "needs_session_id": True,
     "action_space": "joint_position",
 }
-"""What DreamZero declares, with one camera."""
+"""Metadata of DreamZero, with one camera."""
 ARENA_OPTIONS = {
     "profile": "roboarena",
     "joints": ARM,
@@ -68,7 +68,7 @@ ARRAY = bytes.fromhex(
     + "a33c6634"  # b"dtype": "<f4"
     "c4057368617065" + "920108"  # b"shape": [1, 8]
 )
-"""A reply that is an array and no map."""
+"""A reply that is an array instead of a map."""
 
 
 def _backend(server: Any, **options: Any) -> OpenpiBackend:

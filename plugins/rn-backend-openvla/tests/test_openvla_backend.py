@@ -75,8 +75,8 @@ def test_the_instruction_reaches_the_model_in_lower_case(backend):
 
 
 def test_a_served_runtime_gets_text_and_image_and_its_tokens_become_the_action(tiny):
-    """The seam of a runtime that never sees weights: only the text and the RGB image, only ids
-    back.
+    """The interface of a runtime without weights: it gets only the text and the RGB image, and
+    returns only ids.
     """
 
     class Served:
@@ -177,13 +177,13 @@ def test_without_a_runtime_it_says_what_to_install(tiny):
 
 
 def test_what_the_boundary_costs_at_model_size_stays_small(backend):
-    """Everything between observation and action but the model itself, at 224 x 224, best of ten."""
+    """Everything between observation and action except the model, at 224 x 224, best of ten."""
     image = np.random.default_rng(0).integers(0, 256, (224, 224, 3)).astype(np.uint8)
     costs = []
     for _ in range(10):
         metrics = backend.predict(_observation(image)).metrics
         costs.append(metrics["inference_ms"] - metrics["model_ms"])
-    # 1.3 ms was seen on an idle core; the bound leaves room for a busy machine
+    # 1.3 ms was measured on an idle core; the bound leaves a margin for a busy machine
     assert min(costs) < 10.0
 
 
@@ -221,7 +221,7 @@ def test_one_token_that_is_no_action_is_counted_and_told(tiny, caplog, token):
     first, second = backend.predict(_observation(90)), backend.predict(_observation(90))
     assert first.metrics["tokens_outside_actions"] == 1
     assert second.metrics["tokens_outside_actions_total"] == 2
-    assert "1 of 7 tokens are no action tokens" in first.note
+    assert "1 of 7 tokens are not action tokens" in first.note
     assert "full-scale" in caplog.text
 
 
@@ -236,7 +236,7 @@ def test_action_tokens_of_both_ends_are_not_counted(tiny):
 def test_more_tokens_that_are_no_actions_than_allowed_are_refused(tiny):
     tokens = [5, 5, 31872, 31872, 31872, 31872, 31872]
     with pytest.raises(
-        UngroundedError, match=r"2 of 7 tokens are no action tokens, 2 since .*max_outside_share"
+        UngroundedError, match=r"2 of 7 tokens are not action tokens, 2 since .*max_outside_share"
     ):
         _saying(tiny, tokens).predict(_observation(90))
     assert _saying(tiny, tokens, max_outside_share=0.3).predict(_observation(90)).note

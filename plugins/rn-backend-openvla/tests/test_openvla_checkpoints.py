@@ -279,7 +279,7 @@ def test_expected_weights_of_the_public_model_are_as_many_as_it_has():
 
 
 def test_letterbox_in_the_processor_is_named_as_such(complete):
-    """The message named the strategy of the other file: resizes by 'resize-naive', only
+    """The message used to name the strategy of the other file: resizes by 'resize-naive', only
     'resize-naive' ...
     """
     _edit(complete / "preprocessor_config.json", tvf_do_letterbox=True)

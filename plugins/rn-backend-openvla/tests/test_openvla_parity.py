@@ -1,4 +1,4 @@
-"""Against what the public modelling code computes in float32; see tests/data/README.md."""
+"""Comparison with the public modelling code in float32; see tests/data/README.md."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from rn_vla.openvla.prompt import end_prompt
 from rn_vla.openvla.statistics import Scaling, choose_statistics
 
 LOGIT_TOLERANCE = 1e-4
-"""Fused projections and SDPA sum in another order; 4e-6 was seen."""
+"""Fused projections and SDPA sum in another order; 4e-6 was measured."""
 INT8_TOLERANCE = {"float32": 0.01, "bfloat16": 0.03}
-"""Of the largest logit. Products with int8 weights take their rows as bfloat16, which rounds by
-2^-9, and so are outputs in bfloat16; 0.0017 and 0.0095 were seen with AVX-512, AVX2 and SSE4.1
-kernels.
+"""Fraction of the largest logit. Products with int8 weights convert their rows to bfloat16, which
+rounds by 2^-9, and so do outputs in bfloat16; 0.0017 and 0.0095 were measured with AVX-512, AVX2
+and SSE4.1 kernels.
 """
 
 
@@ -85,8 +85,8 @@ def test_half_precision_stays_near_the_float32_logits(golden, golden_checkpoint,
 def test_decoding_with_int8_weights_stays_near_the_logits(
     golden, golden_checkpoint, monkeypatch, dtype
 ):
-    """Compares every step that follows the same tokens: which of two nearly equal ones wins is
-    decided by rounding.
+    """Compare every step with the same preceding tokens: rounding decides between two nearly equal
+    tokens.
     """
     steps = {}
     for weights in ("same", "int8"):
@@ -101,11 +101,11 @@ def test_decoding_with_int8_weights_stays_near_the_logits(
         compared += 1
         if same.argmax() != int8.argmax():
             break
-    assert compared >= 2  # the first is read from the prompt, with the weights themselves
+    assert compared >= 2  # the first is read from the prompt, with the original weights
 
 
 def _logits_of_each_step(runtime, request, monkeypatch):
-    """The seven logits (vocabulary,) that a request's tokens were chosen by."""
+    """The seven logits (vocabulary,) from which a request's tokens were chosen."""
     recorded = []
     logits = Decoder.logits
 

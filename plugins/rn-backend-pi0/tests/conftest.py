@@ -1,4 +1,4 @@
-"""Fixtures: the golden checkpoint, a tiny checkpoint of our own."""
+"""Fixtures: the golden checkpoint and a tiny checkpoint."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ GOLDEN = Path(__file__).parent / "data" / "pi0-tiny"
 
 @pytest.fixture(scope="session")
 def golden_directory() -> Path:
-    """The golden checkpoint; its README says where the numbers come from."""
+    """The golden checkpoint; its README gives the origin of the numbers."""
     return GOLDEN
 
 
@@ -25,9 +25,7 @@ def golden() -> dict[str, np.ndarray]:
 
 @pytest.fixture(scope="session")
 def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A checkpoint in LeRobot's layout, as `roboneuron-pi0 make-tiny` writes it. Never written
-    to.
-    """
+    """A checkpoint in LeRobot's layout, written by `roboneuron-pi0 make-tiny`. Read-only."""
     from rn_backend_pi0.tiny import make_tiny
 
     directory = tmp_path_factory.mktemp("pi0") / "tiny"
@@ -37,7 +35,7 @@ def tiny_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def tiny_openpi_checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same weights in openpi's layout. Never written to."""
+    """The same weights in openpi's layout. Read-only."""
     from rn_backend_pi0.tiny import make_tiny
 
     directory = tmp_path_factory.mktemp("pi0") / "tiny-openpi"

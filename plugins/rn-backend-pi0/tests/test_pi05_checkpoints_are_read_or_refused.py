@@ -1,6 +1,4 @@
-"""Both layouts of pi0.5: which variant it is, which statistics are read, what is refused; and its
-real-time chunking.
-"""
+"""Both layouts of pi0.5: variant, statistics and refusals; and its real-time chunking."""
 
 from __future__ import annotations
 
@@ -28,7 +26,7 @@ LAYOUTS = ("lerobot", "openpi")
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A tiny pi0.5 in each layout. Never written to."""
+    """A tiny pi0.5 in each layout. Read-only."""
     root = tmp_path_factory.mktemp("pi05")
     for layout in LAYOUTS:
         make_tiny(root / layout, layout=layout, variant="pi05")  # type: ignore[arg-type]
@@ -62,7 +60,9 @@ def test_both_layouts_are_pi05_with_quantiles(made: dict[str, Path], layout: str
 
 
 def test_both_layouts_give_the_same_actions(made: dict[str, Path], observe: Observe) -> None:
-    """With the same eps: a state at its mean is at the edge of two bins, which eps decides."""
+    """With the same eps, because a state at its mean is at the edge of two bins, and eps
+    decides.
+    """
     backends = [_backend(made[layout], numerics="openpi") for layout in LAYOUTS]
     one, other = (backend.predict(observe()).actions for backend in backends)
     np.testing.assert_array_equal(one, other)
@@ -80,7 +80,7 @@ def test_the_variant_of_openpis_layout_comes_from_the_index_of_shards(
 
 
 def load_shard_keys(directory: Path) -> list[str]:
-    """Keys of the one file."""
+    """Keys of the only file."""
     with (directory / "model.safetensors").open("rb") as file:
         header = json.loads(file.read(int.from_bytes(file.read(8), "little")))
     return [key for key in header if key != "__metadata__"]
@@ -170,7 +170,7 @@ def test_weights_of_pi0_under_the_name_of_pi05_are_recognised(
 
 
 def test_the_state_may_be_left_out_of_the_prompt(made: dict[str, Path], observe: Observe) -> None:
-    """As openpi's pi05_libero has it: pi0's prompt, and no state anywhere."""
+    """As in openpi's pi05_libero: pi0's prompt, and no state at all."""
     with_state = _backend(made["openpi"], noise="fixed")
     without = _backend(made["openpi"], noise="fixed", state_in_prompt=False)
     here, there = observe(), observe(position_m=(0.6, 0.2, 0.3))

@@ -1,8 +1,7 @@
-"""pi0.5 against what openpi's own code computes for the same tiny checkpoint: prompts, answers of
-the network and un-normalised actions.
+"""pi0.5 compared with openpi's own code on the same tiny checkpoint: prompts, answers of the
+network and un-normalised actions.
 
-parity/openpi_numbers.py made the numbers; `make test-parity` makes them again and compares with
-those.
+parity/openpi_numbers.py computed the numbers; `make test-parity` computes them again and compares.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ CASES = {
     "no_state": ((0, 1), None, 0),
 }
 TOLERANCE = 2e-5
-"""Ten Euler steps of float32 sums in another order; 1.2e-6 was measured. LeRobot's flow times in
-the place of openpi's are 6e-5, other mistakes (norms without the 1, the shift or the gate, one
+"""Ten Euler steps of float32 sums in another order; 1.2e-6 was measured. LeRobot's flow times
+instead of openpi's cause 6e-5, other mistakes (norms without the 1, the shift or the gate, one
 position more, no second SiLU) at least 1.5e-2.
 """
 Arrays = dict[str, np.ndarray]
@@ -53,10 +52,10 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def model(checkpoint: Path, arrays: Arrays) -> Pi0Model:
-    """It, loaded."""
+    """The checkpoint, loaded."""
     model = Pi0Model(read_checkpoint(checkpoint), device="cpu", dtype="float32", cpu_threads=1)
     weight = model._network.action_in_proj.weight[0].numpy()
-    # Other weights than those of the numbers: this PyTorch draws otherwise from the same seed.
+    # If these differ, this PyTorch draws other weights from the same seed.
     np.testing.assert_array_equal(weight, arrays["weight"])
     return model
 

@@ -1,5 +1,5 @@
-"""The native backend: inputs matter, noise repeats, whatever is missing or not finite is
-refused.
+"""The native backend: inputs affect the answer, noise is repeatable, missing or non-finite values
+are refused.
 """
 
 from __future__ import annotations

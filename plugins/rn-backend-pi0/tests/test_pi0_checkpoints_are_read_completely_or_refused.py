@@ -1,6 +1,4 @@
-"""Every file and tensor of a checkpoint is accounted for; whatever does not fit is refused by
-name.
-"""
+"""Every file and tensor of a checkpoint is checked; a mismatch is refused by name."""
 
 from __future__ import annotations
 

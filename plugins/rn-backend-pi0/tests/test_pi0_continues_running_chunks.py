@@ -1,7 +1,7 @@
-"""Real-time chunking of pi0, against what LeRobot 0.6.1 computes on the same tiny checkpoint.
+"""Real-time chunking of pi0, compared with LeRobot 0.6.1 on the same tiny checkpoint.
 
 data/pi0-rtc.npz and data/prefix-weights.npz are excerpts of golden sets made with the original
-code; models, pictures and prompts are those of data/pi0-tiny. `_vjp` arrays hold the paper's rule
+code; models, images and prompts are those of data/pi0-tiny. `_vjp` arrays hold the paper's rule
 with the full Jacobian.
 """
 
@@ -105,7 +105,8 @@ def test_the_full_jacobian_is_the_paper_s(
 ) -> None:
     case = CASES[name]
     actions = infer(models, golden, case, prefix_of(case, jacobian="full"))
-    # Random weights have large Jacobians, so each case says how far float32 is from float64.
+    # Random weights have large Jacobians, so each case gives its difference between float32 and
+    # float64.
     expected, tolerance = RTC[f"out/{name}/actions_norm_vjp"], 10 * max(case["f64_diff_vjp"], 1e-6)
     np.testing.assert_allclose(actions, expected, atol=tolerance, rtol=0)
 
@@ -117,7 +118,7 @@ def test_prefix_weights_are_those_of_the_reference() -> None:
         WEIGHTS["weights/start_end_total_schedule"].tolist()
     ):
         if end > total:
-            continue  # cannot happen once the horizon is cut to what is left over
+            continue  # cannot happen when the horizon is limited to the left-over rows
         ours = prefix_weights(start, end, total, schedules[schedule])  # type: ignore[arg-type]
         np.testing.assert_allclose(ours, expected[row, :total], atol=2e-7)
 
@@ -138,7 +139,7 @@ def test_a_trained_prefix_is_kept_exactly(
     actions = infer(models, golden, case, prefix)
     np.testing.assert_array_equal(actions[:2, :7], prefix.rows[:2])
     plain = infer(models, golden, case, None)
-    assert np.abs(actions[2:] - plain[2:]).max() > 1e-3  # the other rows see it
+    assert np.abs(actions[2:] - plain[2:]).max() > 1e-3  # the guidance affects the other rows
 
 
 def test_inference_without_a_prefix_is_untouched(
@@ -194,7 +195,7 @@ def test_a_context_of_another_backend_is_left_alone(backend: Pi0Backend, observe
 
 
 def test_relative_rows_are_re_expressed_against_the_new_state(backend: Pi0Backend) -> None:
-    """The same absolute targets, seen from a state that has moved, are other relative rows."""
+    """The same absolute targets are other relative rows after the state has moved."""
     assert backend._model is not None
     conversion = backend._conversion
     assert isinstance(conversion, TcpConversion)

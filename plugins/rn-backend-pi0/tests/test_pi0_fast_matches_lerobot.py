@@ -1,8 +1,8 @@
-"""pi0-FAST: tokens and chunks against what LeRobot's own code computes for the same tiny
-checkpoint, and what is refused.
+"""pi0-FAST: tokens and chunks compared with LeRobot's own code on the same tiny checkpoint, and
+refusals.
 
-parity/lerobot_fast_numbers.py made the numbers; `make test-parity` makes them again and compares
-with those.
+parity/lerobot_fast_numbers.py computed the numbers; `make test-parity` computes them again and
+compares.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def arrays() -> Arrays:
 
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The checkpoint that LeRobot's code was run on. Never written to."""
+    """The checkpoint on which LeRobot's code was run. Read-only."""
     directory = tmp_path_factory.mktemp("fast") / "tiny"
     make_tiny(directory, variant="pi0_fast", profile="droid")
     return directory
@@ -57,19 +57,19 @@ def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def network(checkpoint: Path, arrays: Arrays) -> FastNetwork:
-    """It, loaded."""
+    """The network of the checkpoint, loaded."""
     dims = read_checkpoint(checkpoint).dims
     network = load_network(checkpoint, dims, device=torch.device("cpu"), dtype=torch.float32)
     assert isinstance(network, FastNetwork)
     weight = network.vision.get_parameter("layers.0.mlp.fc1.weight")[0].numpy()
-    # Other weights than those of the numbers: this PyTorch draws otherwise from the same seed.
+    # If these differ, this PyTorch draws other weights from the same seed.
     np.testing.assert_array_equal(weight, arrays["weight"])
     return network
 
 
 @pytest.fixture(scope="module")
 def prompt(checkpoint: Path) -> InstructionEncoder:
-    """Its encoder of instructions and states."""
+    """The checkpoint's encoder of instructions and states."""
     return load_prompt(
         checkpoint, None, family="lerobot", max_tokens=200, vocabulary=640, variant="pi0_fast"
     )
@@ -84,7 +84,9 @@ def _tokenizer(checkpoint: Path, length: Any = "exact", **shape: int) -> FastTok
 def test_the_tokens_are_those_of_lerobot(
     network: FastNetwork, prompt: InstructionEncoder, arrays: Arrays, case: str
 ) -> None:
-    """LeRobot chooses among all tokens and begins with nothing, so the same is done here."""
+    """LeRobot chooses among all tokens and starts without given ones, so this test does the
+    same.
+    """
     pictures = arrays["cells"].repeat(16, axis=1).repeat(16, axis=2)
     pixels = [to_pixels(pictures[i], side=224, resize="plain", flip="none") for i in CASES[case]]
     written, outside = network.write_tokens(
@@ -97,7 +99,7 @@ def test_the_tokens_are_those_of_lerobot(
     )
     assert written == arrays[f"{case}/tokens"].tolist()
     assert outside == 0
-    assert len(set(written)) > 5  # a model that repeats itself would prove little
+    assert len(set(written)) > 5  # a model that repeats one token would prove little
 
 
 def test_each_input_changes_the_tokens(arrays: Arrays) -> None:
@@ -121,7 +123,8 @@ def test_tokens_become_the_chunk_that_lerobot_makes_of_them(
     # LeRobot rounds the chunk to float32.
     np.testing.assert_allclose(actions, arrays[f"{name}/actions"], atol=1e-6, rtol=0)
     if name == "whole":
-        # Coefficients are rounded to tenths: at most 0.05 off each, ten of them in a column.
+        # Coefficients are rounded to tenths: an error of at most 0.05 each, ten of them in a
+        # column.
         np.testing.assert_allclose(actions, arrays["whole/chunk"], atol=0.16, rtol=0)
         np.testing.assert_array_equal(_tokenizer(checkpoint).to_actions(codes), actions)
     else:
@@ -148,14 +151,14 @@ def test_code_beside_the_tokenizer_is_never_run(checkpoint: Path, tmp_path: Path
 
 
 def test_half_a_character_is_refused(checkpoint: Path, tmp_path: Path) -> None:
-    """Published tokenizers hold pieces of UTF-8 characters, which do not always fit together."""
+    """Published tokenizers contain parts of UTF-8 characters, which do not always combine."""
     from tokenizers import Tokenizer, decoders, models
 
     shutil.copytree(checkpoint / "action_tokenizer", tmp_path / "action_tokenizer")
     tokenizer = Tokenizer(models.BPE(vocab={"a": 0, "Ã": 1}, merges=[]))
     tokenizer.decoder = decoders.ByteLevel()
     tokenizer.save(str(tmp_path / "action_tokenizer" / "tokenizer.json"))
-    with pytest.raises(UngroundedError, match="no whole coefficients"):
+    with pytest.raises(UngroundedError, match="no complete coefficients"):
         _tokenizer(tmp_path).to_actions([1, 0])
 
 
@@ -208,7 +211,7 @@ def test_each_backend_runs_its_own_variants(checkpoint: Path, tiny_checkpoint: P
     ("key", "value", "message"),
     [
         ("temperature", 0.7, "temperature is 0.7"),
-        ("output_features", {}, "output_features says no width"),
+        ("output_features", {}, "output_features has no width"),
         ("fast_skip_tokens", 400, "do not fit into a vocabulary"),
     ],
 )

@@ -1,5 +1,5 @@
-"""Everything between the robot and the network of policies that act on joints, against what
-openpi's own transforms compute; data/README.md says how the numbers were made.
+"""All conversions between the robot and the network of joint policies, compared with openpi's own
+transforms; data/README.md describes the origin of the numbers.
 """
 
 from __future__ import annotations

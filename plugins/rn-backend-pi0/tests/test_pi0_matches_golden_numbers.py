@@ -1,5 +1,5 @@
-"""Parity with what openpi's and LeRobot's own code compute; data/pi0-tiny/README.md says how they
-were made.
+"""Parity with openpi's and LeRobot's own code; data/pi0-tiny/README.md describes the origin of the
+numbers.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ CASES = {
 
 @pytest.fixture(scope="module", params=["lerobot", "openpi"])
 def model(request: pytest.FixtureRequest, golden_directory: Path) -> Pi0Model:
-    """The golden weights, following the arithmetic of one of the two codes."""
+    """The golden weights, with the arithmetic of one of the two implementations."""
     checkpoint = read_checkpoint(golden_directory)
     return Pi0Model(
         checkpoint, device="cpu", dtype="float32", numerics=request.param, cpu_threads=1
@@ -52,7 +52,7 @@ def _run(model: Pi0Model, golden: Arrays, case: str) -> np.ndarray:
 def test_actions_are_within_2e_5_of_the_code_that_is_followed(
     model: Pi0Model, golden: Arrays, case: str
 ) -> None:
-    # From pictures and the raw state; 2e-5 is float32 rounding, most mistakes are 1e-2 and more
+    # From images and the raw state; 2e-5 is float32 rounding, most mistakes cause 1e-2 and more
     # (golden README).
     family = "openpi" if model.state.forward_eps == pytest.approx(1e-6) else "lerobot"
     normalized = _run(model, golden, case)
@@ -136,7 +136,7 @@ def test_bfloat16_stays_near_float32(golden_directory: Path, golden: Arrays) -> 
     checkpoint = read_checkpoint(golden_directory)
     narrow = Pi0Model(checkpoint, device="cpu", dtype="bfloat16", cpu_threads=1)
     error = np.abs(_run(narrow, golden, "main") - golden["out/main/actions_norm_lerobot"])
-    # bfloat16 has 8 bits of mantissa: some 0.4 % per operation of values around 1.
+    # bfloat16 has 8 bits of mantissa: about 0.4 % per operation on values around 1.
     assert 0 < error.mean() < 0.05
 
 
@@ -145,7 +145,7 @@ def test_bfloat16_stays_near_float32(golden_directory: Path, golden: Arrays) -> 
 def test_a_gpu_in_float32_gives_the_golden_actions(golden_directory: Path, golden: Arrays) -> None:
     model = Pi0Model(read_checkpoint(golden_directory), device="cuda", dtype="float32")
     for case in CASES:
-        # Other kernels sum in another order; TF32 is off unless somebody turns it on.
+        # Other kernels sum in another order; TF32 is off by default.
         expected = golden[f"out/{case}/actions_norm_lerobot"]
         np.testing.assert_allclose(_run(model, golden, case), expected, atol=2e-4, rtol=0)
     model.release()

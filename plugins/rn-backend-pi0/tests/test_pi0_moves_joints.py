@@ -1,6 +1,4 @@
-"""The native backend with policies that act on joints: names, units, control space, real-time
-chunking.
-"""
+"""The native backend with joint policies: names, units, control space, real-time chunking."""
 
 from __future__ import annotations
 
@@ -43,7 +41,7 @@ Observe = Callable[..., Observation]
 
 
 def pair_of(count: int) -> RobotProfile:
-    """A robot with two arms of so many joints."""
+    """A robot with two arms of `count` joints."""
     arms = tuple(
         ArmProfile(
             name=arm,
@@ -95,7 +93,7 @@ def backend(request: pytest.FixtureRequest, checkpoints: dict[str, Path]) -> Ite
 
 
 def _seen(observe: Observe, names: tuple[str, ...] = ARM, **changes: Any) -> Observation:
-    """An observation in which joint `arm_joint<i>` is at POSTURE[i - 1], whatever the order."""
+    """An observation in which joint `arm_joint<i>` is at POSTURE[i - 1], in any order."""
     position = np.array([POSTURE[int(name[-1]) - 1] for name in names])
     joints = JointSample(names=names, position=position)
     return replace(observe(**changes), joints=joints, ee_pose=None)
@@ -131,7 +129,8 @@ def test_the_policys_joints_are_those_that_the_option_names(
     other.load()
     chunk = other.predict(_seen(observe))
     assert chunk.space.keys == (*ARM[::-1], "gripper_open")
-    # Targets are near the measured joints of the same name: deltas of a tiny model are small.
+    # Targets are near the measured joints of the same name, because deltas of a tiny model are
+    # small.
     np.testing.assert_allclose(chunk.actions[:, :7], np.tile(POSTURE[::-1], (10, 1)), atol=0.15)
 
 
@@ -164,7 +163,7 @@ def test_a_joint_that_is_not_measured_is_an_error(backend: Pi0Backend, observe: 
 
 
 def test_relative_rows_follow_the_measured_joints(backend: Pi0Backend) -> None:
-    """What is left of a chunk means the same targets after the arm has moved on."""
+    """The remaining rows of a chunk have the same targets after the arm has moved."""
     assert backend._model is not None
     assert backend._conversion is not None
     old, new = np.zeros(8), np.full(8, 0.25)
@@ -216,7 +215,7 @@ def test_loading_without_joints_is_refused(checkpoints: dict[str, Path]) -> None
 
 
 def test_joints_of_a_policy_that_moves_the_tcp_are_refused(tiny_checkpoint: Path) -> None:
-    with pytest.raises(ConfigurationError, match="'joints' has no use"):
+    with pytest.raises(ConfigurationError, match="'joints' has no effect"):
         _backend(tiny_checkpoint).load()
     assert pi0_space({"checkpoint": str(tiny_checkpoint)}, ROBOT) is EE_DELTA
 
@@ -319,7 +318,7 @@ def test_statistics_that_lack_a_channel_are_refused(
 def test_a_robot_executes_the_space_in_its_own_order(
     checkpoints: dict[str, Path], observe: Observe, name: str
 ) -> None:
-    """What planning compares, and what inference makes of a chunk."""
+    """The control spaces that planning and inference use for a chunk."""
     backend = _backend(checkpoints[name], joints=ARM[::-1])
     backend.load()
     options = {"checkpoint": checkpoints[name], "joints": ARM[::-1]}

@@ -1,5 +1,5 @@
 """Backend "servo-pair", controller "urdf", the gate's limits and two simulated FR3s in one process,
-at 10 Hz of simulated time; only the simulator judges.
+at 10 Hz of simulated time; success is decided by the simulator.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ from roboneuron.plugins.availability import is_importable
 
 AVAILABLE = [engine for engine in ENGINES if is_importable(engine)]
 TRIED = [*AVAILABLE[:1], *(pytest.param(name, marks=pytest.mark.slow) for name in AVAILABLE[1:])]
-"""What robots use here; the rest takes as long again (that engines agree: rn-robot-fr3's tests)."""
+"""The engine used on robots; the others take as long again (rn-robot-fr3's tests compare the
+engines).
+"""
 PERIOD_S = 0.1
 ROBOT = pair_profile()
 
 
 class PairCell:
-    """The whole chain of two arms; images are one period older than the poses that come with
-    them.
-    """
+    """The whole chain for two arms; images are one period older than the poses with them."""
 
     def __init__(self, simulation: ArmSimulation) -> None:
         self.simulation = simulation
@@ -85,7 +85,7 @@ class PairCell:
         }
 
     def step(self, instruction: str) -> ActionChunk:
-        """One period."""
+        """Run one period."""
         simulation, frames = self.simulation, self._frames
         simulation.step(round(PERIOD_S / STEP_S))
         self._frames = self._look()
@@ -151,7 +151,7 @@ def test_a_cube_goes_from_the_left_hand_to_the_right(engine: str) -> None:
 
 
 def _after_some_steps(simulation: ArmSimulation) -> PairCell:
-    """The giver is on its way to the cube."""
+    """A cell in which the giver is moving to the cube."""
     cell = PairCell(simulation)
     for _ in range(8):
         cell.step("hand over the red cube")
@@ -182,12 +182,12 @@ def test_an_image_that_comes_again_is_refused() -> None:
         cell._look = lambda: before  # type: ignore[method-assign]
         before = cell._frames
         cell.step("hand over the red cube")
-        with pytest.raises(UngroundedError, match="is the one seen before"):
+        with pytest.raises(UngroundedError, match="is the previous one"):
             cell.step("hand over the red cube")
 
 
 def test_a_cube_is_seen_by_the_camera_of_the_second_hand_where_it_is() -> None:
-    """The right arm gives: its own camera is placed by its own TCP."""
+    """The right arm gives: its own camera is located by its own TCP."""
     with ArmSimulation(3, cell=PAIR) as simulation:
         controller = UrdfController(None, ROBOT)
         controller.load()
@@ -234,7 +234,7 @@ def test_a_robot_without_these_arms_is_refused() -> None:
 
 
 def test_the_arms_may_change_their_parts() -> None:
-    """The channels are named, so that the order of the arms does not matter."""
+    """Channels are named, so the order of the arms does not matter."""
     chosen = HandOverOptions(giver="right", taker="left")
     declared = hand_over_space(chosen.model_dump(), ROBOT)
     agreement = agree(declared, ROBOT, ("ee_pose",), backend="servo-pair", controller="urdf")

@@ -1,5 +1,5 @@
-"""Servo, controller "urdf" and simulated FR3 in one process at 10 Hz of simulated time; only the
-simulator judges.
+"""Servo, controller "urdf" and simulated FR3 in one process at 10 Hz of simulated time; success is
+decided by the simulator.
 """
 
 from __future__ import annotations
@@ -21,13 +21,15 @@ from roboneuron.plugins.availability import is_importable
 
 AVAILABLE = [engine for engine in ENGINES if is_importable(engine)]
 TRIED = [*AVAILABLE[:1], *(pytest.param(name, marks=pytest.mark.slow) for name in AVAILABLE[1:])]
-"""What robots use here; the rest takes as long again (that engines agree: rn-robot-fr3's tests)."""
+"""The engine used on robots; the others take as long again (rn-robot-fr3's tests compare the
+engines).
+"""
 PERIOD_S = 0.1
 ROBOT = profile()
 
 
 class Cell:
-    """The whole chain; images are one period older than the pose that comes with them."""
+    """The whole chain; images are one period older than the pose with them."""
 
     def __init__(self, simulation: ArmSimulation) -> None:
         self.simulation = simulation
@@ -51,7 +53,7 @@ class Cell:
         }
 
     def step(self, instruction: str) -> ActionChunk:
-        """One period."""
+        """Run one period."""
         simulation = self.simulation
         frames = self._frames
         simulation.step(round(PERIOD_S / STEP_S))
@@ -79,7 +81,7 @@ class Cell:
     def run(
         self, instruction: str, until: Callable[[ActionChunk], bool], most_s: float = 25.0
     ) -> ActionChunk:
-        """Steps until `until` holds; fails after `most_s` of simulated time."""
+        """Step until `until` holds; fails after `most_s` of simulated time."""
         end_s = self.simulation.time_s + most_s
         while self.simulation.time_s < end_s:
             chunk = self.step(instruction)
@@ -88,7 +90,7 @@ class Cell:
         pytest.fail(f"{instruction!r}: {most_s} s passed, last note: {chunk.note}")
 
     def is_held(self, colour: str) -> bool:
-        """By the simulator's own state: 10 cm above the table for a second."""
+        """True by the simulator's own state: 10 cm above the table for a second."""
         return self.simulation.cubes()[colour].held_s >= 1.0
 
 

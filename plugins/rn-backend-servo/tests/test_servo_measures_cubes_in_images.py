@@ -32,7 +32,7 @@ def test_a_cube_is_found_where_it_was_painted(
     assert found.is_clear
     assert np.hypot(found.x_m - x_m, found.y_m - y_m) < 0.003  # a pixel is 3.5 mm on the table
     off = (found.yaw_rad - yaw_rad + np.pi / 4) % (np.pi / 2) - np.pi / 4
-    assert abs(off) < 0.2  # 12 pixels across: one pixel turns the outline by 0.08 rad
+    assert abs(off) < 0.2  # 12 pixels across: one pixel rotates the outline by 0.08 rad
 
 
 def test_colours_are_told_apart() -> None:

@@ -1,4 +1,4 @@
-"""The backend as a whole: what it does with good images, and that it does nothing with bad ones."""
+"""The whole backend: its actions with good images, and none with bad ones."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def servo() -> Iterator[ServoBackend]:
 
 
 def look(index: int, **changes: object) -> Observation:
-    """The scene at step `index`: two pixels flicker, as in a living camera."""
+    """The scene at step `index`: two pixels flicker, as with a live camera."""
     image = paint_table({"red": (*CUBE_M, 0.0)})
     image[0, index % 200] = (index % 256, 0, 0)
     return observe(image, stamp_ns=10**12 + index * STEP_NS, **changes)  # type: ignore[arg-type]
@@ -106,7 +106,7 @@ def test_an_image_that_shows_nothing_useful_moves_nothing(
 
 def test_an_image_that_comes_again_is_refused(servo: ServoBackend) -> None:
     servo.predict(look(0))
-    with pytest.raises(UngroundedError, match="the one seen before"):
+    with pytest.raises(UngroundedError, match="the previous one"):
         servo.predict(look(0))
 
 

@@ -1,5 +1,5 @@
-"""Chunks of several rows: what is played meanwhile is kept, and the rest leads from there to the
-same goal.
+"""Chunks of several rows: rows executed during inference are kept, and the others lead from there
+to the same goal.
 """
 
 from __future__ import annotations
@@ -34,21 +34,21 @@ def servo() -> Iterator[ServoBackend]:
 
 
 def look(at_s: float, **changes: object) -> Observation:
-    """The scene at that time: one pixel changes, as in a living camera."""
+    """The scene at that time: one pixel changes, as with a live camera."""
     image = paint_table({"red": (*CUBE_M, 0.0)})
     image[0, round(at_s / TICK_S) % 200] = (round(at_s * 1e3) % 256, 0, 0)
     return observe(image, stamp_ns=START_NS + round(at_s * 1e9), **changes)  # type: ignore[arg-type]
 
 
 def approaching(servo: ServoBackend, ahead: Ahead | None = None) -> ActionChunk:
-    """The first chunk that moves the arm, given those rows under way."""
+    """The first chunk that moves the arm, with those rows ahead."""
     servo.predict(look(0.0))
     servo.predict(look(0.1))
     return servo.predict(replace(look(0.2), ahead=ahead))
 
 
 def rows_ahead(committed_rows: int) -> Ahead:
-    """Eight rows of which each differs."""
+    """Eight different rows."""
     rows = np.zeros((8, 7))
     rows[:, 1] = -0.001 * np.arange(1, 9)
     rows[:, 5] = 0.01
@@ -105,7 +105,7 @@ def test_a_row_that_is_partly_done_counts_in_part() -> None:
 
 
 class Arm:
-    """Carries each row out within one period, evenly."""
+    """Executes each row uniformly within one period."""
 
     def __init__(self) -> None:
         self.tcp_m = np.array([0.4, 0.1, 0.3])
@@ -123,9 +123,7 @@ class Arm:
 
 @pytest.mark.parametrize("latency_s", [0.1, 0.3])
 def test_the_arm_keeps_10_hz_while_answers_are_late(servo: ServoBackend, latency_s: float) -> None:
-    """Images one period old and a late answer: no period passes without a row until the cube is
-    held.
-    """
+    """Images one period old and a late answer: every period has a row until the cube is held."""
     arm = Arm()
     abilities = Abilities(conditions_on_rows=contract_case().spec.conditions_on_rows)
     executor = AdaptiveExecutor(abilities, fixed=None, bounds=Bounds(first_s=0.7))

@@ -1,4 +1,4 @@
-"""Grounding of the instruction: what is understood, and what is refused with the known words."""
+"""Grounding of the instruction: understood requests, and refusals with the known words."""
 
 from __future__ import annotations
 

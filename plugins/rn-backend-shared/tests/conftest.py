@@ -46,7 +46,7 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
 
 @pytest.fixture
 def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
-    """Return a function that makes a loaded backend of a robot."""
+    """Return a function that creates a loaded backend of a robot."""
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "robot"))
     with ExitStack() as stack:
 
@@ -61,7 +61,7 @@ def robot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Robot]:
 
 @pytest.fixture
 def spawned(tmp_path: Path) -> Iterator[Robot]:
-    """Return a function that makes a loaded backend, whose server ends with the test."""
+    """Return a function that creates a loaded backend, whose server ends with the test."""
     install(tmp_path)
     with ExitStack() as stack:
 
@@ -79,8 +79,8 @@ def spawned(tmp_path: Path) -> Iterator[Robot]:
 
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[Robot]:
-    """As `spawned`, with the server on a thread of this process: quicker, where no process has to
-    die.
+    """As `spawned`, with the server on a thread of this process: faster, for tests in which no
+    process must die.
     """
     install(tmp_path)
     sys.path.insert(0, str(tmp_path / "site"))

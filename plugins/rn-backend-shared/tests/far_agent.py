@@ -1,9 +1,8 @@
-"""An agent of tests in a process of its own, so that it can be on another machine than the robot's
-server: `far_agent.py URL`, its token in ROBONEURON_TOKEN.
+"""A test agent in its own process, so that it can run on another machine than the robot's server:
+`far_agent.py URL`, its token in ROBONEURON_TOKEN.
 
-It reads calls as lines of JSON, [tool, arguments], and writes what is answered, [whether it
-succeeded, structured content, text]. Beside them it calls `heartbeat`, between the lines `beat`
-and `rest`.
+It reads calls as lines of JSON, [tool, arguments], and writes the answers, [success, structured
+content, text]. In addition it calls `heartbeat`, between the lines `beat` and `rest`.
 """
 
 from __future__ import annotations
@@ -24,12 +23,12 @@ BEAT_S, CALL_S = 0.8, 120.0
 
 
 class FarAgent:
-    """The agent, as a test talks to it; closed with its process.
+    """A test's connection to the agent; closed with its process.
 
     Args:
-        machine: where it is.
-        url: of the robot's server.
-        token: that it shows.
+        machine: machine of the agent.
+        url: URL of the robot's server.
+        token: token of the agent.
     """
 
     def __init__(self, machine: Machine, url: str, token: str) -> None:
@@ -47,7 +46,7 @@ class FarAgent:
         self._process.stdin.flush()
 
     def call(self, tool: str, **arguments: Any) -> tuple[bool, dict[str, Any], str]:
-        """Whether it succeeded, and what was answered."""
+        """Call a tool; returns success, structured content and text."""
         self._write([tool, arguments])
         assert self._process.stdout is not None
         succeeded, answer, text = json.loads(self._process.stdout.readline())
@@ -60,7 +59,7 @@ class FarAgent:
         return answer
 
     def fail(self, tool: str, **arguments: Any) -> str:
-        """What is said of a call that must fail."""
+        """The error text of a call that must fail."""
         succeeded, answer, text = self.call(tool, **arguments)
         assert not succeeded, answer
         return text
@@ -70,11 +69,11 @@ class FarAgent:
         self._write("beat")
 
     def rest(self) -> None:
-        """Say nothing any more but what is called."""
+        """Stop renewing the lease."""
         self._write("rest")
 
     def close(self) -> None:
-        """Let it vanish; idempotent."""
+        """Kill the agent; idempotent."""
         self._process.kill()
         self._process.wait(10.0)
         for pipe in (self._process.stdin, self._process.stdout):
@@ -83,7 +82,7 @@ class FarAgent:
 
 
 async def main(url: str) -> None:
-    """Serve the test until its end of the pipe is closed."""
+    """Serve the test until its end of the pipe closes."""
     beats = anyio.Event()
 
     async def beat(client: Client) -> None:

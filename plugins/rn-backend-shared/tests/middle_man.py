@@ -1,5 +1,6 @@
-"""A man in the middle of a TCP connection who records frames and sends them again: frames of the
-protocol of shared models, or records of TLS, which is all that can be told apart there.
+"""A man in the middle of a TCP connection that records frames and replays them: frames of the
+protocol of shared models, or TLS records, the only units that can be distinguished on encrypted
+connections.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ _TLS_HEADER, _TLS_KINDS = 5, range(20, 25)
 _MOST = 1 << 16
 Cut = Callable[[socket.socket], bytes]
 Send = Callable[["Recording", bytes], Sequence[bytes]]
-"""What is sent in place of a frame, with all that was recorded of its connection."""
+"""Returns what is sent instead of a frame; called with the recording of its connection."""
 
 
 @dataclass(eq=False)
 class Recording:
-    """What was sent over a connection, frame by frame.
+    """Frames of a connection.
 
     Attributes:
-        asked: by the client.
-        answered: by the server.
+        asked: sent by the client.
+        answered: sent by the server.
     """
 
     asked: deque[bytes] = field(default_factory=deque)
@@ -55,7 +56,7 @@ def plain_frame(source: socket.socket) -> bytes:
 
 
 def tls_record(source: socket.socket) -> bytes:
-    """The next record of TLS, or what has come that is none. Raises OSError at the end."""
+    """The next TLS record, or the received bytes if they are none. Raises OSError at the end."""
     head = _whole(source, _TLS_HEADER)
     if head[0] not in _TLS_KINDS:
         return head + source.recv(_MOST)
@@ -63,17 +64,17 @@ def tls_record(source: socket.socket) -> bytes:
 
 
 class MiddleMan:
-    """Carries connections to a server.
+    """Forwards connections to a server.
 
     Args:
-        port: of the server on this machine.
+        port: port of the server on this machine.
         cut: reads the next frame of a stream.
-        listen: where clients connect; a free port of loopback by default.
-        kept: frames of each side of a connection that are recorded, the newest; None: all.
+        listen: address for clients; a free port of loopback by default.
+        kept: number of newest frames recorded for each side of a connection; None for all.
 
     Attributes:
-        ask, answer: what is done with frames of clients and of the server; set from any thread.
-        recordings: of all connections so far.
+        ask, answer: treatment of the frames of clients and of the server; set from any thread.
+        recordings: recordings of all connections so far.
     """
 
     def __init__(
@@ -94,11 +95,11 @@ class MiddleMan:
 
     @property
     def address(self) -> str:
-        """Where clients connect."""
+        """Address for clients."""
         return f"127.0.0.1:{self.port}"
 
     def honest(self) -> None:
-        """Change nothing any longer."""
+        """Forward unchanged from now on."""
         self.ask = self.answer = as_it_is
 
     def close(self) -> None:

@@ -1,5 +1,5 @@
-"""A robot of tests in a process of its own: asks a policy server again and again, and writes what
-it was answered.
+"""A test robot in its own process: sends requests to a policy server repeatedly, and writes the
+answers.
 
 Arguments: file to write, options of `[plugins.shared]` as JSON, side of its images [px].
 """
@@ -24,8 +24,8 @@ PAUSE_S = 0.02
 
 
 def main(path: str, options: str, side: str) -> None:
-    """Ask until it is killed; each line says how long an answer took, and whether it was the right
-    one for what was seen.
+    """Send requests until killed; each line gives the time of an answer, and whether it was the
+    right one for the observation.
     """
     backend = SharedBackend(SharedOptions.model_validate_json(options))
     backend.load()

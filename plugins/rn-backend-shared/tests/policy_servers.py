@@ -1,4 +1,4 @@
-"""Policy servers of tests: real processes, whose models are small."""
+"""Policy servers for tests: real processes with small models."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ def _toml(value: object) -> str:
 
 
 class RunningServer:
-    """`roboneuron serve-policy` in a folder of its own, with `reflex` by the names of models.
+    """`roboneuron serve-policy` in its own folder, with `reflex` under the names of the models.
 
     Args:
         folder: for all its files; the small model is installed there.
         models: options of `[models.<name>]`.
-        listen: of `[listen]`.
-        state: its state directory, where its link is.
+        listen: options of `[listen]`.
+        state: its state directory, which holds its link.
     """
 
     def __init__(
@@ -82,7 +82,7 @@ class RunningServer:
         if not (folder / "site").exists():
             install(folder)
         self.folder = folder
-        # not in the folder: the path of a socket is short, and that of a worker of pytest long
+        # not in the folder: a socket's path must be short, and that of a pytest worker is long
         self.run = Path(tempfile.mkdtemp(prefix="rn-"))
         atexit.register(shutil.rmtree, self.run, ignore_errors=True)
         self.config = folder / "policies.toml"
@@ -99,7 +99,7 @@ class RunningServer:
 
     @property
     def pid(self) -> int:
-        """Of the process that robots connect to."""
+        """Pid of the process that robots connect to."""
         assert self._process is not None
         return self._process.pid
 
@@ -108,7 +108,7 @@ class RunningServer:
         return [*WORDS, "--config", str(self.config)]
 
     def start(self, *words: str, is_ready: bool = True) -> RunningServer:
-        """Start it, and wait until it listens; `is_ready`: until all its models are ready."""
+        """Start it, and wait until it listens; with `is_ready` until all its models are ready."""
         with (self.folder / "server.log").open("ab") as log:
             self._process = subprocess.Popen(
                 [*self.words(), *words],
@@ -130,16 +130,16 @@ class RunningServer:
             return False
 
     def is_ready(self) -> bool:
-        """All models are ready."""
+        """True if all models are ready."""
         return all(model["state"] == "ready" for model in self.status()["models"].values())
 
     def status(self) -> dict[str, Any]:
-        """What it says of itself."""
+        """Status of the server."""
         return ask_status(self.run / f"{name_of(self.config)}.sock")
 
     @property
     def address(self) -> str:
-        """Where robots reach it."""
+        """Address for robots."""
         return f"127.0.0.1:{self.port}"
 
     @property
@@ -148,7 +148,7 @@ class RunningServer:
         return int(self.status()["address"].rpartition(":")[2])
 
     def kill(self) -> None:
-        """Let it die without a word; its models end by themselves."""
+        """Kill it; its models end by themselves."""
         assert self._process is not None
         self._process.kill()
         self._process.wait(30.0)
@@ -167,7 +167,7 @@ class RunningServer:
 
 
 class FarServer(RunningServer):
-    """A server inside a machine, which is set before it starts."""
+    """A server inside a machine, which must be set before the start."""
 
     machine: Machine
 
@@ -196,7 +196,7 @@ def seen(number: int) -> Observation:
 
 
 def answers(robot: SharedBackend) -> bool:
-    """Whether the robot gets an answer; any other error than that it is not ready is raised."""
+    """True if the robot gets an answer; any error other than NotReadyError is raised."""
     try:
         robot.predict(SEEN)
     except NotReadyError:
@@ -220,14 +220,14 @@ def servers_in(folder: Path) -> list[int]:
 
 
 def said_to(port: int, sent: bytes, context: ssl.SSLContext | None = None) -> bytes:
-    """What an unknown peer receives until the server closes the connection."""
+    """Bytes that an unknown peer receives until the server closes the connection."""
     heard = b""
     connected = socket.create_connection(("127.0.0.1", port), 20.0)
     if context is not None:
         connected = context.wrap_socket(connected)
     with connected, suppress(OSError):
         connected.sendall(sent)
-        if context is None:  # else the server waits for more until its bound
+        if context is None:  # otherwise the server waits for more until its time limit
             connected.shutdown(socket.SHUT_WR)
         while part := connected.recv(4096):
             heard += part

@@ -1,5 +1,5 @@
-"""A robot and a policy server on two machines (network namespaces): cables that are cut, peers that
-are gone without a word, links that are slow. Needs root.
+"""A robot and a policy server on two machines (network namespaces): cut cables, peers that
+disappear silently, slow links. Needs root.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ ROBOT = Path(__file__).with_name("policy_robot.py")
 TIMEOUT_S = 0.3
 CUTS = int(os.environ.get("ROBONEURON_CUTS", "5"))
 MARGIN_S = 0.25
-"""What a busy machine adds to a deadline."""
+"""Margin of a deadline on a busy machine."""
 
 
 class Robot:
-    """A robot that asks all the time, in a machine of its own."""
+    """A robot that sends requests continuously, on its own machine."""
 
     def __init__(self, machine: Machine, site: Path, side: int = 64, **options: Any) -> None:
         self.path = machine.state / "robot.jsonl"
@@ -51,14 +51,14 @@ class Robot:
         )
 
     def lines(self, since_s: float = 0.0) -> list[dict[str, Any]]:
-        """What it was answered to questions after that time (monotonic [s])."""
+        """Answers to requests sent after that time (monotonic [s])."""
         if not self.path.exists():
             return []
         whole = self.path.read_text().rpartition("\n")[0].splitlines()
         return [line for line in map(json.loads, whole) if line["at_s"] >= since_s]
 
     def wait_for_answers(self, since_s: float, count: int = 3, timeout_s: float = 20.0) -> float:
-        """Time until it was answered again [s]."""
+        """Wait for answers again; returns the time that it took [s]."""
         return wait_until(
             lambda: sum(line["ok"] for line in self.lines(since_s)) >= count,
             timeout_s,
@@ -74,7 +74,7 @@ class Robot:
 
 @contextmanager
 def cell(tmp_path: Path, **options: Any) -> Iterator[tuple[Machine, Machine, Robot, FarServer]]:
-    """Two machines that are paired, a server on one and a robot on the other."""
+    """Two paired machines, with a server on one and a robot on the other."""
     with machines(tmp_path, "robot", "gpu") as both:
         here, there = both["robot"], both["gpu"]
         pair(here.state, there.state, address=there.address)
@@ -93,7 +93,9 @@ def cell(tmp_path: Path, **options: Any) -> Iterator[tuple[Machine, Machine, Rob
 
 
 def check_nothing_was_late(robot: Robot) -> None:
-    """No answer to another question, and nobody waited beyond a deadline."""
+    """Check that no answer belongs to another request, and that no request waited beyond its
+    deadline.
+    """
     lines = robot.lines()
     assert [line for line in lines if line["ok"] and line["far"] > 0.0] == []
     assert max(line["took_s"] for line in lines[1:]) < TIMEOUT_S + MARGIN_S

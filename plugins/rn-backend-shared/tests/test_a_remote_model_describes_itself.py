@@ -1,4 +1,6 @@
-"""A robot asks the server of another machine in which space its model acts, and what it needs."""
+"""A robot requests the control space and the needs of a model from the server on another
+machine.
+"""
 
 from __future__ import annotations
 
@@ -78,7 +80,7 @@ def roboneuron_backends():
 
 @pytest.fixture
 def robot(tmp_path: Path) -> Iterator[Callable[..., SharedBackend]]:
-    """Return a function that makes a loaded backend of a server with two models."""
+    """Return a function that creates a loaded backend for a server with two models."""
     install(tmp_path)
     PluginSite(path=tmp_path / "site").install("rn-jointed", SOURCE, header="")
     listen = {"keys": "token", "token_file": str(tmp_path / "token")}

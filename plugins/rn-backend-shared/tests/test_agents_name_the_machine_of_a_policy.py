@@ -1,5 +1,5 @@
 """An agent starts a model on one machine and moves the running task to another one by its name;
-each is a network namespace. A machine that is out of reach takes nothing over. Needs root.
+each is a network namespace. A machine out of reach cannot take the task over. Needs root.
 """
 
 from __future__ import annotations
@@ -56,12 +56,12 @@ MOVED_RAD = 0.003
 
 @contextmanager
 def served(tmp_path: Path) -> Iterator[tuple[Mapping[str, Machine], Mapping[str, FarServer]]]:
-    """The robot's machine and two with a policy server each, all paired."""
+    """The robot's machine and two machines with a policy server each, all paired."""
     with machines(tmp_path, "robot", *HOSTS) as made, ExitStack() as stack:
         robot, servers = made["robot"], {}
         for name in HOSTS:
             pair(robot.state, made[name].state, name=name, address=made[name].address)
-            folder = tmp_path / name[0]  # a path that sockets can have
+            folder = tmp_path / name[0]  # short enough for the path of a socket
             folder.mkdir()
             model = {"only": {"options": {"rows": ROWS, "step_s": STEP_S, "gain": 0.00006}}}
             listen = {"host": "0.0.0.0", "port": 7420}
@@ -80,7 +80,7 @@ class Agent:
         self._client = client
 
     async def call(self, tool: str, **arguments: Any) -> tuple[bool, dict[str, Any], str]:
-        """Whether it succeeded, and what it answered."""
+        """Call a tool; returns success, structured content and text."""
         answer = await self._client.call_tool(tool, arguments)
         text = answer.content[0].text  # type: ignore[union-attr]
         return not answer.is_error, dict(answer.structured_content or {}), text
@@ -93,12 +93,12 @@ class Agent:
 
 
 def batches(server: FarServer) -> int:
-    """How many questions this machine has answered."""
+    """Number of requests answered by this machine."""
     return int(server.status()["models"]["only"]["batches"])
 
 
 def check_it_moves(watcher: Talker) -> None:
-    """Wait until a joint of the arm is elsewhere."""
+    """Wait until a joint of the arm has moved."""
     wait_until(lambda: watcher.report().get("positions"), 60.0, "the arm is measured")
     begun = np.array(watcher.report()["positions"])
     wait_until(
@@ -109,7 +109,7 @@ def check_it_moves(watcher: Talker) -> None:
 
 
 async def check_it_asks(agent: Agent, servers: Mapping[str, FarServer], name: str) -> None:
-    """The named machine is the one that is asked, and the status says so."""
+    """Check that requests go to the named machine, and that the status shows it."""
     status = json.dumps(await agent.do("get_status"))
     assert f'"host": "{name}"' in status, status
     before = {host: batches(server) for host, server in servers.items()}
@@ -123,7 +123,7 @@ async def check_it_asks(agent: Agent, servers: Mapping[str, FarServer], name: st
 async def move_between(
     made: Mapping[str, Machine], servers: Mapping[str, FarServer], watcher: Talker
 ) -> None:
-    """The scenario."""
+    """Run the scenario."""
     robot = made["robot"]
     config = robot.state / "roboneuron.toml"
     config.write_text(CONFIG)
@@ -161,7 +161,7 @@ async def move_between(
 
 
 async def check_gpu_goes_on(agent: Agent, server: FarServer) -> None:
-    """The policy that ran is still asked after a switch that failed."""
+    """Check that the running policy still gets requests after a failed switch."""
     before = batches(server)
     with anyio.fail_after(30.0):
         while batches(server) < before + 5:

@@ -1,4 +1,6 @@
-"""Peers of a policy server that are unknown, of another version, silent, many or send nonsense."""
+"""Peers of a policy server that are unknown, of another version, silent, numerous or send
+nonsense.
+"""
 
 from __future__ import annotations
 
@@ -42,13 +44,13 @@ def test_strangers_learn_nothing_and_disturb_nobody(
     hello = Header(FrameKind.HELLO).pack() + b"[{}, []]"
     for sent in (b"", b"\xff" * 64, b"GET / HTTP/1.1\r\n\r\n", hello):
         heard = said_to(port, sent) if sent else b""
-        # at most an alert of TLS, which says that this was no handshake
+        # at most a TLS alert, which says that this was no handshake
         assert len(heard) <= 7, heard
     nobody = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     nobody.check_hostname = False
     nobody.verify_mode = ssl.CERT_NONE
     assert said_to(port, hello, nobody) == b""
-    # a machine that is paired with somebody else
+    # a machine that is paired with another one
     pair(tmp_path / "other", tmp_path / "third")
     machine = read_machine(link_of(tmp_path / "other"))
     assert machine is not None
@@ -72,7 +74,7 @@ def test_a_peer_of_another_version_is_told_both(serve: Serve, robot: Robot, tmp_
 
 
 def admitted(port: int, token: Path) -> tuple[socket.socket, FrameChannel, int]:
-    """A robot that does as it likes, and the number of its first request."""
+    """A robot with arbitrary behaviour, and the number of its first request."""
     raw = socket.create_connection(("127.0.0.1", port), 20.0)
     channel = FrameChannel(raw)
     channel.send(Header(FrameKind.HELLO), {"token": token.read_text().strip()}, 10.0)
@@ -104,7 +106,7 @@ def test_robots_that_send_nonsense_are_left_without_harm(
                 pass
         channel.close()
     raw, channel, first = admitted(port, token)
-    for number in (first, first):  # the second one is repeated
+    for number in (first, first):  # the second one is a repetition
         channel.send(Header(FrameKind.REQUEST, number, 0, 5.0), {"observation": {}}, 5.0)
     told = channel.receive(time.monotonic() + 10.0)
     assert told.header.number == first
@@ -147,7 +149,7 @@ def test_ten_thousand_connections_keep_no_robot_out(
 
 @pytest.fixture
 def front(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[PolicyServer]:
-    """A server in this process that is impatient, without a model."""
+    """A server in this process with short time limits, without a model."""
     monkeypatch.setattr(front_module, "_FRAME_S", 0.3)
     monkeypatch.setattr(front_module, "_ADMIT_S", 0.5)
     monkeypatch.setattr(ModelProcess, "start", lambda process: None)
@@ -171,7 +173,7 @@ def test_who_stalls_is_left_before_and_after_it_was_admitted(
     with socket.create_connection(("127.0.0.1", front.port), 20.0) as silent:
         assert silent.recv(1) == b""
     with socket.create_connection(("127.0.0.1", front.port), 20.0) as slow, suppress(OSError):
-        for byte in Header(FrameKind.HELLO).pack() * 10:  # a byte now and then is no introduction
+        for byte in Header(FrameKind.HELLO).pack() * 10:  # slow single bytes are no introduction
             slow.send(bytes([byte]))
             time.sleep(0.05)
     wait_until(lambda: front.status()["refused_connections"] == 2, 20.0, "both are left")

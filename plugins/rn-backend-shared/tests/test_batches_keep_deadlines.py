@@ -1,4 +1,4 @@
-"""What the batcher answers together, in which order, and what it refuses; by a clock in hand."""
+"""Batches, order and refusals of the batcher, with a controlled clock."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROW = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5]])
 
 
 class Model:
-    """Takes a fixed time and a little for each observation; keeps the batches."""
+    """Takes a fixed time plus a little for each observation; stores the batches."""
 
     def __init__(self, took_s: float = 0.1, each_s: float = 0.0, **options: int) -> None:
         self.now_s = 100.0

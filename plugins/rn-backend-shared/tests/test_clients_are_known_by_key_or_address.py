@@ -1,4 +1,6 @@
-"""Clients of a policy server: whose a connection is, and what those get that open many."""
+"""Clients of a policy server: the owner of a connection, and the share of clients that open
+many.
+"""
 
 from __future__ import annotations
 
@@ -97,7 +99,7 @@ def test_a_table_that_is_full_takes_from_the_client_with_most() -> None:
     assert [guest.is_interrupted for guest in greedy] == [False, False, False, True]
     enter("two")
     assert [guest.is_interrupted for guest in greedy] == [False, False, True, True]
-    # one connection each, and two of the greedy one's: nobody would be better off
+    # one connection each, and two of the greedy client: nobody would be better off
     with pytest.raises(ConfigurationError, match="4 robots are connected"):
         enter("two")
     assert table.robots == 4
@@ -105,7 +107,7 @@ def test_a_table_that_is_full_takes_from_the_client_with_most() -> None:
 
 @pytest.fixture
 def server(serve: Serve) -> RunningServer:
-    """A server that is busy for 20 ms with each observation, one after the other."""
+    """A server that takes 20 ms for each observation, one after the other."""
     return serve({"only": {"options": {"took_s": 0.02}, "most": 1}}, keys="token", robots=MANY)
 
 
@@ -146,7 +148,8 @@ def test_many_connections_get_no_more_answers_than_one(
             thread.join(MOST_S)
     one, many = answered.values()
     assert one + many >= ANSWERS
-    # alike but for the moments between two of its questions; by connections it were 11 times
+    # equal except for the time between two of its requests; counted by connections it would be 11
+    # times
     assert many < 3 * one, answered
 
 

@@ -1,5 +1,5 @@
-"""Sixteen robots ask one model for more than it can do, one of them as often as it can: what each
-of them gets, by a clock in hand.
+"""Sixteen robots overload one model, one of them with as many requests as it can send: the share of
+each, with a controlled clock.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ ROW = np.array([[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5]])
 ROBOTS, GREEDY = 16, 10
 LOOP_S = 60.0
 AGAIN_S = 0.001
-"""After a refusal a robot asks again."""
+"""Time after which a robot sends a request again after a refusal."""
 
 
 @dataclass(eq=False)
 class Robot:
-    """Asks every `period_s`, with up to `most` questions that are not answered yet."""
+    """Sends a request every `period_s`, with at most `most` unanswered ones."""
 
     name: int
     period_s: float
@@ -34,7 +34,7 @@ class Robot:
     refused: int = 0
     longest_s: float = 0.0
     client: str = ""
-    """Of which it is one connection; of its own when empty."""
+    """Client of this connection; its own one if empty."""
 
 
 class Cell:
@@ -81,7 +81,7 @@ class Cell:
             robot.next_s = self.now_s + AGAIN_S
 
     def run(self, for_s: float) -> list[float]:
-        """Each robot's share of all answers."""
+        """Each robot's fraction of all answers."""
         end_s = self.now_s + for_s
         while self.now_s < end_s:
             for robot in self.robots:
@@ -96,7 +96,7 @@ class Cell:
 
 
 def robots(greedy: Robot) -> list[Robot]:
-    """Fifteen that ask twice a second, and the greedy one."""
+    """Fifteen robots with two requests a second, and the greedy one."""
     return [greedy, *(Robot(name, 0.5, 1.5) for name in range(1, ROBOTS))]
 
 
@@ -118,7 +118,7 @@ def test_a_greedy_robot_gets_no_more_than_its_share(
     shares = cell.run(LOOP_S)
     fair = 1.0 / ROBOTS
     assert greedy.answered > 0 or greedy.within_s < 16 * took_s / most
-    # one turn more than its share at the border of the time that is looked at
+    # one answer more than its share, at the end of the measured time
     assert shares[0] < 1.1 * fair
     assert min(shares[1:]) > 0.9 * fair
     assert max(robot.longest_s for robot in cell.robots[1:]) < 1.5 + took_s
@@ -158,7 +158,7 @@ def test_what_nobody_else_wants_a_greedy_robot_may_have() -> None:
     assert shares[0] > 0.9
     other = cell.robots[1]
     assert other.refused == 0
-    # the answer under way, and its own
+    # the current answer, and its own
     assert other.longest_s < 0.05 * 2 + 1e-6
 
 
@@ -223,7 +223,7 @@ def test_the_deadline_of_one_robot_shrinks_no_batch_but_its_own() -> None:
     for robot in patient:
         cell.ask(robot)
     cell.batcher.step()
-    # it is known only that four together take too long
+    # it is only known that four together take too long
     answered = [robot.answered for robot in patient]
     assert (hasty.answered, sum(answered)) == (1, 6)
     cell.batcher.step()

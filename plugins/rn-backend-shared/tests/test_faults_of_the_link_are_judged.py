@@ -1,5 +1,5 @@
 """A few trials of benchmarks/bench_link_faults.py, which draws faults of the link to a policy's
-server and judges what the arm does (needs root); and what that judge must not let pass.
+server and judges the arm's motion (needs root); and errors that the judge must detect.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from link_faults import Trial  # noqa: E402
 
 sys.path.pop(0)
 CHOSEN = (1, 15, 22, 49)
-"""A replayed answer, garbage beside a fallback, a killed server beside a fallback, and records of
+"""A replayed answer, garbage with a fallback, a killed server with a fallback, and records of
 requests that a man in the middle sends twice.
 """
 
@@ -47,7 +47,7 @@ def test_an_arm_keeps_its_bounds_whatever_becomes_of_its_remote_policy(tmp_path:
 
 
 class Seen:
-    """What a witness has seen, made up: an arm that goes 1 mm every 50 ms, and rows."""
+    """Invented observations of a witness: an arm that moves 1 mm every 50 ms, and rows."""
 
     def __init__(self, *rows: Row, more: tuple[tuple[float, float], ...] = ()) -> None:
         self._rows = list(rows)

@@ -1,5 +1,5 @@
-"""What comes over a connection is taken field by field, within the bounds of the contract; all else
-is refused without harm.
+"""Received data is checked field by field against the bounds of the contract; everything else is
+refused without harm.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ ROWS = np.tile([0.01, 0.0, 0.0, 0.0, 0.0, 0.1, 0.5], (4, 1))
 
 
 def whole() -> Observation:
-    """An observation with everything that the contract has."""
+    """An observation with all fields of the contract."""
     assert SEEN.ee_pose is not None
     assert SEEN.joints is not None
     calibration = CameraCalibration(
@@ -86,13 +86,13 @@ def whole() -> Observation:
 
 
 def arrived(document: dict[str, Any]) -> dict[str, Any]:
-    """A document as it arrives."""
+    """A document after encoding and decoding."""
     frame = b"".join(encode(Header(FrameKind.REQUEST), document))
     return decode(read_header(frame[:HEADER_BYTES]), frame[HEADER_BYTES:])
 
 
 def same(one: object, other: object) -> bool:
-    """Equal in every field, arrays by their bytes."""
+    """True if equal in every field, arrays by their bytes."""
     if isinstance(one, np.ndarray):
         return isinstance(other, np.ndarray) and one.tobytes() == other.tobytes()
     if isinstance(one, dict):

@@ -1,4 +1,4 @@
-"""Images are shrunk and coded by what the link carries, and not at the cost of the actions."""
+"""Images are shrunk and coded according to the link, without affecting the actions."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def test_a_shrunk_image_shows_the_same_and_its_calibration_too() -> None:
     point = np.array([0.1, -0.05, 1.0])
     before, after = (known.intrinsics @ point for known in (frame.calibration, small.calibration))
     np.testing.assert_allclose(after[:2], before[:2] * [0.5, 1 / 3])
-    # larger ones are not made
+    # images are never enlarged
     assert fit(small, (640, 480)) is small
     assert fit(small, (320, 160)) is small
 
@@ -149,7 +149,7 @@ def test_coded_images_arrive_in_an_observation() -> None:
 
 
 class Far:
-    """A server behind a link: answers by the mean of the image, plus noise of its own."""
+    """A server behind a link: its answer is the mean of the image, plus noise."""
 
     def __init__(self, bytes_per_s: float, *, noise: float = 0.0, gain: float = 0.0) -> None:
         self.bytes_per_s, self.noise, self.gain = bytes_per_s, noise, gain
@@ -209,7 +209,7 @@ def test_small_images_that_take_one_round_trip_make_no_room_for_large_ones() -> 
 def test_one_hiccup_changes_nothing_and_a_slower_link_does(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    # to encode and decode takes a millisecond each, however busy this machine is
+    # encoding and decoding take a millisecond each, however busy this machine is
     looks = itertools.count()
     monkeypatch.setattr("rn_backend_shared.coding.time.monotonic", lambda: 1e-3 * next(looks))
     far, one = Far(1000 * MBIT), coder()

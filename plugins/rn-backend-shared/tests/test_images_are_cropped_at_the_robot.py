@@ -1,4 +1,6 @@
-"""What the checkpoint does not take of an image is not sent, and changes no answer by a bit."""
+"""Parts of an image that the checkpoint does not use are not sent, which changes no answer by a
+bit.
+"""
 
 from __future__ import annotations
 
@@ -67,7 +69,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
 
 @pytest.fixture
 def robot(server: RunningServer) -> Iterator[Callable[..., SharedBackend]]:
-    """Return a function that makes a loaded backend of the server."""
+    """Return a function that creates a loaded backend of the server."""
     with ExitStack() as stack:
 
         def make(model: str, **options: Any) -> SharedBackend:
@@ -85,7 +87,7 @@ def test_cropped_at_the_robot_equals_cropped_at_the_server_bit_for_bit(
     robot: Callable[..., SharedBackend], server: RunningServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     here = {model: robot(model) for model in ("crops", "shrinks")}
-    # this robot takes no notice of what the server says, which crops itself
+    # this robot ignores the server's instructions, so the server crops
     monkeypatch.setattr(coding_module, "crop", lambda frame, rectangle: frame)
     monkeypatch.setattr(coding_module, "CROPPED", "unheard")
     monkeypatch.setattr(coding_module, "fit", lambda frame, size: frame)

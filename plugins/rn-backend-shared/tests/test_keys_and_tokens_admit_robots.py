@@ -1,4 +1,4 @@
-"""Keys of a pair and tokens: who is admitted to a policy server, and whom a robot trusts."""
+"""Keys of a pair and tokens: admission to a policy server, and servers that a robot trusts."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_a_server_with_a_certificate_of_somebody_else_is_not_trusted(
     serve: Serve, robot: Robot, tmp_path: Path
 ) -> None:
     server = serve()
-    # swapped: the robot is now paired with another machine of that name
+    # exchanged: the robot is now paired with another machine of that name
     pair(tmp_path / "robot", tmp_path / "third")
     with pytest.raises(ConfigurationError, match="not trusted"):
         robot(server.address)
@@ -139,7 +139,7 @@ def test_a_token_goes_over_tls_where_the_servers_certificate_is_known(
     assert answers(robot(server.address, ca=str(tmp_path / "ca.pem"), **options))
     with pytest.raises(ConfigurationError, match="not trusted"):
         robot(server.address, ca=str(tmp_path / "other.pem"), **options)
-    with pytest.raises(NotReadyError, match="closed the connection without a word"):
+    with pytest.raises(NotReadyError, match="closed the connection without an answer"):
         robot(server.address, start_timeout_s=0.5, **options)
 
 

@@ -1,6 +1,6 @@
 """Agents on both machines, a policy on one, the robot on the other (network namespaces): who may
-start and switch it, what ends when its operator falls silent or the cable is cut, and that nothing
-moves afterwards before somebody asks for it. Needs root.
+start and switch it, what ends when its operator stops sending heartbeats or the cable is cut, and
+that nothing moves afterwards without a new start. Needs root.
 """
 
 from __future__ import annotations
@@ -73,10 +73,10 @@ LOOK_S = 2.0
 
 @dataclass
 class Lab:
-    """Both machines, all that runs there, and the joints of the arm.
+    """Both machines, their processes, and the joints of the arm.
 
     Attributes:
-        ann: at the robot, may do all.
+        ann: at the robot, with all rights.
         bob, eve: at the policy's machine; an operator and a viewer.
     """
 
@@ -89,7 +89,9 @@ class Lab:
     eve: FarAgent
 
     def start(self, agent: FarAgent) -> None:
-        """An agent becomes the operator and lets the policy of the other machine move the arm."""
+        """Let an agent become the operator, and let the policy on the other machine move the
+        arm.
+        """
         agent.beat()
         for tool in ("start_robot", "start_perception", "start_control"):
             agent.do(tool)
@@ -99,7 +101,7 @@ class Lab:
         self.wait_until_it_asks()
 
     def moved_rad(self, within_s: float = LOOK_S) -> float:
-        """How far the joint that moves most is, after so long, from where it was."""
+        """Motion of the joint that moves most within this time [rad]."""
         first = self.watcher.report()
         time.sleep(within_s)
         then = self.watcher.report()
@@ -115,13 +117,13 @@ class Lab:
         wait_until(lambda: self.moved_rad() < STILL_RAD, timeout_s, "the arm stands")
 
     def check_nothing_moves(self) -> None:
-        """For a while: what is looked for is that nothing happens."""
+        """Check for a while that nothing moves."""
         asked = self.asked()
         assert self.moved_rad(4.0) < STILL_RAD, "nobody has asked for motion"
         assert self.asked() == asked, "nor is the policy asked"
 
     def asked(self) -> int:
-        """Questions that the policies of the other machine have answered."""
+        """Number of requests answered by the policies on the other machine."""
         return sum(int(model["batches"]) for model in self.server.status()["models"].values())
 
     def wait_until_it_asks(self) -> None:
@@ -130,13 +132,13 @@ class Lab:
         wait_until(lambda: self.asked() > before + 5, 60.0, "the other machine is asked")
 
     def inference(self, agent: FarAgent) -> dict[str, Any]:
-        """What the status says of the inference module."""
+        """Status of the inference module."""
         modules = agent.do("get_status")["modules"]
         found: dict[str, Any] = next(one for one in modules if one["module"] == "inference")
         return found
 
     def wait_for_the_fallback(self, agent: FarAgent) -> None:
-        """Wait for the policy of this machine to act."""
+        """Wait until the policy of this machine acts."""
         wait_until(
             lambda: self.inference(agent)["metrics"].get("fallback.acting") == "reflex",
             30.0,
@@ -174,7 +176,7 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
     with machines(tmp_path, "robot", "gpu") as made, ExitStack() as stack:
         robot, gpu = made["robot"], made["gpu"]
         pair(robot.state, gpu.state, address=gpu.address)
-        folder = tmp_path / "g"  # a path that sockets can have
+        folder = tmp_path / "g"  # short enough for the path of a socket
         folder.mkdir()
         models = {name: {"options": REFLEX} for name in ("one", "other")}
         server = FarServer(folder, models, {"host": "0.0.0.0", "port": 7420}, gpu.state)

@@ -1,5 +1,5 @@
-"""The cable of benchmarks/slow_cable.py: what share of frames it loses, and in bursts of which
-length.
+"""The cable of benchmarks/slow_cable.py: the fraction of frames that it loses, and the length of
+bursts.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ def test_a_link_is_written_as_four_numbers_and_a_burst() -> None:
 def test_bursts_have_their_length_and_the_same_share_is_lost(text: str, burst_s: float) -> None:
     losses = Losses(Link.of(text), random.Random(3))
     lost = [losses.takes(100.0 + number * STEP_S) for number in range(STEPS)]
-    # a thousand seconds hold 250 bursts: the mean of exponential times is 6 % off, or 3 times that
+    # a thousand seconds contain 250 bursts: the standard error of the mean of exponential times is
+    # 6 %, with a tolerance of 3 or more of it
     assert sum(lost) / STEPS == pytest.approx(0.05, rel=0.25)
     lengths = [len(list(group)) * STEP_S for is_lost, group in groupby(lost) if is_lost]
     assert sum(lengths) / len(lengths) == pytest.approx(burst_s, rel=0.25)

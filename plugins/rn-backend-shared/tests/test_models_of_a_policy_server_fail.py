@@ -1,4 +1,4 @@
-"""Models and policy servers that die, hang or cannot be loaded, and how they come back."""
+"""Models and policy servers that die, hang or cannot be loaded, and their restart."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from roboneuron.cli.main import main
 
 pytestmark = pytest.mark.timeout(200)
 SLACK_S = 6.0
-"""What scheduling on a busy machine may add; without a deadline a robot would wait for ever."""
+"""Margin for scheduling on a busy machine; without a deadline a robot would wait forever."""
 
 
 def test_a_model_that_dies_is_an_error_at_once_and_comes_back(serve: Serve, robot: Robot) -> None:

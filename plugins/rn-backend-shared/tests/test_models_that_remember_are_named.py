@@ -1,4 +1,4 @@
-"""A model that remembers observations cannot be asked twice about one; that is said in words."""
+"""A model with a history of observations cannot be given one twice; the error says so."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SEEN = make_observation(BACKEND)
 
 
 class Far:
-    """A server whose model answers only some of what it is asked."""
+    """A server whose model answers only some of the requests."""
 
     def __init__(self, *answers: RoboNeuronError | None) -> None:
         self.answers = list(answers)

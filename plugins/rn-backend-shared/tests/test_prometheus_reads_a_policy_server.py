@@ -1,4 +1,4 @@
-"""The numbers of `serve-policy` as Prometheus reads them."""
+"""The metrics of `serve-policy` as read by Prometheus."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def test_requests_times_and_robots_are_told_by_model(server: RunningServer) -> N
 
 
 def replicas_that_tell(server: RunningServer) -> set[str]:
-    """Replicas whose times are told: from when they have loaded."""
+    """Replicas with time metrics, which they have after loading."""
     told = [labels for name, labels in read(server) if name.endswith("model_seconds_sum")]
     return {value for labels in told for key, value in labels if key == "replica"}
 

@@ -1,5 +1,6 @@
-"""A man in the middle records what a robot and a policy server send, and sends it again: nothing of
-it is executed by the arm or computed again, and the connection ends with an error that says so.
+"""A man in the middle records the messages of a robot and a policy server, and replays them: the
+arm executes none of them, the model computes none again, and the connection ends with an error that
+says so.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ pytestmark = pytest.mark.timeout(200)
 
 @pytest.fixture
 def in_the_middle() -> Iterator[Callable[[int, Cut], MiddleMan]]:
-    """Return a function that puts a man before a port."""
+    """Return a function that puts a man in the middle before a port."""
     men: list[MiddleMan] = []
 
     def stand(port: int, cut: Cut) -> MiddleMan:
@@ -45,7 +46,7 @@ RAW = {"coding": "raw", "timeout_s": 3.0}
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
-    """A server that is talked to in clear, with the token that `shown` names."""
+    """A server without encryption, with the token from `shown`."""
     folder = tmp_path_factory.mktemp("plain")
     listen = {"keys": "token", "token_file": str(folder / "token")}
     server = RunningServer(folder, {"only": {}}, listen).start()
@@ -55,14 +56,14 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningServer]:
 
 @pytest.fixture(scope="module")
 def expected(plain: RunningServer) -> list[Any]:
-    """The rows for each observation, asked without anybody between."""
+    """The rows for each observation, requested without a man in the middle."""
     with closing(robot_of(plain.address, **shown(plain))) as robot:
         robot.load()
         return [robot.predict(seen(number)).actions for number in range(5)]
 
 
 def shown(server: RunningServer) -> dict[str, Any]:
-    """Options of a robot that shows the server's token."""
+    """Options of a robot that sends the server's token."""
     return {**RAW, "token_file": str(server.folder / "token")}
 
 
@@ -79,12 +80,12 @@ def of_kind(frames: Sequence[bytes], kind: FrameKind) -> list[bytes]:
 
 
 def computed(server: RunningServer) -> int:
-    """How many observations the model was given."""
+    """Number of observations computed by the model."""
     return int(server.status()["models"]["only"]["observations"])
 
 
 def ask(robot: SharedBackend, number: int) -> Any:
-    """The rows for an observation; None where there is no answer, with an error that says why."""
+    """The rows for an observation; None if there is no answer but an error with a reason."""
     try:
         return robot.predict(seen(number)).actions
     except NotReadyError as error:
@@ -96,7 +97,7 @@ def twice(recording: Recording, frame: bytes) -> Sequence[bytes]:
 
 
 def the_one_before(frames: Sequence[bytes], frame: bytes, kind: FrameKind) -> Sequence[bytes]:
-    """The frame before, in place of this one."""
+    """Replace this frame by the previous one."""
     if kind_of(frame) is not kind or not of_kind(frames, kind):
         return (frame,)
     return (of_kind(frames, kind)[-1],)
@@ -122,14 +123,14 @@ REQUESTS: dict[str, Callable[[Recording, bytes], Sequence[bytes]]] = {
         *the_one_before(recording.asked, frame, FrameKind.REQUEST),
         frame,
     ),
-    # nothing was asked yet on a connection made anew
+    # a new connection has no request yet
     "introduced-again": lambda recording, frame: (*list(recording.asked)[:1], frame),
 }
 
 
 def judge(robot: SharedBackend, man: MiddleMan, expected: Sequence[Any]) -> list[str]:
-    """Ask some questions while the man replays; each answer is the right one or an error, and the
-    robot goes on when he has ended. Returns the errors.
+    """Send some requests during the replay; each answer must be the right one or an error, and the
+    robot must continue afterwards. Returns the errors.
     """
     said = []
     for number in (2, 3, 4):
@@ -165,7 +166,7 @@ def test_frames_in_clear_that_come_again_end_the_connection(
     else:
         man.answer = ANSWERS[name]
     said = judge(one, man, expected)
-    if asks and name != "introduced-again":  # the server hangs up, and says why
+    if asks and name != "introduced-again":  # the server disconnects, and gives the reason
         assert "was replayed" in logged(plain)[begun:]
     assert any("is lost" in text for text in said), said
     if not asks:
@@ -214,7 +215,7 @@ def test_a_conversation_that_is_sent_again_is_computed_no_second_time(
         with suppress(OSError):
             while part := again.recv(4096):
                 heard += part
-    # a welcome at most: what was not read yet resets the connection
+    # at most a welcome message: unread data resets the connection
     assert not heard or kind_of(heard) is FrameKind.WELCOME
     assert not heard or len(heard) == HEADER_BYTES + read_header(heard[:HEADER_BYTES]).body_bytes
     assert computed(plain) == before
@@ -305,7 +306,7 @@ def check_tls(
     assert any("is lost" in text for text in said) or name == "swapped", said
     assert said
     one.close()
-    # those that were answered or lost on their way back, and two in the end
+    # those that were answered or lost in transit, and two at the end
     assert computed(server) - before <= 3 + 4
 
 

@@ -1,5 +1,5 @@
-"""Several processes behind the name of one model: robots are spread over them, stay where their
-chunks are held, and go on with another when one dies.
+"""Several processes under the name of one model: robots are distributed over them, stay with the
+one that holds their chunks, and continue with another when one dies.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
 
 @pytest.fixture
 def robot(tmp_path: Path) -> Iterator[Callable[..., SharedBackend]]:
-    """Return a function that makes a loaded backend of a robot."""
+    """Return a function that creates a loaded backend of a robot."""
     with ExitStack() as stack:
 
         def make(server: RunningServer, **options: Any) -> SharedBackend:
@@ -71,7 +71,7 @@ def replicas_of(server: RunningServer) -> list[dict[str, Any]]:
 
 
 def ready(server: RunningServer) -> list[int]:
-    """Processes of the replicas that are ready."""
+    """Pids of the ready replicas."""
     return [one["pid"] for one in replicas_of(server) if one["state"] == "ready"]
 
 

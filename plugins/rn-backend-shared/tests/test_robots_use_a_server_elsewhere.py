@@ -1,4 +1,4 @@
-"""Robots and a policy server on another machine: what they get, and which options fit."""
+"""Robots and a policy server on another machine: answers, and compatible options."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.timeout(200)
 def test_answers_over_tls_equal_those_of_the_same_backend_here_bit_for_bit(
     serve: Serve, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, coding: str
 ) -> None:
-    # the model shrinks images itself, so the robot does it before it sends them
+    # the model shrinks images, so the robot does it before sending
     own = {"rows": 6, "shrinks_to": [64, 48]}
     server = serve({"only": {"options": own}})
     far = robot(server.address, coding=coding)

@@ -1,4 +1,4 @@
-"""Rows that are played meanwhile go on in the next answer of a shared server."""
+"""Rows executed during inference are continued by the next answer of a shared server."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ def test_rows_that_are_played_meanwhile_are_continued_with_the_context_that_the_
     assert told.conditioned_rows == 2
     np.testing.assert_array_equal(told.actions[:2], ahead.rows[:2])
     assert told.metrics["continues"] == 101.0, "the model has got its own context back"
-    # that of another connection is none, though one of that number is held for it
+    # a context of another connection is ignored, even if this one has a context of that number
     other.predict(SEEN)
     assert other.predict(replace(seen(3), ahead=ahead)).metrics["continues"] == -1.0
-    # as is one that is no longer held
+    # likewise one that is no longer held
     for _ in range(8):
         one.predict(SEEN)
     assert one.predict(replace(seen(3), ahead=ahead)).metrics["continues"] == -1.0

@@ -1,4 +1,4 @@
-"""What a service manager and a container builder are given, as far as it can be tried here."""
+"""Files for a service manager and a container builder, as far as they can be tested."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROOT = Path(__file__).parents[3]
 
 
 def command_of(words: list[str]) -> str:
-    """The configuration that these words of `serve-policy` name."""
+    """The configuration named in this command line of `serve-policy`."""
     parser = ArgumentParser()
     ServePolicyCommand().configure(parser)
     given = parser.parse_args(words)
@@ -118,7 +118,7 @@ def test_the_container_file_installs_and_runs_what_is_there(
 
 
 def check_it_installs(script: str, folder: Path) -> None:
-    """Run the script with a pip that says what it was asked for, and wheels called as ours are."""
+    """Run the script with a pip that prints its arguments, and wheels with RoboNeuron's names."""
     names = ("roboneuron_core", "rn_link", "rn_backend_shared", "rn_vla", "rn_backend_oft")
     (folder / "wheels").mkdir()
     for name in (*names, "rn_eval"):

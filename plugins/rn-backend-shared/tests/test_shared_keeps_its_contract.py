@@ -1,4 +1,4 @@
-"""The contract of backends, kept by `shared` in front of a real server process, and those of its
+"""The contract of backends, kept by `shared` with a real server process, and those of its
 commands.
 """
 

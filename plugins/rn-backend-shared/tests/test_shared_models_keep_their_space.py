@@ -41,7 +41,7 @@ ROBOT = RobotProfile(
 
 
 def sent(chunk: ActionChunk) -> ActionChunk:
-    """As it arrives at the robot."""
+    """The chunk after encoding and decoding."""
     frame = b"".join(encode(Header(FrameKind.ANSWER), from_answer(chunk)))
     return to_answer(decode(read_header(frame[:HEADER_BYTES]), frame[HEADER_BYTES:]))
 

@@ -1,4 +1,4 @@
-"""Shared server processes that die, hang, fail to load or have no robot left."""
+"""Shared server processes that die, hang, fail to load or lose their last robot."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The simulated FR3 is moved by a model behind `roboneuron serve-policy`, over TLS, and what it
-does when that server freezes, dies and comes back.
+"""The simulated FR3 is moved by a model behind `roboneuron serve-policy`, over TLS, and its motion
+when that server freezes, dies and restarts.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ address = "{address}"
 timeout_s = 0.4
 """
 HOLD_S = 2.0
-"""timeout_s, max_tail_age_s and action_timeout_s are shorter; what a busy machine adds."""
+"""timeout_s, max_tail_age_s and action_timeout_s are shorter; the rest is for a busy machine."""
 LOOKED_AT_S = 3.0
 STILL_RAD = 1e-3
 MOST_STEP_RAD = 0.02
-"""Between two measurements; the arm is asked for a hundredth of it, so more would be a jump."""
+"""Between two measurements; the commanded motion is a hundredth of it, so more would be a jump."""
 
 
 @dataclass
 class Witness:
-    """What was published so far.
+    """Messages published so far.
 
     Attributes:
         joints: measured positions, with monotonic times [s].
@@ -68,25 +68,25 @@ class Witness:
     actions: list[float] = field(default_factory=list)
 
     def on_joints(self, message: Any) -> None:
-        """The joints were measured."""
+        """Store measured joints."""
         named = dict(zip(message.name, message.position, strict=True))
         self.joints.append((time.monotonic(), np.array([named[joint] for joint in ARM])))
 
     def on_action(self, message: Any) -> None:
-        """A row was sent."""
+        """Store the time of a row."""
         self.actions.append(time.monotonic())
 
     def since(self, since_s: float) -> np.ndarray:
-        """Joints that were measured since then (n, 7)."""
+        """Joints measured since then (n, 7)."""
         return np.array([values for at_s, values in self.joints if at_s >= since_s])
 
     def moved_rad(self, since_s: float) -> float:
-        """Largest way of a joint since then."""
+        """Largest travel of a joint since then."""
         seen = self.since(since_s)
         return float(np.ptp(seen, axis=0).max()) if len(seen) else 0.0
 
     def rest_after_s(self, fault_s: float) -> float:
-        """Time from a fault until no joint moved any more, of what was seen [s]."""
+        """Time from a fault until the last motion of a joint, within the observed time [s]."""
         seen = [(at_s, values) for at_s, values in self.joints if at_s >= fault_s]
         last = seen[-1][1]
         away = [at_s for at_s, values in seen if np.abs(values - last).max() > STILL_RAD]
@@ -95,7 +95,7 @@ class Witness:
 
 @contextmanager
 def listening() -> Iterator[Witness]:
-    """A node of its own that hears joints and actions."""
+    """A node that receives joints and actions."""
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64MultiArray
 
@@ -110,7 +110,7 @@ def listening() -> Iterator[Witness]:
 
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[RunningServer]:
-    """A server whose model goes slowly in one direction, six rows at a time."""
+    """A server whose model moves slowly in one direction, six rows at a time."""
     pair(tmp_path / "robot", tmp_path / "gpu")
     model = {"only": {"options": {"rows": 6, "gain": 0.0002}}}
     made = RunningServer(tmp_path, model, {}, tmp_path / "gpu")
@@ -128,7 +128,7 @@ def seen(
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "robot"))
     monkeypatch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
     monkeypatch.setenv("ROS_LOG_DIR", str(tmp_path / "ros"))
-    # the keys are for the model here, not for ROS
+    # only the model uses the keys in this test, ROS does not
     monkeypatch.setenv("ROBONEURON_LINK", "off")
     prepare_environment(tmp_path / "log")
     config = parse_config(CONFIG.format(address=server.address))

@@ -1,4 +1,4 @@
-"""Connections to a shared server that are silent, many, of another version or send nonsense."""
+"""Connections to a shared server that are silent, numerous, of another version or send nonsense."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_server_of_another_version_is_refused_in_words(
         hello = bytearray(Header(FrameKind.HELLO).pack())
         hello[4] = VERSION + 1
         newer.sendall(hello)
-        newer.shutdown(socket.SHUT_WR)  # else it is left after the time for a first request
+        newer.shutdown(socket.SHUT_WR)  # otherwise it is closed after the time for a first request
         told = b""
         while part := newer.recv(4096):
             told += part
@@ -80,7 +80,7 @@ def test_connections_that_say_nothing_keep_no_robot_out(served: Robot, tmp_path:
         assert served().predict(SEEN).metrics["shared.batch"] == 1.0
         assert one.predict(SEEN).actions.size
         crowd[0].settimeout(20)
-        assert crowd[0].recv(1) == b""  # the oldest gave way
+        assert crowd[0].recv(1) == b""  # the oldest one was closed
 
 
 def test_a_connection_without_a_first_request_ends(
@@ -109,7 +109,7 @@ def test_a_server_without_handles_serves_again_when_it_has_some(
         try:
             for refused in crowd:
                 refused.connect(str(path))
-            assert one.predict(SEEN).actions.size  # who is connected is served
+            assert one.predict(SEEN).actions.size  # a connected robot is still served
             wait_until(lambda: "cannot connect" in caplog.text, 20)
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, before)

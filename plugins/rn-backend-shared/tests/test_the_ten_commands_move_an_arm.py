@@ -1,5 +1,5 @@
-"""The commands of docs/two-machines.md, typed on two machines (network namespaces) as they stand
-there, until the simulated arm moves by the policy of the other machine. Needs root.
+"""The commands of docs/two-machines.md, typed unchanged on two machines (network namespaces), until
+the policy on the other machine moves the simulated arm. Needs root.
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ def commands() -> list[tuple[str, str]]:
 
 
 def file_of(words: str) -> str:
-    """The TOML that follows these words on the page."""
+    """The TOML that follows this text on the page."""
     match = re.search(rf"{re.escape(words)}.*?\n\n```toml\n(.*?)```", PAGE, re.DOTALL)
     assert match is not None, f"{words} is not followed by a file"
     return match[1]
 
 
 class Terminal:
-    """Types commands on a machine, in a home of its own; closed with all that still runs."""
+    """Types commands on a machine, in its own home directory; closing it ends all its processes."""
 
     def __init__(self, machine: Machine, address: str) -> None:
         self.machine = machine
@@ -78,7 +78,7 @@ class Terminal:
         folder: Path | None = None,
         accepted: tuple[int, ...] = (0,),
     ) -> str:
-        """What a command says that ends by itself, with one of the `accepted` statuses."""
+        """Output of a command that ends by itself, with one of the `accepted` statuses."""
         done = subprocess.run(
             self.machine.inside(
                 "sh", "-c", f"cd {shlex.quote(str(folder or self.machine.state))}; {command}"
@@ -94,7 +94,7 @@ class Terminal:
         return done.stdout
 
     def leave(self, command: str) -> Path:
-        """Begin one that goes on; returns the file with what it says."""
+        """Start a command that keeps running; returns the file with its output."""
         log = self.machine.state / f"said-{len(self._logs)}.log"
         self._logs.append(log)
         with log.open("wb") as file:
@@ -110,7 +110,7 @@ class Terminal:
         return log
 
     def said(self) -> str:
-        """The end of what everything that was left running has said."""
+        """The end of the output of all commands that keep running."""
         return "".join(f"\n{log.name}: {log.read_text()[-2000:]}" for log in self._logs)
 
     def close(self) -> None:
@@ -128,7 +128,7 @@ class Terminal:
 
 @contextmanager
 def terminals(tmp_path: Path) -> Iterator[Mapping[str, Terminal]]:
-    """Both machines; the robot's has the address that stands on the page."""
+    """Both machines; the robot's has the address given on the page."""
     named = re.search(r"--join ([0-9.]+)", PAGE)
     assert named is not None
     others = named[1].rpartition(".")[0] + ".77"
@@ -141,8 +141,8 @@ def terminals(tmp_path: Path) -> Iterator[Mapping[str, Terminal]]:
 
 
 def check_it_installs(terminal: Terminal, command: str) -> None:
-    """Everything that pip is told to install is there: packages of the source folder with all that
-    they need, and of an index what this environment has already.
+    """Check that pip finds everything: packages of the source folder with their requirements, and
+    packages of an index that this environment has already.
     """
     offline = "--dry-run --no-index --no-build-isolation"
     said = terminal.type(
@@ -153,14 +153,14 @@ def check_it_installs(terminal: Terminal, command: str) -> None:
 
 
 def moved_rad(watcher: Talker, since: list[float]) -> float:
-    """How far the joint that has moved most is from where it was."""
+    """Distance of the joint that has moved most [rad]."""
     positions = watcher.report().get("positions") or since
     return float(np.abs(np.array(positions) - np.array(since)).max(initial=0.0))
 
 
 def inference_of(terminal: Terminal) -> dict[str, Any]:
-    """What `roboneuron status` says of the inference module."""
-    # 1: a module complains, as control does of a busy machine
+    """Status of the inference module from `roboneuron status`."""
+    # 1: a module reports a problem, as control does on a busy machine
     (server,) = json.loads(terminal.type("roboneuron status --json", accepted=(0, 1)))
     found = [one for one in server["modules"] if one["module"] == "inference"]
     return found[0] if found else {}
@@ -219,8 +219,8 @@ def test_the_ten_commands_move_an_arm_by_the_policy_of_the_other_machine(tmp_pat
 
 
 def check_the_fallback_acts(robot: Terminal, gpu: Terminal) -> None:
-    """Out of reach, the other machine is stood in for by what the page names, with the instruction
-    that was given.
+    """When the other machine is out of reach, the fallback named on the page acts, with the same
+    instruction.
     """
     gpu.machine.cut()
     wait_until(

@@ -1,5 +1,5 @@
-"""Machines for tests: network namespaces on one switch, each with shared memory and files of its
-own; needs root.
+"""Machines for tests: network namespaces on one switch, each with its own shared memory and files;
+needs root.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ NETWORK = "10.213.91"
 
 
 def impossible() -> str:
-    """Why there can be no machines here; empty when there can."""
+    """Reason why machines are impossible; empty if they are possible."""
     if os.geteuid() != 0:
         return "needs the rights to make network namespaces"
     made = subprocess.run(
@@ -33,7 +33,7 @@ def impossible() -> str:
 
 
 class Talker:
-    """A process that says its name on `/talk`, and counts the names that it hears."""
+    """A process that publishes its name on `/talk`, and counts the received names."""
 
     def __init__(self, name: str, process: subprocess.Popen[bytes], folder: Path) -> None:
         self.name = name
@@ -42,7 +42,7 @@ class Talker:
         self.log = folder / f"{name}.log"
 
     def report(self) -> dict[str, Any]:
-        """What it wrote last; empty before that."""
+        """Its last report; empty before the first."""
         try:
             found: dict[str, Any] = json.loads(self._report.read_text(encoding="utf-8"))
         except FileNotFoundError:
@@ -50,7 +50,7 @@ class Talker:
         return found
 
     def heard(self, name: str) -> int:
-        """How many messages of `name` it has heard."""
+        """Number of messages received from `name`."""
         return int(self.report().get("heard", {}).get(name, 0))
 
     def longest_gap_s(self, name: str) -> float:
@@ -58,7 +58,7 @@ class Talker:
         return float(self.report().get("gaps_s", {}).get(name, 0.0))
 
     def wait_for(self, name: str, more: int = 5, timeout_s: float = 20.0) -> float:
-        """Wait for further messages of `name`; returns how long that took [s]."""
+        """Wait for further messages of `name`; returns the time that it took [s]."""
         goal = self.heard(name) + more
         return wait_until(
             lambda: self.heard(name) >= goal,
@@ -76,7 +76,7 @@ class Machine:
     """A network namespace with its own loopback, /dev/shm and state directory.
 
     Args:
-        folder: for its files.
+        folder: folder for its files.
         number: last byte of its address.
     """
 
@@ -102,15 +102,15 @@ class Machine:
 
     @property
     def link(self) -> Path:
-        """Where its link is kept."""
+        """Folder of its link."""
         return self.state / "roboneuron" / "link"
 
     def inside(self, *command: str) -> list[str]:
-        """The command line that runs a command there."""
+        """The command line that runs a command on this machine."""
         return ["nsenter", "-t", str(self.pid), "-n", "-m", *command]
 
     def run(self, *command: str) -> None:
-        """Run a command there."""
+        """Run a command on this machine."""
         subprocess.run(self.inside(*command), check=True, capture_output=True)
 
     def talk(
@@ -121,11 +121,11 @@ class Machine:
         script: Path = TALKER,
         **variables: str,
     ) -> Talker:
-        """Start a talker there.
+        """Start a talker on this machine.
 
         Args:
-            link: whether it uses the machine's link; else `variables` alone.
-            script: what it runs.
+            link: True to use the machine's link; otherwise only `variables`.
+            script: script to run.
         """
         environment = {
             **{k: v for k, v in os.environ.items() if not k.startswith(("ROS_AUTO", "FAST"))},
@@ -144,19 +144,19 @@ class Machine:
         return talker
 
     def cut(self) -> None:
-        """Pull its cable."""
+        """Disconnect its cable."""
         self.run("ip", "link", "set", "cable", "down")
 
     def plug(self) -> None:
-        """Put the cable back."""
+        """Connect its cable again."""
         self.run("ip", "link", "set", "cable", "up")
 
     def lose(self, other: Machine) -> None:
-        """Lose all that it sends to another machine; nobody is told."""
+        """Lose silently everything that it sends to another machine."""
         self._address_frames(other, "02:00:00:00:00:99")
 
     def find(self, other: Machine) -> None:
-        """Send to the other machine again."""
+        """Stop losing messages to the other machine."""
         found = subprocess.run(
             other.inside("ip", "-json", "link", "show", "cable"),
             check=True,
@@ -170,7 +170,7 @@ class Machine:
         self.run("ip", "neigh", "replace", *entry)
 
     def close(self) -> None:
-        """End what runs there, and the namespaces with it."""
+        """End its processes, and with them the namespaces."""
         for talker in self._talkers:
             talker.end()
         self._holder.kill()

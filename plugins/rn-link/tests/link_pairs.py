@@ -1,4 +1,4 @@
-"""Links of test machines, without the pairing of persons."""
+"""Links of test machines, without interactive pairing."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def pair(hub: Namespace, member: Namespace) -> None:
 def admit(
     hub: Namespace, name: str, peer: Peer, folder: Path, *, age_days: int = 0, days: int = 365
 ) -> None:
-    """Admit a member, `age_days` ago, and keep in `folder` what it gets."""
+    """Admit a member, `age_days` ago, and store its files in `folder`."""
     key = new_key()
     then = datetime.now(UTC) - timedelta(days=age_days)
     certificate = add_member(hub.link, name, peer, key.public_key(), then, days)

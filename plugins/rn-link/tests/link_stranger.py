@@ -1,7 +1,7 @@
-"""`link_stranger.py MANNERS`: the relay, with the manners of a stranger.
+"""`link_stranger.py MANNERS`: the relay, with the behaviour of a foreign node.
 
-"plain": no TLS. "none": no certificate of its own. "foreign" and the others: certificates as they
-are kept, and whatever the other side shows is taken. "careless": asks nobody for a certificate.
+"plain": no TLS. "none": no certificate. "foreign" and the others: the stored certificates, and any
+certificate of the other side is accepted. "careless": requests no certificate.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def main(manners: str) -> None:
             bare.verify_mode = ssl.CERT_NONE
             return bare
         if manners == "none":
-            # a listening side needs one: of nobody's issue
+            # a listening side needs one: it is self-signed
             made.load_cert_chain(*_self_signed(folder))
         return made
 

@@ -1,7 +1,7 @@
-"""`link_talker.py NAME FOLDER [--images]`: says its name on `/talk` 20 times a second, counts the
-names that it hears, and writes FOLDER/NAME.json; with --images it also sends 30 images a second.
+"""`link_talker.py NAME FOLDER [--images]`: publishes its name on `/talk` 20 times a second, counts
+the received names, and writes FOLDER/NAME.json; with --images it also publishes 30 images a second.
 
-The variable MANNERS gives it the relay of a stranger (`link_stranger`).
+The variable MANNERS selects the relay of a foreign node (`link_stranger`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ SIDE = 224
 
 
 def main(name: str, folder: Path, *options: str) -> None:
-    """Talk until it is killed."""
+    """Publish until killed."""
     join_link()
     environment.prepare_environment(folder)
     import rclpy

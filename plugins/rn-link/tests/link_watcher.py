@@ -1,8 +1,8 @@
-"""`link_watcher.py NAME FOLDER [NAMESPACE]`: what another machine can do with a served robot.
+"""`link_watcher.py NAME FOLDER [NAMESPACE]`: access to a served robot from another machine.
 
-It counts the joint states and images of the robot that it finds, or of that namespace, and writes
+It counts the joint states and images of the discovered robot, or of that namespace, and writes
 FOLDER/NAME.json. While FOLDER/NAME.act exists it publishes actions that raise the hand; when
-FOLDER/NAME.ask appears it asks the control module to deactivate itself.
+FOLDER/NAME.ask appears it requests deactivation of the control module.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from rn_link.keeper import keep_link
 from roboneuron.command import environment
 
 LIFT_M = 0.004
-"""Of each action, 10 a second."""
+"""Motion of each action; 10 actions a second."""
 
 
 def main(name: str, folder: Path, namespace: str = "") -> None:
-    """Watch until it is killed."""
+    """Observe until killed."""
     join_link()
     environment.prepare_environment(folder)
     import rclpy

@@ -1,4 +1,4 @@
-"""A cut cable, a killed process, half-open connections: the rest goes on, the link returns."""
+"""A cut cable, a killed process, half-open connections: the rest continues, the link reconnects."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ pytestmark = [
     pytest.mark.skipif(bool(impossible()), reason=impossible() or "possible"),
 ]
 BACK_S = 30.0
-"""A participant that was given up (lease 20 s) is found with its next announcement."""
+"""A participant that was given up (lease 20 s) is discovered with its next announcement."""
 GAP_S = 3.0
-"""Of those on the robot, who do not use the link; a busy machine takes one."""
+"""Gap between messages on the robot, which do not use the link; a busy machine causes one."""
 GIVEN_UP_S = 3.5 + 4.0
-"""What the relay promises, and what a busy machine takes."""
+"""The relay's time limit, with a margin for a busy machine."""
 AGAIN_S = 5.0 + 5.0
 """As above."""
 
@@ -39,7 +39,7 @@ class Cell:
         self.meet()
 
     def meet(self) -> None:
-        """Wait until everybody hears everybody."""
+        """Wait until all receive messages from all."""
         for talker, name in (
             (self.far, "camera's image"),
             (self.far, "control"),
@@ -82,7 +82,7 @@ def test_a_killed_process_is_replaced(cell: Cell) -> None:
 
 
 def test_a_process_that_ended_unseen_is_replaced(cell: Cell) -> None:
-    """It ends while the cable is cut: nobody tells the robot's side."""
+    """It ends while the cable is cut, so the robot's side is not notified."""
     cell.gpu.cut()
     cell.far.end()
     far = cell.restart()
@@ -101,7 +101,7 @@ def test_a_process_that_ended_unseen_is_replaced(cell: Cell) -> None:
 def test_a_half_open_connection_is_given_up_and_made_again(
     cell: Cell, lost: str, for_s: float
 ) -> None:
-    """The last time is longer than the lease of a participant (20 s)."""
+    """The last duration is longer than the lease of a participant (20 s)."""
     directions = {
         "to the member": [(cell.robot, cell.gpu)],
         "to the hub": [(cell.gpu, cell.robot)],

@@ -1,4 +1,4 @@
-"""What `roboneuron link` changes holds for connections that are open, within two seconds."""
+"""Changes by `roboneuron link` affect open connections within two seconds."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytestmark = [
     pytest.mark.skipif(bool(impossible()), reason=impossible() or "possible"),
 ]
 CUT_OFF_S = 2.0
-"""The relay looks twice a second; the rest is what a busy machine takes."""
+"""The relay checks twice a second; the rest is for a busy machine."""
 CONNECT_S = 20.0
 
 
@@ -51,7 +51,9 @@ def cell(tmp_path: Path) -> Iterator[Cell]:
 
 
 def check_cut_off(*pairs: tuple[Talker, str]) -> None:
-    """Check that nobody of these hears the other after CUT_OFF_S, although both talk on."""
+    """Check that none of these pairs receives messages after CUT_OFF_S, although both keep
+    publishing.
+    """
     until_s = time.monotonic() + CUT_OFF_S
     wait_until(lambda: time.monotonic() > until_s, 10.0, "the time it may take")
     heard = [talker.heard(name) for talker, name in pairs]

@@ -1,7 +1,8 @@
-"""`roboneuron serve` with all its modules on the robot's machine, and ROS of ours on another one.
+"""`roboneuron serve` with all its modules on the robot's machine, and a ROS process of the project
+on another one.
 
-The member sees joint states and images. What it sends to the arm passes the limits and the
-emergency stop of the robot's control module; it cannot steer modules. A stranger on the wire sees
+The member receives joint states and images. Its actions pass the limits and the emergency stop of
+the robot's control module; it cannot control modules. A foreign node on the network receives
 nothing and moves nothing.
 """
 
@@ -32,12 +33,12 @@ pytestmark = [
 ]
 WATCHER = Path(__file__).with_name("link_watcher.py")
 STILL_RAD = 0.003
-"""Between two looks at an arm that rests: noise of the simulated joints."""
+"""Noise of the simulated joints between two measurements of a resting arm."""
 MOVED_RAD = 0.03
 
 
 class Watcher:
-    """A process of another machine that watches the robot."""
+    """A process on another machine that observes the robot."""
 
     def __init__(self, machine: Machine, name: str, *arguments: str, link: bool = True) -> None:
         variables = {} if link else {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SUBNET"}
@@ -57,13 +58,13 @@ class Watcher:
         return np.array(self.process.report()["positions"])
 
     def moved_rad(self, for_s: float = 2.0) -> float:
-        """How far the joint that moves most has moved after that time, as it sees it."""
+        """Measured motion of the joint that moves most within this time [rad]."""
         before, begun_s = self.positions(), time.monotonic()
         wait_until(lambda: time.monotonic() > begun_s + for_s, 10.0, "time to move")
         return float(np.abs(self.positions() - before).max())
 
     def tell(self, what: str, *, begin: bool = True) -> None:
-        """Have it begin or end something: "act" or "ask"."""
+        """Let it start or stop an activity: "act" or "ask"."""
         path = self._folder / f"{self._name}.{what}"
         if begin:
             path.touch()
@@ -80,7 +81,7 @@ class Watcher:
 
 
 async def serve_and_watch(robot: Machine, gpu: Machine, stranger: Machine) -> None:
-    """The scenario."""
+    """Run the scenario."""
     config = robot.state / "roboneuron.toml"
     config.write_text(f"{default_text()}\n[link]\nrequired = true\n")
     words = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), "--log-level", "error"]
@@ -125,7 +126,7 @@ async def serve_and_watch(robot: Machine, gpu: Machine, stranger: Machine) -> No
 
 
 def check_seen(far: Watcher) -> None:
-    """Check that the member sees modules, joint states and images."""
+    """Check that the member receives modules, joint states and images."""
     far.wait_for("joint_states", 20)
     far.wait_for("images", 5)
     modules = ("control", "perception", "robot")

@@ -1,4 +1,6 @@
-"""Several processes on each machine: all of a domain meet, whichever starts first."""
+"""Several processes on each machine: all of a domain discover each other, whichever starts
+first.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ pytestmark = [
 
 
 def all_hear(*talkers: Talker) -> None:
-    """Wait until each has heard all others, and itself."""
+    """Wait until each has received messages from all others and from itself."""
     for one, other in permutations(talkers, 2):
         wait_until(
             lambda one=one, other=other: min(one.heard(other.name), one.heard(one.name)) >= 5,

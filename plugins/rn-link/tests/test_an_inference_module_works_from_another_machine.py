@@ -1,5 +1,5 @@
-"""An inference module alone on another machine, by ROS over the link: `roboneuron serve` there
-starts it; robot, cameras and control run on the machine of the robot.
+"""An inference module alone on another machine, connected by ROS over the link: `roboneuron serve`
+on that machine starts it; robot, cameras and control run on the robot's machine.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ pytestmark = [
 WATCHER = Path(__file__).with_name("link_watcher.py")
 STILL_RAD, MOVED_RAD = 0.003, 0.03
 HOLDS_S = 3.0
-"""After a cut cable: the longest age of an action, and what a busy machine adds."""
+"""Time after a cut cable: the longest age of an action, with a margin for a busy machine."""
 
 
 @asynccontextmanager
@@ -52,20 +52,20 @@ async def agent_of(machine: Machine) -> AsyncIterator[Client]:
 
 
 async def do(client: Client, tool: str, **arguments: Any) -> None:
-    """A call that must succeed."""
+    """Make a call that must succeed."""
     answer = await client.call_tool(tool, arguments)
     assert not answer.is_error, answer.content
 
 
 def moved_rad(watcher: Talker, for_s: float = 2.0) -> float:
-    """How far the joint that moves most has come after that time."""
+    """Motion of the joint that moves most within this time [rad]."""
     before, begun_s = np.array(watcher.report()["positions"]), time.monotonic()
     wait_until(lambda: time.monotonic() > begun_s + for_s, 10.0, "time to move")
     return float(np.abs(np.array(watcher.report()["positions"]) - before).max())
 
 
 async def infer_there(robot: Machine, gpu: Machine) -> None:
-    """The scenario."""
+    """Run the scenario."""
     watcher = robot.talk("watcher", script=WATCHER)
     async with agent_of(robot) as here, agent_of(gpu) as there:
         for tool in ("start_robot", "start_perception", "start_control"):

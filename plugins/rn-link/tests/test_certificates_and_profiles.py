@@ -1,4 +1,4 @@
-"""What is kept for a machine: its own key, exactly its peers' issuers, and a profile."""
+"""Files of a machine: its own key, exactly its peers' issuers, and a profile."""
 
 from __future__ import annotations
 
@@ -279,7 +279,7 @@ def test_tls_lets_exactly_a_paired_machine_in(hub: Path, tmp_path: Path, kind: s
 
 
 def _handshake(client: ssl.SSLContext, server: ssl.SSLContext) -> list[ssl.SSLObject]:
-    """Raises ssl.SSLError: one side refuses the other."""
+    """Perform a handshake. Raises ssl.SSLError if one side refuses the other."""
     up, down = ssl.MemoryBIO(), ssl.MemoryBIO()
     left = client.wrap_bio(down, up)
     right = server.wrap_bio(up, down, server_side=True)
@@ -289,6 +289,6 @@ def _handshake(client: ssl.SSLContext, server: ssl.SSLContext) -> list[ssl.SSLOb
                 side.do_handshake()
             except ssl.SSLWantReadError:
                 continue
-    # with TLS 1.3 a server refuses what the client has sent last
+    # with TLS 1.3 a server refuses only after the client's last message
     assert right.version() == left.version() == "TLSv1.3"
     return [left, right]

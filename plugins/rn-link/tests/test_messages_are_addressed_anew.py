@@ -1,4 +1,4 @@
-"""Announcements get places of the relay on another machine; everything else stays as it is."""
+"""On another machine, announcements get addresses of the relay; everything else stays unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The key exchange against the published numbers of its draft.
+"""The key exchange compared with the published numbers of its draft.
 
 Source: draft-irtf-cfrg-cpace-13, appendix B.1 (X25519, SHA-512).
 """

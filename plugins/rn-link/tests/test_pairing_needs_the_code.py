@@ -1,4 +1,4 @@
-"""A machine is admitted by the six digits that the hub shows, and by nothing else."""
+"""A machine is admitted only with the six digits that the hub shows."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def listener() -> Iterator[socket.socket]:
 
 
 def in_background(function: Callable[[], Peer]) -> Future[Peer]:
-    """What the function returns or raises, on a thread of its own."""
+    """Result or exception of the function, which runs on its own thread."""
     future: Future[Peer] = Future()
 
     def run() -> None:

@@ -1,4 +1,4 @@
-"""Each process gets the link's profile, or says why not; one of them keeps the relay."""
+"""Each process gets the link's profile, or reports why not; one of them runs the relay."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_a_process_can_stay_on_its_machine(
 
 
 def relays() -> list[psutil.Process]:
-    """Those that this process has started, and that live."""
+    """Running relays started by this process."""
     found = psutil.Process().children()
     living = [one for one in found if one.status() != psutil.STATUS_ZOMBIE]
     return [one for one in living if "rn_link.relay" in one.cmdline()]

@@ -1,4 +1,4 @@
-"""The ports of two relays, joined in memory: announcements, answers, and a relay that follows."""
+"""The ports of two relays, joined in memory: announcements, answers, and a succeeding relay."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from rn_link.ports import ParticipantPort, Ports
 SPDP = bytes.fromhex("000100c2")
 LOOPBACK = "127.0.0.1"
 DOMAIN_PORTS = range(64_900, 65_150)
-"""Of domain 230."""
+"""Ports of domain 230."""
 RELAYS = {"robot": "127.90.0.2", "gpu": "127.90.0.3"}
 
 
 class Participant:
-    """A participant of ROS, as far as the relay sees one."""
+    """A ROS participant, as seen by the relay."""
 
     def __init__(self, name: bytes) -> None:
         self.name = name.ljust(12, b"\0")
@@ -33,7 +33,7 @@ class Participant:
         made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         made.setblocking(False)
         for port in DOMAIN_PORTS:
-            with suppress(OSError):  # somebody has it
+            with suppress(OSError):  # the port is in use
                 made.bind((LOOPBACK, port))
                 return made
         made.close()
@@ -57,7 +57,7 @@ class Participant:
         return await asyncio.wait_for(loop.sock_recv(on, 65_536), 10.0)
 
     async def met(self) -> tuple[str, int]:
-        """Where the participant that announces itself takes data."""
+        """Data address of the participant that announces itself."""
         message = await self.receive(self.metatraffic)
         *_, port, address = struct.unpack("<HHiI12x4s", message[-28:])
         return socket.inet_ntoa(address), port
@@ -68,7 +68,7 @@ class Participant:
 
 
 class Relays:
-    """Both machines' ports; what one forwards the other delivers."""
+    """Both machines' ports; messages forwarded by one are delivered by the other."""
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self._folder, self._monkeypatch = folder, monkeypatch
@@ -88,9 +88,9 @@ class Relays:
 
 
 async def meet(near: Participant, far: Participant) -> tuple[str, int]:
-    """Where `far` reaches `near`."""
+    """Address at which `far` reaches `near`."""
     far.announce(RELAYS["gpu"])
-    await asyncio.sleep(0.05)  # until the relay knows of it, as of one that announces itself again
+    await asyncio.sleep(0.05)  # until the relay knows it, as after a repeated announcement
     near.announce(RELAYS["robot"])
     place = await far.met()
     assert place[0].startswith("127.90.")
@@ -107,9 +107,9 @@ def test_messages_reach_the_participant_that_announced_itself(
         try:
             far.data.sendto(b"before", await meet(near, far))
             assert await near.receive(near.data) == b"before"
-            # a port that is open, and that no participant has announced
+            # an open port that no participant has announced
             relays.robot.deliver("gpu", ParticipantPort(near.name, far.place.port), b"elsewhere")
-            # a participant that had the port before
+            # an earlier participant of that port
             relays.robot.deliver("gpu", ParticipantPort(b"x" * 12, near.place.port), b"late")
             relays.robot.deliver("gpu", near.place, b"right")
             assert await near.receive(near.data) == b"right"

@@ -1,4 +1,6 @@
-"""Nobody without a valid certificate hears a machine of the link or is heard, whoever connects."""
+"""Without a valid certificate, a process neither receives from a machine of the link nor is
+received, whichever side connects.
+"""
 
 from __future__ import annotations
 
@@ -39,9 +41,9 @@ STRANGERS = (*(f"hub-{kind}" for kind in CONNECTING), *(f"member-{kind}" for kin
 
 @dataclass(frozen=True)
 class Lab:
-    """A robot and its GPU machine, another robot, and strangers' machines, one each.
+    """A robot and its GPU machine, another robot, and one machine for each foreign node.
 
-    The other robot is paired with those that listen, and connects to them.
+    The other robot is paired with the listening ones, and connects to them.
     """
 
     robot: Namespace
@@ -50,15 +52,17 @@ class Lab:
     strangers: Mapping[str, Namespace]
 
     def stranger(self, name: str) -> Talker:
-        """Start a stranger: its ROS is ours, its relay has the keys and the manners of its kind."""
+        """Start a foreign node: RoboNeuron's ROS, and a relay with the keys and behaviour of its
+        kind.
+        """
         machine = self.strangers[name]
         if name == "hub-udp":
             return machine.talk(name, link=False, ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")
         return machine.talk(name, MANNERS=name.partition("-")[2])
 
     def keep(self, name: str, own: Path, trusted: Path) -> None:
-        """Give a stranger a link of its own: the keys in `own`, and the issuer of the machine that
-        it wants to talk with.
+        """Create the link of a foreign node: the keys in `own`, and the issuer of the machine to be
+        contacted.
         """
         folder = self.strangers[name].link
         (folder / "peers").mkdir(parents=True)
@@ -77,12 +81,12 @@ class Lab:
 
 
 def prepare(lab: Lab, folder: Path) -> None:
-    """Pair robot and GPU machine, and make the keys of all strangers."""
+    """Pair robot and GPU machine, and create the keys of all foreign nodes."""
     now = datetime.now(UTC)
     robot = lab.robot
     foreign, revoked, expired = (folder / name for name in ("foreign", "revoked", "expired"))
     become_hub(foreign, "robot", now, 365)
-    # the GPU machine was paired with a hub that has a new authority since
+    # the GPU machine was paired with a hub that has had a new authority since
     pair(robot, lab.gpu)
     robot.link.rename(revoked)
     pair(robot, lab.gpu)
@@ -106,12 +110,12 @@ def prepare(lab: Lab, folder: Path) -> None:
 
 
 def _admit_listeners(lab: Lab, folder: Path) -> dict[str, Path]:
-    """Have the other robot connect to each listening stranger; returns keys by kind."""
+    """Let the other robot connect to each listening foreign node; returns keys by kind."""
     kept = {}
     for kind in LISTENING:
         name = f"member-{kind}"
         peer = Peer(lab.strangers[name].address)
-        for times in range(2):  # the second takes the first one's issuer out
+        for times in range(2):  # the second one removes the first one's issuer
             keys = folder / f"{kind}-{times}"
             admit(lab.other, name, peer, keys)
             if (kind, times) == ("revoked", 0):
@@ -124,7 +128,7 @@ def _admit_listeners(lab: Lab, folder: Path) -> dict[str, Path]:
 
 @dataclass(frozen=True)
 class Heard:
-    """What everybody has heard at the end."""
+    """Messages received by every process at the end."""
 
     strangers: Mapping[str, Talker]
     robot: Talker
@@ -133,7 +137,7 @@ class Heard:
 
     @property
     def ours(self) -> tuple[Talker, ...]:
-        """Those that no stranger may hear."""
+        """Processes from which no foreign node may receive anything."""
         return (self.robot, self.gpu, self.other)
 
 
@@ -176,7 +180,7 @@ def test_a_stranger_hears_nothing_and_is_not_heard(heard: Heard, name: str) -> N
 
 
 def test_every_stranger_was_refused_at_a_connection(heard: Heard) -> None:
-    """They would be heard if nobody checked: each has come as far as that."""
+    """Each has reached the point of the certificate check, and would be connected without it."""
     connected = "".join(talker.log.read_text() for talker in heard.strangers.values())
     assert connected.count("No link to gpu") >= len(CONNECTING) - 1 - ("Linked" in connected)
     refused = heard.other.log.read_text()
@@ -184,7 +188,9 @@ def test_every_stranger_was_refused_at_a_connection(heard: Heard) -> None:
 
 
 def test_strangers_are_heard_where_nobody_asks_for_certificates(lab: Lab, heard: Heard) -> None:
-    """What the strangers above would get: the tests can fail."""
+    """What the foreign nodes receive without certificate checks, which shows that the tests can
+    fail.
+    """
     heard.gpu.end()
     heard.robot.end()
     for name, talker in heard.strangers.items():

@@ -1,4 +1,4 @@
-"""`roboneuron link`, as a person types it."""
+"""`roboneuron link`, as typed by a person."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""A second server on the other machine: two robots, two agents, one link. Each moves its own robot
-and sees the other's; a cut cable stops neither, and both machines say that it is cut.
+"""A second server on the other machine: two robots, two agents, one link. Each agent moves its own
+robot and reads the other's; a cut cable stops neither robot, and both machines report it.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class LinkedAgent(Agent):
         self._machine = machine
 
     async def connection(self, name: str) -> dict[str, str]:
-        """What `link show` says of another machine."""
+        """Connection to another machine, as shown by `link show`."""
         shown = await anyio.to_thread.run_sync(self._show)
         found = shown["connections"][name]
         assert isinstance(found, dict)
@@ -78,7 +78,7 @@ class LinkedAgent(Agent):
         return shown
 
     async def until_connected(self, name: str, is_open: bool) -> dict[str, str]:
-        """Wait until the machine says that another one is connected, or is not."""
+        """Wait until the machine reports another one as connected, or not."""
         with anyio.fail_after(BOUND_S):
             while bool((found := await self.connection(name))["since"]) is not is_open:
                 await anyio.sleep(0.5)
@@ -102,7 +102,7 @@ async def agent_of(machine: Machine, config: str) -> AsyncIterator[LinkedAgent]:
 
 
 async def odometry(agent: LinkedAgent, tool: str) -> float:
-    """How far the base has come along x, as one of the servers reads it."""
+    """Position of the base along x, read from one of the servers."""
     read = await agent.do(tool, timeout_s=30.0)
     x_m = read["messages"][0]["pose"]["pose"]["position"]["x"]
     assert isinstance(x_m, float)
@@ -110,13 +110,13 @@ async def odometry(agent: LinkedAgent, tool: str) -> float:
 
 
 async def use_both(arm: LinkedAgent, base: LinkedAgent, gpu: Machine) -> None:
-    """The scenario."""
+    """Run the scenario."""
     await arm.do("start_robot")
     await arm.do("start_control")
     await base.do("start_robot")
     linked = [await arm.until_connected("gpu", True), await base.until_connected("robot", True)]
     assert all(one["error"] == "" for one in linked)
-    # each agent sees the other's robot, and moves its own
+    # each agent reads the other's robot, and moves its own
     near = await base.do("read_far_joints", timeout_s=30.0)
     assert "fr3_joint1" in near["messages"][0]["name"]
     twist = {"linear": {"x": 0.2}}
@@ -125,17 +125,17 @@ async def use_both(arm: LinkedAgent, base: LinkedAgent, gpu: Machine) -> None:
     await arm.do("move_ee", dz_m=-0.03)
     status = json.dumps(await base.do("get_status"))
     assert "fr3_joint1" not in status, "the arm's modules are of the other server"
-    # a stop of one is none of the other
+    # a stop of one robot does not affect the other
     await arm.do("emergency_stop")
     succeeded, _, _ = await arm.call("move_ee", dz_m=0.03)
     assert not succeeded
     before_m = await odometry(arm, "read_far_odom")
     await base.do("publish_velocity", message=twist, duration_s=1.0)
     assert await odometry(arm, "read_far_odom") > before_m + 0.1
-    # a cut cable stops neither, and is told on both sides
+    # a cut cable stops neither, and is reported on both sides
     gpu.cut()
     cut = await arm.until_connected("gpu", False)
-    assert "Is gpu on, 10.213.91.2 its address, and TCP 7411 open there?" in cut["hint"], cut
+    assert "Is gpu on, 10.213.91.2 its address, and its TCP port 7411 open?" in cut["hint"], cut
     assert (await base.until_connected("robot", False))["hint"]
     await base.do("publish_velocity", message=twist, duration_s=1.0)
     await arm.do("read_joint_states", timeout_s=10.0)

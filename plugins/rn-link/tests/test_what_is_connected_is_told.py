@@ -1,5 +1,5 @@
-"""For every paired machine `link show` and `doctor` say whether it is connected now, as the relay
-knows it.
+"""For every paired machine `link show` and `doctor` report whether it is connected, according to
+the relay.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def gpu(tmp_path: Path) -> Place:
 
 @contextmanager
 def relay_lock(place: Place) -> Iterator[None]:
-    """As if a relay ran."""
+    """Hold the lock, as a running relay does."""
     lock = os.open(place.link / LOCK, os.O_RDWR | os.O_CREAT)
     fcntl.flock(lock, fcntl.LOCK_EX)
     try:
@@ -85,12 +85,12 @@ def test_without_a_relay_nothing_is_connected(
     robot: Place, gpu: Place, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pair_machines(robot, gpu)  # type: ignore[arg-type]
-    StateFile(robot.link).connected("gpu")  # of one that was killed
+    StateFile(robot.link).connected("gpu")  # of a killed relay
     assert read_connections(robot.link) is None
-    assert "No relay runs here: start RoboNeuron, or `roboneuron link run`." in show(capsys)
+    assert "No relay is running: start RoboNeuron, or `roboneuron link run`." in show(capsys)
     assert json.loads(show(capsys, "--json"))["connections"] is None
     ((is_well, text, hint),) = LinkCommand().findings()
-    assert (is_well, text) == (False, "The link to gpu is not carried now.")
+    assert (is_well, text) == (False, "The link to gpu is down: no relay is running.")
     assert "`roboneuron link run`" in hint
 
 
@@ -122,7 +122,7 @@ def test_each_machine_is_told_with_its_time_or_its_error(
     assert verdicts == {
         "gpu": (True, ""),
         "desk": (False, "Is desk on?"),
-        "lab": (False, "Look again in a moment."),
+        "lab": (False, "Check again in a moment."),
     }
     state.forget("gpu")
     assert "gpu" not in json.loads((robot.link / STATE).read_text())
@@ -146,11 +146,11 @@ def expired() -> ssl.SSLCertVerificationError:
     ("error", "told"),
     [
         (ConnectionRefusedError(), "Start RoboNeuron on gpu"),
-        (TimeoutError(), "Is gpu on, 10.0.0.2 its address, and TCP 7411 open there?"),
+        (TimeoutError(), "Is gpu on, 10.0.0.2 its address, and its TCP port 7411 open?"),
         (OSError(errno.EHOSTUNREACH, "no route"), "Is gpu on, 10.0.0.2"),
         (expired(), "expired: type `roboneuron link add gpu` on the hub"),
         (ssl.SSLError("alert unknown ca"), "Pair it again: `roboneuron link add gpu`"),
-        (OSError("else"), "Look at gpu and at the network between"),
+        (OSError("else"), "Check gpu and the network"),
     ],
 )
 def test_every_error_has_something_to_do(error: OSError, told: str) -> None:
@@ -178,7 +178,7 @@ def test_the_relay_tells_what_becomes_of_a_connection(
     assert member is not None
 
     async def serve() -> Any:
-        """The other machine, as far as its TLS goes."""
+        """The TLS part of the other machine."""
 
         async def take(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             taken.append(writer)

@@ -1,5 +1,5 @@
-"""`cubes-policy improve`: rounds that end the same however often they are killed, promotion only of
-what is not worse, and the way back.
+"""`cubes-policy improve`: rounds with the same result even if killed, promotion only of policies
+that are not worse, and rollback.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ SETTINGS = {"views": 3, "tokens": 20, "full_views": 2}
 
 
 class Killed(Exception):
-    """The process ends here."""
+    """Simulates the end of the process."""
 
 
 @pytest.fixture
@@ -48,14 +48,14 @@ def weights(network: CubesNetwork, recipe: Recipe, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def plan() -> RoundPlan:
-    """A round of seconds."""
+    """A round that takes seconds."""
     recipe = recipe_of_round(2, 4, SETTINGS)
     return RoundPlan(recipe=recipe, rollouts=1, views=10, seeds=6, time_limit_s=1.0)
 
 
 @pytest.fixture
 def judged(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
-    """Seeds that each champion and each challenger in turn solves, instead of an evaluation."""
+    """Seeds solved by each champion and each challenger in turn, instead of an evaluation."""
     solved: list[tuple[int, ...]] = [(0, 1, 2), (0, 1, 2, 3)] * 4
     turns = iter(range(len(solved)))
 
@@ -71,11 +71,11 @@ def judged(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
 
 
 def quiet(line: str) -> None:
-    """Say nothing."""
+    """Print nothing."""
 
 
 def turn(directory: Path, weights: Path, plan: RoundPlan) -> Wheel:
-    """One round, or what is left of it."""
+    """Run one round, or the rest of it."""
     wheel = Wheel(directory, quiet)
     wheel.run(wheel.begin(weights, plan, []))
     return wheel
@@ -153,7 +153,7 @@ def test_a_round_that_was_ended_anywhere_ends_as_one_that_was_not(
 
 
 def same(first: Path, second: Path) -> None:
-    """Both have the same challenger, bit for bit."""
+    """Check that both have the same challenger, bit for bit."""
     one, other = (
         Packed.read(path / "rounds" / "0001" / "weights.safetensors") for path in (first, second)
     )
@@ -166,9 +166,9 @@ def test_a_round_under_way_is_ended_by_its_own_plan(
 ) -> None:
     wheel = Wheel(tmp_path / "out", quiet)
     wheel.begin(weights, plan, [])
-    with pytest.raises(StateError, match=r"Round 1 .* by another plan"):
+    with pytest.raises(StateError, match=r"Round 1 .* has another plan"):
         wheel.begin(weights, plan.model_copy(update={"seeds": 7}), [])
-    with pytest.raises(StateError, match="Round 1 is under way"):
+    with pytest.raises(StateError, match="Round 1 is unfinished"):
         wheel.roll_back()
     held = alone_in(tmp_path / "out")
     with (
@@ -214,7 +214,7 @@ def test_rollouts_are_made_again_alike_and_are_labelled_for_every_colour(
     rows = np.load(shard_files(tmp_path / "one", 10_000)[0])
     assert (rows["seed"] >= 11_000_000).all()
     assert set(rows["target"]) <= set(range(len(COLOURS)))
-    # the student moves the arm: a new network goes elsewhere than the teacher
+    # the student moves the arm: a new network moves differently from the teacher
     assert np.ptp(rows["tcp_m"], axis=0).max() > 0.005
 
 

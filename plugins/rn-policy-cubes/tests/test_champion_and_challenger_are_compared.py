@@ -1,4 +1,4 @@
-"""The paired test against scipy's, and against figures that can be counted."""
+"""The paired test compared with scipy's, and with counted numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows in which a person corrected become labels of the named cube, and nothing else does."""
+"""Only rows corrected by a person become labels of the named cube."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def dataset(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_correction_labels_the_named_cube_alone(dataset: Path, tmp_path: Path) -> None:
     name = take_corrections(tmp_path, dataset)
     (shards,) = corrections_in(tmp_path, [name])
-    # whole chunks in which the person does something
+    # whole chunks in which the person moves the arm
     chosen = range(FIRST, LAST - ROWS + 1)
     assert len(shards) == len(chosen)
     labels = shards.labels
@@ -167,5 +167,5 @@ def test_a_training_goes_on_from_weights_with_corrections(
         )
         return training.network.head.fc2.weight.detach()
 
-    # the rate is nothing: what it ends with is what it began with
+    # the rate is zero, so the final weights are the initial ones
     assert torch.equal(run("still", found), packed.tensors["action_head.fc2.weight"])

@@ -1,4 +1,4 @@
-"""Shards repeat, their labels are the teacher's, and the teacher lifts cubes."""
+"""Shards are repeatable, their labels are the teacher's, and the teacher lifts cubes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The weights in the package do the task in the closed loop, through rn-backend-oft."""
+"""The weights in the package solve the task in the closed loop, through rn-backend-oft."""
 
 from __future__ import annotations
 

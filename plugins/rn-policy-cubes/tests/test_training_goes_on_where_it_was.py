@@ -1,4 +1,4 @@
-"""A training that was interrupted ends as one that was not, bit for bit."""
+"""An interrupted training ends with the same result, bit for bit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from roboneuron import ConfigurationError
 
 
 def quiet(line: str) -> None:
-    """Say nothing."""
+    """Print nothing."""
 
 
 def run(recipe: Recipe, directory: Path, shards: Path, until: int | None = None) -> Training:

@@ -1,4 +1,4 @@
-"""Demonstrations and training tell rate, time left and figures from the first seconds on."""
+"""Demonstrations and training print rate, remaining time and metrics from the first seconds on."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_times_are_short(seconds: float, text: str) -> None:
 def test_demonstrations_are_counted(tmp_path: Path, workers: int) -> None:
     said: list[str] = []
     record(tmp_path, 2, workers=workers, say=said.append, views=12)
-    assert said[0].startswith("demonstrations: 0 of 2 shards are there")
+    assert said[0].startswith("demonstrations: 0 of 2 shards exist")
     assert re.match(
         r"demonstrations: views 24/24 \(100 %\), [\d.]+ a (second|minute), 0 s left", said[-1]
     )
@@ -111,7 +111,7 @@ def test_a_full_disk_is_told_with_the_file_and_keeps_what_was_there(
     path = tmp_path / "state.bin"
     path.write_bytes(b"before")
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))  # as on a disk that is full
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))  # like a full disk
     try:
         with pytest.raises(StateError, match=r"state\.bin cannot be written"):
             save(kind, path)

@@ -1,5 +1,5 @@
-"""Packed weights become a public checkpoint; the backend computes from it what the trained network
-computed.
+"""Packed weights become a public checkpoint; the backend computes the same as the trained
+network.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def test_rows_that_were_left_out_are_zero(packed: Packed, checkpoint: Path) -> N
 def test_the_backend_computes_what_the_network_computes(
     network: CubesNetwork, backend: OftPrimaryBackend
 ) -> None:
-    """With pictures, state and words of its own making: preprocessing, tokens and normalisation are
+    """With generated images, state and words, so preprocessing, tokens and normalisation are
     compared too.
     """
     random = np.random.default_rng(0)
@@ -124,8 +124,8 @@ def test_the_backend_computes_what_the_network_computes(
 def test_a_weighted_token_counts_as_often_as_it_says(
     network: CubesNetwork, prompts: object
 ) -> None:
-    """Two equal patches, of which one is left out and the other counts twice, in a network that
-    ignores positions.
+    """Two equal patches, of which one is left out and the other counts twice, in a network without
+    position embeddings.
     """
     with torch.no_grad():
         for tower in network.towers:

@@ -1,8 +1,8 @@
-"""Real SGLang beside the in-process runtime: the same tokens, and what the boundary costs.
+"""Real SGLang compared with the in-process runtime: the same tokens, and the cost of the boundary.
 
     check.py --python SGLANG_ENVIRONMENT/bin/python [--device cpu] [--requests 20]
 
-Writes tiny checkpoints itself. Exits with 1 when a token differs.
+Creates tiny checkpoints itself. Exits with 1 if a token differs.
 """
 
 from __future__ import annotations
@@ -41,7 +41,9 @@ from rn_vla.openvla.tiny import make_tiny, write_tokenizer
 from roboneuron.errors import CheckpointError, NotReadyError
 
 SEED = 3
-"""A checkpoint whose tokens depend on image and prompt; with some seeds one token always wins."""
+"""A checkpoint whose tokens depend on image and prompt; with some seeds one token always
+dominates.
+"""
 PROMPTS = ("pick up the red bowl", "close the drawer", "put the cube on the plate")
 SIZES = ((224, 224), (240, 320), (480, 640))
 KEY_VARIABLE = "INTEROP_KEY"
@@ -53,7 +55,7 @@ Connect = Callable[[PolicyModel, str], SglangRuntime]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fixture:
-    """A checkpoint with what makes requests for it."""
+    """A checkpoint with everything needed for its requests."""
 
     model: PolicyModel
     checkpoint: OpenvlaCheckpoint
@@ -72,20 +74,20 @@ class Fixture:
         )
 
     def request(self, ids: np.ndarray, image: np.ndarray) -> TokenRequest:
-        """One request."""
+        """Create one request."""
         pixels = self.preprocessor.to_pixels(image)
         return token_request(text="", ids=ids, image=image, pixel_values=pixels, action_width=7)
 
 
 def picture(generator: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
-    """A smooth random picture: compresses somewhat like a camera's."""
+    """A smooth random image, whose compressibility resembles a camera's."""
     small = Image.fromarray(generator.integers(0, 256, (9, 12, 3), dtype=np.uint8))
     whole = np.asarray(small.resize((size[1], size[0]), Image.Resampling.BICUBIC)).astype(np.int16)
     return np.clip(whole + generator.integers(-3, 4, whole.shape), 0, 255).astype(np.uint8)
 
 
 def print_versions(python: Path) -> None:
-    """What took part."""
+    """Print the versions of the packages."""
     names = ("sglang", "torch", "transformers", "rn-runtime-sglang", "rn-vla")
     done = subprocess.run([python, "-c", _VERSIONS % (names,)], capture_output=True, check=True)
     ours = {
@@ -97,7 +99,7 @@ def print_versions(python: Path) -> None:
 
 
 def compare(name: str, pairs: list[tuple[list[int], list[int]]]) -> bool:
-    """Print and judge pairs of (expected, served) tokens."""
+    """Print and compare pairs of (expected, served) tokens."""
     same = sum(a == b for a, b in pairs)
     distinct = len({tuple(a) for a, _ in pairs})
     print(
@@ -110,7 +112,7 @@ def compare(name: str, pairs: list[tuple[list[int], list[int]]]) -> bool:
 
 
 def check_golden(served: SglangRuntime, fixture: Fixture) -> bool:
-    """Against what the public modelling code gave."""
+    """Compare with the results of the public modelling code."""
     golden = np.load(GOLDEN / "golden.npz")
     request = fixture.request(end_prompt(golden["input_ids"][0]), golden["image_0"])
     return compare(
@@ -122,7 +124,7 @@ def check_golden(served: SglangRuntime, fixture: Fixture) -> bool:
 def check_faults(
     connect: Connect, served: SglangRuntime, request: TokenRequest, other: Fixture
 ) -> bool:
-    """A late answer and the wrong model, on the real server."""
+    """Test a late answer and the wrong model on the real server."""
     try:
         served.run(replace(request, deadline_s=time.monotonic() + 0.03))
         late = "answered within 30 ms"
@@ -182,7 +184,7 @@ def main() -> int:
 
 
 def run(options: argparse.Namespace, directory: Path) -> bool:
-    """All checks with checkpoints in `directory`."""
+    """Run all checks with checkpoints in `directory`."""
     make_tiny(directory / "tiny", seed=SEED)
     shutil.copytree(GOLDEN, directory / "golden")
     write_tokenizer(directory / "golden" / "tokenizer.json")
@@ -229,8 +231,8 @@ def run(options: argparse.Namespace, directory: Path) -> bool:
 
 
 def end_with(server: ManagedServer) -> None:
-    """End this process when the server ends by itself: nobody else would notice until the start's
-    time-out.
+    """End this process when the server ends by itself, which would otherwise be noticed only at the
+    start's time-out.
     """
     while not (failure := server.failure()):
         time.sleep(0.5)
@@ -245,7 +247,7 @@ def check_tiny(
     served: SglangRuntime,
     connect: Connect,
 ) -> bool:
-    """Tokens, faults and latency with the tiny checkpoint."""
+    """Check tokens, faults and latency with the tiny checkpoint."""
     encoder = prompt_encoder(tiny.checkpoint, "v02")
     generator = np.random.default_rng(0)
     requests = [

@@ -1,12 +1,11 @@
-"""The closed loop on the simulated FR3, its model in process, then served, then killed, then in
-process again.
+"""The closed loop on the simulated FR3: its model first in process, then served, then killed, then
+in process again.
 
-    loop.py --python SGLANG_ENVIRONMENT/bin/python [--device cpu] [--checkpoint DIRECTORY]
-    loop.py --stand-in          # the same without SGLang: its stand-in answers at once, with tokens
-    of its own
+    loop.py --python SGLANG_ENVIRONMENT/bin/python [--device cpu] [--checkpoint DIRECTORY] loop.py
+    --stand-in # the same without SGLang: its stand-in answers at once, with tokens of its own
 
-An MCP client as any other; a ROS node beside it looks at the topics from outside. Exits with 1 when
-something is off.
+It is an ordinary MCP client; a separate ROS node observes the topics. Exits with 1 if a check
+fails.
 """
 
 from __future__ import annotations
@@ -35,7 +34,9 @@ from roboneuron.errors import NotReadyError
 from roboneuron.ros.environment import prepare_environment
 
 _DISCOVERY_S = 10.0
-"""An onlooker may hear of new endpoints, and that dead ones are gone, later than the modules do."""
+"""Discovery time of an observer, which may detect new endpoints, and the end of dead ones, later
+than the modules.
+"""
 INSTRUCTION = "pick up the red bowl"
 _CONFIGURATION = """
 [robot]
@@ -75,7 +76,7 @@ environment = {environment}
 
 
 class Witness:
-    """Looks at the robot's topics as any other ROS node does."""
+    """Observes the robot's topics like any other ROS node."""
 
     def __init__(self) -> None:
         import rclpy
@@ -112,8 +113,8 @@ class Witness:
     def topics(self) -> dict[str, str]:
         """Public topics of the robot with publishers, and their types.
 
-        Hidden ones are left out as `ros2 topic list` leaves them out: those with a part that begins
-        with an underscore.
+        Hidden ones are left out as in `ros2 topic list`: those with a name part that begins with an
+        underscore.
         """
         return {
             name: types[0]
@@ -131,7 +132,7 @@ class Witness:
 
 
 class Story:
-    """The steps, each printed with what was seen."""
+    """The steps, each printed with its results."""
 
     def __init__(self, agent: DemoAgent, witness: Witness, watch_s: float) -> None:
         self._agent = agent
@@ -140,13 +141,13 @@ class Story:
         self.failures: list[str] = []
 
     def expect(self, condition: bool, text: str) -> None:
-        """Print and remember."""
+        """Print the result of a check, and store a failure."""
         print(f"  {'ok  ' if condition else 'FAIL'} {text}", flush=True)
         if not condition:
             self.failures.append(text)
 
     async def expect_topics(self, topics: dict[str, str]) -> None:
-        """Compare the public topics with those before the switch, and say which differ."""
+        """Compare the public topics with those before the switch, and print the differences."""
         ends_s = time.monotonic() + _DISCOVERY_S
         while (now := self._witness.topics()) != topics and time.monotonic() < ends_s:
             await asyncio.sleep(0.1)
@@ -184,7 +185,7 @@ class Story:
         return status
 
     async def play(self) -> None:
-        """Everything."""
+        """Run all steps."""
         agent, witness = self._agent, self._witness
         print(f"{len(await agent.tools())} tools", flush=True)
         for tool in ("start_robot", "start_perception", "start_control"):
@@ -211,7 +212,7 @@ class Story:
         await agent.call("stop_all")
 
     async def kill(self, status: dict[str, Any]) -> None:
-        """End the server the hard way while the arm moves."""
+        """Kill the server while the arm moves."""
         module = psutil.Process(status["pid"])
         server = next(
             c
@@ -244,7 +245,7 @@ class Story:
 
 
 async def run(options: argparse.Namespace, directory: Path) -> bool:
-    """Write checkpoint and configuration, start the server, play."""
+    """Write checkpoint and configuration, start the server, run all steps."""
     checkpoint = options.checkpoint
     if checkpoint is None:
         checkpoint = directory / "tiny"
@@ -282,7 +283,7 @@ async def run(options: argparse.Namespace, directory: Path) -> bool:
 
 
 class PatientAgent(DemoAgent):
-    """Waits as long as an engine may take to start."""
+    """Allows for the start time of an engine."""
 
     async def call(self, tool: str, arguments: Any = None) -> dict[str, Any]:
         """As `Agent.call`."""

@@ -1,10 +1,9 @@
-"""Why FastV is refused: SGLang's attention after rows of a prompt were dropped, beside attention
-over the kept ones.
+"""Reason why FastV is refused: SGLang's attention after rows of a prompt were dropped, compared
+with attention over the kept ones.
 
     SGLANG_ENVIRONMENT/bin/python pruning.py
 
-Calls the CPU attention of SGLang 0.5.23 itself, with rows, slots and lengths as a model would leave
-them.
+Calls the CPU attention of SGLang 0.5.23 itself, with rows, slots and lengths like those of a model.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ def expected(query: Tensor, key: Tensor, value: Tensor, causal: bool) -> Tensor:
 
 
 def main() -> None:
-    """Print what happens in each of four cases."""
+    """Print the result of each of four cases."""
     torch.manual_seed(0)
     backend = object.__new__(TorchNativeAttnBackend)
     key, value, query = (torch.randn(ROWS, HEADS, WIDTH) for _ in range(3))
     # the pool: rows of other requests
     keys, values = torch.randn(64, HEADS, WIDTH), torch.randn(64, HEADS, WIDTH)
     slots, request = torch.arange(30, 30 + ROWS), torch.tensor([0])
-    # a layer behind the cut writes the kept rows
+    # a layer after the pruning writes the kept rows
     keys[slots[KEPT]], values[slots[KEPT]] = key[KEPT], value[KEPT]
     table = torch.zeros(1, 64, dtype=torch.int64)
     table[0, :ROWS] = slots

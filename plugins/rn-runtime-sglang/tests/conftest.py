@@ -34,7 +34,7 @@ def model(checkpoint: Path) -> PolicyModel:
 
 @pytest.fixture
 def launch(checkpoint: Path) -> Iterator[Callable[..., StandInServer]]:
-    """Starts stand-ins that serve `checkpoint`; keyword arguments as in `Behaviour`."""
+    """Start stand-ins that serve `checkpoint`; keyword arguments as in `Behaviour`."""
     started: list[StandInServer] = []
 
     def start(**changes: Any) -> StandInServer:
@@ -49,7 +49,7 @@ def launch(checkpoint: Path) -> Iterator[Callable[..., StandInServer]]:
 
 @pytest.fixture
 def connect(model: PolicyModel) -> Iterator[Callable[..., SglangRuntime]]:
-    """Makes loaded runtimes for stand-ins; keyword arguments as in the configuration."""
+    """Create loaded runtimes for stand-ins; keyword arguments as in the configuration."""
     made: list[SglangRuntime] = []
 
     def load(*servers: StandInServer, **options: Any) -> SglangRuntime:

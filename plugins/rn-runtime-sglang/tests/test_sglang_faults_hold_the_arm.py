@@ -11,7 +11,7 @@ from rn_testing.waiting import holds_within
 from roboneuron.errors import NotReadyError, RoboNeuronError, UnsafeError
 
 AT_ONCE_S = 10.0
-"""Long for a busy machine, short beside the minute of what is not waited for."""
+"""Long enough for a busy machine, and much shorter than the minute of the skipped wait."""
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_a_killed_stand_in_answers_nobody(launch, connect, monkeypatch):
     server.behaviour.delay_s = 60.0
     error = _run_until_sent(runtime, server)
     hang_up = type(server._http).hang_up
-    # On a busy machine the waiting handler goes on before the connections are closed.
+    # On a busy machine the waiting handler continues before the connections are closed.
     monkeypatch.setattr(
         type(server._http), "hang_up", lambda http: (time.sleep(0.3), hang_up(http))
     )
@@ -160,7 +160,7 @@ def test_close_ends_a_request_at_once(launch, connect):
 
 def _run_until_sent(runtime, server):
     """Start a request on a thread and wait until it has reached the server; returns a function that
-    gives its error.
+    returns its error.
     """
     errors: list[BaseException] = []
     before = len(server.seen.generated)

@@ -24,7 +24,7 @@ from rn_runtime_sglang.standin.site import write_site
 from roboneuron.errors import ConfigurationError, MissingDependencyError, NotReadyError
 
 BROUGHT_BY_SGLANG = {
-    "httpx2",  # transformers loads it, where the hub's client uses it
+    "httpx2",  # transformers loads it if the hub's client uses it
     "numpy",
     "pillow",
     "pydantic",
@@ -32,7 +32,7 @@ BROUGHT_BY_SGLANG = {
     "tokenizers",
     "torch",
     "transformers",
-    "typing-extensions",  # pydantic asks for it
+    "typing-extensions",  # required by pydantic
 }
 
 
@@ -111,8 +111,8 @@ def test_what_the_served_half_lacks_is_named_with_the_command(site, model, monke
 
 
 def test_the_served_half_needs_nothing_that_nobody_installs():
-    """SGLang's environment holds what SGLang brings, and NEEDED; of our packages' requirements
-    nothing else.
+    """SGLang's environment holds SGLang's requirements and NEEDED, but no other requirements of
+    RoboNeuron's packages.
     """
     own = "rn_runtime_sglang.served.fingerprint", "rn_runtime_sglang.served.configuration"
     models = (

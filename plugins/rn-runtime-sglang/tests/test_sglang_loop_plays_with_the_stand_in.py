@@ -13,7 +13,9 @@ LOOP = Path(__file__).parents[1] / "interop" / "loop.py"
 @pytest.mark.ros
 @pytest.mark.slow
 def test_the_closed_loop_is_served_loses_its_server_and_goes_on_in_process(tmp_path):
-    """What `make interop-sglang` plays with real SGLang; about half a minute without it."""
+    """The scenario that `make interop-sglang` runs with real SGLang; about half a minute without
+    it.
+    """
     command = [sys.executable, str(LOOP), "--stand-in", "--watch-s", "2"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=170, cwd=tmp_path)
     lines = done.stdout.splitlines()

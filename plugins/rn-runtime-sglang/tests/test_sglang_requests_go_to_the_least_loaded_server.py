@@ -105,5 +105,5 @@ def test_requests_go_out_of_a_process_with_thousands_of_open_files(launch, conne
             files.enter_context(Path(os.devnull).open())
         server = launch()
         runtime = connect(server)
-        for _ in range(2):  # the second one looks whether its connection is still there
+        for _ in range(2):  # the second one checks that its connection still exists
             assert len(runtime.run(token_request()).tokens) == 7

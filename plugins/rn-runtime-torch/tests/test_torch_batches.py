@@ -1,4 +1,4 @@
-"""Requests answered together: as alone, in as few passes as memory allows."""
+"""Requests answered together: same results as alone, in as few passes as memory allows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rn_vla.decoding import BatchRuntime
 from roboneuron.errors import InvalidInputError, NotReadyError, PluginError, StateError, UnsafeError
 
 LENGTHS = (9, 8, 40, 9, 12, 30, 8, 17)
-"""Ids of the prompts; toy prompts hold their four read rows and two after them."""
+"""Lengths of the prompts; toy prompts include their four read rows and two after them."""
 
 
 class ByLength:

@@ -26,8 +26,8 @@ def bench(monkeypatch):
 
 
 def test_an_engine_is_gone_before_the_next_one_is_built(bench, monkeypatch, tmp_path, capsys):
-    """On a GPU two engines of the real size would not fit; the plain loop beside it has no weights
-    of its own.
+    """On a GPU two engines of the real size would not fit; the plain loop has no weights of its
+    own.
     """
     engines: list[weakref.ref] = []
     made = bench.Engine

@@ -1,4 +1,4 @@
-"""What a model needs besides its weights, and what is recorded when, without a CUDA device."""
+"""Memory of a model besides its weights, and the times of recordings, without a CUDA device."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ def test_the_peak_counts_what_lives_at_once_and_not_what_lived_before():
     with PeakBytes([weight]) as peak:
         row = torch.empty(1, 1000, device="meta")  # 4 kB
         for _ in range(3):
-            row = row @ weight.t()  # one more row while the last one still lives
+            row = row @ weight.t()  # one more row while the last one is still alive
         assert row.shape == (1, 1000)
     assert peak.peak == 8000
 
 
 def test_the_peak_is_that_of_a_real_run(toy):
-    """The bytes that the allocator sees for the same pass differ by alignment and attention's
-    workspace alone.
+    """The allocator's bytes for the same pass differ only by alignment and attention's
+    workspace.
     """
 
     def work(device: str) -> int:
@@ -172,15 +172,15 @@ def test_lengths_outside_the_recorded_ones_run_and_are_not_recorded(toy, monkeyp
         reply = engine.answer(request, functools.partial(asked.append, length))
         assert reply.note == f"CUDA graph: eager, prompt of {length} tokens (recorded: 8 to 10)."
         assert reply.metrics["recorded"] == 0.0
-        assert len(asked) == 6  # between tokens: an unrecorded request can be given up
+        assert len(asked) == 6  # between tokens: an unrecorded request can be aborted
         assert reply.tokens.tolist() == plain.answer(request, lambda: None).tokens.tolist()
     assert len(engine._graphs) == 3
     assert engine.answer(toy.token_request(9), lambda: None).note == ""
 
 
 def with_fake_graphs(toy, monkeypatch, config=CPU) -> Engine:
-    """An engine on the CPU that records with a fake and has recorded a prompt of 9 tokens without a
-    preset.
+    """An engine on the CPU that records with a fake, and has recorded a prompt of 9 tokens without
+    a preset.
     """
     engine = Engine(toy.model(), config, None)
     monkeypatch.setattr(graph_module.torch, "cuda", FakeCuda())
@@ -202,7 +202,7 @@ def test_a_change_of_preset_records_the_prompt_length_in_use(toy, monkeypatch):
         0.0,
         "CUDA graph: eager, prompt of 9 tokens (recorded: 11 only).",
     )
-    for preset in (None, EqualSelection(), None):  # what is recorded already is not recorded again
+    for preset in (None, EqualSelection(), None):  # existing recordings are not repeated
         engine.answer(toy.token_request(9 if preset is None else 11), lambda: None)
         engine.set_acceleration(preset)
     assert len(engine._graphs) <= 4
@@ -214,7 +214,7 @@ def test_a_change_records_nothing_when_told_not_to_and_says_so(toy, monkeypatch)
     engine.set_acceleration(EqualSelection())
     assert len(engine._graphs) == 1
     reply = engine.answer(toy.token_request(9), lambda: None)
-    assert reply.note == "CUDA graph: eager, none is recorded for the preset in force."
+    assert reply.note == "CUDA graph: eager, none is recorded for the current preset."
 
 
 def test_there_are_never_more_recordings_than_may_be(toy, monkeypatch):
@@ -250,7 +250,7 @@ def test_load_records_from_the_shortest_prompt_that_the_template_makes(
 
 
 class EqualSelection(EveryOtherToken):
-    """Equal to every other one of its kind."""
+    """Equal to every other selection of its class."""
 
     def __eq__(self, other):
         return type(other) is EqualSelection
@@ -286,7 +286,7 @@ def test_recordings_belong_to_the_preset_that_they_were_made_with(toy, monkeypat
 
 
 class KeepsNoWord(EveryOtherToken):
-    """Drops the last position, which is a word."""
+    """Drops the last position, which is a text token."""
 
     def select(self, view):
         return super().select(view)[:-1]
@@ -327,9 +327,7 @@ def test_there_is_nothing_to_accelerate_before_load_and_after_close(toy):
 
 
 def test_the_fake_selection_makes_its_positions_on_the_device(toy):
-    """A list of the host inside a recording is what CUDA refuses; tensors on "meta" refuse it
-    likewise.
-    """
+    """CUDA refuses a host list inside a recording; tensors on "meta" refuse it too."""
     from rn_vla.pruning import AttentionView
 
     key = torch.empty(1, 2, 30, 8, device="meta")

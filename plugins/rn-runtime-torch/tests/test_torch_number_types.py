@@ -80,8 +80,8 @@ class _Copies(TorchDispatchMode):
 
 @pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
 def test_no_pass_copies_the_output_head(toy, dtype):
-    """A product of a three-dimensional slice copied the whole head: 2.6 s of each request at real
-    size in bfloat16.
+    """A product with a three-dimensional slice used to copy the whole head: 2.6 s of each request
+    at real size in bfloat16.
     """
     engine = Engine(toy.model(), TorchRuntimeConfig(device="cpu", dtype=dtype), None)
     hidden = torch.randn(1, 9, toy.shape.hidden).to(engine._dtype)[:, -1:]
@@ -92,8 +92,8 @@ def test_no_pass_copies_the_output_head(toy, dtype):
 
 
 def test_a_second_pass_allocates_nothing_large(toy):
-    """Large intermediates live in buffers of the engine; what is left are normed rows of the
-    residual stream's size.
+    """Large intermediates are in buffers of the engine; only normed rows of the residual stream's
+    size remain.
     """
     engine = Engine(toy.model(), TorchRuntimeConfig(device="cpu", dtype="float32"), None)
     request, shape = toy.token_request(40), toy.shape

@@ -1,4 +1,4 @@
-"""What only a CUDA device shows; written for torch 2.11 and newer, skipped where there is none."""
+"""Tests that need a CUDA device; written for torch 2.11 and newer, skipped without one."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ mantissa.
 
 @pytest.fixture(autouse=True)
 def _plain_float32():
-    """Convolutions with TF32, the default, would keep 10 bits of mantissa."""
+    """With TF32, the default, convolutions would keep only 10 bits of mantissa."""
     before = torch.backends.cudnn.allow_tf32
     torch.backends.cudnn.allow_tf32 = False
     yield
@@ -176,8 +176,8 @@ def test_a_selection_works_inside_a_recording(toy):
 
 
 def test_memory_stays_below_what_was_foreseen(model, monkeypatch):
-    """Reserved bytes over the whole life of an engine, against the estimate that decides whether it
-    fits.
+    """Reserved bytes over the whole lifetime of an engine, compared with the estimate of the memory
+    check.
     """
     seen = []
     monkeypatch.setattr(

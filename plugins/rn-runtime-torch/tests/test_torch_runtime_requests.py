@@ -28,8 +28,8 @@ def runtime(toy) -> TorchRuntime:
 
 
 def test_cached_decoding_gives_the_tokens_of_full_passes(toy, runtime):
-    """Each next token equals the one that a request with the tokens so far as prompt would decode
-    first.
+    """Each next token equals the first decoded token of a request with the previous tokens as
+    prompt.
     """
     request = toy.token_request()
     tokens = runtime.run(request).tokens

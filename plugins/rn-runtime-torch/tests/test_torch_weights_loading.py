@@ -164,8 +164,8 @@ print(peak() - before)
 
 
 def test_loading_needs_no_more_host_memory_than_the_model_and_a_shard(tmp_path, toy):
-    """Peak resident memory of a fresh process, over what it had before, for a bfloat16 model of 80
-    MB in 4 shards.
+    """Peak resident memory of a new process, above its initial value, for a bfloat16 model of 80 MB
+    in 4 shards.
     """
     shape = dataclasses.replace(
         toy.shape,

@@ -96,7 +96,7 @@ def test_tool_frame_profiles_convert_to_the_contract_and_back(rows, turn, rotati
 
 
 def test_tool_frame_chunks_end_where_moving_along_the_tool_ends():
-    """Compose the deltas in the tool frame, and their contract form in the base frame: the same
+    """Composed deltas in the tool frame, and their contract form in the base frame, give the same
     final pose.
     """
     rng = np.random.default_rng(0)

@@ -1,5 +1,5 @@
-"""What a reply holds cannot be changed through the array it was made from, nor through its own
-field.
+"""The contents of a reply cannot be changed through the array it was created from, nor through its
+own field.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Roll-pitch-yaw and the forms near a gripper that points down: maps invert each other and have no
-jump.
+"""Roll-pitch-yaw and the forms near a gripper that points down: conversions invert each other and
+have no jump.
 """
 
 from __future__ import annotations

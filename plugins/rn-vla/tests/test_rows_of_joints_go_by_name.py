@@ -1,4 +1,4 @@
-"""Rows of policies that act on joints: the space they declare, and the state they are given."""
+"""Rows of joint policies: their control space and their state."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ POSE = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0
 
 
 def seen(names: tuple[str, ...] = NAMES, **openings: float | None) -> Observation:
-    """Joint number i of `NAMES` is at i; the grippers are as said."""
+    """Observation in which joint number i of `NAMES` is at i, with the given gripper openings."""
     position = np.array([float(NAMES.index(name)) for name in names])
     arms = {arm: ArmState(ee_pose=POSE, gripper_open=open_) for arm, open_ in openings.items()}
     return Observation(

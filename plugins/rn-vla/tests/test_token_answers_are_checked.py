@@ -1,4 +1,4 @@
-"""What the contract rules learn of token answers; each wrong answer is told apart."""
+"""Contract checks of token answers; each kind of wrong answer is distinguished."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `--robot.*` may say."""
+"""Options under `--robot.*`."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from lerobot.robots import RobotConfig
 @RobotConfig.register_subclass("roboneuron")
 @dataclass(kw_only=True)
 class RoboNeuronConfig(RobotConfig):
-    """A robot that RoboNeuron moves.
+    """A robot controlled through RoboNeuron.
 
     Attributes:
-        robot: name of the robot, offered by a plugin that is installed beside lerobot too.
-        namespace: of its topics; empty for the robot's name.
-        serve: command of a server that this process starts, keeps and ends, such as
+        robot: name of the robot; its plugin must also be installed in lerobot's environment.
+        namespace: namespace of its topics; empty for the robot's name.
+        serve: command of a server that this process starts, owns and stops, such as
             ["/venv/bin/roboneuron", "serve", "--config", "so101.toml"]. Empty: robot, perception
-            and control are there already.
-        use_degrees: joints in degrees, as LeRobot's own arms; False for radians. Grippers are
-            0 closed .. 100 open, slides are metres.
+            and control are already running.
+        use_degrees: joints in degrees, as LeRobot's own arms; False for radians. Grippers are 0
+            closed .. 100 open, prismatic joints are metres.
         images: name in the data set by camera of the robot; empty for all under their own names.
-        perception: whether there are images; False for none, without a perception module.
-        width, height: of the images [px]; 0 for what the robot's profile says.
+        perception: False for no images and no perception module.
+        width, height: image size [px]; 0 for that of the robot's profile.
         start_timeout_s: longest wait for states, images and control [s].
         state_timeout_s, image_timeout_s: older states and images are errors [s].
-        answer_timeout_s: longest wait for the command that control makes of an action [s].
+        answer_timeout_s: longest wait for the command that control computes from an action [s].
     """
 
     robot: str = "fr3"

@@ -24,11 +24,11 @@ log = logging.getLogger(__name__)
 
 
 class RoboNeuron(Robot):
-    """Any arm of RoboNeuron: joints and images come over ROS, actions go through control's limits
-    and stops.
+    """Any arm of RoboNeuron: joints and images arrive over ROS, actions pass control's limits and
+    stops.
 
     Attributes:
-        cameras: of the robot's profile, by name in the data set.
+        cameras: cameras of the robot's profile, by name in the data set.
     """
 
     config_class = RoboNeuronConfig
@@ -38,7 +38,7 @@ class RoboNeuron(Robot):
         """Read the robot's profile.
 
         Raises:
-            ConfigurationError: no plugin here offers the robot, or it has no such camera.
+            ConfigurationError: no installed plugin provides the robot, or it has no such camera.
             InvalidInputError: it has no arm.
         """
         super().__init__(config)
@@ -71,23 +71,23 @@ class RoboNeuron(Robot):
 
     @property
     def is_connected(self) -> bool:
-        """Whether topics are subscribed."""
+        """True if the topics are subscribed."""
         return self._topics is not None
 
     @property
     def is_calibrated(self) -> bool:
-        """Always: what is calibrated belongs to the robot's driver."""
+        """Always True: calibration belongs to the robot's driver."""
         return True
 
     def calibrate(self) -> None:
         """Nothing to do, see `is_calibrated`."""
 
     def configure(self) -> None:
-        """Nothing to do: RoboNeuron's configuration has done it."""
+        """Nothing to do: RoboNeuron's own configuration covers it."""
 
     def connect(self, calibrate: bool = True) -> None:
-        """Start the server where one is named, and return once states and images come and control
-        obeys.
+        """Start the server if one is configured, and return once states and images arrive and
+        control accepts actions.
 
         Raises:
             NotReadyError, ConfigurationError, StateError, RefusedError: as `RobotTopics.open` and
@@ -123,19 +123,19 @@ class RoboNeuron(Robot):
         self._topics = robot
 
     def get_observation(self) -> dict[str, float | np.ndarray]:
-        """The newest joints and images; raises NotReadyError when one is too old."""
+        """Newest joints and images. Raises NotReadyError if one is too old."""
         topics, config = self._connected(), self.config
         values = self._motors.values(topics.joints(config.state_timeout_s))
         images = {name: topics.image(name, config.image_timeout_s) for name in self.cameras}
         return {**values, **images}
 
     def send_action(self, action: dict[str, float]) -> dict[str, float]:
-        """Send positions; returns what control has sent to the arm, limited as it was, or where the
-        arm is measured when control holds.
+        """Send positions; returns the limited command that control sent to the arm, or the measured
+        positions if control holds.
 
         Raises:
-            InvalidInputError, UnsafeError: unknown, lacking or impossible values; nothing is sent.
-            UnsafeError, RefusedError, NotReadyError, ConfigurationError: as `RobotTopics.send`.
+            InvalidInputError, UnsafeError: unknown, missing or invalid values; nothing is sent.
+                UnsafeError, RefusedError, NotReadyError, ConfigurationError: as `RobotTopics.send`.
         """
         topics = self._connected()
         positions = self._motors.positions({key: float(value) for key, value in action.items()})
@@ -149,7 +149,9 @@ class RoboNeuron(Robot):
         return self._motors.values(measured | (sent or {}))
 
     def disconnect(self) -> None:
-        """Leave: control holds the arm within its timeout. A server of our own ends."""
+        """Disconnect: control holds the arm within its timeout. A server started by `connect` is
+        stopped.
+        """
         topics = self._connected()
         self._topics = None
         topics.close()
@@ -166,7 +168,7 @@ class RoboNeuron(Robot):
             server.stop()
 
     def _row(self, positions: dict[str, float]) -> np.ndarray:
-        """The action in the robot's own space, float64 (n,)."""
+        """The action in the robot's joint space, float64 (n,)."""
         row = []
         for arm in self.profile.each_arm:
             row += [positions[joint] for joint in arm.joints]

@@ -1,5 +1,5 @@
-"""A server of RoboNeuron that lerobot's process starts, keeps and ends; it ends with this process,
-however that ends, because its standard input closes.
+"""A RoboNeuron server owned by lerobot's process. It stops with this process in any case, because
+its standard input closes.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ _STOP_TIMEOUT_S = 30.0
 
 
 class OwnServer:
-    """Runs `roboneuron serve` and has it start robot, perception and control."""
+    """Runs `roboneuron serve` and makes it start robot, perception and control."""
 
     def __init__(self, command: Sequence[str], *, with_perception: bool) -> None:
         """Args:
-        command: what to run, such as ["roboneuron", "serve", "--config", "fr3.toml"].
-        with_perception: whether perception is started too.
+        command: command line, such as ["roboneuron", "serve", "--config", "fr3.toml"].
+        with_perception: True to start perception too.
         """
         self._command = list(command)
         kinds = ("robot", "perception", "control") if with_perception else ("robot", "control")
@@ -36,11 +36,11 @@ class OwnServer:
         self._thread: threading.Thread | None = None
 
     def start(self, timeout_s: float) -> None:
-        """Return when everything works.
+        """Start the server and its modules; returns when all are ready.
 
         Raises:
             ConfigurationError: the server cannot be started.
-            NotReadyError: a module did not start; the server's words.
+            NotReadyError: a module did not start; with the server's message.
         """
         self._thread = threading.Thread(target=self._run, name="roboneuron-server", daemon=True)
         self._thread.start()
@@ -52,7 +52,7 @@ class OwnServer:
             raise failure
 
     def stop(self) -> None:
-        """End the server and its modules; may be called twice."""
+        """Stop the server and its modules; may be called twice."""
         self._ending.set()
         thread, self._thread = self._thread, None
         if thread is not None:
@@ -63,7 +63,7 @@ class OwnServer:
             anyio.run(self._serve)
         except RoboNeuronError as error:
             self._failure = error
-        except Exception as error:  # the thread's border: start() raises it
+        except Exception as error:  # outermost border of the thread: start() raises it
             self._failure = ConfigurationError(
                 f"`{' '.join(self._command)}` ended before it answered: {error}.",
                 hint="Try the command by itself.",

@@ -1,7 +1,7 @@
-"""The robot's topics as lerobot's process sees them: newest state and images in, actions out.
+"""The robot's topics in lerobot's process: newest state and images in, actions out.
 
-Actions go where a policy's go: to control, labelled with a space that control executes, so that its
-limits, watchdogs and stops hold for them. Nothing here can send a joint command.
+Actions take the same path as a policy's: to control, labelled with a space that control executes,
+so that its limits, watchdogs and stops apply. This process cannot send joint commands.
 """
 
 from __future__ import annotations
@@ -38,26 +38,25 @@ _COMMANDS = ("joint_trajectory", "joint_command")
 _REPORT_TIMEOUT_S = 2.0
 """Control reports five times a second."""
 _UNNAMED = "_NODE_NAME_UNKNOWN_"
-"""What rmw_dds_common calls a node that is not discovered yet."""
+"""Name that rmw_dds_common gives to a node that is not discovered yet."""
 _NAMED_S = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Arrived:
-    """A message and when it came [monotonic s]."""
+    """A message and its arrival time [monotonic s]."""
 
     message: object
     at_s: float
 
 
 class RobotTopics:
-    """Everything that is exchanged with one robot; usable from one thread beside the link's own."""
+    """All communication with one robot; for use from one thread besides the link's own."""
 
     def __init__(self, namespace: str, space: ControlSpace, cameras: Mapping[str, str]) -> None:
         """Args:
-        namespace: of the robot's topics.
-        space: of the actions.
-        cameras: camera of the robot by name in the data set.
+        namespace: namespace of the robot's topics. space: control space of the actions. cameras:
+        camera of the robot by name in the data set.
         """
         self._prefix = f"/{namespace.strip('/')}"
         self._namespace = namespace.strip("/")
@@ -77,10 +76,10 @@ class RobotTopics:
         self._publish: Callable[[Float64MultiArray], None] | None = None
 
     def open(self, timeout_s: float) -> None:
-        """Join the graph and return once states, images and control are there.
+        """Join the graph and return once states, images and control's reports have arrived.
 
         Raises:
-            NotReadyError: something did not come; says what, and which cameras there are instead.
+            NotReadyError: something did not arrive; the message names it and the existing cameras.
             StateError: another node sends actions.
             RefusedError: the emergency stop is latched, or motion needs a new start.
         """
@@ -149,15 +148,15 @@ class RobotTopics:
         )
 
     def send(self, row: F64, answer_timeout_s: float) -> dict[str, float] | None:
-        """Send one action, and return the positions by joint that control has made of it.
+        """Send one action; returns the positions by joint that control commanded for it.
 
         Returns:
-            What was commanded, [rad or m]; None when control held or refused it, see `why_held`.
+            The command [rad or m]; None if control held or refused the action, see `why_held`.
 
         Raises:
             UnsafeError: the emergency stop is latched.
             RefusedError: motion needs a new start.
-            NotReadyError: control does not report any more.
+            NotReadyError: control no longer reports.
             ConfigurationError: control does not execute this space.
         """
         if self._publish is None:
@@ -179,7 +178,7 @@ class RobotTopics:
         return command if answered else None
 
     def why_held(self) -> str:
-        """Why control does not follow, in its words; empty when it does, and was only late."""
+        """Control's reason for not following; empty if it follows and was only late."""
         report = self._report("control")
         if report is None or report.is_following:
             return ""
@@ -214,7 +213,7 @@ class RobotTopics:
         try:
             joints = messages.joints_from_message(message)
         except InvalidInputError:
-            return  # control counts it; a silence is told by `joints`
+            return  # control counts it; `joints` reports missing states
         with self._changed:
             self._joints, self._joints_s = joints, time.monotonic()
             self._changed.notify_all()
@@ -259,7 +258,7 @@ class RobotTopics:
             return self._reports.get(kind)
 
     def _missing(self) -> str:
-        """What has not come yet; the lock is held."""
+        """Inputs that have not arrived yet; the lock must be held."""
         absent = []
         if self._joints is None:
             absent.append(f"Joint states on {self._topic(topics.JOINT_STATES)}")
@@ -279,7 +278,7 @@ class RobotTopics:
         cameras = [
             name.removeprefix(start).removesuffix(end)
             for name, _ in node.get_topic_names_and_types()
-            # a topic that only this process listens to is none that is sent
+            # a topic with only this process's subscription has no camera
             if name.startswith(start) and name.endswith(end) and node.count_publishers(name)
         ]
         return (
@@ -288,8 +287,8 @@ class RobotTopics:
         )
 
     def _await_motion_allowed(self, deadline_s: float) -> None:
-        """Raise RefusedError when a stop forbids motion. The reports that count are newer than this
-        process's own subscription.
+        """Raise RefusedError if a stop forbids motion. Only reports newer than this process's own
+        subscription count.
         """
         report = self._report("control")
         if report is None:  # excluded by `_missing`
@@ -325,13 +324,13 @@ class RobotTopics:
             )
 
     def _check_obeyed(self) -> None:
-        """Raise as `send` when control cannot obey."""
+        """Raise the errors of `send` if control cannot execute actions."""
         with self._changed:
             stopped, report = self._stopped, self._reports.get("control")
         if stopped or (report is not None and report.emergency_stop):
             raise UnsafeError(
                 "The emergency stop was triggered: the arm holds, and nothing more is sent.",
-                hint="Release it and start anew.",
+                hint="Release it and start again.",
             )
         age_s = time.monotonic() - report.received_s if report is not None else float("inf")
         if report is None or age_s > _REPORT_TIMEOUT_S:

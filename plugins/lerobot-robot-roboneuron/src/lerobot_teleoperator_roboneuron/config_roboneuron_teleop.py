@@ -1,4 +1,4 @@
-"""What `--teleop.*` may say."""
+"""Options under `--teleop.*`."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from lerobot.teleoperators import TeleoperatorConfig
 @TeleoperatorConfig.register_subclass("roboneuron")
 @dataclass(kw_only=True)
 class RoboNeuronTeleopConfig(TeleoperatorConfig):
-    """Joint states of a leader arm, of a program or of another robot; or the sliders of a page.
+    """Joint states of a leader arm, a program or another robot; or the sliders of a page.
 
     Attributes:
-        robot: name of the robot that they are meant for.
-        namespace: of that robot in the view; empty for its name.
-        view: address of a live view, such as "http://127.0.0.1:8780", in which a person leads;
-            empty for `topic`.
+        robot: name of the robot to be moved.
+        namespace: namespace of that robot in the view; empty for its name.
+        view: address of a live view, such as "http://127.0.0.1:8780", where a person moves the
+            sliders; empty for `topic`.
         token_variable: environment variable with a token of the view; empty for a view without
             tokens.
         topic: absolute name of the topic, sensor_msgs/JointState, by the joint names of that robot
             [rad, m].
-        use_degrees: as of the robot.
+        use_degrees: as for the robot.
         start_timeout_s: longest wait for the first state [s].
         timeout_s: an older state is an error [s].
     """

@@ -1,6 +1,4 @@
-"""Where the motion of a leader comes from: joint states on a ROS topic, or a page of the live
-view.
-"""
+"""Sources of a leader's motion: joint states on a ROS topic, or a page of the live view."""
 
 from __future__ import annotations
 
@@ -23,21 +21,21 @@ if TYPE_CHECKING:
     from roboneuron.command import RosLink
 
 _ASKED_S = 1.0 / 40.0
-"""So often the page is asked: more often than lerobot acts."""
+"""Period of requests to the page; shorter than lerobot's control period."""
 _ANSWER_S = 0.4
-"""A view that answers later is silent. Below the default `timeout_s`."""
+"""Time after which a view counts as silent. Below the default `timeout_s`."""
 _JSON = "application/json"
 
 
 @dataclass(frozen=True, slots=True)
 class Led:
-    """What a leader has said last.
+    """The last state of a leader.
 
     Attributes:
         positions: by joint [rad or m]; empty before the first.
-        at_s: when they came [monotonic s]; 0 before the first.
-        problem: why they cannot be used; empty when they can.
-        silence: what is known of the cause when they do not come.
+        at_s: arrival time [monotonic s]; 0 before the first.
+        problem: why the positions cannot be used; empty if they can.
+        silence: known cause of missing positions.
     """
 
     positions: Mapping[str, float] = field(default_factory=dict)
@@ -51,24 +49,24 @@ class Leader(Protocol):
 
     @property
     def name(self) -> str:
-        """As it stands in a sentence: "on /leader/joint_states"."""
+        """Description for use within a sentence: "on /leader/joint_states"."""
         ...
 
     def open(self) -> None:
-        """Begin to listen; does not wait. Raises RoboNeuronError."""
+        """Start listening; does not wait. Raises RoboNeuronError."""
         ...
 
     def newest(self, wait_s: float) -> Led:
-        """What came last, or a problem; waits for the first one at most so long [s]."""
+        """The newest state, or a problem; waits at most `wait_s` [s] for the first one."""
         ...
 
     def close(self) -> None:
-        """End."""
+        """Stop listening."""
         ...
 
 
 class TopicLeader:
-    """Joint states of a leader arm, of a program or of another robot."""
+    """Joint states of a leader arm, a program or another robot."""
 
     def __init__(self, topic: str) -> None:
         """Args:
@@ -77,7 +75,7 @@ class TopicLeader:
         self.name = f"on {topic}"
         self._topic = topic
         self._changed = threading.Condition()
-        self._led = Led(silence="Is it publishing joint states there, in the same ROS domain?")
+        self._led = Led(silence="Does it publish joint states there, in the same ROS domain?")
         self._link: RosLink | None = None
 
     def open(self) -> None:
@@ -119,16 +117,15 @@ class TopicLeader:
 
 
 class PageLeader:
-    """A person who leads from a page of the live view, as its server serves it under `/lead`."""
+    """A person who moves the sliders of a live view's page, read from `/lead` of its server."""
 
     def __init__(self, view: str, robot: str, token: str) -> None:
         """Args:
-        view: address of the view, "http://127.0.0.1:8780".
-        robot: namespace of the robot.
-        token: of [[http.tokens]]; empty for a view without tokens.
+        view: address of the view, "http://127.0.0.1:8780". robot: namespace of the robot. token:
+        one of [[http.tokens]]; empty for a view without tokens.
 
         Raises:
-            ConfigurationError: the address is none.
+            ConfigurationError: the address is invalid.
         """
         parts = urlsplit(view)
         if parts.scheme != "http" or not parts.hostname:
@@ -167,7 +164,7 @@ class PageLeader:
             thread.join()
 
     def _run(self) -> None:
-        # a connection for each question, as the view closes it after its answer
+        # one connection per request, because the view closes it after its answer
         limits = httpx2.Limits(max_keepalive_connections=0)
         with httpx2.Client(
             headers=self._headers, timeout=_ANSWER_S, limits=limits, trust_env=False
@@ -180,7 +177,9 @@ class PageLeader:
                 self._ending.wait(_ASKED_S)
 
     def _ask(self, client: httpx2.Client) -> Led:
-        """The next state; a view that is silent leaves the one before, which grows old."""
+        """Request the next state; if the view does not answer, the previous one is kept and
+        ages.
+        """
         before = self._led
         try:
             status, answer = self._get(client)

@@ -27,8 +27,8 @@ class RoboNeuronTeleop(Teleoperator):
         """Read the robot's profile.
 
         Raises:
-            ConfigurationError: no plugin here offers the robot; the view's address is none, or its
-                token is not in the environment.
+            ConfigurationError: no installed plugin provides the robot; the view's address is
+                invalid, or its token is not in the environment.
         """
         super().__init__(config)
         self.config = config
@@ -39,22 +39,22 @@ class RoboNeuronTeleop(Teleoperator):
 
     @property
     def action_features(self) -> dict[str, type]:
-        """Those of the robot."""
+        """The same as the robot's."""
         return dict.fromkeys(self._motors.keys, float)
 
     @property
     def feedback_features(self) -> dict[str, type]:
-        """None."""
+        """Empty: a leader takes no feedback."""
         return {}
 
     @property
     def is_connected(self) -> bool:
-        """Whether the leader is listened to."""
+        """True while the leader is subscribed or polled."""
         return self._is_connected
 
     @property
     def is_calibrated(self) -> bool:
-        """Always: a leader has joint positions."""
+        """Always True: a leader gives joint positions."""
         return True
 
     def calibrate(self) -> None:
@@ -64,7 +64,7 @@ class RoboNeuronTeleop(Teleoperator):
         """Nothing to do."""
 
     def connect(self, calibrate: bool = True) -> None:
-        """Listen; `get_action` waits for the first state, so that a leader may begin later."""
+        """Start listening; `get_action` waits for the first state, so a leader may start later."""
         if self._is_connected:
             raise DeviceAlreadyConnectedError(f"{self} is connected already.")
         self._leader.open()
@@ -74,8 +74,8 @@ class RoboNeuronTeleop(Teleoperator):
         """Positions of the newest state.
 
         Raises:
-            NotReadyError: none came, or the newest one is too old.
-            InvalidInputError: a joint of the robot lacks in it, or it cannot be used.
+            NotReadyError: no state arrived, or the newest one is too old.
+            InvalidInputError: a joint of the robot is missing in it, or it cannot be used.
         """
         self._check_connected()
         led = self._leader.newest(self.config.start_timeout_s)
@@ -90,10 +90,10 @@ class RoboNeuronTeleop(Teleoperator):
         return self._motors.values(led.positions)
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """Nothing: a leader takes none."""
+        """Nothing to do: a leader takes no feedback."""
 
     def disconnect(self) -> None:
-        """Listen no more."""
+        """Stop listening."""
         self._check_connected()
         self._is_connected = False
         self._leader.close()
@@ -104,7 +104,9 @@ class RoboNeuronTeleop(Teleoperator):
 
 
 def _leader(config: RoboNeuronTeleopConfig) -> Leader:
-    """Raises ConfigurationError."""
+    """The configured leader. Raises ConfigurationError if the view's token is missing or its
+    address is invalid.
+    """
     if not config.view:
         return TopicLeader(config.topic)
     token = os.environ.get(config.token_variable, "") if config.token_variable else ""

@@ -1,1 +1,1 @@
-"""FastV: drop the visual tokens that the decoder hardly looks at."""
+"""FastV: drop the visual tokens with little attention in the decoder."""

@@ -8,15 +8,15 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class PresetConfig(BaseModel):
-    """Options of the presets with a named share."""
+    """Options of the presets with a fixed share."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     k: Annotated[int, Field(ge=1)] = 2
-    """Layers that see all visual tokens; the attention of the last of them decides."""
+    """Layers that process all visual tokens; the attention of the last of them selects."""
     query: Literal["last", "actions"] = "last"
-    """Whose attention counts: the last position (as published), or the mean over the action rows of
-    OpenVLA-OFT.
+    """Rows whose attention selects: the last position (as published), or the mean over the action
+    rows of OpenVLA-OFT.
     """
 
 
@@ -24,4 +24,4 @@ class FastVConfig(PresetConfig):
     """Options of `fastv`."""
 
     r: Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
-    """Share of the visual tokens that is dropped."""
+    """Fraction of the visual tokens that is dropped."""

@@ -1,5 +1,5 @@
-"""What this package offers: the presets `fastv-p25`, `fastv-p50`, `fastv-p75`, and `fastv` with a
-free share.
+"""Descriptors of this package: the presets `fastv-p25`, `fastv-p50`, `fastv-p75`, and `fastv` with
+a free share.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from roboneuron import AccelerationSpec, Requirement, hookimpl
 
 FAMILIES = ("openvla", "openvla-oft")
-"""Model families whose visual tokens stand in one span behind the first token."""
+"""Model families whose visual tokens are one span after the first token."""
 
 
 def _spec(name: str, summary: str, target: str, config: str, case: str) -> AccelerationSpec:
@@ -44,7 +44,7 @@ def _named(percent: int) -> AccelerationSpec:
 
 @hookimpl
 def roboneuron_accelerations() -> Sequence[AccelerationSpec]:
-    """FastV with named and with free shares of dropped visual tokens."""
+    """Register FastV with fixed and with free shares of dropped visual tokens."""
     free = "FastV with a free layer k and a free share r of dropped visual tokens."
     return (
         _named(25),

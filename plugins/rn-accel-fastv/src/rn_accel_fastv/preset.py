@@ -1,4 +1,4 @@
-"""The presets; they follow `rn_vla.decoding.LlamaAcceleration`."""
+"""The presets; they implement `rn_vla.decoding.LlamaAcceleration`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class _Preset:
 
 
 class FastV(_Preset):
-    """A free share."""
+    """Drops a configurable share."""
 
     def __init__(self, config: FastVConfig) -> None:
         super().__init__(config, config.r)
@@ -49,19 +49,19 @@ class _Named(_Preset):
 
 
 class FastVP25(_Named):
-    """A quarter is dropped."""
+    """Drops a quarter."""
 
     share: ClassVar[float] = 0.25
 
 
 class FastVP50(_Named):
-    """Half is dropped."""
+    """Drops half."""
 
     share: ClassVar[float] = 0.5
 
 
 class FastVP75(_Named):
-    """Three quarters are dropped."""
+    """Drops three quarters."""
 
     share: ClassVar[float] = 0.75
 

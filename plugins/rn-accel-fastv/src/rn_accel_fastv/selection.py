@@ -1,5 +1,5 @@
-"""Which visual tokens stay. Source: Chen et al. 2024 (FastV), its public code for the row that
-counts.
+"""Selection of the visual tokens that are kept. Source: Chen et al. 2024 (FastV), its public code
+for the selecting row.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from roboneuron import ConfigurationError
 
 @dataclass(frozen=True, slots=True)
 class AttendedTokens:
-    """Keeps the visual tokens with the highest attention from one row, averaged over heads; all
-    others as they are.
+    """Keeps the visual tokens with the highest attention from one row, averaged over heads, and all
+    other tokens.
 
-    Kept positions stay in order and keep their rotary positions. Only the rows that count are
+    Kept positions stay in order and keep their rotary positions. Only the selecting rows are
     computed, with a softmax in float32, so that attention itself can stay fused.
 
     Attributes:
         layer: see `TokenSelection`.
-        share: of the visual tokens, to be dropped.
-        query: the rows that count.
+        share: fraction of the visual tokens to be dropped.
+        query: the selecting rows.
     """
 
     layer: int
@@ -33,7 +33,7 @@ class AttendedTokens:
     query: Literal["last", "actions"]
 
     def kept(self, visual_count: int) -> int:
-        """How many of so many visual tokens stay."""
+        """Number of kept tokens among `visual_count` visual ones."""
         return round(visual_count * (1.0 - self.share))
 
     def select(self, view: AttentionView) -> Tensor | None:
@@ -50,8 +50,8 @@ class AttendedTokens:
         )
 
     def _attention(self, view: AttentionView) -> Tensor:
-        """Mean attention (positions,) of the rows that count; the last row sees everything, causal
-        or not.
+        """Mean attention (positions,) of the selecting rows; the last row attends to all positions,
+        causal or not.
         """
         count = view.query.shape[2]
         if self.query == "last":

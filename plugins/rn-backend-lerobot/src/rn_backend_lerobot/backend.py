@@ -1,4 +1,4 @@
-"""The backend "lerobot": a policy of LeRobot between the robot's observation and its actions."""
+"""The backend "lerobot": a LeRobot policy that maps robot observations to action chunks."""
 
 from __future__ import annotations
 
@@ -32,14 +32,16 @@ if TYPE_CHECKING:
     from rn_backend_lerobot.engine import PolicyEngine
 
 _PAUSE_PERIODS = 3.0
-"""A policy that remembers starts anew after so many periods without an observation, its own
-computing time not counted: what it planned before a pause belongs to another moment.
+"""Periods without an observation after which a policy with a history is reset, not counting its own
+computing time: actions planned before a pause are outdated.
 """
 _WARM_TASK = "warm up"
 
 
 class LeRobotBackend:
-    """Follows the protocol `Backend`; construction is pure, `load` does the work."""
+    """Implements the protocol `Backend`; the constructor only stores the options, `load` does the
+    work.
+    """
 
     def __init__(
         self, config: LeRobotOptions, *, runtime: object = None, acceleration: object = None
@@ -53,7 +55,7 @@ class LeRobotBackend:
         self._took_s = 0.0
 
     def load(self) -> None:
-        """Read the checkpoint with LeRobot, put it on the device and ask it once.
+        """Read the checkpoint with LeRobot, move it to the device and run it once.
 
         Raises:
             CheckpointError, ConfigurationError: see `wire`; LeRobot cannot load the checkpoint.
@@ -94,10 +96,11 @@ class LeRobotBackend:
 
     @property
     def predict_batch(self) -> Callable[[Sequence[Observation]], list[ActionChunk]]:
-        """One chunk for each observation, in their order, from one pass where they are alike.
+        """One chunk for each observation, in their order; observations of equal shapes share one
+        pass.
 
         Raises:
-            AttributeError: the policy remembers observations, so robots cannot share it.
+            AttributeError: the policy keeps a history of observations, so robots cannot share it.
         """
         if wire(self._options).folder.remembers:
             raise AttributeError("predict_batch")
@@ -105,17 +108,16 @@ class LeRobotBackend:
 
     @property
     def continues_rows(self) -> bool:
-        """Whether this policy continues rows that are played meanwhile; others are worth asking for
-        several robots at once all the same.
+        """True if this policy can continue rows that are executed during inference. A policy that
+        cannot may still serve several robots in one batch.
         """
         _, engine = self._loaded()
         return engine.can_continue
 
     @property
     def image_sizes(self) -> dict[str, tuple[int, int]]:
-        """Width and height by role or name of the camera that images are resized to here [px], so
-        that a robot may do it before it sends them; none where another size is refused or taken as
-        it is.
+        """Image size (width, height) [px] by camera role or name to which this backend resizes, so
+        that a robot can resize before sending; empty unless the option `images` is "resized".
         """
         wiring, _ = self._loaded()
         if self._options.images != "resized":
@@ -134,7 +136,7 @@ class LeRobotBackend:
         return [self._chunk(wiring, answer, took_s, 0) for answer in answers]
 
     def reset(self) -> None:
-        """Forget observations, planned actions and noise."""
+        """Clear the history of observations, the planned actions and the noise."""
         self._last_ns = 0
         self._took_s = 0.0
         if self._engine is not None:
@@ -158,7 +160,7 @@ class LeRobotBackend:
         return PolicyObservation(images=images, state=state, task=observation.instruction)
 
     def _fit(self, frame: Frame, feature: ImageFeature) -> NDArray[np.uint8]:
-        """The image in the size of the training data, as the option `images` says."""
+        """Resize the image to the training size, as configured by the option `images`."""
         image, width, height = frame.image, feature.width, feature.height
         if image.shape[:2] == (height, width) or self._options.images == "any":
             return image
@@ -173,7 +175,7 @@ class LeRobotBackend:
         )
 
     def _note_time(self, observation: Observation, engine: PolicyEngine) -> None:
-        """Start a policy that remembers anew after a pause."""
+        """Reset a policy with a history after a pause."""
         now_ns = observation.stamp_ns
         gap_s = (now_ns - self._last_ns) / 1e9 - self._took_s
         if self._last_ns and gap_s > _PAUSE_PERIODS / self._options.rate_hz:
@@ -181,7 +183,7 @@ class LeRobotBackend:
         self._last_ns = now_ns
 
     def _prefix(self, engine: PolicyEngine, ahead: Ahead | None) -> ChunkPrefix | None:
-        """The rest of the running chunk; None when there is none to continue."""
+        """The rest of the running chunk; None if there is none or the policy cannot continue it."""
         if ahead is None or not engine.can_continue or not isinstance(ahead.context, PolicyChunk):
             return None
         if ahead.context_row >= len(ahead.context.rows):
@@ -212,7 +214,9 @@ class LeRobotBackend:
         )
 
     def _warm_up(self, wiring: Wiring, engine: PolicyEngine) -> None:
-        """Ask once: what does not fit shows here, and the first real answer is not the slowest."""
+        """Run the policy once, so that a mismatch is found now and the first real answer is not
+        slow.
+        """
         images = {
             one.key: np.zeros((one.height, one.width, 3), dtype=np.uint8) for one in wiring.images
         }

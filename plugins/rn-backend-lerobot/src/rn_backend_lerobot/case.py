@@ -1,4 +1,4 @@
-"""The contract case: a tiny random SmolVLA, made for the occasion by LeRobot's own classes."""
+"""The contract case: a tiny random SmolVLA, created at run time with LeRobot's own classes."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from rn_testing.fakes import gantry_profile, make_observation
 from roboneuron import robot_space
 
 ROW_TOLERANCE = 0.02
-"""Guided rows end this near to the committed ones [m, rad, opening]; without they are beside them
-by several `SPREAD`.
+"""Largest distance of guided rows from the committed ones [m, rad, opening]; without guidance it is
+several `SPREAD`.
 """
 
 
 def lerobot_case() -> BackendCase:
-    """A SmolVLA that moves the fake robot of the kit, in a folder that lasts as long as the
-    process.
+    """A SmolVLA that moves the fake robot of the contract kit; its folder is deleted when the
+    process exits.
     """
     directory = Path(tempfile.mkdtemp(prefix="roboneuron-lerobot-"))
     atexit.register(shutil.rmtree, directory, ignore_errors=True)

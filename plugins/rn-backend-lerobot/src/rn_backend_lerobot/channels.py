@@ -1,4 +1,4 @@
-"""What the numbers of a policy are on the robot: units, signs and offsets, by name."""
+"""Mapping of a policy's numbers to the robot by name: units, signs and offsets."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _TURN: dict[str, tuple[str, float]] = {
     "millimetres": ("m", 1e-3),
     "unitless": ("1", 1.0),
 }
-"""Contract unit, and how much of it one unit is."""
+"""Contract unit, and the factor that converts one unit to it."""
 _OPENINGS: dict[str, tuple[float, float]] = {
     "open_fraction": (1.0, 0.0),
     "closed_fraction": (-1.0, 1.0),
@@ -55,24 +55,26 @@ _RANGES: dict[str, tuple[float, float]] = {
     "range_m100_100": (-100.0, 100.0),
     "range_0_100": (0.0, 100.0),
 }
-"""Ends of the ranges that LeRobot's calibration makes of a motor's travel."""
+"""Ends of the ranges to which LeRobot's calibration scales a motor's travel."""
 _POSE_UNITS = {
     **dict.fromkeys("xyz", "m"),
     **dict.fromkeys(("qx", "qy", "qz", "qw"), "1"),
     **dict.fromkeys(("rx", "ry", "rz"), "rad"),
 }
-"""What a state may hold of the TCP: position, quaternion, rotation vector, in the base frame."""
+"""Coordinates of the TCP that a state may contain: position, quaternion, rotation vector, in the
+base frame.
+"""
 _DELTA_UNITS = dict(zip(ACTION_FIELDS[:6], ("m",) * 3 + ("rad",) * 3, strict=True))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Meaning:
-    """One number of a policy on the robot.
+    """Meaning of one number of a policy on the robot.
 
     Attributes:
-        name: what the policy calls it.
+        name: the policy's name for it.
         to: joint, `GRIPPER` or coordinate of the TCP; "arm/..." on a robot with several arms.
-        unit: of the policy's number.
+        unit: unit of the policy's number.
         sign, offset, scale: robot = sign * scale * (number - offset) [unit].
         low, high: the robot's values at the ends of a range [rad, or opening].
     """
@@ -88,7 +90,7 @@ class Meaning:
 
     @property
     def arm(self) -> str:
-        """Name of the arm; "" for the only one."""
+        """Name of the arm; "" on a robot with one arm."""
         return self.to.rpartition("/")[0]
 
     @property
@@ -114,7 +116,7 @@ class Meaning:
         """The number as a channel of a space of that kind.
 
         Raises:
-            ConfigurationError: its unit is none of what it names.
+            ConfigurationError: the space has no such coordinate, or the unit does not fit it.
         """
         coordinates = {"ee_pose": _POSE_UNITS, "ee_delta": _DELTA_UNITS}.get(kind)
         if self.target == GRIPPER:
@@ -144,7 +146,7 @@ class Meaning:
         return "opening" if self.unit in _OPENINGS or self.unit in _RANGES else self.unit
 
     def read(self, observation: Observation) -> float:
-        """Its measured value on the robot, in the contract's unit.
+        """The measured value on the robot, in the contract's unit.
 
         Raises:
             UngroundedError: it is not measured.
@@ -181,7 +183,7 @@ class Columns:
     """The numbers of an action or a state, in the policy's order.
 
     Args:
-        meanings: of each.
+        meanings: meaning of each number.
     """
 
     def __init__(self, meanings: Sequence[Meaning]) -> None:
@@ -191,7 +193,8 @@ class Columns:
         self._grippers = np.array([m.target == GRIPPER for m in meanings], dtype=bool)
 
     def to_contract(self, rows: F64) -> F64:
-        """The policy's un-normalised rows (H, n) in the contract's units; openings are cut to
+        """Convert the policy's un-normalised rows (H, n) to the contract's units; openings are
+        clipped to
         0..1.
         """
         out = rows * self._factors + self._constants

@@ -30,7 +30,7 @@ STATE, ACTION = "observation.state", "action"
 IMAGES = "observation.images."
 NORMALIZER, UNNORMALIZER = "normalizer_processor", "unnormalizer_processor"
 ROW_BY_ROW = ("tdmpc", "gaussian_actor")
-"""Policies that answer one action at a time although they see one observation."""
+"""Policies that return one action per call although they use a single observation."""
 _NEEDED: dict[str, tuple[str, ...]] = {
     "IDENTITY": (),
     "MEAN_STD": ("mean", "std"),
@@ -38,7 +38,7 @@ _NEEDED: dict[str, tuple[str, ...]] = {
     "QUANTILES": ("q01", "q99"),
     "QUANTILE10": ("q10", "q90"),
 }
-"""Statistics that each mode of normalisation reads."""
+"""Statistics required by each mode of normalisation."""
 _MIGRATE = (
     "Convert it with LeRobot's own command: python -m "
     "lerobot.processor.migrate_policy_normalization --pretrained-path FOLDER"
@@ -50,14 +50,14 @@ class _CheckpointDocument(BaseModel):
 
 
 class FeatureDocument(_CheckpointDocument):
-    """One feature."""
+    """Type and shape of one feature."""
 
     type: str
     shape: tuple[int, ...]
 
 
 class PolicyDocument(_CheckpointDocument):
-    """What is read of config.json."""
+    """The keys used of config.json."""
 
     type: str
     n_obs_steps: int = 1
@@ -81,7 +81,7 @@ class StepDocument(_CheckpointDocument):
 
 
 class PipelineDocument(_CheckpointDocument):
-    """A processor."""
+    """Steps of a processor."""
 
     steps: tuple[StepDocument, ...]
 
@@ -95,11 +95,11 @@ class NormalizerDocument(_CheckpointDocument):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ImageFeature:
-    """An image that the policy takes.
+    """An image input of the policy.
 
     Attributes:
         key: "observation.images.front".
-        height, width: of the training data [px].
+        height, width: image size of the training data [px].
     """
 
     key: str
@@ -108,25 +108,26 @@ class ImageFeature:
 
     @property
     def short(self) -> str:
-        """The key's own part: "front"."""
+        """The key without its prefix: "front"."""
         return self.key.removeprefix(IMAGES)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PolicyFolder:
-    """What a checkpoint says of itself.
+    """The contents of a checkpoint folder.
 
     Attributes:
-        directory: of the checkpoint.
+        directory: folder of the checkpoint.
         family: LeRobot's name of the policy: "act", "smolvla".
         images: in the order of config.json.
         state: number of values of `observation.state`; 0 without.
         action: number of values of an action.
-        names: of the action's values in order; empty where the checkpoint does not say.
-        rows: rows of a chunk that are executed.
-        remembers: an action depends on earlier observations, so it is asked for row by row.
+        names: names of the action's values in order; empty if the checkpoint has none.
+        rows: number of rows of a chunk that are executed.
+        remembers: True if an action depends on earlier observations; such a policy is queried for
+            one row at a time.
         steps: registry names of the preprocessor's steps.
-        references: local folder of each backbone and tokenizer that is named.
+        references: local folder of each backbone and tokenizer that the checkpoint names.
     """
 
     directory: Path
@@ -145,11 +146,11 @@ def read_folder(directory: Path, folders: Mapping[str, Path]) -> PolicyFolder:
     """Read and check a checkpoint; weights are not read.
 
     Args:
-        directory: of the checkpoint.
+        directory: folder of the checkpoint.
         folders: local folder by the hub's name.
 
     Raises:
-        CheckpointError: the first thing that is missing, damaged or refused.
+        CheckpointError: the first part that is missing, damaged or refused.
     """
     check_folder(directory)
     raw = read_json(directory / CONFIG)
@@ -193,8 +194,8 @@ def read_folder(directory: Path, folders: Mapping[str, Path]) -> PolicyFolder:
     )
     if policy.use_relative_actions and remembers:
         raise CheckpointError(
-            f"{directory} holds relative actions of a policy that is asked row by row: they would "
-            "be added to another state than they were predicted for."
+            f"{directory} holds relative actions of a policy that is queried row by row: they "
+            "would be added to another state than they were predicted for."
         )
     return PolicyFolder(
         directory=directory,
@@ -213,11 +214,11 @@ def read_folder(directory: Path, folders: Mapping[str, Path]) -> PolicyFolder:
 def _inputs(
     directory: Path, inputs: Mapping[str, FeatureDocument]
 ) -> tuple[tuple[ImageFeature, ...], int]:
-    """Images, and the width of the state. Raises CheckpointError for what no robot has."""
+    """Images, and the width of the state. Raises CheckpointError for inputs no robot provides."""
     images: list[ImageFeature] = []
     state = 0
     for key, feature in inputs.items():
-        # the policy fills them itself
+        # the policy fills these itself
         if key.startswith(f"{IMAGES}empty_camera_"):
             continue
         if feature.type == "VISUAL" and len(feature.shape) == 3 and "image" in key:
@@ -241,9 +242,9 @@ def _check_statistics(
     features: Mapping[str, FeatureDocument],
     mapping: Mapping[str, str],
 ) -> None:
-    """Whether each feature that is normalised has its statistics.
+    """Raise CheckpointError unless each normalised feature has its statistics.
 
-    LeRobot passes a feature without statistics on as it is. Raises CheckpointError.
+    LeRobot passes a feature without statistics through unchanged.
     """
     steps = [step for step in pipeline.steps if step.registry_name == step_name]
     asked = {key for key, f in features.items() if mapping.get(f.type, "IDENTITY") != "IDENTITY"}
@@ -289,7 +290,9 @@ def _check_statistic(
     feature: FeatureDocument,
     directory: Path,
 ) -> None:
-    """Raise CheckpointError unless the statistic is there, finite, and as wide as its feature."""
+    """Raise CheckpointError unless the statistic exists, is finite, and has the width of its
+    feature.
+    """
     if values is None:
         raise CheckpointError(
             f"{directory} has no statistic {statistic!r} of {key!r}; without it the policy would "

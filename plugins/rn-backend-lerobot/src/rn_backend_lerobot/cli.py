@@ -1,4 +1,4 @@
-"""The command `roboneuron-lerobot`: tiny checkpoints to try the backend with."""
+"""The command `roboneuron-lerobot`: creates tiny checkpoints to try the backend with."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PROGRAM = "roboneuron-lerobot"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Parse the arguments (those of the process when None) and do it; returns the exit status."""
+    """Run the command with these arguments (sys.argv if None); returns the exit status."""
     parser = argparse.ArgumentParser(
         prog=PROGRAM, description=f"`{PROGRAM}`: tiny checkpoints to try the backend with."
     )

@@ -1,4 +1,4 @@
-"""The calls to a loaded policy of LeRobot: chunks, batches, single actions.
+"""Calls to a loaded LeRobot policy: chunks, batches, single actions.
 
 Source: lerobot 0.6.1, `policies/factory.py` and `policies/utils.py`; its own loops are
 `rollout/inference/sync.py` and `rtc.py`.
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import torch
 
 _ALL_ROWS = 10_000
-"""More rows than any chunk has."""
+"""Larger than the number of rows of any chunk."""
 
 
 class _RelativeStep(Protocol):
@@ -40,12 +40,12 @@ class _RelativeStep(Protocol):
 
 
 class PolicyEngine:
-    """A loaded policy with its processors; one thread.
+    """A loaded policy with its processors; for use from one thread.
 
     Args:
         folder: the checkpoint.
         options: device, seed, chunking.
-        names: of the action's values, in order.
+        names: names of the action's values, in order.
     """
 
     def __init__(self, folder: PolicyFolder, options: LeRobotOptions, names: Sequence[str]) -> None:
@@ -70,11 +70,11 @@ class PolicyEngine:
 
     @property
     def device(self) -> str:
-        """Where the policy is."""
+        """Device of the policy."""
         return self._device
 
     def chunk(self, seen: PolicyObservation, prefix: ChunkPrefix | None = None) -> PolicyChunk:
-        """A whole chunk, which continues the prefix where the policy can."""
+        """Predict a whole chunk, which continues the prefix if the policy can."""
         with self._torch.no_grad(), self._precision(), self._noise.drawn():
             batch = self._prepare(seen)
             more: dict[str, object] = {}
@@ -87,29 +87,31 @@ class PolicyEngine:
             return self._finish(actions)[0]
 
     def chunks(self, seen: Sequence[PolicyObservation]) -> list[PolicyChunk]:
-        """A chunk for each observation, in one pass where their tensors have the same shapes."""
+        """Predict a chunk for each observation, in one pass if the shapes of their tensors are
+        equal.
+        """
         with self._torch.no_grad(), self._precision(), self._noise.drawn():
             batches = [self._prepare(one) for one in seen]
             shapes = {_shapes(batch) for batch in batches}
             if len(shapes) == 1 and self._relative is None:
                 return self._finish(self._policy.predict_action_chunk(_stacked(batches)))
-        # a relative step knows the state of one observation at a time
+        # a relative step stores the state of one observation at a time
         return [self.chunk(one) for one in seen]
 
     def action(self, seen: PolicyObservation) -> PolicyChunk:
-        """One action of a policy that keeps its own history; a chunk of one row."""
+        """Return one action of a policy that keeps its own history, as a chunk of one row."""
         with self._torch.no_grad(), self._precision(), self._noise.drawn():
             action = self._policy.select_action(self._prepare(seen))
             return self._finish(action.unsqueeze(1))[0]
 
     def reset(self) -> None:
-        """Forget observations and planned actions; the noise starts anew where it has a seed."""
+        """Clear observations and planned actions; seeded noise restarts."""
         for part in (self._policy, self._before, self._after):
             part.reset()
         self._noise.restart()
 
     def _prepare(self, seen: PolicyObservation) -> Mapping[str, object]:
-        """LeRobot's batch of one."""
+        """Convert an observation to LeRobot's batch of one."""
         from lerobot.policies.utils import prepare_observation_for_inference
 
         # copied: PyTorch shares memory only with arrays that may be written to
@@ -124,15 +126,16 @@ class PolicyEngine:
         return cast("Mapping[str, object]", self._before(prepared))
 
     def _finish(self, actions: torch.Tensor) -> list[PolicyChunk]:
-        """(B, T, A), normalised -> an answer for each observation."""
+        """Postprocess normalised actions (B, T, A) to one answer per observation."""
         after = cast("torch.Tensor", self._after(actions.clone()))
         rows = after.detach().to("cpu", self._torch.float64).numpy()
         kept = actions.detach()
         return [PolicyChunk(normalized=kept[i], rows=rows[i]) for i in range(len(rows))]
 
     def _left_over(self, prefix: ChunkPrefix) -> torch.Tensor:
-        """The rest of the running chunk, normalised, relative to the present state where the
-        policy's actions are. Never padded: zeros would mean the mean of the training data.
+        """The rest of the running chunk, normalised, and relative to the present state if the
+        policy's actions are relative. It is never padded: zeros would mean the mean of the training
+        data.
         """
         if self._relative is None:
             return prefix.answer.normalized[prefix.first :]
@@ -152,7 +155,7 @@ class PolicyEngine:
 
     @contextlib.contextmanager
     def _precision(self) -> Iterator[None]:
-        """Mixed precision where the checkpoint was trained so and the device can."""
+        """Use mixed precision if the checkpoint was trained with it and the device is a GPU."""
         is_mixed = self._policy.config.use_amp and self._device.startswith("cuda")
         if not is_mixed:
             yield
@@ -161,7 +164,7 @@ class PolicyEngine:
             yield
 
     def _find_steps(self) -> tuple[_RelativeStep | None, object | None]:
-        """The steps that relative actions need; names are given where the checkpoint has none."""
+        """Find the steps for relative actions; set the names if the checkpoint has none."""
         from lerobot.processor import NormalizerProcessorStep, RelativeActionsProcessorStep
 
         normalizer = None
@@ -176,7 +179,7 @@ class PolicyEngine:
         return relative, normalizer
 
     def _enable_rtc(self) -> bool:
-        """Switch real-time chunking on; False for a policy that has none."""
+        """Enable real-time chunking; returns False for a policy without it."""
         policy = self._policy
         if self._folder.remembers or not getattr(policy, "supports_rtc", lambda: False)():
             return False
@@ -195,7 +198,7 @@ class PolicyEngine:
         options = self._options
         policy.config.rtc_config = RTCConfig(
             enabled=True,
-            # lerobot cuts it to the rows that are left
+            # lerobot limits it to the rows that are left
             execution_horizon=options.rtc_horizon or _ALL_ROWS,
             prefix_attention_schedule=RTCAttentionSchedule[options.rtc_schedule.upper()],
             max_guidance_weight=options.rtc_max_weight,
@@ -205,7 +208,7 @@ class PolicyEngine:
 
 
 def _device(wanted: str) -> str:
-    """Raises ConfigurationError for a GPU that is not there."""
+    """Resolve "auto". Raises ConfigurationError for a GPU that does not exist."""
     import torch  # heavy
 
     if wanted == "auto":
@@ -225,7 +228,7 @@ def _shapes(batch: Mapping[str, object]) -> tuple[tuple[str, tuple[int, ...]], .
 
 
 def _stacked(batches: Sequence[Mapping[str, object]]) -> dict[str, object]:
-    """Batches of one as one batch."""
+    """Concatenate batches of one to one batch."""
     import torch
 
     out: dict[str, object] = {}

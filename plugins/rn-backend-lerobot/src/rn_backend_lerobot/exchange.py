@@ -1,4 +1,4 @@
-"""What is given to a policy, and what it answers."""
+"""Inputs and outputs of a policy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PolicyChunk:
-    """A chunk as the policy gave it, uncut.
+    """An uncut chunk as returned by the policy.
 
     Attributes:
         normalized: (T, A), before the postprocessor.
@@ -30,12 +30,12 @@ class PolicyChunk:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ChunkPrefix:
-    """What a policy is to continue.
+    """The running chunk that a policy continues.
 
     Attributes:
         answer: the running chunk.
-        first: its row that is meant for the moment of the observation.
-        committed: so many rows from there will be played whatever comes.
+        first: index of the row scheduled for the time of the observation.
+        committed: number of rows from `first` that will be executed in any case.
     """
 
     answer: PolicyChunk
@@ -45,7 +45,7 @@ class ChunkPrefix:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PolicyObservation:
-    """One observation as the policy takes it.
+    """One observation in the policy's format.
 
     Attributes:
         images: uint8 (H, W, 3), RGB, by the feature's key.

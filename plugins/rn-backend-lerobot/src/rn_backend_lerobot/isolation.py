@@ -1,4 +1,4 @@
-"""What LeRobot may not do to the process that it runs in, and what it may not leave unsaid."""
+"""Isolation of LeRobot from the rest of the process, and checks that it omits."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     import torch
 
 OLDEST, NEXT = (0, 6, 1), (0, 7)
-"""Releases of LeRobot that this is written for."""
+"""Oldest supported release of LeRobot, and the first unsupported one."""
 _OFFLINE = ("HF_HUB_OFFLINE", "TRANSFORMERS_OFFLINE")
 
 
 def check_release(version: str) -> None:
-    """Raise MissingDependencyError unless this is written for that release of LeRobot."""
+    """Raise MissingDependencyError unless that release of LeRobot is supported."""
     parts = tuple(int(part) if part.isdigit() else 0 for part in version.split(".")[:3])
     if not parts >= OLDEST or parts[:2] >= NEXT:
         raise MissingDependencyError(
@@ -35,7 +35,7 @@ def check_release(version: str) -> None:
 
 
 def installed_release() -> str:
-    """Version of LeRobot in this interpreter. Raises MissingDependencyError."""
+    """Version of LeRobot in this interpreter. Raises MissingDependencyError if it is absent."""
     try:
         return importlib.metadata.version("lerobot")
     except importlib.metadata.PackageNotFoundError as error:
@@ -47,12 +47,12 @@ def installed_release() -> str:
 
 
 class Noise:
-    """Random numbers of the policy's own, drawn from PyTorch's global generators without changing
-    them for others.
+    """Private random state of the policy: swapped into PyTorch's global generators during a call
+    and out again afterwards, so that other code draws unchanged numbers.
 
     Args:
-        seed: of each episode; "random" leaves the generators alone.
-        device: where the policy is.
+        seed: seed of each episode; "random" leaves the generators alone.
+        device: device of the policy.
     """
 
     def __init__(self, torch_module: ModuleType, seed: int | str, device: str) -> None:
@@ -61,7 +61,7 @@ class Noise:
         self._states: list[torch.Tensor] = []
 
     def restart(self) -> None:
-        """Begin an episode."""
+        """Start an episode."""
         if isinstance(self._seed, int):
             devices = ["cpu"] if self._device == "cpu" else ["cpu", self._device]
             make = self._torch.Generator
@@ -69,7 +69,7 @@ class Noise:
 
     @contextlib.contextmanager
     def drawn(self) -> Iterator[None]:
-        """Draw from the own state within."""
+        """Draw from the private state within the context."""
         if not self._states:
             yield
             return
@@ -95,13 +95,15 @@ class Noise:
 
 @contextlib.contextmanager
 def offline() -> Iterator[None]:
-    """No look-up on the hub, whoever asks; what is imported within stays so."""
+    """Disable look-ups on the hub for all code within the context; modules imported within it stay
+    offline.
+    """
     before = {name: os.environ.get(name) for name in _OFFLINE}
     os.environ.update(dict.fromkeys(_OFFLINE, "1"))
     try:
         import huggingface_hub.constants
 
-        # it may have been imported before, and reads the variable once
+        # it may have been imported before, and reads the variable only once
         huggingface_hub.constants.HF_HUB_OFFLINE = True
         yield
     finally:
@@ -114,7 +116,9 @@ def offline() -> Iterator[None]:
 
 @contextlib.contextmanager
 def own_folder() -> Iterator[None]:
-    """Temporary files in a folder that is removed: LeRobot leaves a copy of each config.json."""
+    """Put temporary files into a folder that is removed afterwards: LeRobot leaves a copy of each
+    config.json.
+    """
     with tempfile.TemporaryDirectory(prefix="roboneuron-lerobot-") as folder:
         before, tempfile.tempdir = tempfile.tempdir, folder
         try:
@@ -131,9 +135,10 @@ class LoadsWeights(Protocol):
 
 @contextlib.contextmanager
 def whole_weights(kind: LoadsWeights, directory: str) -> Iterator[None]:
-    """Raise CheckpointError when the weights were not taken.
+    """Raise CheckpointError if the weights were not loaded.
 
-    Some policies of LeRobot print what went wrong while loading, and go on with random weights.
+    Some policies of LeRobot only print what went wrong while loading, and continue with random
+    weights.
     """
     problems: list[str] = []
     taken: list[bool] = []
@@ -165,7 +170,7 @@ def whole_weights(kind: LoadsWeights, directory: str) -> Iterator[None]:
 
 
 def _missing(module: torch.nn.Module, answer: object) -> list[str]:
-    """Weights that the file did not hold, without those that share the memory of one it held."""
+    """Names of weights missing from the file, without those that share memory with one it holds."""
     absent = set(getattr(answer, "missing_keys", ()))
     if not absent:
         return []

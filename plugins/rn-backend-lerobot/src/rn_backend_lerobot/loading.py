@@ -1,4 +1,4 @@
-"""A policy and its processors, loaded by LeRobot's own factory from local files alone."""
+"""Loading of a policy and its processors with LeRobot's own factory, from local files only."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _TOKENIZER = "tokenizer_processor"
 
 
 class PolicyConfig(Protocol):
-    """What is used of a policy's configuration."""
+    """The attributes used of a policy's configuration."""
 
     device: str
     use_amp: bool
@@ -33,7 +33,7 @@ class PolicyConfig(Protocol):
 
 
 class LeRobotPolicy(Protocol):
-    """What is used of a policy."""
+    """The attributes and methods used of a policy."""
 
     config: PolicyConfig
 
@@ -47,7 +47,7 @@ class LeRobotPolicy(Protocol):
 
 
 class Pipeline(Protocol):
-    """What is used of a processor."""
+    """The attributes and methods used of a processor."""
 
     steps: Sequence[object]
 
@@ -61,7 +61,8 @@ class _PolicyClass(LoadsWeights, Protocol):
 
 
 def load_policy(folder: PolicyFolder, device: str) -> tuple[LeRobotPolicy, Pipeline, Pipeline]:
-    """The policy on its device, its preprocessor and its postprocessor, as LeRobot makes them.
+    """Load the policy to its device, with its preprocessor and postprocessor as LeRobot creates
+    them.
 
     Raises:
         CheckpointError: LeRobot cannot load it, or its weights do not fit.
@@ -80,14 +81,14 @@ def load_policy(folder: PolicyFolder, device: str) -> tuple[LeRobotPolicy, Pipel
             raise CheckpointError(
                 f"{directory} holds a policy {clip(folder.family)!r}, which LeRobot "
                 f"{installed_release()} does not know.",
-                hint=f"Install the package that brings it (lerobot_policy_...) in {sys.prefix}.",
+                hint=f"Install the package that provides it (lerobot_policy_...) in {sys.prefix}.",
             )
         config = PreTrainedConfig.from_pretrained(directory, local_files_only=True)
         config.device = device
         _localise(config, folder)
         kind = _policy_class(get_policy_class, folder.family)
         with whole_weights(kind, directory):
-            # surplus weights do no harm; missing ones are noticed by `whole_weights`
+            # extra weights do no harm; missing ones are detected by `whole_weights`
             policy = kind.from_pretrained(directory, config=config, strict=False)
         overrides = _overrides(folder, device)
         before, after = make_pre_post_processors(
@@ -97,8 +98,8 @@ def load_policy(folder: PolicyFolder, device: str) -> tuple[LeRobotPolicy, Pipel
 
 
 def _localise(config: object, folder: PolicyFolder) -> None:
-    """Put local folders where the configuration names the hub; no ImageNet weights are
-    fetched, which those of the checkpoint replace anyway.
+    """Replace names of the hub by local folders in the configuration, and do not fetch ImageNet
+    weights, which the checkpoint would overwrite anyway.
     """
     for key, value in vars(config).items():
         if isinstance(value, str) and value in folder.references:
@@ -108,7 +109,7 @@ def _localise(config: object, folder: PolicyFolder) -> None:
 
 
 def _overrides(folder: PolicyFolder, device: str) -> dict[str, dict[str, object]]:
-    """Of the preprocessor's steps."""
+    """Overrides for the preprocessor's steps."""
     overrides: dict[str, dict[str, object]] = {}
     document = json.loads((folder.directory / PREPROCESSOR).read_text(encoding="utf-8"))
     for step in document["steps"]:
@@ -124,7 +125,7 @@ def _overrides(folder: PolicyFolder, device: str) -> dict[str, dict[str, object]
 
 
 def _policy_class(get: Callable[[str], _PolicyClass], family: str) -> _PolicyClass:
-    """The class of a policy. Raises MissingDependencyError for what its extra would bring."""
+    """The class of a policy. Raises MissingDependencyError if LeRobot's extra for it is missing."""
     try:
         return get(family)
     except ImportError as error:

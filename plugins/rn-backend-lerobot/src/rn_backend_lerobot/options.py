@@ -1,4 +1,4 @@
-"""What a user may set under `[plugins.lerobot]`."""
+"""Options under `[plugins.lerobot]`."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ Schedule = Literal["linear", "exp", "ones", "zeros"]
 
 
 class ChannelOptions(BaseModel):
-    """What one number of the policy is on the robot."""
+    """Mapping of one number of the policy to the robot."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     to: Name = Field(
         description="the robot's joint, 'gripper_open', or a coordinate of the TCP ('x', 'qw', "
-        "'dx_m'); of a robot with several arms 'left/...'"
+        "'dx_m'); on a robot with several arms 'left/...'"
     )
     unit: Unit = Field(description="unit of the policy's number")
-    sign: Literal[1, -1] = Field(default=1, description="-1 where the policy counts the other way")
+    sign: Literal[1, -1] = Field(default=1, description="-1 if the policy's direction is opposite")
     offset: float = Field(
-        default=0.0, description="the policy's number where the robot's is 0 [unit]"
+        default=0.0, description="the policy's number at the robot's value 0 [unit]"
     )
-    scale: float = Field(default=1.0, gt=0, description="how many units 1.0 of the policy is")
+    scale: float = Field(default=1.0, gt=0, description="units per 1.0 of the policy's number")
     low: float | None = Field(
-        default=None, description="of the units range_...: the robot's value at the lower end"
+        default=None, description="for the units range_...: the robot's value at the lower end"
     )
     high: float | None = Field(
-        default=None, description="of the units range_...: the robot's value at the upper end"
+        default=None, description="for the units range_...: the robot's value at the upper end"
     )
 
     @model_validator(mode="after")
@@ -45,13 +45,13 @@ class ChannelOptions(BaseModel):
         if is_range != (self.low is not None and self.high is not None):
             raise ValueError("low and high must be given exactly with the units range_...")
         if is_range and (self.sign != 1 or self.offset or self.scale != 1.0):
-            raise ValueError("low and high say it all: sign, offset and scale are not read")
+            raise ValueError("low and high define the mapping: leave out sign, offset and scale")
         if is_range and self.low == self.high:
             raise ValueError("low and high must differ")
         return self
 
     def meaning(self, name: str) -> Meaning:
-        """As numbers that are called `name` are converted."""
+        """The mapping as a `Meaning` with this name."""
         return Meaning(
             name=name,
             to=self.to,
@@ -75,35 +75,36 @@ class LeRobotOptions(BaseModel):
     )
     rate_hz: float = Field(gt=0, le=1000, description="rows per second of the training data [Hz]")
     space: SpaceKind = Field(
-        default="joint_position", description="what the action's numbers are, un-normalised"
+        default="joint_position", description="control space of the un-normalised action"
     )
     joints: Annotated[tuple[Name, ...], Field(max_length=64)] | None = Field(
         default=None,
-        description="short form of `channels`: what each number of the action is, in the policy's "
-        "order, for instance the robot's joints and 'gripper_open'",
+        description="short form of `channels`: target of each number of the action, in the "
+        "policy's order, for instance the robot's joints and 'gripper_open'",
     )
     joint_unit: Literal["radians", "degrees"] | None = Field(
-        default=None, description="of all `joints` but grippers"
+        default=None, description="unit of all `joints` except grippers"
     )
     gripper_unit: (
         Literal["open_fraction", "closed_fraction", "open_percent", "closed_percent"] | None
-    ) = Field(default=None, description="of the grippers among `joints`")
+    ) = Field(default=None, description="unit of the grippers among `joints`")
     names: Annotated[tuple[Name, ...], Field(max_length=64)] | None = Field(
         default=None,
         description="names of the action's numbers in the policy's order; needed with `channels` "
-        "where the checkpoint does not hold them",
+        "if the checkpoint does not contain them",
     )
     state_names: Annotated[tuple[Name, ...], Field(max_length=64)] | None = Field(
-        default=None, description="of the state's numbers, likewise; those of the action if unset"
+        default=None,
+        description="names of the state's numbers, likewise; those of the action if unset",
     )
     channels: dict[Name, ChannelOptions] = Field(
-        default={}, description="what each named number of action and state is on the robot"
+        default={}, description="mapping of each named number of action and state to the robot"
     )
     cameras: dict[Name, Role] = Field(
         default={},
         description="camera role by the policy's image feature ('observation.images.front' or "
-        "'front'); '-' leaves one out that the policy can do without. Unset: features that are "
-        "called like a role or a camera of the robot",
+        "'front'); '-' leaves out one that the policy does not need. Unset: features that are "
+        "named like a role or a camera of the robot",
     )
     images: Images = Field(
         default="exact",
@@ -116,7 +117,9 @@ class LeRobotOptions(BaseModel):
         "checkpoint names; nothing is looked up on the hub",
     )
     robot_type: str = Field(
-        default="", max_length=120, description="robot_type of the training data, where it matters"
+        default="",
+        max_length=120,
+        description="robot_type of the training data, if the policy uses it",
     )
     action_steps: int | None = Field(
         default=None, ge=1, description="rows of a chunk to execute; the checkpoint's if unset"
@@ -127,20 +130,20 @@ class LeRobotOptions(BaseModel):
         description="auto takes a GPU if there is one",
     )
     threads: int | None = Field(
-        default=None, ge=1, le=512, description="of PyTorch; its own choice if unset"
+        default=None, ge=1, le=512, description="threads of PyTorch; its default if unset"
     )
     seed: Annotated[int, Field(ge=0)] | Literal["random"] = Field(
-        default=0, description="of the noise, restarted by every reset; 'random' for none"
+        default=0, description="seed of the noise, restarted by every reset; 'random' for none"
     )
     rtc: bool = Field(
         default=True,
-        description="continue the rows that are played meanwhile, where the policy can",
+        description="continue the rows that are executed during inference, if the policy can",
     )
     rtc_horizon: int | None = Field(
-        default=None, ge=1, description="rows that are guided; all that are left if unset"
+        default=None, ge=1, description="number of guided rows; all remaining ones if unset"
     )
     rtc_schedule: Schedule = Field(
-        default="linear", description="how the guidance falls after the committed rows"
+        default="linear", description="decrease of the guidance after the committed rows"
     )
     rtc_max_weight: float = Field(
         default=10.0, gt=0, le=1000, description="greatest weight of the guidance"
@@ -164,13 +167,13 @@ class LeRobotOptions(BaseModel):
         return self
 
     def meanings(self) -> dict[str, Meaning]:
-        """What each number is, by its name; of `joints` the name is the joint's own."""
+        """Meaning of each number by its name; with `joints` the name is that of the joint."""
         if self.joints is None:
             return {name: channel.meaning(name) for name, channel in self.channels.items()}
         found: dict[str, Meaning] = {}
         for name in self.joints:
             is_gripper = name.rpartition("/")[2] == "gripper_open"
             unit = self.gripper_unit if is_gripper else self.joint_unit
-            assert unit is not None  # the validator
+            assert unit is not None  # checked by the validator
             found[name] = Meaning(name=name, to=name, unit=unit)
         return found

@@ -1,4 +1,4 @@
-"""What this package offers RoboNeuron: the backend "lerobot"."""
+"""Descriptors of this package: the backend "lerobot"."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ BACKEND = BackendSpec(
     conditions_on_rows=True,
     space="rn_backend_lerobot.space:lerobot_space",
 )
-"""Descriptor. Which cameras a policy needs is checked by `space`, with its checkpoint."""
+"""Descriptor. `space` checks which cameras a policy needs, from its checkpoint."""
 
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """Offer the backend "lerobot"."""
+    """Register the backend "lerobot"."""
     return (BACKEND,)

@@ -1,4 +1,4 @@
-"""What a checkpoint may not bring: pickles, code, and names that would be looked up on the hub."""
+"""Check that a checkpoint has no pickles, code, or names that would be looked up on the hub."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ _REFERENCES = frozenset(
         "wan_pretrained_path",
     }
 )
-"""Keys whose value LeRobot loads a backbone or tokenizer by."""
+"""Keys whose value is the name of a backbone or tokenizer that LeRobot loads."""
 _NOT_LOADED = frozenset({"license", "pretrained_path", "pretrained_revision", "repo_id", "tags"})
-"""Keys that say where a checkpoint came from or goes to; nothing is loaded by them."""
+"""Keys with the origin or destination of a checkpoint; LeRobot loads nothing by them."""
 _OWN_CODE = ("lerobot.",)
-_NO_CODE = "RoboNeuron runs no code that a checkpoint brings or names."
+_NO_CODE = "RoboNeuron never runs code that a checkpoint contains or names."
 
 
 def check_folder(directory: Path) -> None:
@@ -64,9 +64,9 @@ def _check_pickles(directory: Path) -> None:
 def _check_code(directory: Path) -> None:
     code = sorted(path.name for path in directory.glob("*.py"))
     if code:
-        raise CheckpointError(f"{directory} brings code ({list_names(code)}). {_NO_CODE}")
+        raise CheckpointError(f"{directory} contains code ({list_names(code)}). {_NO_CODE}")
     for path in sorted(directory.glob("*.json")):
-        # tokenizers are large and say nothing of code
+        # tokenizers are large and contain no code
         if path.name in ("tokenizer.json", "vocab.json"):
             continue
         if any(key == "auto_map" for key, _ in _walk(read_json(path))):
@@ -79,12 +79,12 @@ def find_references(
     """The local folder of each backbone and tokenizer that the checkpoint names.
 
     Args:
-        documents: parsed JSON by the file's name.
-        directory: of the checkpoint; a name that is a folder in it means that one.
-        folders: local folder by name, as the user gives them.
+        documents: parsed JSON by file name.
+        directory: folder of the checkpoint; a name that is a folder in it means that one.
+        folders: local folder by name, given by the user.
 
     Raises:
-        CheckpointError: a name is no local folder, the folder holds code, or a document asks for
+        CheckpointError: a name is no local folder, the folder holds code, or a document requests
             code.
     """
     found: dict[str, Path] = {}
@@ -114,10 +114,10 @@ def _is_reference(key: str, value: str) -> bool:
 def _folder(
     name: str, key: str, source: Path, directory: Path, folders: Mapping[str, Path]
 ) -> Path:
-    """Where `name` is: what the user says, a folder in the checkpoint, an absolute path."""
+    """Folder of `name`: the one given by the user, one in the checkpoint, or an absolute path."""
     chosen = folders.get(name)
     if chosen is None:
-        # an absolute name stays what it is
+        # an absolute name stays as it is
         chosen = directory / name
     if not chosen.is_dir():
         raise CheckpointError(
@@ -131,7 +131,7 @@ def _folder(
 
 
 def _walk(value: object, key: str = "") -> Iterator[tuple[str, object]]:
-    """Every value of a document with the key it stands under; elements of a list under its key."""
+    """Every value of a document with its key; elements of a list have the list's key."""
     if isinstance(value, dict):
         for name, inner in value.items():
             yield from _walk(inner, str(name))

@@ -1,4 +1,4 @@
-"""pi0 and pi0.5 with tiny networks: LeRobot knows only those of 3 billion weights."""
+"""pi0 and pi0.5 with tiny networks; LeRobot itself only offers those of 3 billion weights."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Protocol
 from unittest import mock
 
 VOCABULARY = 512
-"""Tokens of the tiny language models."""
+"""Vocabulary size of the tiny language models."""
 _WIDTH = 64
 
 
@@ -36,9 +36,9 @@ class _PaliGemma(Protocol):
 
 @contextlib.contextmanager
 def small_gemma() -> Iterator[None]:
-    """pi0 and pi05 with networks of 64 dimensions: LeRobot knows only those of 3 billion weights.
+    """Patch LeRobot so that pi0 and pi05 have networks of 64 dimensions.
 
-    Needed to make such a checkpoint, and to load it.
+    Needed to create such a checkpoint, and to load it.
     """
     from lerobot.policies.pi0 import modeling_pi0
     from lerobot.policies.pi05 import modeling_pi05
@@ -51,7 +51,7 @@ def small_gemma() -> Iterator[None]:
 
 
 def _small(module: ModuleType) -> dict[str, Callable[..., object]]:
-    """What makes the networks of a module of LeRobot, by name."""
+    """Replacements of the functions that create the networks of a LeRobot module, by name."""
     whole, expert = (
         module.PaliGemmaForConditionalGenerationWithPiGemma,
         module.PiGemmaForCausalLM,

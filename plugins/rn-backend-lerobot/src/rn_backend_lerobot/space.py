@@ -1,4 +1,4 @@
-"""Which control space the chunks of a configured policy have, said before anything is loaded."""
+"""Control space of a configured policy's chunks, determined before anything is loaded."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ def lerobot_space(options: Mapping[str, object], profile: RobotProfile) -> Contr
 
     Raises:
         CheckpointError: the checkpoint is damaged, or refused.
-        ConfigurationError: options and policy do not fit, or the robot has no such joint or camera.
+        ConfigurationError: options and policy do not match, or the robot has no such joint or
+            camera.
     """
     try:
         given = LeRobotOptions.model_validate(dict(options))

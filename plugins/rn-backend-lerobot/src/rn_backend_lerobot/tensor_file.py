@@ -17,14 +17,15 @@ from roboneuron import CheckpointError
 
 _DTYPES = {"F64": "<f8", "F32": "<f4", "F16": "<f2", "I64": "<i8", "I32": "<i4"}
 MAX_BYTES = 64 * 2**20
-"""Largest file of statistics: those of images are three numbers each, those of states a few."""
+"""Size limit of a file of statistics: an image has three numbers per statistic, a state a few."""
 
 
 def read_tensors(path: Path) -> dict[str, NDArray[np.float64]]:
     """Every tensor of a file as float64, by name.
 
     Raises:
-        CheckpointError: the file is missing, damaged, too large, or holds other types than numbers.
+        CheckpointError: the file is missing, damaged, too large, or contains something other than
+            numbers.
     """
     check_file(path, MAX_BYTES)
     check_safetensors(path)
@@ -39,10 +40,12 @@ def read_tensors(path: Path) -> dict[str, NDArray[np.float64]]:
             begin, end = entry["data_offsets"]
             dtype, shape = _DTYPES.get(entry["dtype"]), tuple(entry["shape"])
             if dtype is None:
-                raise CheckpointError(f"{path} holds {name!r} as {entry['dtype']}, no number.")
+                raise CheckpointError(
+                    f"{path} holds {name!r} as {entry['dtype']}, which is no number."
+                )
             count = math.prod(shape)
             if end - begin != count * np.dtype(dtype).itemsize or start + end > len(data):
-                raise CheckpointError(f"{path} is damaged: {name!r} has not the size it should.")
+                raise CheckpointError(f"{path} is damaged: {name!r} has the wrong size.")
             values = np.frombuffer(data, dtype, count, start + begin)
             found[name] = values.reshape(shape).astype(np.float64)
         return found

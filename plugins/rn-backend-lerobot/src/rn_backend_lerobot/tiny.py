@@ -15,7 +15,7 @@ from roboneuron import ConfigurationError
 Policy = Literal["act", "diffusion", "vqbet", "smolvla", "pi0", "pi05", "xvla"]
 POLICIES: tuple[Policy, ...] = get_args(Policy)
 PATCHED: tuple[Policy, ...] = ("pi0", "pi05")
-"""Those that only `small_gemma` loads."""
+"""Policies that load only within `small_gemma`."""
 
 
 def make_tiny(
@@ -90,7 +90,7 @@ def _write_vqbet(directory: Path, shape: TinyShape) -> None:
 
     def trained(config: object) -> Saved:
         policy = VQBeTPolicy(config)
-        # as after the first phase of the training: LeRobot warns at each action otherwise
+        # as after the first phase of training: otherwise LeRobot warns at each action
         policy.vqbet.action_head.vqvae_model.discretized.fill_(True)
         return cast("Saved", policy)
 

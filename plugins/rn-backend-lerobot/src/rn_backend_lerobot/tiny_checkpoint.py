@@ -1,4 +1,4 @@
-"""A LeRobot checkpoint of random weights on the disk: features, statistics, processors."""
+"""Files of a LeRobot checkpoint with random weights: features, statistics, processors."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Protocol
 HOME = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785, 0.5)
 """Mean of states and actions: seven joints [rad] of an arm, and a gripper [opening]."""
 SPREAD = 0.05
-"""Standard deviation of both: what a random policy moves about."""
+"""Standard deviation of both; the actions of a random policy scatter by about this much."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TinyShape:
-    """What a tiny policy takes and gives.
+    """Inputs and outputs of a tiny policy.
 
     Attributes:
         cameras: short names of its image features.
-        width, height: of the images [px].
-        means: of each value of state and action, in the units of the training data.
+        width, height: image size [px].
+        means: mean of each value of state and action, in the units of the training data.
     """
 
     cameras: Sequence[str] = ("front", "wrist")
@@ -34,7 +34,7 @@ class Saved(Protocol):
 
 
 def _features(shape: TinyShape) -> tuple[dict[str, object], dict[str, object]]:
-    """Inputs and outputs as LeRobot's configurations take them."""
+    """Inputs and outputs in the form of LeRobot's configurations."""
     from lerobot.configs import FeatureType, PolicyFeature
 
     size = len(shape.means)
@@ -49,7 +49,7 @@ def _features(shape: TinyShape) -> tuple[dict[str, object], dict[str, object]]:
 
 
 def _statistics(shape: TinyShape) -> dict[str, dict[str, object]]:
-    """Of a data set about `shape.means`; images as ImageNet has them."""
+    """Statistics of a data set around `shape.means`; those of ImageNet for images."""
     import torch
 
     mean = torch.tensor(shape.means, dtype=torch.float32)
@@ -81,10 +81,10 @@ def write_policy(
     """Save a policy of random weights with its processors.
 
     Args:
-        directory: where to.
-        shape: what it takes and gives.
-        configure, policy: LeRobot's classes of its configuration and of itself.
-        settings: of its configuration, beside those of every policy here.
+        directory: destination.
+        shape: its inputs and outputs.
+        configure, policy: LeRobot's classes of the configuration and of the policy.
+        settings: settings of this configuration, besides those common to all policies.
     """
     from lerobot.policies.factory import make_pre_post_processors
 

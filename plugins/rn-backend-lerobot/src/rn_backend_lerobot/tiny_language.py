@@ -15,7 +15,7 @@ from rn_backend_lerobot.tiny_checkpoint import TinyShape, write_policy
 TOKENIZER = "tokenizer"
 """Folder of the tokenizer in a checkpoint of pi0, pi05 and xvla."""
 BACKBONE = "backbone"
-"""Folder of the vision-language model's configuration and processor in one of smolvla."""
+"""Folder of the vision-language model's configuration and processor in a checkpoint of smolvla."""
 
 
 class _Tokenizer(Protocol):
@@ -97,7 +97,7 @@ def _write_backbone(directory: Path) -> None:
 
 
 def _tokenizer(**special: str) -> _Tokenizer:
-    """One token for each byte, and the special ones."""
+    """Tokenizer with one token per byte, and the special ones."""
     from tokenizers import Tokenizer, decoders, models, pre_tokenizers
     from transformers import PreTrainedTokenizerFast
 
@@ -142,7 +142,9 @@ _PI: dict[str, object] = {
 
 @contextlib.contextmanager
 def _local_tokenizer(processors: ModuleType, directory: Path) -> Iterator[None]:
-    """The processors name a tokenizer in the checkpoint's own folder, not the hub's."""
+    """Patch the processors to name a tokenizer in the checkpoint's own folder instead of the
+    hub's.
+    """
     _tokenizer().save_pretrained(directory / TOKENIZER)
     step = processors.TokenizerProcessorStep
 
@@ -177,7 +179,7 @@ def write_xvla(directory: Path, shape: TinyShape) -> None:
         action_mode="auto",
         num_denoising_steps=2,
         resize_imgs_with_padding=(64, 64),
-        # its default is none: random numbers would be far from the arm's
+        # its default is none: random numbers would be far from those of the arm
         normalization_mapping={
             "VISUAL": NormalizationMode.IDENTITY,
             "STATE": NormalizationMode.MEAN_STD,
@@ -207,4 +209,4 @@ _FLORENCE: dict[str, object] = {
         "max_position_embeddings": 256,
     },
 }
-"""Florence-2 with 32 dimensions."""
+"""Configuration of Florence-2 with 32 dimensions."""

@@ -1,4 +1,4 @@
-"""How a configured policy is wired to a robot: its numbers by name, its images by role."""
+"""Mapping of a configured policy to a robot: its numbers by name, its images by role."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ LEFT_OUT = "-"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Wiring:
-    """A policy and what its inputs and outputs are on the robot.
+    """A policy with the mapping of its inputs and outputs to the robot.
 
     Attributes:
         folder: the checkpoint.
         action, state: its numbers, in order.
-        space: what the rows are.
-        roles: camera role by the key of the image; "" for one that is called like a role or a
+        space: control space of the rows.
+        roles: camera role by the key of the image; "" for one that is named like a role or a
             camera, `LEFT_OUT` for none.
     """
 
@@ -34,14 +34,14 @@ class Wiring:
 
     @property
     def images(self) -> tuple[ImageFeature, ...]:
-        """What is given to the policy."""
+        """Images that are given to the policy."""
         return tuple(one for one in self.folder.images if self.roles[one.key] != LEFT_OUT)
 
     def frame(self, image: ImageFeature, observation: Observation) -> Frame:
-        """The frame that is that image.
+        """The camera frame for that image.
 
         Raises:
-            UngroundedError: no camera gives one.
+            UngroundedError: no camera provides it.
         """
         role = self.roles[image.key]
         found = observation.frames.get(role or image.short)
@@ -58,7 +58,7 @@ class Wiring:
 
 
 def wire(options: LeRobotOptions) -> Wiring:
-    """Read the checkpoint and put every number and image of it to something of the robot.
+    """Read the checkpoint and map each of its numbers and images to the robot.
 
     Raises:
         CheckpointError: see `read_folder`.
@@ -89,7 +89,7 @@ def wire(options: LeRobotOptions) -> Wiring:
     if options.action_steps is not None and folder.remembers and options.action_steps > 1:
         raise ConfigurationError(
             f"action_steps is {options.action_steps}, but a {folder.family} policy that remembers "
-            "observations is asked row by row."
+            "observations is queried row by row."
         )
     return Wiring(
         folder=folder,

@@ -16,7 +16,7 @@ from roboneuron import Frame, JointSample, Observation
 
 
 def main(checkpoint: str, source: str, target: str, count: str) -> None:
-    """Write float64 (count, n): what `SyncInferenceEngine` gives in so many ticks."""
+    """Write float64 (count, n): the actions of `SyncInferenceEngine` in `count` ticks."""
     seen = np.load(source)
     names = tuple(str(name) for name in seen["names"])
     frames = {
@@ -30,7 +30,7 @@ def main(checkpoint: str, source: str, target: str, count: str) -> None:
         gripper_open=float(seen["state"][-1]),
     )
     engine = Synchronous(Path(checkpoint), names)
-    torch.manual_seed(0)  # as the option `seed` has it
+    torch.manual_seed(0)  # as for the option `seed`
     np.save(target, np.array([engine.act(observation) for _ in range(int(count))]))
 
 

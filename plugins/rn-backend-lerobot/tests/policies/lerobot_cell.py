@@ -1,4 +1,4 @@
-"""The robot of these tests, and what it sees."""
+"""The robot of these tests, and its observations."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ Load = Callable[..., LeRobotBackend]
 
 @contextlib.contextmanager
 def sizes_of(policy: str) -> Iterator[None]:
-    """What has to be patched while a tiny policy is loaded."""
+    """Patches needed while a tiny policy is loaded."""
     with small_gemma() if policy in PATCHED else contextlib.nullcontext():
         yield
 
 
 def observe(number: int, instruction: str = "pick up the red cube") -> Observation:
-    """Observation of a number: noise as images, joints near those of the training data."""
+    """Observation with this number: noise as images, joints near those of the training data."""
     random = np.random.default_rng(number)
     stamp_ns = 10**9 + number * PERIOD_NS
     frames = {
@@ -60,7 +60,7 @@ def observe(number: int, instruction: str = "pick up the red cube") -> Observati
 
 
 def observe_pair(number: int) -> Observation:
-    """As `observe`, of two arms that stand differently."""
+    """As `observe`, for two arms in different positions."""
     one, other = observe(number), observe(number + 1000)
     assert one.joints is not None
     assert other.joints is not None

@@ -25,7 +25,7 @@ ALL_ROWS = 10_000
 
 
 def features(names: tuple[str, ...]) -> dict[str, dict[str, Any]]:
-    """As a data set of that robot has them."""
+    """Features of a data set of that robot."""
     vector = {"dtype": "float32", "shape": (len(names),), "names": list(names)}
     image = {"dtype": "video", "shape": (96, 96, 3), "names": ["height", "width", "channels"]}
     return {
@@ -37,7 +37,7 @@ def features(names: tuple[str, ...]) -> dict[str, dict[str, Any]]:
 
 
 def values(observation: Observation) -> dict[str, Any]:
-    """What LeRobot's `Robot.get_observation` returns at that moment."""
+    """Result of LeRobot's `Robot.get_observation` for this observation."""
     joints = observation.joints
     assert joints is not None
     found: dict[str, Any] = dict(zip(joints.names, joints.position.tolist(), strict=True))
@@ -49,7 +49,7 @@ def values(observation: Observation) -> dict[str, Any]:
 
 
 def load(directory: Path) -> tuple[Any, Any, Any]:
-    """Policy, pre- and postprocessor, as LeRobot's factory makes them."""
+    """Policy, pre- and postprocessor, created by LeRobot's factory."""
     config = PreTrainedConfig.from_pretrained(directory)
     config.device = "cpu"
     policy = get_policy_class(config.type).from_pretrained(directory, config=config)
@@ -78,7 +78,7 @@ class Synchronous:
 
 @dataclass
 class Call:
-    """What LeRobot asked its policy, and what it made of the answer.
+    """Input of LeRobot's policy in one call, and its output.
 
     Attributes:
         random: state of the random generator at the call.
@@ -96,7 +96,7 @@ class Call:
 
 
 class FakeRobot:
-    """What the engine asks of a robot."""
+    """The robot's interface used by the engine."""
 
     robot_type = ""
 
@@ -105,7 +105,7 @@ class FakeRobot:
 
 
 class RealTime:
-    """`RTCInferenceEngine`, whose calls of the policy are written down.
+    """`RTCInferenceEngine`, whose calls of the policy are recorded.
 
     Args:
         horizon: `execution_horizon`.
@@ -184,18 +184,18 @@ class RealTime:
         self.engine.stop()
 
     def see(self, observation: Observation) -> None:
-        """A new observation; the engine works from now on."""
+        """Pass a new observation; the engine runs from now on."""
         self.engine.notify_observation(values(observation))
         self.engine.resume()
 
     def continue_on(self, observation: Observation) -> None:
-        """A new observation, which the engine answers although rows are left."""
+        """Pass a new observation, which the engine answers although rows are left."""
         self.engine.pause()
         self.engine._rtc_queue_threshold = ALL_ROWS
         self.see(observation)
 
     def wait_for_calls(self, count: int, limit_s: float = 60.0) -> None:
-        """Until so many chunks are in the queue."""
+        """Wait until `count` chunks are in the queue."""
         end_s = time.monotonic() + limit_s
         while time.monotonic() < end_s:
             queue = self.engine.action_queue

@@ -1,9 +1,10 @@
-"""Write tests/data: what tests without LeRobot read.
+"""Write tests/data for the tests without LeRobot.
 
     .venv-lerobot-policies/bin/python plugins/rn-backend-lerobot/tests/policies/make_data.py
 
 Configurations, processors and statistics as LeRobot writes them (weights left out, absolute paths
-made relative), and numbers of LeRobot: a state, the chunk before the postprocessor and after it.
+made relative), and values computed by LeRobot: a state, the chunk before the postprocessor and
+after it.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ DATA = Path(__file__).parents[1] / "data"
 
 
 def main() -> None:
-    """Write every file anew."""
+    """Write all files again."""
     with tempfile.TemporaryDirectory() as folder:
         for policy in ("act", "smolvla"):
             source, target = Path(folder).resolve() / policy, DATA / policy

@@ -22,7 +22,7 @@ def pretrain() -> dict[str, Any]:
 
 
 def redness(picture: np.ndarray) -> np.ndarray:
-    """Where a picture (3, h, w) is red."""
+    """Mask of the red pixels of an image (3, h, w)."""
     red, green, blue = picture.astype(int)
     return (red > 90) & (red > 2 * green) & (red > 2 * blue)
 
@@ -33,7 +33,7 @@ def test_the_wrist_sees_the_cube_where_its_label_says(pretrain: dict[str, Any]) 
     seen, told = [], []
     for picture, label in zip(pictures[:, 1], labels, strict=True):
         rows, columns = np.nonzero(redness(picture))
-        free = label[2] < 0.03  # on the table, so that no finger is before it
+        free = label[2] < 0.03  # on the table, so that no finger occludes it
         if len(columns) > 8 and free and columns.min() > 0 and columns.max() < 95:
             seen.append([columns.mean(), rows.mean()])
             told.append(label[3:5])  # sideways of the TCP

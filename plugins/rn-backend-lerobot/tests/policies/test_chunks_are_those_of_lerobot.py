@@ -1,7 +1,7 @@
-"""Chunks of the backend beside those of LeRobot's own engines, on the same frames.
+"""Chunks of the backend compared with those of LeRobot's own engines, on the same frames.
 
-Both run the same kernels on the same numbers, so what is compared may differ by the rounding of
-float32 only.
+Both run the same kernels on the same numbers, so results may differ only by the rounding of
+float32.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rn_backend_lerobot.tiny_checkpoint import HOME, TinyShape
 from roboneuron import Ahead, Observation
 
 TOLERANCE = 1e-6
-"""[rad, opening]; float32 numbers about 2 are 2.4e-7 apart."""
+"""[rad, opening]; float32 numbers around 2 are 2.4e-7 apart."""
 TICKS = 18
 """More than two chunks of eight rows."""
 
@@ -30,7 +30,7 @@ TICKS = 18
 def test_a_chunk_is_what_lerobot_plays_one_action_at_a_time(
     policy: str, checkpoints: dict[str, Path], load: Load
 ) -> None:
-    """LeRobot asks the policy when its queue is empty: at each eighth tick."""
+    """LeRobot queries the policy when its queue is empty: at each eighth tick."""
     import torch
 
     backend = load(policy)
@@ -82,7 +82,7 @@ def test_numbers_of_two_arms_go_to_each_arm_by_name(
     assert chunk.space is not None
     assert chunk.space.keys == tuple(channel["to"] for channel in PAIR.values())
     for row in chunk.actions:
-        # lerobot plays the chunk of its first tick
+        # lerobot executes the chunk of its first tick
         expected = theirs.act(observe_pair(0))
         np.testing.assert_allclose(row, expected, rtol=0, atol=TOLERANCE)
     left, right = chunk.actions[:, :7], chunk.actions[:, 7:14]
@@ -136,14 +136,14 @@ def test_a_chunk_continues_the_running_one_as_in_lerobot(
 
 
 def rest_of(first: Call, second: Call) -> np.ndarray:
-    """The rows of the first chunk from that on with which the second one's prefix begins."""
+    """The rows of the first chunk from the first row of the second one's prefix on."""
     assert second.left is not None
     start = int((first.normalized - second.left[0]).abs().sum(dim=1).argmin())
     return first.rows[start:]
 
 
 def ahead_of(running: PolicyChunk, row: int, committed: int) -> Ahead:
-    """What is played meanwhile: the running chunk from a row on."""
+    """The rows executed during inference: the running chunk from a row on."""
     rows = running.rows[row:]
     return Ahead(
         rows=rows,
@@ -166,7 +166,9 @@ def repeated(backend: LeRobotBackend, seen: Observation, call: Call) -> PolicyCh
 def test_relative_actions_are_added_to_the_state_they_were_predicted_for(
     checkpoints: dict[str, Path], load: Load, tmp_path: Path
 ) -> None:
-    """The whole chunk is, and what is left of it is told to the next one by where it leads."""
+    """The whole chunk is relative, and the remaining rows are given to the next one by their
+    targets.
+    """
     import json
     import shutil
 
@@ -203,7 +205,7 @@ def test_relative_actions_are_added_to_the_state_they_were_predicted_for(
 
 
 def test_observations_of_several_robots_are_answered_in_one_pass(load: Load) -> None:
-    """ACT draws no noise: each answer is the one that it has alone."""
+    """ACT draws no noise, so each answer equals that of a single observation."""
     backend = load("act")
     several = [observe(number) for number in range(3)]
     together = backend.predict_batch(several)

@@ -1,4 +1,6 @@
-"""Two faults of LeRobot 0.6.1's real-time engine, shown there, and their absence here."""
+"""Two faults of LeRobot 0.6.1's real-time engine, demonstrated there, and their absence in the
+backend.
+"""
 
 from __future__ import annotations
 
@@ -20,9 +22,9 @@ from rn_standard.inference import execution
 from roboneuron import Ahead
 
 HORIZON, LEFT = 10, 3
-"""Rows that are guided, and rows that are left to be played."""
+"""Number of guided rows, and of rows left to be executed."""
 SLOW_S = 0.6
-"""What the first inference of a policy takes longer: kernels are chosen, memory is allocated."""
+"""Extra time of a policy's first inference: kernels are chosen, memory is allocated."""
 PERIOD_S = 1.0 / RATE_HZ
 
 
@@ -60,7 +62,7 @@ def test_lerobot_skips_the_first_rows_of_the_first_chunk_and_keeps_the_delay(
 
 
 def test_here_the_first_chunk_is_played_from_its_first_row(load: Load) -> None:
-    """By a virtual clock: one answer as slow as that, then twenty of 40 ms."""
+    """With a virtual clock: one answer as slow as that, then twenty of 40 ms."""
     backend = load("smolvla", action_steps=16)
     executor = make_executor(BACKEND, "rtc", execution.Bounds(first_s=9.0))
     executor.begin_epoch()
@@ -84,7 +86,7 @@ def test_here_the_first_chunk_is_played_from_its_first_row(load: Load) -> None:
     first = [row.index for number, row in played if number == 0]
     assert first
     assert first == list(range(len(first)))
-    # Each later chunk goes on at the row of the moment, and the slow answer counts once.
+    # Each later chunk continues at the current row, and the slow answer counts once.
     second = [row.index for number, row in played if number == 1]
     assert second[0] <= len(first) + 1
     assert max(committed[2:]) <= 3
@@ -109,7 +111,7 @@ def continued(checkpoints: dict[str, Path]) -> tuple[Call, Call]:
 def test_lerobot_pads_a_short_prefix_and_lands_at_the_mean_and_this_does_not(
     checkpoints: dict[str, Path], load: Load
 ) -> None:
-    """Zeros behind the rows that are left mean the mean of the training data."""
+    """Zeros after the remaining rows stand for the mean of the training data."""
     first, second = continued(checkpoints)
     padded = slice(LEFT, LEFT + 5)
     assert second.left is not None
@@ -130,14 +132,14 @@ def test_lerobot_pads_a_short_prefix_and_lands_at_the_mean_and_this_does_not(
     }
     assert spread["theirs"] < 0.2, "standard deviations from the mean"
     assert spread["ours"] > 0.5
-    # Both keep the rows that are left.
+    # Both keep the remaining rows.
     kept = running.rows[-LEFT:]
     for rows in (second.rows, ours.rows):
         np.testing.assert_allclose(rows[0], kept[0], rtol=0, atol=0.02)
 
 
 def answer(backend: LeRobotBackend, call: Call, ahead: Ahead | None) -> PolicyChunk:
-    """With the noise that LeRobot drew."""
+    """The answer with the noise that LeRobot drew."""
     assert backend._engine is not None
     backend._engine._noise._states = [call.random]
     seen = observe(0 if ahead is None else 1)

@@ -1,4 +1,4 @@
-"""What loading a checkpoint takes from where, and what is no policy after all."""
+"""Sources of the files when loading a checkpoint, and folders that are no policy."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def copied(checkpoints: dict[str, Path], tmp_path: Path) -> Callable[..., Path]:
 
 @pytest.fixture
 def no_network(monkeypatch: pytest.MonkeyPatch) -> list[object]:
-    """Addresses that somebody wanted to connect to; none is reached."""
+    """Addresses to which a connection was attempted; none is reached."""
     wanted: list[object] = []
 
     def connect(self: socket.socket, address: object) -> None:
@@ -72,7 +72,7 @@ def test_a_backbone_of_the_hub_is_taken_from_the_folder_that_the_user_names(
 def test_image_weights_that_the_checkpoint_replaces_are_not_fetched(
     copied: Callable[..., Path], load: Load, no_network: list[object]
 ) -> None:
-    """LeRobot's own default: it fetches them, and then loads the checkpoint's."""
+    """LeRobot's default fetches these weights, and then loads the checkpoint's."""
     folder = copied("act", pretrained_backbone_weights="ResNet18_Weights.IMAGENET1K_V1")
     backend = load("act", checkpoint=folder)
     expected = load("act").predict(observe(0)).actions
@@ -95,7 +95,7 @@ def test_the_hub_is_not_asked_while_lerobot_loads(monkeypatch: pytest.MonkeyPatc
 def test_weights_that_do_not_fit_are_refused(
     copied: Callable[..., Path], load: Load, policy: str
 ) -> None:
-    """LeRobot's pi05 prints what is wrong, and goes on with random weights."""
+    """LeRobot's pi05 only prints the error, and continues with random weights."""
     folder = copied(policy)
     weights = load_file(folder / "model.safetensors")
     name = next(key for key in sorted(weights) if weights[key].ndim == 2)
@@ -110,7 +110,7 @@ def test_weights_that_do_not_fit_are_refused(
 def test_missing_weights_are_refused_and_surplus_ones_do_no_harm(
     copied: Callable[..., Path], load: Load, policy: str
 ) -> None:
-    """LeRobot logs both, and goes on."""
+    """LeRobot logs both, and continues."""
     folder = copied(policy)
     weights = load_file(folder / "model.safetensors")
     save_file({**weights, "normalize_inputs.mean": np.zeros(3)}, folder / "model.safetensors")
@@ -143,10 +143,10 @@ def test_a_gpu_that_is_not_there_is_named(load: Load) -> None:
 def test_a_third_partys_policy_is_found_by_the_name_of_its_package(
     load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """That of the benchmark: its rows are the measured state."""
+    """The policy of the benchmark: its rows are the measured state."""
     site = tmp_path / "site"
     runpy.run_path(str(BENCH))["install"](site)
-    # in another process: here nothing has imported it yet
+    # in another process, where nothing has imported it yet
     code = (
         "import runpy, sys; from pathlib import Path; "
         "make = runpy.run_path(sys.argv[1])['make_checkpoint']; "

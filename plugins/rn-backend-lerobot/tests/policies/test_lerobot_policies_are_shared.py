@@ -30,7 +30,7 @@ ROBOT = RobotProfile(
 
 
 def options(checkpoint: Path, directory: Path) -> dict[str, Any]:
-    """Of [plugins.shared]."""
+    """Options of [plugins.shared]."""
     directory.mkdir(mode=0o700, exist_ok=True)
     return {
         "backend": "lerobot",

@@ -1,5 +1,5 @@
-"""The backends `oft`, `oft-primary` and `oft-pair`: images, state and an instruction to a chunk of
-actions.
+"""The backends `oft`, `oft-primary` and `oft-pair`, which map images, state and an instruction to
+an action chunk.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ proprioception.
 
 
 class OftBackend:
-    """Follows `roboneuron.contract.Backend`."""
+    """Implements `roboneuron.contract.Backend`."""
 
     cameras: ClassVar[tuple[str, ...]] = ("primary", "wrist")
     """Roles in the order of the model's images."""
@@ -82,11 +82,11 @@ class OftBackend:
         self._loaded = False
 
     def load(self) -> None:
-        """Read the checkpoint with its component files and give it to the runtime.
+        """Read the checkpoint with its component files and pass it to the runtime.
 
         Raises:
-            CheckpointError: files are absent, damaged, of another family or of a kind that is not
-                implemented.
+            CheckpointError: files are missing, damaged, of another family or of an unsupported
+                kind.
             ConfigurationError: an option does not fit the checkpoint or the contract.
         """
         config, constants = self._config, self._constants
@@ -149,11 +149,11 @@ class OftBackend:
         self._proprio = Scaling.of(statistics.proprio, constants.bounds, _EPSILON)
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """A chunk of actions for the newest images and state.
+        """Predict a chunk of actions from the newest images and state.
 
         Raises:
             UngroundedError: a camera or the state is missing from the observation, or too many of
-                the decoded tokens are no action tokens (`head = "tokens"`).
+                the decoded tokens are not action tokens (`head = "tokens"`).
             UnsafeError: the model produced non-finite values.
         """
         runtime, started = self._loaded_runtime(), time.perf_counter()
@@ -162,11 +162,10 @@ class OftBackend:
         return self._chunk(observation, runtime.run(request), started, prepared)
 
     def predict_batch(self, observations: Sequence[Observation]) -> list[ActionChunk]:
-        """A chunk for each observation, in their order, from one pass where the runtime can do
-        that.
+        """Predict a chunk for each observation, in their order, in one pass if the runtime can.
 
-        With the runtime `torch` in float32, each is within 1e-5 of what `predict` gives; times are
-        those of all. A runtime without `run_batch` is asked one after the other.
+        With the runtime `torch` in float32, each is within 1e-5 of the result of `predict`; times
+        are those of the whole batch. A runtime without `run_batch` is called once per observation.
 
         Raises:
             RoboNeuronError: as `predict`, for all of them.
@@ -248,8 +247,8 @@ class OftBackend:
         )
 
     def _to_normalized(self, values: F32) -> tuple[F64, dict[str, float], str]:
-        """Normalised actions (chunk, width), metrics of the tokens they were decoded from, and a
-        note on them.
+        """Normalised actions (chunk, width), with metrics and a note on the tokens they were
+        decoded from.
         """
         shape = (self._constants.chunk, self._constants.action_width)
         if values.size != shape[0] * shape[1]:
@@ -273,7 +272,7 @@ class OftBackend:
         return self._rows.to_contract(native)
 
     def reset(self) -> None:
-        """Nothing is remembered between observations."""
+        """Nothing to do: the backend keeps no history."""
 
     def close(self) -> None:
         """Release the runtime's model."""
@@ -283,12 +282,12 @@ class OftBackend:
 
 
 class OftPrimaryBackend(OftBackend):
-    """The same for checkpoints trained with one camera."""
+    """Backend for checkpoints trained with one camera."""
 
     cameras: ClassVar[tuple[str, ...]] = ("primary",)
 
 
 class OftPairBackend(OftBackend):
-    """The same for checkpoints trained with a camera at each of two wrists."""
+    """Backend for checkpoints trained with a primary camera and one at each of two wrists."""
 
     cameras: ClassVar[tuple[str, ...]] = ("primary", "wrist", "right_wrist")

@@ -18,12 +18,12 @@ def oft_case() -> BackendCase:
 
 
 def oft_primary_case() -> BackendCase:
-    """`oft-primary` likewise."""
+    """`oft-primary` with the same constants."""
     return _case(roboneuron_backends()[1])
 
 
 def oft_pair_case() -> BackendCase:
-    """`oft-pair` likewise."""
+    """`oft-pair` with the same constants."""
     return _case(roboneuron_backends()[2])
 
 

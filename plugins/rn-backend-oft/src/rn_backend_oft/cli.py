@@ -1,4 +1,4 @@
-"""`roboneuron-oft`: tiny checkpoints to try the backend with."""
+"""`roboneuron-oft`: creates tiny checkpoints to try the backend with."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The files beside the base checkpoint: action head and proprio projector, and those that cannot be
-used.
-"""
+"""Files next to the base checkpoint: action head and proprio projector, and unsupported ones."""
 
 from __future__ import annotations
 
@@ -10,7 +8,7 @@ from rn_vla.decoding import DecoderShape, Shard, Weight
 from roboneuron import CheckpointError
 
 _PREFIX = "module."
-"""Left in the files by distributed training."""
+"""Prefix left in the files by distributed training."""
 _BLOCKS = 2
 _REFUSED = {
     "noisy_action_projector": "a diffusion head, which is not implemented; use the L1 checkpoint "
@@ -21,7 +19,7 @@ _REFUSED = {
 
 
 def find_component(checkpoint: Path, component: str) -> Path:
-    """The one file of `component`. Raises CheckpointError when there is none or more than one."""
+    """The file of `component`. Raises CheckpointError unless there is exactly one."""
     found = _files(checkpoint, component)
     if len(found) != 1:
         names = ", ".join(path.name for path in found) or "none"
@@ -40,9 +38,7 @@ def _files(checkpoint: Path, component: str) -> list[Path]:
 
 
 def check_components(checkpoint: Path, *, head: bool, proprio: bool) -> None:
-    """Raise CheckpointError when a component is there that would be left out, or one that is not
-    implemented.
-    """
+    """Raise CheckpointError if a component exists that would be left out or is not implemented."""
     for component, reason in _REFUSED.items():
         for path in _files(checkpoint, component):
             raise CheckpointError(f"{path.name} says that the checkpoint has {reason}.")
@@ -60,7 +56,7 @@ def check_components(checkpoint: Path, *, head: bool, proprio: bool) -> None:
 
 
 def head_shard(path: Path, decoder: DecoderShape, action_width: int) -> Shard:
-    """The L1 head: a residual MLP over the hidden rows of one action."""
+    """Shard of the L1 head: a residual MLP over the hidden rows of one action."""
     hidden, wide = decoder.hidden, action_width * decoder.hidden
     shapes: dict[str, tuple[int, ...]] = {
         "layer_norm1.weight": (wide,),
@@ -86,7 +82,7 @@ def head_shard(path: Path, decoder: DecoderShape, action_width: int) -> Shard:
 
 
 def proprio_shard(path: Path, decoder: DecoderShape, width: int) -> Shard:
-    """The proprio projector: two linear layers."""
+    """Shard of the proprio projector: two linear layers."""
     hidden = decoder.hidden
     shapes: dict[str, tuple[int, ...]] = {
         "fc1.weight": (hidden, width),

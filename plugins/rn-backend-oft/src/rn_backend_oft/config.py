@@ -17,12 +17,12 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class OwnConstants(BaseModel):
-    """Constants of another platform, said field by field: `constants = "own"`."""
+    """Constants of another platform, given field by field: `constants = "own"`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     chunk: Annotated[int, Field(ge=1, le=MAX_CHUNK)]
-    """Actions that the head yields at once."""
+    """Actions per pass of the head."""
     action_width: Annotated[int, Field(ge=1)] = 7
     """Values per action."""
     state: StateLayout
@@ -41,24 +41,24 @@ class OwnConstants(BaseModel):
         return self
 
     def constants(self) -> Constants:
-        """They, as the backend takes them."""
+        """The same values as `Constants`."""
         return Constants(**self.model_dump(exclude_none=True))
 
 
 class OftConfig(OpenVlaModelOptions):
-    """Options of the backends of OpenVLA-OFT."""
+    """Options of the OpenVLA-OFT backends."""
 
     constants: Literal["libero", "bridge", "aloha", "own"]
     """Platform whose chunk length, widths and normalisation the checkpoint was trained with."""
     own_constants: OwnConstants | None = None
     """The fields of `constants = "own"`."""
     profile: Literal["libero", "bridge", "own", "joints"]  # type: ignore[assignment]
-    """What the actions mean, in which units and frame; never guessed. `joints` for platforms that
-    act on joints, whose constants say it.
+    """Meaning, units and frame of the actions; never guessed. `joints` for platforms with joint
+    actions, whose constants define it.
     """
     joints: Annotated[tuple[str, ...], Field(max_length=64)] | None = None
-    """The robot's names of the policy's joints, in the policy's order (each arm from the base to
-    the tip), for platforms that act on joints; nothing is mapped by place otherwise.
+    """Robot joint names of the policy's joints, in the policy's order (each arm from the base to
+    the tip), for platforms with joint actions; joints are never mapped by position.
     """
     head: Literal["l1", "tokens"] = "l1"
     """`l1` reads action_head--*_checkpoint.pt; `tokens` is for checkpoints without a head, which
@@ -67,16 +67,17 @@ class OftConfig(OpenVlaModelOptions):
     proprio: bool
     """The checkpoint has a proprio projector and was trained with proprioception."""
     execute: Annotated[int, Field(ge=1, le=MAX_CHUNK)] | None = None
-    """Actions of each chunk to play before the next inference; None plays all."""
+    """Actions of each chunk to execute before the next inference; None executes all."""
     finger_travel_m: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.04
     """Travel of each finger joint when open, for the state layout of LIBERO (Panda hand: 0.04)."""
     state_rotation: Literal["by_down", "quaternion"] = "by_down"
-    """Which of a rotation's two vectors the state has: the one near a gripper that points down, or,
-    in the simulator of the training data, the one that the sign of the measured quaternion tells.
+    """Choice between the two rotation vectors of a rotation for the state: the one near a gripper
+    that points down, or the one that follows the sign of the measured quaternion, as in the
+    simulator of the training data.
     """
     finger_joints: tuple[str, str] | None = None
-    """Names of both finger joints, when the state's last two values are to be what was measured of
-    them; None derives them from the opening.
+    """Names of both finger joints if the state's last two values are to be their measured
+    positions; None derives them from the opening.
     """
     state_origin_m: tuple[Finite, Finite, Finite] = (0.0, 0.0, 0.0)
     """Position of the robot's base in the world frame of the training data; added to the TCP
@@ -93,17 +94,17 @@ class OftConfig(OpenVlaModelOptions):
         return self
 
     def platform(self) -> Constants:
-        """The chosen constants, whole."""
+        """The chosen constants with all fields."""
         if self.own_constants is None:
             return CONSTANTS[self.constants]
         return self.own_constants.constants()
 
     def joint_rows(self) -> PlatformJoints | None:
-        """What the rows are when they are joints, which are then called `joints`; None when they
-        move the TCP.
+        """The rows of a platform with joint actions, mapped to `joints`; None if the actions move
+        the TCP.
 
         Raises:
-            ConfigurationError: `profile` and `joints` do not fit the constants.
+            ConfigurationError: `profile` and `joints` do not match the constants.
         """
         constants = self.platform()
         if (constants.state == "joints") != (self.profile == "joints"):

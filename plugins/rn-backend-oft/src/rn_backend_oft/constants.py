@@ -1,4 +1,4 @@
-"""Constants of a training platform that the checkpoint does not say: they are options, never
+"""Constants of a training platform, which the checkpoint does not contain: they are options, never
 guessed.
 """
 
@@ -18,18 +18,18 @@ StateLayout = Literal["xyz_rotvec_fingers", "xyz_rpy_opening", "joints"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Constants:
-    """What one platform was trained with.
+    """Constants of one training platform.
 
     Attributes:
         chunk: actions per inference.
         action_width: values per action.
-        state: how proprioception is laid out.
-        bounds: which statistics -1 and +1 stand for.
-        arms: names of the arms, of platforms that act on joints; one empty name for one arm.
-        gripper: of platforms that act on joints: "open_fraction" 0 closed .. 1 open, or the
+        state: layout of proprioception.
+        bounds: statistics that correspond to -1 and +1.
+        arms: names of the arms, on platforms with joint actions; one empty name for one arm.
+        gripper: on platforms with joint actions: "open_fraction" 0 closed .. 1 open, or the
             reverse.
-        step_s: time between two actions [s] of platforms that act on joints; the profile says it
-            for others.
+        step_s: time between two actions [s] on platforms with joint actions; on others it comes
+            from the profile.
     """
 
     chunk: int
@@ -46,15 +46,16 @@ class Constants:
         return self.chunk * self.action_width
 
     def rows(self) -> PlatformJoints:
-        """What the rows are, of a platform whose state is "joints".
+        """The rows of a platform whose state is "joints".
 
         Raises:
-            ConfigurationError: `action_width` is no joints and a gripper for each arm.
+            ConfigurationError: `action_width` is not the same number of joints and a gripper for
+                each arm.
         """
         each, rest = divmod(self.action_width, len(self.arms))
         if rest or each < 2:
             raise ConfigurationError(
-                f"action_width {self.action_width} is no joints and a gripper for each of "
+                f"action_width {self.action_width} does not hold joints and a gripper for each of "
                 f"{len(self.arms)} arms."
             )
         return PlatformJoints(

@@ -1,4 +1,6 @@
-"""What OpenVLA-OFT adds to OpenVLA's network: proprio projector, placeholder rows, L1 head."""
+"""Parts that OpenVLA-OFT adds to OpenVLA's network: proprio projector, placeholder rows, L1
+head.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +15,12 @@ from rn_vla.openvla.layout import VisionShape
 
 
 class OftFront(OpenVlaFront):
-    """First prompt token, patches of all cameras, proprioception, the rest of the prompt, empty
-    rows, stop token.
+    """Input sequence: first prompt token, patches of all cameras, proprioception, the rest of the
+    prompt, empty rows, stop token.
     """
 
     def __init__(self, shape: VisionShape, *, placeholders: int, proprio_width: int) -> None:
-        """`proprio_width` 0 is for checkpoints without proprioception."""
+        """`proprio_width` is 0 for checkpoints without proprioception."""
         super().__init__(shape)
         self.placeholders = placeholders
         self.proprio_projector = (
@@ -28,8 +30,8 @@ class OftFront(OpenVlaFront):
     def forward(
         self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]
     ) -> Tensor:
-        """Arrays {"pixel_values", "proprio"?} and ids (b, n) with placeholders -> (b, patches + 0
-        or 1 + n, hidden).
+        """Build the input rows from arrays {"pixel_values", "proprio"?} and ids (b, n) with
+        placeholders; returns (b, patches + 0 or 1 + n, hidden).
         """
         words = embed(ids)
         end = words.shape[1] - 1
@@ -52,7 +54,7 @@ class _ResidualBlock(nn.Module):
 
 
 class L1Head(nn.Module):
-    """Rows (b, chunk * width, hidden) -> normalised actions (b, chunk, width)."""
+    """Maps rows (b, chunk * width, hidden) to normalised actions (b, chunk, width)."""
 
     def __init__(self, *, hidden: int, chunk: int, action_width: int) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What this package offers: the backends `oft`, `oft-primary` and `oft-pair`."""
+"""Descriptors of this package: the backends `oft`, `oft-primary` and `oft-pair`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from roboneuron import ActionSpace, BackendSpec, Requirement, hookimpl
 
 MAX_CHUNK = 25
-"""Most actions that one inference may yield."""
+"""Largest number of actions per inference."""
 
 
 def _spec(name: str, summary: str, target: str, case: str, cameras: tuple[str, ...]) -> BackendSpec:
@@ -38,7 +38,7 @@ def _spec(name: str, summary: str, target: str, case: str, cameras: tuple[str, .
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """OpenVLA-OFT checkpoints trained with one, two or three cameras."""
+    """Register the backends for OpenVLA-OFT checkpoints trained with one, two or three cameras."""
     return (
         _spec(
             "oft",

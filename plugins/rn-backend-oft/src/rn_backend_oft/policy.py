@@ -1,4 +1,4 @@
-"""From a checkpoint to what a runtime loads, and from an observation to what it runs; no units, no
+"""Converts a checkpoint to a runtime's model, and an observation to its request; without units and
 robot.
 """
 
@@ -23,12 +23,12 @@ I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 FAMILY = "openvla-oft"
-"""Name of the family in descriptors."""
+"""Name of the model family in descriptors."""
 _PLACEHOLDER_ID = 1
 _STOP_ID = 2
 _TAIL = 2
-"""Rows after the read ones: read-out begins one row early, at the last prompt token, so a
-placeholder stays too.
+"""Rows after the read ones: the read-out starts one row early, at the last prompt token, so one
+placeholder remains.
 """
 
 
@@ -38,7 +38,7 @@ class OftPolicy:
 
     Attributes:
         checkpoint: the base model's files.
-        constants: of the platform.
+        constants: those of the platform.
         cameras: images per observation.
         head: "l1" or "tokens".
         proprio_width: values of proprioception; 0 for none.
@@ -51,10 +51,10 @@ class OftPolicy:
     proprio_width: int
 
     def model(self, max_prompt_tokens: int, min_prompt_tokens: int = 12) -> PolicyModel:
-        """The checkpoint as any runtime of the family takes it.
+        """The checkpoint in the form that runtimes of the family load.
 
         Raises:
-            CheckpointError: component files are missing, would be left out or are not implemented.
+            CheckpointError: component files are missing, would be left out, or are not implemented.
         """
         path, decoder = self.checkpoint.path, self.checkpoint.decoder
         has_head = self.head == "l1"
@@ -98,17 +98,17 @@ class OftPolicy:
         timeout_s: float | None = None,
         read: Literal["output", "hidden", "tokens"] | None = None,
     ) -> RowsRequest:
-        """One request for one chunk.
+        """Create the request for one chunk.
 
         Args:
             text: the whole prompt.
-            ids: int64 (n,), ended by the prompt's final id; placeholders and stop id are added
-                here.
+            ids: int64 (n,), with the prompt's final id at the end; this method adds placeholders
+                and the stop id.
             images: uint8 (H, W, 3), one per camera.
             pixel_values: float32 (cameras * channels, side, side), primary camera first.
             proprio: float32 (n,) normalised, or None for a checkpoint without.
-            timeout_s: time from now after which the answer is of no use.
-            read: what to read; None for what the head says.
+            timeout_s: time from now after which the answer is useless.
+            read: what to read; None for the default of the head.
         """
         arrays = {"pixel_values": pixel_values}
         if proprio is not None:

@@ -1,4 +1,4 @@
-"""Which control space the chunks of a configured OFT have, said before anything is loaded."""
+"""Control space of a configured OFT's chunks, determined before anything is loaded."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from roboneuron import EE_DELTA, ControlSpace, RobotProfile
 def oft_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
     """The space of the platform that the option `constants` names.
 
-    Options that do not name a platform of joints are checked when the backend loads.
+    Options of platforms without joint actions are checked when the backend loads.
 
     Raises:
-        ConfigurationError: the option `joints` is missing or does not fit the policy or the robot.
+        ConfigurationError: the option `joints` is missing or does not match the policy or the
+            robot.
     """
     constants = _constants(options)
     if constants is None or constants.state != "joints":

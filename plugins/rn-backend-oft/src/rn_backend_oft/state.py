@@ -1,4 +1,4 @@
-"""Proprioception as the checkpoint was trained with it, from the contract's measured state."""
+"""Conversion of the contract's measured state to the checkpoint's proprioception."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ F64 = NDArray[np.float64]
 STATE_WIDTHS: Mapping[StateLayout, int] = MappingProxyType(
     {"xyz_rotvec_fingers": 8, "xyz_rpy_opening": 7}
 )
-"""Values of each layout that one arm's measured state gives."""
+"""Number of values of each layout that is read from one arm's TCP pose and gripper."""
 
 
 def state_width(layout: StateLayout) -> int:
-    """Values of the layout. Raises ConfigurationError for one that TCP pose and gripper do not
-    give.
+    """Number of values of the layout. Raises ConfigurationError for one that TCP pose and gripper
+    do not define.
     """
     if layout not in STATE_WIDTHS:
         raise ConfigurationError(
@@ -41,16 +41,16 @@ def read_state(
     finger_joints: tuple[str, str] | None = None,
     by_quaternion: bool = False,
 ) -> F64:
-    """Measured state (n,): TCP position [m], then by layout
+    """Measured state (n,): TCP position [m], then, depending on the layout,
 
-    - "xyz_rotvec_fingers": rotation vector [rad] around that of a gripper pointing down (or,
-      `by_quaternion`, of up to 2 pi as the quaternion's sign tells), both finger joints [m] (the
-      second one negative; as measured where `finger_joints` names them); as in LIBERO;
-    - "xyz_rpy_opening": roll, pitch, yaw [rad] against a gripper pointing down, opening 0 closed ..
-      1 open; as in BridgeData.
+    - "xyz_rotvec_fingers": rotation vector [rad] near that of a gripper pointing down (or, with
+      `by_quaternion`, of up to 2 pi, following the quaternion's sign), both finger joints [m] (the
+      second one negative; measured if `finger_joints` names them); as in LIBERO;
+    - "xyz_rpy_opening": roll, pitch, yaw [rad] relative to a gripper pointing down, opening 0
+      closed .. 1 open; as in BridgeData.
 
     Raises:
-        UngroundedError: pose or gripper is missing or not finite; nothing is put in its place.
+        UngroundedError: pose or gripper is missing or not finite; no value is substituted.
     """
     pose, opening = observation.ee_pose, observation.gripper_open
     if pose is None or opening is None:

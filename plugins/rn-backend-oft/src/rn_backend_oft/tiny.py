@@ -17,15 +17,15 @@ from rn_vla.openvla.tiny import STATISTICS_KEY, make_tiny, random_values, tiny_s
 from roboneuron import ConfigurationError
 
 _REACH_RAD = 0.5
-"""How far from 0 the joints of tiny policies go."""
+"""Largest joint position of tiny policies."""
 
 
 def make_tiny_oft(path: Path, *, seed: int = 0, platform: str = "libero") -> None:
     """Write a checkpoint with L1 head and proprio projector into the new or empty `path`.
 
     Args:
-        path: where to.
-        seed: of the random weights.
+        path: destination.
+        seed: seed of the random weights.
         platform: one of `CONSTANTS`.
 
     Raises:

@@ -1,3 +1,3 @@
-"""openpi's websocket for policies: the backend `openpi` asks a server, the command `openpi-server`
-is one.
+"""openpi's websocket protocol for policies: the backend `openpi` is a client, the command
+`openpi-server` a server.
 """

@@ -1,4 +1,4 @@
-"""The backend "openpi": asks a policy server."""
+"""The backend "openpi": a client of a policy server."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from rn_backend_openpi.client import PolicyClient, Reply
 
 _FRESH_S = 0.2
-"""When reconnecting took longer than this, the images at hand are old and the caller is asked for
-newer ones.
+"""Reconnecting time above which the current images are too old, so that the caller must send newer
+ones.
 """
 _DOWN_XYZW = (1.0, 0.0, 0.0, 0.0)
 _GREY_PX = (224, 224)
@@ -47,14 +47,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class _OpenpiSession:
-    """What a loaded backend holds.
+    """State of a loaded backend.
 
     Attributes:
-        client: connected, or about to be again.
-        told: by the server.
+        client: connected, or reconnecting.
+        told: the server's metadata.
         warning: shown in every chunk; empty for none.
-        identity: of the episode, for servers that keep one.
-        is_new: the server has not been told yet that the episode is a new one.
+        identity: id of the episode, for servers that use one.
+        is_new: True until the server has been notified of the new episode.
     """
 
     client: PolicyClient
@@ -65,7 +65,7 @@ class _OpenpiSession:
 
 
 class OpenpiBackend:
-    """Follows the protocol `Backend`; construction is pure, `load` connects."""
+    """Implements the protocol `Backend`; the constructor has no side effects, `load` connects."""
 
     def __init__(
         self, config: OpenpiOptions, *, runtime: object = None, acceleration: object = None
@@ -76,15 +76,15 @@ class OpenpiBackend:
         self._session: _OpenpiSession | None = None
 
     def load(self) -> None:
-        """Connect, compare the server's metadata with the options, and ask for one chunk, so that
-        the server has compiled and its answer is known to fit.
+        """Connect, compare the server's metadata with the options, and request one chunk, so that
+        the server compiles its model and the answer's format is checked.
 
         Raises:
             ConfigurationError: an option does not fit, the key is refused, or the server's metadata
                 or answer do not fit.
             NotReadyError: the server cannot be reached in time or fails.
             UnsafeError: the server's model produces non-finite values.
-            StateError: it is loaded already.
+            StateError: the backend is already loaded.
         """
         if self._session is not None:
             raise StateError("Backend 'openpi' is connected already.", hint="Call close() first.")
@@ -118,11 +118,10 @@ class OpenpiBackend:
         """Return the next actions.
 
         Raises:
-            NotReadyError: no answer in time, or the connection is gone; the next call connects
-                again.
+            NotReadyError: no answer in time, or the connection is lost; the next call reconnects.
             UngroundedError: a camera, the pose, joints or the gripper is missing.
             UnsafeError: the measured state or the answer is not finite.
-            ConfigurationError: the answer is not what the protocol and the profile say.
+            ConfigurationError: the answer does not follow the protocol or the profile.
             StateError: `load` was not called.
         """
         session, config = self._session, self._config
@@ -133,13 +132,13 @@ class OpenpiBackend:
             session.client.open(config.request_timeout_s)
             if time.monotonic() - start > _FRESH_S:
                 raise NotReadyError(
-                    f"Connected to {config.url} again; the observation has grown old meanwhile."
+                    f"Reconnected to {config.url}; the observation is too old by now."
                 )
         left_s = config.request_timeout_s - (time.monotonic() - start)
         return self._ask(session, observation, left_s)
 
     def reset(self) -> None:
-        """Begin another episode: a server that keeps one is told with the next request."""
+        """Start a new episode; a server with sessions is notified with the next request."""
         if self._session is not None:
             self._session.identity = uuid.uuid4().hex
             self._session.is_new = True
@@ -161,7 +160,7 @@ class OpenpiBackend:
     def _ask(
         self, session: _OpenpiSession, observation: Observation, timeout_s: float
     ) -> ActionChunk:
-        """One request and its answer, checked."""
+        """Send one request and check its answer."""
         told, client = session.told, session.client
         rows = told.layout.rows
         start = time.monotonic()
@@ -192,16 +191,16 @@ class OpenpiBackend:
         )
 
     def _begin(self, session: _OpenpiSession, timeout_s: float) -> None:
-        """Tell the server of a new episode, once."""
+        """Notify the server of a new episode, once."""
         if session.is_new:
             session.client.reset({"endpoint": "reset", "session_id": session.identity}, timeout_s)
             session.is_new = False
 
     def _served(self, reply: Reply, width: int) -> NDArray[np.float64]:
-        """float64 (H, width) of a reply, as it was served.
+        """The served actions of a reply, float64 (H, width).
 
         Raises:
-            ConfigurationError: anything else; names both sides.
+            ConfigurationError: the reply has another form; names both sides.
             UnsafeError: a value is not finite.
         """
         config = self._config
@@ -228,10 +227,10 @@ class OpenpiBackend:
 
 
 def _side_by_side(reply: Reply, keys: tuple[str, ...]) -> NDArray[np.float64]:
-    """The arrays of these keys as one, float64; an array alone is what the only key would name.
+    """Concatenate the arrays of these keys, float64; a bare array stands for that of a single key.
 
     Raises:
-        ConfigurationError: one of them is missing, or they do not fit beside each other.
+        ConfigurationError: one of them is missing, or their shapes do not fit.
     """
     if isinstance(reply, np.ndarray):
         if len(keys) > 1:
@@ -259,13 +258,13 @@ def _side_by_side(reply: Reply, keys: tuple[str, ...]) -> NDArray[np.float64]:
 
 
 def _chunk(values: NDArray[np.generic]) -> NDArray[np.float64]:
-    """Without the axis of a batch of one, which some servers leave in."""
+    """Remove the axis of a batch of one, which some servers keep."""
     numbers = values.astype(np.float64)
     return numbers[0] if numbers.ndim == 3 and len(numbers) == 1 else numbers
 
 
 def _nominal(config: OpenpiOptions, layout: Layout) -> Observation:
-    """A harmless observation for the warm-up; its answer is checked and thrown away."""
+    """A harmless observation for the warm-up; its answer is checked and discarded."""
     grey = np.full((*(layout.image_size_px or _GREY_PX), 3), 128, dtype=np.uint8)
     names = config.joints or ()
     pose = Pose(position_m=np.array([0.45, 0.0, 0.45]), quaternion_xyzw=np.array(_DOWN_XYZW))
@@ -284,18 +283,18 @@ def _nominal(config: OpenpiOptions, layout: Layout) -> Observation:
 
 
 def _step_s(reply: Reply) -> float:
-    """The period that the reply says [s]."""
+    """Time between two actions, from the reply [s]. Raises ConfigurationError if it has none."""
     step_s = reply.get(STEP) if isinstance(reply, dict) else None
     if not isinstance(step_s, int | float) or not 0.0 < step_s <= 10.0:
         raise ConfigurationError(
-            f"The policy server's reply says no time between two actions ({STEP} is {step_s!r}).",
+            f"The policy server's reply has no time between two actions ({STEP} is {step_s!r}).",
             hint="Set rate_hz.",
         )
     return float(step_s)
 
 
 def _server_ms(reply: Reply) -> float | None:
-    """The server's own inference time, when it says one."""
+    """The server's own inference time [ms]; None if the reply has none."""
     if not isinstance(reply, dict):
         return None
     for block in ("policy_timing", "server_timing"):

@@ -36,8 +36,8 @@ class Reflex:
     """One layer over the mean colours of the picture and the state; see `Model`.
 
     Args:
-        space: of its rows.
-        step_s: time between two of them [s].
+        space: control space of its rows.
+        step_s: time between two rows [s].
     """
 
     most = 8
@@ -50,7 +50,7 @@ class Reflex:
         """Nothing to load."""
 
     def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
-        """A chunk of four rows for each, by itself."""
+        """A chunk of four rows for each observation."""
         return [self.predict(observation) for observation in observations]
 
     def predict(self, observation: Observation) -> ActionChunk:
@@ -84,15 +84,15 @@ def serving(
     tls: ssl.SSLContext | None = None,
     port: int = 0,
 ) -> Iterator[str]:
-    """A server in a thread as long as the block runs; yields its URL.
+    """Run a server in a thread while the block runs; yields its URL.
 
     Args:
         options: of the interface and of the server.
-        model: that answers.
+        model: the served model.
         spec: its descriptor.
-        space: of its rows.
-        key: that clients have to send.
-        tls: what encrypts.
+        space: control space of its rows.
+        key: key that clients must send.
+        tls: TLS context of the server.
         port: 0 for any free one.
     """
     policy = ServedPolicy(model, spec, layout_of(options, space), space, options)
@@ -107,7 +107,7 @@ def serving(
         is_open.set()
 
     async def serve() -> None:
-        # one thread that is there from now on: the kit counts those that a client leaves behind
+        # one thread from the start: the contract kit counts threads that a client leaves behind
         loop.set_default_executor(ThreadPoolExecutor(max_workers=1))
         await asyncio.to_thread(int)
         server = OpenpiServer(policy, options.server, key)
@@ -130,7 +130,7 @@ def serving(
 
 
 def openpi_case() -> BackendCase:
-    """`openpi` in front of a server that lasts as long as the process."""
+    """`openpi` with a server that runs until the process exits."""
     return BackendCase(spec=BACKEND, options={"profile": "roboneuron", "url": _url()})
 
 

@@ -1,5 +1,5 @@
-"""A client of openpi's websocket policy server: one request at a time, bounded waits, reconnects by
-itself.
+"""A client of openpi's websocket policy server: one request at a time, bounded waits, automatic
+reconnection.
 """
 
 from __future__ import annotations
@@ -31,21 +31,22 @@ _UNAUTHORIZED = (401, 403)
 _SHOWN = 300
 _CLOSE_TIMEOUT_S = 0.5
 _RESET_DONE = "reset successful"
-"""Source: roboarena policy_server.py."""
+"""Reply to a reset. Source: roboarena policy_server.py."""
 log = logging.getLogger(__name__)
 
 
 class PolicyClient:
-    """Speaks openpi's policy protocol; used from one thread, except `close`.
+    """Client of openpi's policy protocol; used from one thread, except `close`.
 
-    A request that fails is never sent again: by then its images are old, and the caller has newer
-    ones. The connection is dropped after every failure, so that a late answer is never taken for
-    that of the next request.
+    A failed request is never repeated: by then its images are old, and the caller has newer ones.
+    The connection is dropped after every failure, so that a late answer cannot be mistaken for that
+    of the next request.
 
     Args:
         url: "ws://host:port" or "wss://host:port", with a path if the server has one.
         api_key: sent as "Authorization: Api-Key ..."; None for none.
-        ca_file: PEM of the authority that is trusted beside the system's; None for those alone.
+        ca_file: PEM of an authority that is trusted in addition to the system's; None for the
+            system's only.
     """
 
     def __init__(
@@ -60,12 +61,12 @@ class PolicyClient:
         self._stack = ExitStack()
         self._closed = threading.Event()
         self.connections = 0
-        """How often a connection was made."""
+        """Number of connections made."""
 
     @property
     def is_connected(self) -> bool:
-        """Whether there is a connection that has neither failed nor been closed by the server, as
-        some do after a while without a request.
+        """True if the connection exists and has neither failed nor been closed by the server, which
+        some do when idle.
         """
         connection = self._connection
         return connection is not None and connection.state is State.OPEN
@@ -74,7 +75,7 @@ class PolicyClient:
         """Connect, with growing pauses between attempts; returns the server's metadata.
 
         Raises:
-            NotReadyError: nobody answered within `timeout_s`.
+            NotReadyError: no server answered within `timeout_s`.
             ConfigurationError: the key is refused, or the other end does not speak the protocol.
         """
         self._drop()
@@ -104,7 +105,7 @@ class PolicyClient:
         Raises:
             NotReadyError: the connection broke, the server reported a failure, or no reply came
                 within `timeout_s`.
-            ConfigurationError: the reply is not of the protocol.
+            ConfigurationError: the reply does not follow the protocol.
         """
         connection = self._connection
         if connection is None:
@@ -125,8 +126,8 @@ class PolicyClient:
         return self._decoded(reply)
 
     def reset(self, request: Mapping[str, Value], timeout_s: float) -> None:
-        """Send one request whose answer says no more than that it was understood, as text or as a
-        map. Raises NotReadyError as `infer`.
+        """Send one request whose answer only acknowledges it, as text or as a map. Raises
+        NotReadyError as `infer` does.
         """
         connection = self._connection
         if connection is None:
@@ -147,7 +148,7 @@ class PolicyClient:
     def _exchange(
         self, connection: Connection, request: Mapping[str, Value], timeout_s: float
     ) -> str | bytes:
-        """One frame there and one back. Raises TimeoutError when that takes longer."""
+        """Send one frame and receive one. Raises TimeoutError when that takes longer."""
         deadline_s = time.monotonic() + timeout_s
         late = threading.Event()
         self._check_silent(connection)
@@ -161,21 +162,21 @@ class PolicyClient:
         return connection.recv(timeout=max(0.0, deadline_s - time.monotonic()))
 
     def _check_silent(self, connection: Connection) -> None:
-        """Raise ConnectionError when an answer is there before it is asked for: openpi's answers
-        have no number, it would be taken for the next one.
+        """Raise ConnectionError if an answer arrived before the request: openpi's answers have no
+        number, so it would be taken for that of the request.
         """
         with suppress(TimeoutError):
             connection.recv(timeout=0)
-            raise ConnectionAbortedError("the server sent an answer that nobody has asked for")
+            raise ConnectionAbortedError("the server sent an answer without a request")
 
     def _attempt(self, timeout_s: float) -> dict[object, object]:
         deadline_s = time.monotonic() + timeout_s
-        # A socket of our own: no proxy and no redirect, the URL alone says where images go and
-        # actions come from.
+        # An own socket, without proxy or redirect: only the URL decides where images go and actions
+        # come from.
         plain = socket.create_connection(self._address, timeout=timeout_s)
         plain.settimeout(None)
         self._stack.callback(plain.close)
-        # No keep-alive pings: the server's loop is blocked while it computes.
+        # No keep-alive pings: the server's event loop is blocked while it computes.
         connection = self._connection = self._stack.enter_context(
             connect(
                 self._url,
@@ -193,12 +194,12 @@ class PolicyClient:
         try:
             told = connection.recv(timeout=max(0.0, deadline_s - time.monotonic()))
         except TimeoutError as error:
-            raise TimeoutError("it has accepted the connection, but sends no metadata") from error
+            raise TimeoutError("it accepted the connection, but sends no metadata") from error
         metadata = self._decoded(told)
         if not isinstance(metadata, dict):
             self._drop()
             raise ConfigurationError(
-                f"{self._url} answers with an array before it is asked; metadata are a map.",
+                f"{self._url} sends an array before any request; metadata are a map.",
                 hint="Check that the URL is that of a policy server.",
             )
         return metadata
@@ -216,7 +217,7 @@ class PolicyClient:
         except InvalidInputError as error:
             self._drop()
             raise ConfigurationError(
-                f"The policy server at {self._url} sent something else than openpi's format. "
+                f"The policy server at {self._url} sent data that is not in openpi's format. "
                 f"{error.message}",
                 hint="Check that the URL is that of a policy server.",
             ) from error
@@ -230,7 +231,7 @@ class PolicyClient:
         return reply
 
     def _check_final(self, error: Exception) -> None:
-        """Raise for a failure that waiting cannot mend."""
+        """Raise ConfigurationError for a failure that waiting cannot resolve."""
         if isinstance(error, InvalidURI):
             raise ConfigurationError(
                 f"{self._url!r} is not a websocket URL.", hint="Correct the option 'url'."
@@ -252,14 +253,16 @@ class PolicyClient:
         connection, self._connection = self._connection, None
         stack, self._stack = self._stack, ExitStack()
         if connection is not None:
-            # A peer that is half open would make an orderly close wait.
+            # With a half-open peer an orderly close would block.
             with suppress(OSError):
                 connection.socket.shutdown(socket.SHUT_RDWR)
         stack.close()
 
 
 def _tls(ca_file: Path | None) -> ssl.SSLContext:
-    """What is trusted. Raises ConfigurationError when the file holds no certificate."""
+    """TLS context with the trusted authorities. Raises ConfigurationError if the file holds no
+    certificate.
+    """
     context = ssl.create_default_context()
     if ca_file is not None:
         try:
@@ -275,7 +278,7 @@ def _tls(ca_file: Path | None) -> ssl.SSLContext:
 def _shut_after(plain: socket.socket, timeout_s: float, late: threading.Event) -> Iterator[None]:
     """Shut the socket when the body takes longer than `timeout_s`, and set `late`.
 
-    websockets bounds receiving but not sending: a peer that reads nothing would block it for ever.
+    websockets bounds receiving but not sending: a peer that reads nothing would block it forever.
     """
 
     def shut() -> None:

@@ -1,4 +1,6 @@
-"""How policies write grippers and rotations: to the contract's openings and matrices, and back."""
+"""Conversion of a policy's gripper and rotation conventions to the contract's openings and
+matrices, and back.
+"""
 
 from __future__ import annotations
 
@@ -28,11 +30,11 @@ ROTATION_VALUES: Mapping[str, int] = MappingProxyType(
         "rot6d_rows": 6,
     }
 )
-"""How many values each takes."""
+"""Number of values of each convention."""
 
 
 def to_opening(values: F64, convention: GripperValue) -> F64:
-    """A policy's gripper values -> openings, not clipped."""
+    """Convert a policy's gripper values to openings, without clipping."""
     if convention == "closed_fraction":
         return 1.0 - values
     if convention in ("signed_open", "signed_close"):
@@ -52,11 +54,11 @@ def from_opening(openings: F64, convention: GripperValue) -> F64:
 
 
 _SHORTEST = 1e-3
-"""Of a quaternion or an axis that still says a direction."""
+"""Smallest length of a quaternion or an axis that still defines a direction."""
 
 
 def matrix_of(values: F64, rotation: PoseRotation) -> F64:
-    """Rotation matrix (3, 3) of what a policy writes. Raises UnsafeError when it is none."""
+    """Rotation matrix (3, 3) of a policy's values. Raises UnsafeError if they are no rotation."""
     if rotation == "rotvec":
         return matrix_from_rotvec(values)
     if rotation == "rpy":
@@ -64,7 +66,7 @@ def matrix_of(values: F64, rotation: PoseRotation) -> F64:
     if rotation in ("quaternion", "quaternion_wxyz"):
         xyzw = values if rotation == "quaternion" else np.roll(values, -1)
         return matrix_from_quaternion(xyzw / _length(xyzw, values))
-    # Gram-Schmidt: networks write two vectors that are nearly of length 1 and nearly perpendicular
+    # Gram-Schmidt: a network's two vectors are only nearly of length 1 and nearly perpendicular
     first = values[:3] / _length(values[:3], values)
     across = values[3:] - first * (first @ values[3:])
     second = across / _length(across, values)
@@ -80,7 +82,7 @@ def _length(vector: F64, told: F64) -> float:
 
 
 def rotation_of(quaternion_xyzw: F64, rotation: PoseRotation) -> F64:
-    """The inverse of `matrix_of`, of a unit quaternion."""
+    """The inverse of `matrix_of`, for a unit quaternion."""
     if rotation == "quaternion":
         return quaternion_xyzw
     if rotation == "quaternion_wxyz":

@@ -1,4 +1,4 @@
-"""From options to the interface that they describe."""
+"""Construction of a policy's interface from the options."""
 
 from __future__ import annotations
 
@@ -46,18 +46,17 @@ def layout_of(options: OpenpiOptions, space: ControlSpace | None = None) -> Layo
     """The interface that these options describe.
 
     Args:
-        options: of client or server.
-        space: of the profile 'roboneuron', where it is known; else the options say it.
+        options: those of the client or the server.
+        space: control space of the profile 'roboneuron'; None if only the options define it.
 
     Raises:
-        ConfigurationError: there is no profile, or `joints` is missing, does not fit, or has no
-            use.
+        ConfigurationError: no profile is set, or `joints` is missing, does not fit, or is unused.
     """
     if options.profile is None:
         raise ConfigurationError(
             "The option 'profile' of 'openpi' is not set; choose one of "
             f"{', '.join((*PRESETS, PLAIN, OWN))}.",
-            hint="The profile says what the served policy takes and what its actions mean; it "
+            hint="The profile defines the served policy's inputs and its actions' meaning; it "
             "is never guessed.",
         )
     preset = PRESETS.get(options.profile)
@@ -128,7 +127,7 @@ def _rows(options: OpenpiOptions) -> Rows:
     layout = PROFILES[options.profile or ""].action if action is None else _delta(action)
     if layout.adds_state:
         raise ConfigurationError(
-            "adds_state has no use here: a policy server adds the state itoptions.",
+            "adds_state has no effect: a policy server adds the state itself.",
             hint="Leave it out.",
         )
     return DeltaRows(layout=layout, base_position_m=base)
@@ -139,11 +138,11 @@ def _plain(space: ControlSpace) -> PlainRows:
 
 
 def _refuse_joints(options: OpenpiOptions) -> None:
-    """Raise for names of joints that nothing reads."""
+    """Raise ConfigurationError for joint names that are not used."""
     terms = {term for part in (options.state_keys or {}).values() for term in part}
     if options.joints is not None and "joints" not in terms:
         raise ConfigurationError(
-            "The option 'joints' has no use: the profile moves the TCP and its state holds no "
+            "The option 'joints' has no effect: the profile moves the TCP and its state holds no "
             "joints."
         )
 

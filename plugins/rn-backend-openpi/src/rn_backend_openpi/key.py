@@ -1,4 +1,4 @@
-"""API keys from files, and where they may travel."""
+"""API keys from files, and the connections that may carry them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _NEW = "Make one with: umask 077; python -c 'import secrets; print(secrets.token
 
 
 def read_key(path: Path) -> str:
-    """The key in a file, its last line break left out.
+    """The key in a file, without the final line break.
 
     Raises:
-        ConfigurationError: the file cannot be read, others may read it, or it holds no key of 16
-            printable ASCII characters and more.
+        ConfigurationError: the file cannot be read, is readable by others, or holds no key of at
+            least 16 printable ASCII characters.
     """
     try:
         found = path.stat()
@@ -36,7 +36,9 @@ def read_key(path: Path) -> str:
 
 
 def read_key_variable(name: str) -> str:
-    """The key in an environment variable. Raises ConfigurationError when there is none."""
+    """The key in an environment variable. Raises ConfigurationError if it is not set or
+    malformed.
+    """
     key = os.environ.get(name, "").strip()
     if not key:
         raise ConfigurationError(
@@ -46,7 +48,7 @@ def read_key_variable(name: str) -> str:
 
 
 def check_key(key: str, place: str) -> str:
-    """The key. Raises ConfigurationError when it is too short or could not stand in a header."""
+    """Return the key. Raises ConfigurationError if it is too short or not allowed in a header."""
     if len(key) < _LEAST or not all("!" <= character <= "~" for character in key):
         raise ConfigurationError(
             f"{place} holds no key of at least {_LEAST} printable characters without spaces.",
@@ -56,7 +58,7 @@ def check_key(key: str, place: str) -> str:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether `host` is this machine, by its text alone."""
+    """True if `host` is this machine, judged by its text only."""
     if host == "localhost":
         return True
     try:
@@ -66,10 +68,10 @@ def is_loopback(host: str) -> bool:
 
 
 def check_url(url: str, *, has_key: bool, allow_insecure_key: bool) -> str:
-    """Return a warning about `url`, empty when there is nothing to say.
+    """Return a warning about `url`; empty for none.
 
     Raises:
-        ConfigurationError: it has no host or holds a password, or a key would travel unencrypted.
+        ConfigurationError: it has no host or holds a password, or a key would be sent unencrypted.
     """
     try:
         parts = urlsplit(url)
@@ -89,6 +91,6 @@ def check_url(url: str, *, has_key: bool, allow_insecure_key: bool) -> str:
             hint="Use wss://, a tunnel, or allow_insecure_key = true.",
         )
     return (
-        f"the connection to {host} is not encrypted: anyone on the way can read the images and "
+        f"the connection to {host} is not encrypted: anyone on the path can read the images and "
         "change the robot's actions; use wss:// or a tunnel"
     )

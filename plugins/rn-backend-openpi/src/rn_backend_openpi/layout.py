@@ -1,5 +1,5 @@
-"""The whole interface of one served policy: which keys a request has and what they hold, what the
-rows of an answer are. The client and the server use the same one.
+"""The complete interface of a served policy: keys and values of a request, and the rows of an
+answer. Client and server share it.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ _MOST_NESTED = 4
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Layout:
-    """Keys and meanings.
+    """Keys of requests and answers, with their meaning.
 
     Attributes:
-        name: of the profile.
-        image_keys: key of each camera role's image; a dot stands for a map inside another.
+        name: name of the profile.
+        image_keys: key of each camera role's image; a dot separates nested maps.
         optional_roles: cameras whose images may be missing.
-        image_size_px: height and width that images are fitted into; None: as they are.
+        image_size_px: height and width that images are fitted into; None for no scaling.
         axes: order of an image's axes on the wire.
-        flip: turns upright images into what the policy was trained on.
-        prompt_key: of the instruction.
-        state: what is measured.
-        rows: what is answered.
+        flip: converts upright images to the orientation of the training data.
+        prompt_key: key of the instruction.
+        state: codec of the measured state.
+        rows: codec of the answer's rows.
     """
 
     name: str
@@ -49,10 +49,10 @@ class Layout:
     rows: Rows
 
     def request_of(self, observation: Observation) -> dict[str, Value]:
-        """The map that a client sends.
+        """The request that a client sends.
 
         Raises:
-            UngroundedError: a camera or something of the state is missing.
+            UngroundedError: a camera or a part of the state is missing.
             UnsafeError: a measured value is not finite.
         """
         request: dict[str, Value] = {self.prompt_key: observation.instruction}
@@ -67,7 +67,7 @@ class Layout:
                 raise UngroundedError(
                     f"The policy server needs a frame of the camera role {role!r}; the "
                     f"observation has: {have}.",
-                    hint="Remove the role from image_keys if the served model does without.",
+                    hint="Remove the role from image_keys if the served model does not need it.",
                 )
             _put(request, key, self._to_wire(frame.image))
         return request
@@ -81,12 +81,12 @@ class Layout:
     def observation_of(
         self, request: Mapping[object, object], *, needed: Collection[str], has_state: bool
     ) -> Observation:
-        """What a server's backend sees.
+        """Convert a request to the observation for a server's backend.
 
         Args:
-            request: as it was decoded.
-            needed: camera roles that have to be there; others may be.
-            has_state: the state has to be there.
+            request: the decoded request.
+            needed: required camera roles; others are optional.
+            has_state: True if the state is required.
 
         Raises:
             InvalidInputError: an entry is missing or malformed.
@@ -125,7 +125,7 @@ class Layout:
 
 
 def _put(request: dict[str, Value], key: str, value: Value) -> None:
-    """Write at a key whose dots stand for maps."""
+    """Set a value at a key whose dots separate nested maps."""
     at = request
     *outer, last = key.split(".")
     for name in outer:
@@ -136,7 +136,7 @@ def _put(request: dict[str, Value], key: str, value: Value) -> None:
 def _flat(
     request: Mapping[object, object], prefix: str = "", left: int = _MOST_NESTED
 ) -> Iterator[tuple[str, object]]:
-    """Entries by key, with a dot for each map inside another."""
+    """Entries by key, with a dot between the names of nested maps."""
     for name, value in request.items():
         if isinstance(value, dict) and left:
             yield from _flat(value, f"{prefix}{name}.", left - 1)

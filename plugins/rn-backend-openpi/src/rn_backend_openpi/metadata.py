@@ -1,5 +1,5 @@
-"""The first message of a server: what RoboNeuron's says, and what others say that can be checked
-against the configuration.
+"""Metadata, a server's first message: those of RoboNeuron's server, and those of others that can be
+compared with the configuration.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from rn_backend_openpi.wire import Value
 from roboneuron import Channel, ConfigurationError, ControlSpace, InvalidInputError
 
 PROTOCOL = 1
-"""Of what RoboNeuron's server says beyond openpi."""
+"""Version of the metadata that RoboNeuron's server adds to openpi's."""
 SERVER = "roboneuron"
 TIME_LEFT = "roboneuron/time_left_s"
-"""Entry of a request to RoboNeuron's server: an answer is worth nothing after this [s]."""
+"""Entry of a request to RoboNeuron's server: time [s] after which the answer is useless."""
 STEP = "step_s"
 """Entry of its answers: time between two rows [s]."""
 _ARENA_SPACES = {
@@ -26,18 +26,18 @@ _ARENA_SPACES = {
 }
 """Spaces by RoboArena's names. Source: roboarena policy_server.py, PolicyServerConfig."""
 _EXTERNAL = "exterior_image"
-"""Word in RoboArena's keys of cameras that are not at the wrist."""
+"""Substring of RoboArena's keys for cameras that are not at the wrist."""
 _ARENA_MARKS = ("needs_session_id", "n_external_cameras", "needs_wrist_camera")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Told:
-    """What a client makes of the metadata.
+    """Result of comparing the metadata.
 
     Attributes:
-        layout: the configured one, with what only the server knew.
-        is_roboneuron: it reads the time that is left for an answer.
-        is_roboarena: it takes `endpoint` and `session_id`.
+        layout: the configured layout, completed with the server's values.
+        is_roboneuron: the server reads the time left for an answer.
+        is_roboarena: the server takes `endpoint` and `session_id`.
     """
 
     layout: Layout
@@ -51,10 +51,10 @@ def describe(
     """The metadata of RoboNeuron's server.
 
     Args:
-        layout: that it serves.
+        layout: the served interface.
         backend: its name.
-        needed: camera roles that a request has to have.
-        horizon: most rows of an answer.
+        needed: camera roles required in a request.
+        horizon: largest number of rows in an answer.
     """
     rows, size = layout.rows, layout.image_size_px
     told: dict[str, Value] = {
@@ -82,10 +82,10 @@ def describe(
 
 
 def describe_arena(layout: Layout) -> dict[str, Value]:
-    """The metadata of a server of RoboArena's kind, whose clients take no others.
+    """The metadata of a server in RoboArena's dialect, whose clients accept no others.
 
     Raises:
-        ConfigurationError: RoboArena has no word for the action space.
+        ConfigurationError: RoboArena has no name for the action space.
     """
     kinds = {kind: name for name, kind in _ARENA_SPACES.items()}
     kind = layout.rows.space.kind
@@ -109,13 +109,13 @@ def describe_arena(layout: Layout) -> dict[str, Value]:
 def check(
     metadata: Mapping[object, object], layout: Layout, *, size_is_set: bool, dialect: str
 ) -> Told:
-    """Compare what the server says with what is configured.
+    """Compare the server's metadata with the configuration.
 
     Args:
         metadata: the server's first message.
-        layout: as configured.
-        size_is_set: the user has chosen the size of images.
-        dialect: the option.
+        layout: the configured layout.
+        size_is_set: True if the user set the image size.
+        dialect: the option `dialect`.
 
     Raises:
         ConfigurationError: they disagree; names both sides.
@@ -207,7 +207,7 @@ def _check_space(served: ControlSpace, configured: ControlSpace) -> None:
 
 
 def _check_kind(told: str, layout: Layout) -> None:
-    """Compare with a space that another server names."""
+    """Compare the configured control space with that of another server."""
     kind = _ARENA_SPACES.get(told, told)
     if kind != layout.rows.space.kind:
         raise ConfigurationError(
@@ -219,7 +219,7 @@ def _check_kind(told: str, layout: Layout) -> None:
 
 
 def _with_cameras(metadata: Mapping[object, object], layout: Layout) -> Layout:
-    """The layout with the images that a server of RoboArena's kind wants, all of them compulsory.
+    """The layout with the images that a RoboArena server requires; all of them become mandatory.
 
     Raises:
         ConfigurationError: the configuration has no key for one.
@@ -237,7 +237,7 @@ def _with_cameras(metadata: Mapping[object, object], layout: Layout) -> Layout:
         lacks = "both images of stereo cameras"
     if lacks:
         raise ConfigurationError(
-            f"The policy server wants {lacks}.",
+            f"The policy server needs {lacks}.",
             hint="Add the roles to image_keys, as observation/exterior_image_0_left, "
             "observation/exterior_image_1_left, observation/wrist_image_left.",
         )
@@ -248,7 +248,7 @@ def _with_cameras(metadata: Mapping[object, object], layout: Layout) -> Layout:
 
 
 def _with_size(metadata: Mapping[object, object], layout: Layout, *, size_is_set: bool) -> Layout:
-    """The layout with the server's size of images, where it names one."""
+    """The layout with the server's image size, if it gives one."""
     told = metadata.get("image_resolution")
     if not isinstance(told, list):
         return layout

@@ -1,5 +1,5 @@
-"""What a user may set under `[plugins.openpi]`: the interface of the served policy, which client
-and server share, and how each of them connects.
+"""Options under `[plugins.openpi]`: the interface of the served policy, which client and server
+share, and the connection of each.
 """
 
 from __future__ import annotations
@@ -43,26 +43,28 @@ Rate = Annotated[float, Field(gt=0, le=1000)]
 class DeltaAction(ActionOptions):
     """Actions that move the TCP of one arm."""
 
-    kind: Literal["ee_delta"] = Field(description="which of the five spaces")
+    kind: Literal["ee_delta"] = Field(description="control space")
 
 
 class PoseAction(OptionSection):
     """Actions that are poses of the TCP, arm after arm."""
 
-    kind: Literal["ee_pose"] = Field(description="which of the five spaces")
-    rotation: PoseRotation = Field(description="how a rotation is written")
+    kind: Literal["ee_pose"] = Field(description="control space")
+    rotation: PoseRotation = Field(description="representation of rotations")
     gripper: GripperValue = Field(description="meaning of an arm's last value; 'none' without one")
     rate_hz: Rate = Field(description="rows per second")
 
 
 class JointAction(OptionSection):
-    """Actions of joints, arm after arm."""
+    """Joint actions, arm after arm."""
 
-    kind: JointKind = Field(description="which of the five spaces")
+    kind: JointKind = Field(description="control space")
     gripper: GripperValue = Field(description="meaning of an arm's last value; 'none' without one")
     rate_hz: Rate = Field(description="rows per second")
-    limit: float = Field(default=0.0, ge=0, description="clip joint values to +-limit; 0: not")
-    scale: float = Field(default=1.0, gt=0, description="rad or rad/s of one unit")
+    limit: float = Field(
+        default=0.0, ge=0, description="clip joint values to +-limit; 0: no clipping"
+    )
+    scale: float = Field(default=1.0, gt=0, description="rad or rad/s per unit")
 
 
 OwnAction = Annotated[DeltaAction | PoseAction | JointAction, Field(discriminator="kind")]
@@ -74,7 +76,7 @@ class OpenpiOptions(OptionSection):
     url: Annotated[str, ConfigurationOnly()] = Field(
         default="ws://127.0.0.1:8000",
         pattern=r"^wss?://\S+$",
-        description="of the policy server, with its path if it has one",
+        description="address of the policy server, with its path if it has one",
     )
     api_key_file: Annotated[Path | None, ConfigurationOnly()] = Field(
         default=None, description="file with the API key"
@@ -89,59 +91,60 @@ class OpenpiOptions(OptionSection):
         default=None, description="PEM of the authority that signed a wss:// server's certificate"
     )
     connect_timeout_s: float = Field(
-        default=10.0, gt=0, le=600, description="until the server answers, during load"
+        default=10.0, gt=0, le=600, description="longest wait for the server during load [s]"
     )
     warm_up_timeout_s: float = Field(
-        default=120.0, gt=0, le=600, description="for the first inference (compilation)"
+        default=120.0, gt=0, le=600, description="limit of the first inference (compilation) [s]"
     )
     request_timeout_s: float = Field(
-        default=1.5, gt=0, le=60, description="for one inference, reconnecting included"
+        default=1.5, gt=0, le=60, description="limit of one inference with reconnection [s]"
     )
     dialect: Literal["auto", "openpi", "roboarena"] = Field(
         default="auto",
         description="'roboarena' (DreamZero, vLLM-Omni) adds endpoint and session_id to requests; "
-        "'auto': as the server's metadata say",
+        "'auto': according to the server's metadata",
     )
     profile: ProfileName | None = Field(
         default=None, description="the served policy's interface; never guessed"
     )
     space: SpaceKind = Field(
-        default="ee_delta", description="profile 'roboneuron': what the server's rows are"
+        default="ee_delta", description="profile 'roboneuron': control space of the server's rows"
     )
     rate_hz: float = Field(
         default=0.0,
         ge=0,
         le=1000,
-        description="profile 'roboneuron': rows per second; 0: each answer says it",
+        description="profile 'roboneuron': rows per second; 0: taken from each answer",
     )
     joints: Annotated[tuple[Name, ...], Field(max_length=64)] | None = Field(
         default=None,
         description="the robot's names of the policy's joints, in the policy's order (each arm "
-        "from the base to the tip); nothing is mapped by place otherwise",
+        "from the base to the tip); joints are never mapped by position",
     )
     slides: Annotated[tuple[Name, ...], Field(max_length=64)] = Field(
-        default=(), description="profile 'roboneuron': those of the joints that are prismatic"
+        default=(), description="profile 'roboneuron': the prismatic ones among the joints"
     )
     arms: Annotated[tuple[Name, ...], Field(max_length=8)] = Field(
         default=(), description="profiles 'roboneuron' and 'own': names of several arms, in order"
     )
-    grippers: bool = Field(default=True, description="profile 'roboneuron': each arm has one")
-    action: OwnAction | None = Field(default=None, description="profile 'own': what rows are")
+    grippers: bool = Field(default=True, description="profile 'roboneuron': each arm has a gripper")
+    action: OwnAction | None = Field(default=None, description="profile 'own': the rows")
     state_keys: Annotated[dict[Key, tuple[StateTerm, ...]] | None, AgentMaySet()] = Field(
-        default=None, description="key of the request by terms of the state; the profile's"
+        default=None, description="state terms by key of the request; those of the profile if unset"
     )
     rotvec_near_rad: Vector | None = Field(
-        default=None, description="which of two rotation vectors is written [rad]; the profile's"
+        default=None,
+        description="choose the rotation vector nearer to this [rad]; the profile's if unset",
     )
     finger_travel_m: float = Field(
         default=0.04, gt=0, description="position of one finger joint when open [m]"
     )
     base_position_m: Vector = Field(
         default=(0.0, 0.0, 0.0),
-        description="where the robot's base stands in the frame of the training data [m]",
+        description="position of the robot's base in the frame of the training data [m]",
     )
     action_keys: Annotated[tuple[Key, ...], Field(min_length=1, max_length=16), AgentMaySet()] = (
-        Field(default=("actions",), description="arrays of the answer, side by side in this order")
+        Field(default=("actions",), description="arrays of the answer, concatenated in this order")
     )
     action_steps: int | None = Field(
         default=None, ge=1, description="actions of a chunk to execute before the next one"
@@ -149,23 +152,24 @@ class OpenpiOptions(OptionSection):
     image_keys: Annotated[dict[Role, Key] | None, AgentMaySet()] = Field(
         default=None,
         min_length=1,
-        description="key of the request by camera role; a dot stands for a map in another",
+        description="key of the request by camera role; a dot separates nested maps",
     )
     image_size_px: tuple[Side, Side] | Literal["raw"] | None = Field(
         default=None,
-        description="height and width that images are fitted into; the server's or the profile's",
+        description="height and width for scaled images; the server's or the profile's if unset",
     )
     image_axes: Axes | None = Field(
-        default=None, description="'chw': the colour first; the profile's when not given"
+        default=None, description="'chw': colour axis first; the profile's if unset"
     )
     image_flip: Flip = Field(
-        default="none", description="turns upright camera images into what the model was trained on"
+        default="none",
+        description="converts upright images to the orientation of the training data",
     )
     prompt_key: Annotated[str, AgentMaySet()] = Field(
         default="prompt", min_length=1, description="key of the instruction"
     )
     server: Annotated[ServerOptions, ConfigurationOnly()] = Field(
-        default=ServerOptions(), description="of `roboneuron openpi-server`"
+        default=ServerOptions(), description="options of `roboneuron openpi-server`"
     )
 
     @model_validator(mode="after")
@@ -175,7 +179,7 @@ class OpenpiOptions(OptionSection):
         if self.profile == OWN and not self.state_keys:
             raise ValueError("profile 'own' needs state_keys")
         if self.arms and self.profile not in (OWN, PLAIN):
-            raise ValueError("arms are told to the profiles 'own' and 'roboneuron' only")
+            raise ValueError("arms is read by the profiles 'own' and 'roboneuron' only")
         unread = _PLAIN_ONLY & self.model_fields_set
         if unread and self.profile not in (PLAIN, None):
             raise ValueError(f"{', '.join(sorted(unread))}: read by the profile 'roboneuron' only")

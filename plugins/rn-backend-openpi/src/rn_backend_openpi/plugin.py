@@ -1,5 +1,5 @@
-"""What this package offers RoboNeuron: the backend `openpi`, which asks a policy server, and the
-command `openpi-server`, which is one.
+"""Descriptors of this package: the backend `openpi`, a client of policy servers, and the command
+`openpi-server`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from roboneuron import ActionSpace, BackendSpec, CommandSpec, Requirement, hooki
 _INSTALL = "pip install msgpack websockets"
 _MODULES = tuple(Requirement(module=m, install=_INSTALL) for m in ("msgpack", "websockets"))
 MOST_ROWS = 100
-"""Of one answer."""
+"""Largest number of rows in one answer."""
 BACKEND = BackendSpec(
     name="openpi",
     summary="any policy served elsewhere over openpi's websocket, in every action space",
@@ -37,11 +37,11 @@ COMMAND = CommandSpec(
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """The backend."""
+    """Register the backend."""
     return (BACKEND,)
 
 
 @hookimpl
 def roboneuron_commands() -> Sequence[CommandSpec]:
-    """The command."""
+    """Register the command."""
     return (COMMAND,)

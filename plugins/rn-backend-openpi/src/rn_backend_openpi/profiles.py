@@ -35,11 +35,12 @@ class Preset:
     Attributes:
         images: key by camera role.
         state: terms by key.
-        rows: of joints; None: those of the TCP profile of the same name in `rn_vla.tcp_profiles`.
+        rows: joint rows; None for those of the TCP profile of the same name in
+            `rn_vla.tcp_profiles`.
         size_px: height and width of the images.
-        axes: of the images.
-        optional: roles that may be missing, unless the server's metadata ask for them.
-        joints: how many each arm has; 0 for policies that move the TCP.
+        axes: order of the images' axes.
+        optional: roles that may be missing, unless the server's metadata require them.
+        joints: number of joints of each arm; 0 for policies that move the TCP.
     """
 
     images: Mapping[str, str]
@@ -144,15 +145,15 @@ PRESETS: Mapping[str, Preset] = MappingProxyType(
 )
 """Preset by name.
 
-A policy server does what lies between its robot's software and the network, so states and actions
-are those of that software: absolute joints, no other signs. "libero", "bridge": see
-`rn_vla.tcp_profiles`. "droid": joint velocities at 15 Hz as shares of DROID's greatest step of 0.2
-rad in one period, so 1 is 3 rad/s; clipped to -1..1 as openpi's example does; gripper 0 open, 1
+A policy server converts between its robot's software and the network, so states and actions are
+those of that software: absolute joints, with the same signs. "libero", "bridge": see
+`rn_vla.tcp_profiles`. "droid": joint velocities at 15 Hz as fractions of DROID's largest step of
+0.2 rad in one period, so 1 is 3 rad/s; clipped to -1..1 as openpi's example does; gripper 0 open, 1
 closed. Source: droid robot_ik_solver.py, openpi examples/droid. "droid-position": joint positions
 instead. "roboarena": the same with the keys of RoboArena and DreamZero. Source: roboarena
 policy_server.py. "franka": the space of the base models, 20 Hz, gripper 0 open. Source: openpi
 docs/norm_stats.md. "ur5e": likewise, with the keys of openpi examples/ur5. "aloha": two arms at 50
-Hz, images with the colour first in a map of their own, gripper 1 open; whether `adapt_to_pi` is
-set, and whether the network yields deltas, are the server's business. Source: openpi
+Hz, images with the colour axis first in a map of their own, gripper 1 open; the server decides
+whether `adapt_to_pi` is set and whether the network yields deltas. Source: openpi
 examples/aloha_sim, policies/aloha_policy.py.
 """

@@ -1,4 +1,6 @@
-"""What the values of one served row mean: from a policy's convention to the contract's and back."""
+"""Conversion of the values of a served row from a policy's convention to the contract's, and
+back.
+"""
 
 from __future__ import annotations
 
@@ -38,18 +40,18 @@ class Rows(Protocol):
 
     @property
     def space(self) -> ControlSpace:
-        """What a row is in the contract."""
+        """Control space of a row in the contract."""
 
     @property
     def step_s(self) -> float:
-        """Time between two rows [s]; 0 when each answer says it."""
+        """Time between two rows [s]; 0 if each answer gives it."""
 
     @property
     def width(self) -> int:
-        """Values of a served row."""
+        """Number of values of a served row."""
 
     def to_contract(self, served: F64, observation: Observation) -> F64:
-        """Served rows (H, width), finite -> rows of `space` (H, n).
+        """Convert served rows (H, width), finite, to rows of `space` (H, n).
 
         Raises:
             UngroundedError: a measured pose is needed and missing.
@@ -57,12 +59,12 @@ class Rows(Protocol):
         """
 
     def from_contract(self, rows: F64, observation: Observation) -> F64:
-        """The inverse of `to_contract`, but for what that clips; raises likewise."""
+        """The inverse of `to_contract`, except for clipped values; raises the same errors."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PlainRows:
-    """Rows as the contract has them, unchanged to the bit in float64."""
+    """Rows in the contract's own form, bit-identical in float64."""
 
     space: ControlSpace
     step_s: float = 0.0
@@ -122,10 +124,10 @@ class PoseRows:
         rotation: "quaternion" x y z w, "quaternion_wxyz", "rotvec" [rad], "rpy" [rad] about fixed
             axes, "rot6d" the first two columns of the rotation matrix one after the other,
             "rot6d_rows" its first two rows.
-        gripper: what the last value of an arm says; "none": it has no gripper.
+        gripper: meaning of an arm's last value; "none" for no gripper.
         rate_hz: rows per second.
-        arms: their names; one empty name for a robot with one arm.
-        base_position_m: where the robot's base stands in the frame of the positions.
+        arms: names of the arms; one empty name for a robot with one arm.
+        base_position_m: position of the robot's base in the frame of the positions.
     """
 
     rotation: PoseRotation
@@ -152,7 +154,7 @@ class PoseRows:
 
     @property
     def _part(self) -> int:
-        """Values of one arm."""
+        """Number of values of one arm."""
         return 3 + ROTATION_VALUES[self.rotation] + (self.gripper != "none")
 
     def to_contract(self, served: F64, observation: Observation) -> F64:
@@ -193,10 +195,10 @@ class JointRows:
         rate_hz: rows per second.
         arms: as of `PoseRows`; each has the same number of joints.
         limit: joint values are clipped to -limit..limit; 0 for none.
-        scale: contract units (rad, rad/s) of one unit of a joint value.
+        scale: contract units (rad, rad/s) per unit of a joint value.
 
     Raises:
-        ConfigurationError: the names do not fit the arms.
+        ConfigurationError: the names do not match the arms.
     """
 
     kind: JointKind
@@ -251,16 +253,16 @@ class JointRows:
 
 
 def joints_by_arm(names: tuple[str, ...], arms: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
-    """The joints of each arm, that of the first arm first.
+    """Joint names by arm, in the order of the arms.
 
     Raises:
-        ConfigurationError: they cannot be dealt out evenly, or one comes twice.
+        ConfigurationError: they cannot be divided evenly, or a name is repeated.
     """
     each, rest = divmod(len(names), len(arms))
     if rest or not each or len(set(names)) != len(names):
         raise ConfigurationError(
             f"The option 'joints' names {len(names)} joints ({', '.join(names) or 'none'}) for "
-            f"{len(arms)} arm(s); each arm needs the same number, and each joint stands once.",
+            f"{len(arms)} arm(s); each arm needs the same number, and each joint appears once.",
             hint="Name them in the policy's order, from the base to the tip of each arm.",
         )
     return {arm: names[i * each : (i + 1) * each] for i, arm in enumerate(arms)}
@@ -277,7 +279,7 @@ def joint_channels(
     """Channels of joints and gripper of each arm in turn. Raises as `joints_by_arm`.
 
     Args:
-        slides: those of the names that are prismatic.
+        slides: names of the prismatic joints.
     """
     per_s = "/s" if kind == "joint_velocity" else ""
     channels: list[Channel] = []

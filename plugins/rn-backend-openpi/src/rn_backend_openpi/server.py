@@ -1,8 +1,7 @@
-"""The server: openpi's protocol over a websocket, with bounds.
+"""The server: openpi's protocol over a websocket, with bounds on time, size and connections.
 
-Metadata first, then one answer for each request. What is wrong is told in a text frame, as openpi
-does it, and closes that connection only; of an unexpected error a client learns no more than that
-there was one.
+It sends the metadata first, then one answer for each request. Errors are sent as a text frame, as
+openpi does, and close only that connection; for an unexpected error the client receives no details.
 """
 
 from __future__ import annotations
@@ -38,14 +37,16 @@ from roboneuron import (
 )
 
 _HANDSHAKE_S = 5.0
-"""Longest opening handshake, TLS included; whoever is slower is no policy client."""
+"""Longest opening handshake, TLS included."""
 _STRANGERS = 64
 """Connections beyond `clients` that may be in their handshake at the same time."""
 _GRACE_S = 0.5
-"""How much later than its deadline an answer may be told to be late."""
+"""Time after its deadline at which an answer counts as late."""
 _CLOSE_S = 1.0
 _TOLD = (InvalidInputError, UngroundedError, UnsafeError, NotReadyError)
-"""Errors of one observation, whose text a client gets; others may hold paths of the server's."""
+"""Errors of one observation, whose text is sent to the client; others may contain paths of the
+server.
+"""
 LOOPBACK = "127.0.0.1"
 log = logging.getLogger(__name__)
 
@@ -54,9 +55,9 @@ class OpenpiServer:
     """Serves one policy.
 
     Args:
-        policy: loaded.
-        options: of the server.
-        key: that clients have to send; None: anybody may ask.
+        policy: loaded policy.
+        options: options of the server.
+        key: key that clients must send; None admits everyone.
     """
 
     def __init__(self, policy: ServedPolicy, options: ServerOptions, key: str | None) -> None:
@@ -67,7 +68,7 @@ class OpenpiServer:
 
     async def open(self, host: str, port: int, tls: ssl.SSLContext | None) -> Server:
         """Listen. Raises OSError when the address cannot be used."""
-        # of strangers' handshakes websockets logs a traceback each, which would fill a disk
+        # websockets logs a traceback for each failed handshake, which could fill a disk
         strangers = logging.getLogger(f"{__name__}.strangers")
         strangers.setLevel(logging.CRITICAL)
         return await serve(
@@ -88,8 +89,8 @@ class OpenpiServer:
         )
 
     def entered(self, connection: _Connection) -> None:
-        """It is connected. When there are too many, the one gives way that has been in its
-        handshake for longest: a client's takes milliseconds.
+        """Register a new connection. If there are too many, abort the one that has been in its
+        handshake for longest: that of a real client takes milliseconds.
         """
         if len(self._connections) >= self._options.clients + _STRANGERS:
             oldest = next(old for old in self._connections if old not in self._clients)
@@ -98,12 +99,12 @@ class OpenpiServer:
         self._connections[connection] = None
 
     def left(self, connection: _Connection) -> None:
-        """It is gone."""
+        """Remove a closed connection."""
         self._connections.pop(connection, None)
         self._clients.pop(connection, None)
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Answer a probe, or refuse a client; None to go on."""
+        """Answer a probe, or refuse a client; returns None to accept it."""
         if request.path == "/healthz":
             return connection.respond(HTTPStatus.OK, "OK\n")
         if self._key is not None and not self._is_key(request.headers.get_all("Authorization")):
@@ -115,8 +116,8 @@ class OpenpiServer:
         return None
 
     def _make_place(self, client: str) -> bool:
-        """Hang up on the newest connection of the client with most of them, if that keeps more than
-        this one has then; whether there was one.
+        """Close the newest connection of the client with the most connections, if that client keeps
+        more than this one would have; returns True if one was closed.
         """
         greedy = crowded(client, [connection.client for connection in self._clients])
         if greedy is None:
@@ -128,12 +129,12 @@ class OpenpiServer:
         return True
 
     def _is_key(self, given: Sequence[str]) -> bool:
-        """Whether these headers hold the key; takes equally long whatever they hold."""
+        """True if these headers hold the key; in constant time."""
         told = " ".join(given).encode(errors="replace")
         return hmac.compare_digest(told, f"Api-Key {self._key}".encode())
 
     async def _handle(self, connection: ServerConnection) -> None:
-        """Serve one client until it goes."""
+        """Serve one client until it disconnects."""
         peer = connection.remote_address
         log.info("%s is connected.", peer)
         try:
@@ -145,7 +146,7 @@ class OpenpiServer:
             log.warning("%s is dropped: %s", peer, error)
             told = str(error) if isinstance(error, _TOLD) else "see the server's log."
             await self._fail(connection, f"{type(error).__name__}: {told}")
-        except Exception:  # the border to one client: the others go on
+        except Exception:  # the border to one client: the others continue
             log.exception("%s is dropped.", peer)
             await self._fail(connection, "InternalError: see the server's log.")
         log.info("%s is gone.", peer)
@@ -175,7 +176,7 @@ class OpenpiServer:
     async def _answer(
         self, question: PolicyRequest, connection: ServerConnection
     ) -> dict[str, Value]:
-        """The reply to a question; raises RoboNeuronError as the backend does."""
+        """The reply to a request; raises RoboNeuronError as the backend does."""
         loop = asyncio.get_running_loop()
         told: asyncio.Future[Answer] = loop.create_future()
 
@@ -184,7 +185,7 @@ class OpenpiServer:
                 told.set_result(answer)
 
         def tell(answer: Answer) -> None:
-            with suppress(RuntimeError):  # the server has ended: nobody waits for it any more
+            with suppress(RuntimeError):  # the server has ended: the answer has no receiver
                 loop.call_soon_threadsafe(settle, answer)
 
         assert isinstance(connection, _Connection)
@@ -196,10 +197,10 @@ class OpenpiServer:
         return await asyncio.to_thread(self._policy.reply, answer, question)
 
     async def _send(self, connection: ServerConnection, data: bytes | str) -> None:
-        """Send one frame; a client that does not read is dropped, and nobody waits for it.
+        """Send one frame; a client that does not read is disconnected, so it blocks nobody.
 
         Raises:
-            ConnectionClosed: it is gone.
+            ConnectionClosed: the client is disconnected.
         """
         try:
             await asyncio.wait_for(connection.send(data), self._options.send_timeout_s)
@@ -218,11 +219,11 @@ class OpenpiServer:
 
 
 class _Connection(ServerConnection):
-    """A connection that counts before it has said anything.
+    """A connection that is counted from the start of its handshake.
 
     Attributes:
-        owner: whose it is; each server has a class of its own.
-        client: who is at the other end, by the address; all clients show the same key.
+        owner: the server; each server has a subclass of its own.
+        client: identifies the peer by its address, because all clients use the same key.
     """
 
     owner: ClassVar[OpenpiServer]
@@ -239,15 +240,15 @@ class _Connection(ServerConnection):
 
 
 def check_listening(host: str, options: ServerOptions) -> tuple[str | None, ssl.SSLContext | None]:
-    """The key that clients have to send and what encrypts, as the options say.
+    """The key that clients must send and the TLS context, from the options.
 
     Args:
         host: address to listen on.
-        options: of the server.
+        options: options of the server.
 
     Raises:
         ConfigurationError: the key or the certificate cannot be read; or other machines could
-            connect without a key, or unencrypted, and nobody has chosen that.
+            connect without a key or unencrypted, and `insecure` is not set.
     """
     key = None if options.token_file is None else read_key(options.token_file)
     tls = _tls(options)
@@ -290,7 +291,7 @@ async def run_server(
     listening: Callable[[int], None],
     until: asyncio.Event,
 ) -> None:
-    """Serve until the event is set; `listening` is told the port.
+    """Serve until the event is set; calls `listening` with the port.
 
     Raises:
         ConfigurationError: the address cannot be used.

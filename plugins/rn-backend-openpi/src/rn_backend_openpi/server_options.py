@@ -1,4 +1,4 @@
-"""What a user may set under `[plugins.openpi.server]`."""
+"""Options under `[plugins.openpi.server]`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from roboneuron import ConfigurationOnly
 
 
 class ServerOptions(OptionSection):
-    """How `roboneuron openpi-server` serves."""
+    """Options of `roboneuron openpi-server`."""
 
     host: Annotated[str | None, ConfigurationOnly()] = Field(
         default=None, min_length=1, description="address to listen on; this machine's own if unset"
@@ -22,34 +22,40 @@ class ServerOptions(OptionSection):
         default=None, description="file with the key that clients send as Api-Key"
     )
     certificate: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="PEM of the server; then wss://"
+        default=None, description="PEM of the server; enables wss://"
     )
     certificate_key: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="PEM of its private key; in `certificate` when not given"
+        default=None, description="PEM of its private key; read from `certificate` if unset"
     )
     insecure: bool = Field(
         default=False,
         description="listen beyond this machine without token and certificate; logged",
     )
     clients: int = Field(default=16, ge=1, le=1024, description="most connections")
-    waiting: int = Field(default=64, ge=1, le=4096, description="most observations that wait")
+    waiting: int = Field(default=64, ge=1, le=4096, description="most observations in the queue")
     most: int = Field(default=8, ge=1, le=256, description="most observations in one batch")
     linger_s: float = Field(
-        default=0.003, ge=0, le=0.1, description="how long an idle server waits for other robots"
+        default=0.003, ge=0, le=0.1, description="wait of an idle server for further robots [s]"
     )
     stateless: bool = Field(
         default=False,
-        description="serve a backend that is asked one by one; only one that remembers nothing",
+        description="serve a backend without batches; only one that keeps no history",
     )
     answer_timeout_s: float = Field(
-        default=10.0, gt=0, le=600, description="an answer is worth nothing after this"
+        default=10.0, gt=0, le=600, description="time after which an answer is useless [s]"
     )
     send_timeout_s: float = Field(
-        default=5.0, gt=0, le=60, description="a client that does not read for so long is dropped"
+        default=5.0,
+        gt=0,
+        le=60,
+        description="disconnect a client that does not read for this time [s]",
     )
     idle_timeout_s: float = Field(
-        default=600.0, gt=0, le=86400, description="a client that asks nothing for so long, too"
+        default=600.0,
+        gt=0,
+        le=86400,
+        description="disconnect a client without requests for this time [s]",
     )
     precision: Literal["float32", "float64"] = Field(
-        default="float64", description="of the actions on the wire"
+        default="float64", description="number type of the actions on the wire"
     )

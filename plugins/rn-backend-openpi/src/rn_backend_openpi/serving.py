@@ -1,4 +1,4 @@
-"""A backend that is served: requests in, answers out, in batches and by deadline."""
+"""Serving of a backend: requests in, answers out, in batches and by deadline."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from roboneuron import (
 from roboneuron.command import Config, Registry, load_profile, loading
 
 _RATE_SHARE = 0.02
-"""How far a chunk's period may be from the profile's: rates are told in whole Hz."""
+"""Relative tolerance between a chunk's period and the profile's: rates are given in whole Hz."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -43,8 +43,8 @@ class PolicyRequest:
     """One request, decoded.
 
     Attributes:
-        observation: what the backend sees.
-        left_s: how long an answer is of use [s].
+        observation: input of the backend.
+        left_s: time within which an answer is useful [s].
     """
 
     observation: Observation
@@ -52,31 +52,31 @@ class PolicyRequest:
 
 
 class Model(Protocol):
-    """What answers; see `SharedModel`."""
+    """The served model; see `SharedModel`."""
 
     @property
     def most(self) -> int:
-        """Most observations that are worth a batch."""
+        """Largest useful batch of observations."""
 
     def load(self) -> None:
         """Load."""
 
     def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
-        """One answer for each."""
+        """Return one answer for each observation."""
 
     def close(self) -> None:
         """Release what was loaded."""
 
 
 class ServedPolicy:
-    """A backend behind an interface.
+    """A backend with its interface.
 
     Args:
         model: not loaded yet.
-        spec: of its backend.
-        layout: of requests and answers.
-        space: that the backend declares.
-        options: of the server.
+        spec: descriptor of its backend.
+        layout: interface of requests and answers.
+        space: control space that the backend declares.
+        options: options of the server.
     """
 
     def __init__(
@@ -91,10 +91,10 @@ class ServedPolicy:
         self._options, self._dialect = options.server, options.dialect
         self._batcher: Batcher | None = None
         self.clients: Callable[[], int] = lambda: 1
-        """How many may ask, for the batches."""
+        """Number of clients, which limits the batches."""
 
     def load(self) -> None:
-        """Load the model, and begin to answer. Raises RoboNeuronError as `Backend.load`."""
+        """Load the model, and start answering. Raises RoboNeuronError as `Backend.load`."""
         try:
             self._model.load()
         except ConfigurationError as error:
@@ -111,7 +111,7 @@ class ServedPolicy:
         self._batcher.start()
 
     def close(self) -> None:
-        """Answer no more and release the model; idempotent."""
+        """Stop answering and release the model; idempotent."""
         batcher, self._batcher = self._batcher, None
         if batcher is not None:
             batcher.close()
@@ -119,12 +119,12 @@ class ServedPolicy:
 
     @property
     def summary(self) -> str:
-        """Which backend, behind which interface."""
+        """Names of the backend, the profile and the control space."""
         layout = self._layout
         return f"backend {self._spec.name}, profile {layout.name}, {layout.rows.space.kind}"
 
     def metadata(self) -> dict[str, Value]:
-        """What a client is told first."""
+        """The server's first message to a client."""
         if self._dialect == "roboarena":
             return metadata.describe_arena(self._layout)
         return metadata.describe(
@@ -135,11 +135,10 @@ class ServedPolicy:
         )
 
     def read(self, data: str | bytes) -> PolicyRequest | None:
-        """Decode a request; None for one that begins an episode, which needs no answer of the
-        backend's.
+        """Decode a request; None for one that begins an episode, which the backend need not answer.
 
         Raises:
-            InvalidInputError: it is none; says which entry is wrong.
+            InvalidInputError: it is malformed; the message names the entry.
             UnsafeError: a value of the state is not finite.
         """
         if isinstance(data, str):
@@ -169,16 +168,16 @@ class ServedPolicy:
         client: Hashable = None,
         connection: object = None,
     ) -> None:
-        """Have a question answered; `tell` is called once, on the model's thread.
+        """Queue a request; `tell` is called once with its answer, on the model's thread.
 
         Args:
-            question: decoded.
-            tell: is told the answer.
+            question: decoded request.
+            tell: callback for the answer.
             client: see `Waiting`.
             connection: likewise.
 
         Raises:
-            NotReadyError: too many wait already.
+            NotReadyError: the queue is full.
             PluginError: the model is not loaded.
         """
         if self._batcher is None:
@@ -195,11 +194,11 @@ class ServedPolicy:
         )
 
     def reply(self, answer: Answer, question: PolicyRequest) -> dict[str, Value]:
-        """The map of an answer.
+        """The answer as a message.
 
         Raises:
-            RoboNeuronError: what the backend says of the observation; or its chunk is in another
-                space or of another period than it declares.
+            RoboNeuronError: the backend's error for this observation; or the chunk's space or
+                period differs from the declared one.
         """
         if isinstance(answer, RoboNeuronError):
             raise answer
@@ -228,15 +227,15 @@ class ServedPolicy:
 
 
 def make_policy(config: Config, registry: Registry, options: OpenpiOptions) -> ServedPolicy:
-    """The policy that a configuration names, not loaded.
+    """Create the policy that a configuration names, without loading it.
 
     Args:
-        config: of which [robot], [inference] and the options of plugins are read.
-        registry: what is installed.
-        options: of [plugins.openpi].
+        config: its [robot], [inference] and options of plugins are read.
+        registry: installed plugins.
+        options: those of [plugins.openpi].
 
     Raises:
-        ConfigurationError: there is no backend, or it and the profile do not fit; names both sides.
+        ConfigurationError: no backend is named, or it does not match the profile; names both sides.
     """
     inference = config.inference
     if inference is None:
@@ -246,7 +245,7 @@ def make_policy(config: Config, registry: Registry, options: OpenpiOptions) -> S
         )
     if inference.backend == BACKEND.name:
         raise ConfigurationError(
-            "The backend 'openpi' asks a server itself; it is not served.",
+            "The backend 'openpi' is itself a client of a server; it cannot be served.",
             hint="Name the backend that holds the model in [inference].",
         )
     spec = registry.get(BackendSpec, inference.backend)
@@ -279,7 +278,7 @@ def make_policy(config: Config, registry: Registry, options: OpenpiOptions) -> S
 def _options(
     registry: Registry, config: Config, of: type[RuntimeSpec], name: str
 ) -> dict[str, object]:
-    """Options of a part that has to be installed. Raises ConfigurationError when it is not."""
+    """Options of an installed part. Raises ConfigurationError if it is not installed."""
     return dict(config.options(registry.get(of, name).name)) if name else {}
 
 
@@ -295,8 +294,8 @@ def _declared(
     declared = declare(options, profile)
     if declared is None:
         raise ConfigurationError(
-            f"In which space backend {spec.name!r} acts is known only by the server of its model.",
-            hint=f"Say it: `space` in [plugins.{spec.name}].",
+            f"Only the server of its model knows the control space of backend {spec.name!r}.",
+            hint=f"Set `space` in [plugins.{spec.name}].",
         )
     return declared
 
@@ -305,7 +304,8 @@ def _for_backend(layout: Layout, spec: BackendSpec, space: ControlSpace) -> Layo
     """The layout with the cameras that the backend reads.
 
     Raises:
-        ConfigurationError: a camera has no key, or rows are in another space than the backend's.
+        ConfigurationError: a camera has no key, or the profile's control space differs from the
+            backend's.
     """
     lacking = [role for role in spec.cameras if role not in layout.image_keys]
     if lacking:

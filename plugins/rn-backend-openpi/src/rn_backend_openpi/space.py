@@ -1,4 +1,4 @@
-"""Which control space the chunks of a configured policy server have, said before it is asked."""
+"""Control space of a configured policy server's chunks, determined without connecting."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from roboneuron import EE_DELTA, ConfigurationError, ControlSpace, RobotProfile
 
 
 def openpi_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
-    """The space of the profile that the options name. Options that are wrong are told when the
-    backend loads.
+    """The space of the profile in the options. Invalid options are reported when the backend loads.
 
     Raises:
-        ConfigurationError: the option `joints` is missing or does not fit the policy or the robot.
+        ConfigurationError: the option `joints` is missing or does not match the policy or the
+            robot.
     """
     known = OpenpiOptions.model_fields.keys() & options.keys()
     try:

@@ -1,4 +1,4 @@
-"""What a robot measures, as the entries of a request, and back."""
+"""Conversion of a robot's measured state to the entries of a request, and back."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from roboneuron import (
 
 MOST_JOINTS = 256
 _ROUNDED = 1e-3
-"""Length of a quaternion that float32 or a few decimals have rounded."""
+"""Tolerance of a quaternion's length, for rounding to float32 or a few decimals."""
 _NAMES, _POSITION = "observation/joint_names", "observation/joint_position"
 _VELOCITY = "observation/joint_velocity"
 _POSE, _GRIPPER = "ee_pose", "gripper_open"
@@ -34,7 +34,7 @@ _PREFIX = "observation/"
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Measured:
-    """What a request says of the robot; None and empty where it says nothing."""
+    """The robot's state in a request; None or empty for missing entries."""
 
     joints: JointSample | None = None
     ee_pose: Pose | None = None
@@ -43,17 +43,17 @@ class Measured:
 
 
 class StateCodec(Protocol):
-    """How one profile writes the measured state."""
+    """Encoding of the measured state in one profile."""
 
     @property
     def keys(self) -> tuple[str, ...]:
-        """Keys that a request needs."""
+        """Required keys of a request."""
 
     def build(self, observation: Observation) -> dict[str, Value]:
-        """The entries of a request.
+        """Create the entries of a request.
 
         Raises:
-            UngroundedError: something is not measured.
+            UngroundedError: a needed value is not measured.
             UnsafeError: a value is not finite.
         """
 
@@ -61,7 +61,7 @@ class StateCodec(Protocol):
         """The inverse of `build`.
 
         Args:
-            entries: of the request, by key.
+            entries: entries of the request, by key.
 
         Raises:
             InvalidInputError: an entry is missing or malformed.
@@ -71,9 +71,9 @@ class StateCodec(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class WholeState:
-    """All that is measured, by name: what RoboNeuron's client tells RoboNeuron's server.
+    """The complete measured state, by name, between RoboNeuron's client and RoboNeuron's server.
 
-    Joints travel with their names; poses as x y z qx qy qz qw in the base frame [m, 1].
+    Joints are sent with their names; poses as x y z qx qy qz qw in the base frame [m, 1].
     """
 
     keys: tuple[str, ...] = ()
@@ -90,7 +90,7 @@ class WholeState:
         for name, arm in observation.arms.items():
             self._put(entries, f"{_PREFIX}{name}/", arm.ee_pose, arm.gripper_open)
         if not entries:
-            raise UngroundedError("The observation holds no measured state to tell the server.")
+            raise UngroundedError("The observation holds no measured state to send to the server.")
         return entries
 
     @staticmethod
@@ -123,10 +123,10 @@ class WholeState:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TermState:
-    """Vectors of terms, as a policy was trained on: of each key arm after arm.
+    """Vectors of state terms as used in training; each key holds its terms arm after arm.
 
     Attributes:
-        parts: by key, what each arm's values are.
+        parts: layout of each arm's values, by key.
     """
 
     parts: Mapping[str, Mapping[str, StateLayout]]
@@ -169,12 +169,12 @@ class TermState:
 
 
 _UNKNOWN = Pose(position_m=np.full(3, np.nan), quaternion_xyzw=np.full(4, np.nan))
-"""Of an arm whose pose the request does not tell: whoever computes with it gets no number."""
+"""Pose of an arm for which the request has none: NaN, so that computing with it gives no number."""
 
 
 @dataclass(slots=True)
 class _Found:
-    """What has been read of one arm so far."""
+    """Values read for one arm so far."""
 
     joints: dict[str, float] = field(default_factory=dict)
     position_m: F64 | None = None
@@ -216,7 +216,7 @@ class _Found:
 
 
 def _of_arm(observation: Observation, arm: str) -> Observation:
-    """The observation with that arm's pose and gripper in the place of the only one's."""
+    """The observation with that arm's pose and gripper as those of a single arm."""
     if not arm:
         return observation
     state = observation.arms.get(arm)
@@ -224,7 +224,7 @@ def _of_arm(observation: Observation, arm: str) -> Observation:
         raise UngroundedError(
             f"The state needs the arm {arm!r}; measured are "
             f"{', '.join(observation.arms) or 'none by name'}.",
-            hint="The robot's profile has to name its arms so, or correct the option 'arms'.",
+            hint="Name the arms like this in the robot's profile, or correct the option 'arms'.",
         )
     return replace(observation, ee_pose=state.ee_pose, gripper_open=state.gripper_open)
 
@@ -253,7 +253,7 @@ def _vector(entries: Mapping[str, object], key: str, width: int | None = None) -
 
 
 def _unit(quaternion_xyzw: F64) -> F64:
-    """The quaternion. Raises InvalidInputError when it has not the length 1."""
+    """Return the quaternion. Raises InvalidInputError unless its length is 1."""
     length = float(np.linalg.norm(quaternion_xyzw))
     if abs(length - 1.0) > _ROUNDED:
         raise InvalidInputError(f"The request's quaternion has the length {length:.4g}, not 1.")

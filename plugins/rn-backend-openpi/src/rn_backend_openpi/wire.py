@@ -1,9 +1,9 @@
 """openpi's wire format: msgpack, with numpy arrays as maps of byte-string keys. Nothing is ever
-unpickled, and everything has a bound.
+unpickled, and every size is bounded.
 
 Source: openpi-client, msgpack_numpy (format only): {b"__ndarray__": True, b"data", b"dtype",
 b"shape"} for arrays and {b"__npgeneric__": True, b"data", b"dtype"} for scalars; void, object and
-complex types do not travel.
+complex types are not sent.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from roboneuron import InvalidInputError
 
 MOST_BYTES = 64 * 2**20
-"""Of one message: four raw camera images of 2560 x 1600 and a state."""
+"""Limit of one message: four raw camera images of 2560 x 1600 and a state."""
 MOST_DEPTH = 8
-"""Maps and lists in each other; openpi's deepest observation has three."""
+"""Limit of nested maps and lists; openpi's deepest observation has three."""
 MOST_ITEMS = 1024
-"""Of one map or list."""
+"""Limit of entries of one map or list."""
 MOST_TEXT = 65536
-"""Characters of one text, a prompt for instance."""
+"""Limit of characters of one text, for instance a prompt."""
 _DTYPES = frozenset({"b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8"})
 _MOST_DIMENSIONS = 8
 _MOST_SIDE = 2**31
@@ -47,7 +47,7 @@ def pack(value: Value) -> bytes:
     """Encode strings, numbers, arrays, lists and maps.
 
     Raises:
-        TypeError: something else is in it.
+        TypeError: the value contains something else.
     """
     return bytes(msgpack.packb(value, default=_encode))
 
@@ -56,8 +56,8 @@ def unpack(data: bytes) -> dict[object, object] | NDArray[np.generic]:
     """Decode one message: a map, or an array alone.
 
     Raises:
-        InvalidInputError: it is not msgpack, is neither, is larger or deeper than anything that
-            belongs to the protocol, or an array in it is malformed.
+        InvalidInputError: it is not msgpack, neither a map nor an array, larger or deeper than the
+            bounds, or contains a malformed array.
     """
     if len(data) > MOST_BYTES:
         raise InvalidInputError(f"A message has {len(data)} bytes, at most {MOST_BYTES} are read.")
@@ -74,7 +74,7 @@ def unpack(data: bytes) -> dict[object, object] | NDArray[np.generic]:
         _check_depth(value, MOST_DEPTH)
     except (ValueError, TypeError, OverflowError, msgpack.UnpackException) as error:
         raise InvalidInputError(
-            f"A message of {len(data)} bytes is not of openpi's format: "
+            f"A message of {len(data)} bytes is not in openpi's format: "
             f"{error or type(error).__name__}."
         ) from error
     if not isinstance(value, dict | np.ndarray):
@@ -86,7 +86,7 @@ def unpack(data: bytes) -> dict[object, object] | NDArray[np.generic]:
 
 def _encode(value: object) -> dict[bytes, object]:
     if not isinstance(value, np.ndarray | np.generic) or value.dtype.str[1:] not in _DTYPES:
-        raise TypeError(f"{type(value).__name__} has no place in openpi's format")
+        raise TypeError(f"{type(value).__name__} cannot be encoded in openpi's format")
     if isinstance(value, np.ndarray):
         shape = list(value.shape)
         return {
@@ -133,9 +133,9 @@ def _array(value: dict[object, object]) -> NDArray[np.generic]:
 
 
 def _check_depth(value: object, left: int) -> None:
-    """Raises ValueError where maps and lists are in each other more than `left` times."""
+    """Raise ValueError if maps and lists are nested more than `left` deep."""
     if isinstance(value, dict | list):
         if left == 0:
-            raise ValueError(f"maps and lists are more than {MOST_DEPTH} deep in each other")
+            raise ValueError(f"maps and lists are nested more than {MOST_DEPTH} deep")
         for part in value.values() if isinstance(value, dict) else value:
             _check_depth(part, left - 1)

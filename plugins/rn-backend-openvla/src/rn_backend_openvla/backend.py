@@ -1,4 +1,4 @@
-"""The backends `openvla` and `openvla-tcp`: an image and an instruction to one action."""
+"""The backends `openvla` and `openvla-tcp`, which map an image and an instruction to one action."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from roboneuron import (
 F64 = NDArray[np.float64]
 
 CAMERA = "primary"
-"""Role of the one camera."""
+"""Role of the only camera."""
 
 
 class OpenVlaBackend:
-    """Follows `roboneuron.contract.Backend`."""
+    """Implements `roboneuron.contract.Backend`."""
 
     frame: ClassVar[str] = "base"
-    """Frame of the profiles it takes: without the TCP pose only base-frame actions can be
+    """Frame of the accepted profiles: without the TCP pose only base-frame actions can be
     converted.
     """
 
@@ -63,10 +63,10 @@ class OpenVlaBackend:
         self._loaded = False
 
     def load(self) -> None:
-        """Read the checkpoint and give it to the runtime.
+        """Read the checkpoint and pass it to the runtime.
 
         Raises:
-            CheckpointError: files are absent, damaged or of another family.
+            CheckpointError: files are missing, damaged or of another family.
             ConfigurationError: an option does not fit the checkpoint.
         """
         config = self._config
@@ -108,11 +108,11 @@ class OpenVlaBackend:
         self._loaded = True
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """One action for the newest image.
+        """Predict one action from the newest image.
 
         Raises:
             UngroundedError: the camera or the pose is missing from the observation, or too many of
-                the decoded tokens are no action tokens.
+                the decoded tokens are not action tokens.
             UnsafeError: the model produced non-finite values.
         """
         if not self._loaded or self._runtime is None:
@@ -156,7 +156,7 @@ class OpenVlaBackend:
         return ActionChunk(actions=actions, step_s=self._profile.step_s, metrics=metrics, note=told)
 
     def reset(self) -> None:
-        """Nothing is remembered between observations."""
+        """Nothing to do: the backend keeps no history."""
 
     def close(self) -> None:
         """Release the runtime's model."""
@@ -166,14 +166,14 @@ class OpenVlaBackend:
 
 
 class OpenVlaTcpBackend(OpenVlaBackend):
-    """The same for checkpoints whose actions are in the tool frame."""
+    """Backend for checkpoints whose actions are in the tool frame."""
 
     frame: ClassVar[str] = "tcp"
 
 
 def _check_no_components(checkpoint: OpenvlaCheckpoint) -> None:
-    """An OFT checkpoint also loads as OpenVLA, but its language model no longer decodes one token
-    after the other.
+    """Raise CheckpointError for an OFT checkpoint: it would load as OpenVLA, but its language model
+    no longer decodes token by token.
     """
     found = sorted(checkpoint.path.glob("*--*checkpoint.pt"))
     if found:
@@ -194,7 +194,7 @@ def check_pose(pose: Pose | None) -> None:
 
 
 def check_frame(profile: str, backend: str) -> None:
-    """Raise ConfigurationError when a profile's frame is not the one that a backend converts."""
+    """Raise ConfigurationError if a profile's frame is not the one that the backend converts."""
     if profile != backend:
         raise ConfigurationError(
             f"The profile's actions are in the frame {profile!r}, this backend converts from "

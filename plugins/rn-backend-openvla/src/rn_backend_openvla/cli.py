@@ -1,4 +1,4 @@
-"""`roboneuron-openvla`: tiny checkpoints to try the backend with."""
+"""`roboneuron-openvla`: creates tiny checkpoints to try the backend with."""
 
 from __future__ import annotations
 

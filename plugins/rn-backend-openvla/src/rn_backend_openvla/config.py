@@ -11,4 +11,4 @@ class OpenVlaConfig(OpenVlaModelOptions):
     """Options of the backends `openvla` and `openvla-tcp`."""
 
     prompt: Literal["auto", "v02", "v01"] = "auto"
-    """Prompt template; `auto` goes by the checkpoint's language model (v01 was Vicuna)."""
+    """Prompt template; `auto` chooses by the checkpoint's language model (v01 was Vicuna)."""

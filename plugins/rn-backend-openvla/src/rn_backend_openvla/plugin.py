@@ -1,4 +1,4 @@
-"""What this package offers: the backends `openvla` and `openvla-tcp`."""
+"""Descriptors of this package: the backends `openvla` and `openvla-tcp`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _spec(name: str, summary: str, target: str, case: str, needs_state: bool) ->
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """OpenVLA checkpoints with actions in the base frame, and with actions in the tool frame."""
+    """Register the backends for OpenVLA checkpoints with base-frame and with tool-frame actions."""
     return (
         _spec(
             "openvla",

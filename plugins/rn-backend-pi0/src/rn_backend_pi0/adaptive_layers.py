@@ -20,11 +20,12 @@ class AdaptiveRmsNorm(nn.Module):
         self.dense = nn.Linear(width, 3 * width)
 
     def forward(self, x: Tensor, change: Tensor) -> tuple[Tensor, Tensor]:
-        """(tokens, width) and what `dense` makes of the condition -> normed and gate, in x's dtype.
+        """Normalise x with the condition's scale and shift; returns normed and gate in x's dtype.
 
         Args:
             x: (tokens, width).
-            change: float32 (3 width,) or, one for each token, (tokens, 3 width).
+            change: output of `dense` for the condition, float32 (3 width,) or, per token, (tokens,
+                3 width).
         """
         scale, shift, gate = change.chunk(3, dim=-1)
         wide = x.float()
@@ -33,7 +34,7 @@ class AdaptiveRmsNorm(nn.Module):
 
 
 class AdaptiveGemmaLayer(GemmaBlock):
-    """A Gemma block with adaptive norms, whose gates weigh what the block adds."""
+    """A Gemma block with adaptive norms, whose gates scale the residual branches."""
 
     def __init__(self, dims: GemmaDims) -> None:
         super().__init__(dims)
@@ -49,14 +50,14 @@ class AdaptiveGemmaLayer(GemmaBlock):
         cached: KeyValue,
         change: Tensor,
     ) -> Tensor:
-        """(tokens, width) -> the same shape, every token attending to all of `cached`.
+        """Apply the block; every token attends to all of `cached`. Returns (tokens, width).
 
         Args:
             x: (tokens, width).
-            normed, gate: what the first norm made of `x`.
-            rotary: of these tokens.
-            cached: keys and values of all tokens that are seen.
-            change: of the second norm.
+            normed, gate: output of the first norm for `x`.
+            rotary: rotary embedding of these tokens.
+            cached: keys and values of all visible tokens.
+            change: condition of the second norm.
         """
         x = x + self.attended(normed, rotary, cached) * gate
         hidden, gate = self.post_attention_layernorm(x, change)
@@ -72,7 +73,7 @@ class AdaptiveGemma(nn.Module):
         self.norm = AdaptiveRmsNorm(dims.width, dims.norm_eps)
 
     def blocks(self) -> list[AdaptiveGemmaLayer]:
-        """The layers, typed."""
+        """The layers with their type."""
         return [cast("AdaptiveGemmaLayer", layer) for layer in self.layers]
 
     def norms(self) -> list[AdaptiveRmsNorm]:

@@ -1,8 +1,8 @@
-"""ALOHA's gripper as the base models of pi0 know it: the motor's angle, where ALOHA's own software
-has the finger's travel (state) and the share of the motor's travel (command).
+"""ALOHA's gripper in the base models of pi0: they use the motor's angle, while ALOHA's own software
+uses the finger's travel (state) and the fraction of the motor's travel (command).
 
 Source: Interbotix and ALOHA constants, openpi's policy of ALOHA; `tests/data/action-spaces` holds
-what that computes.
+its reference values.
 """
 
 from __future__ import annotations
@@ -12,20 +12,22 @@ import numpy as np
 from rn_vla.rotation import F64
 
 _TRAVEL_M = (0.01844, 0.05800)
-"""Position of a finger of the follower arm, closed and open, as the linkage counts it."""
+"""Position of a finger of the follower arm, closed and open, in the linkage's coordinate."""
 _HORN_M = 0.022
 _ROD_M = 0.036
 """Radius of the motor's horn and length of the rod to the finger."""
 _TRAINED_RAD = (0.5476, 1.6296)
-"""Motor angles that are 0 and 1 in pi0's data: encoder counts 2405 and 3110 of 4096, zero at
+"""Motor angles that pi0's data encodes as 0 and 1: encoder counts 2405 and 3110 of 4096, zero at
 2048.
 """
 _MOTOR_RAD = (-0.6213, 1.4910)
-"""Motor angles that are 0 and 1 in the commands of ALOHA's software."""
+"""Motor angles that the commands of ALOHA's software encode as 0 and 1."""
 
 
 def from_opening(opening: F64) -> F64:
-    """Measured opening, 0 closed..1 open by the finger's travel -> pi0's share of the angle."""
+    """Convert a measured opening, 0 closed..1 open by the finger's travel, to pi0's fraction of the
+    angle.
+    """
     low, high = _TRAVEL_M
     travel_m = opening * (high - low) + low
     # Law of cosines in the triangle of horn, rod and finger.
@@ -36,6 +38,8 @@ def from_opening(opening: F64) -> F64:
 
 
 def to_opening(value: F64) -> F64:
-    """pi0's gripper action [rad above its least angle] -> ALOHA's command, 0 closed..1 open."""
+    """Convert pi0's gripper action [rad above its smallest angle] to ALOHA's command, 0 closed..1
+    open.
+    """
     least, most = _MOTOR_RAD
     return np.asarray((value + _TRAINED_RAD[0] - least) / (most - least), dtype=np.float64)

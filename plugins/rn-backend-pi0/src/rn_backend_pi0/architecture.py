@@ -10,14 +10,14 @@ from typing import Literal
 from roboneuron import CheckpointError
 
 Variant = Literal["pi0", "pi05", "pi0_fast"]
-"""Which model: the public names are pi0, pi0.5 and pi0-FAST."""
+"""Model variant; the public names are pi0, pi0.5 and pi0-FAST."""
 _PALIGEMMA = "paligemma_with_expert.paligemma."
 _VISION = _PALIGEMMA + "model.vision_tower.vision_model."
 _PREFIX = _PALIGEMMA + "model.language_model."
 _EXPERT = "paligemma_with_expert.gemma_expert."
 EMBEDDING_KEYS = (_PALIGEMMA + "lm_head.weight", _PREFIX + "embed_tokens.weight")
-"""The token embedding is tied to the head: a checkpoint holds it under one of these names, or under
-both.
+"""The token embedding is tied to the head: a checkpoint holds it under one or both of these
+names.
 """
 
 
@@ -64,7 +64,7 @@ class Pi0Dims:
             the expert; "pi0_fast" has it in the prompt and no expert.
         chunk: actions per inference.
         state, action: padded widths of the state and of one action.
-        min_period, max_period: of the sine-cosine embedding of the flow time.
+        min_period, max_period: range of the sine-cosine embedding of the flow time.
     """
 
     vision: VisionDims
@@ -163,8 +163,8 @@ def _gemma(prefix: str, dims: GemmaDims, *, adaptive: bool = False) -> dict[str,
 def required_tensors(dims: Pi0Dims) -> dict[str, Shape]:
     """Shape by key (without LeRobot's leading "model.") of every tensor a checkpoint must hold.
 
-    The token embedding is not among them: see EMBEDDING_KEYS. Source: the key lists of openpi's and
-    LeRobot's PyTorch checkpoints.
+    Without the token embedding, see EMBEDDING_KEYS. Source: the key lists of openpi's and LeRobot's
+    PyTorch checkpoints.
     """
     common = {
         **_vision(dims.vision),
@@ -194,8 +194,8 @@ def required_tensors(dims: Pi0Dims) -> dict[str, Shape]:
 
 
 def optional_tensors(dims: Pi0Dims) -> dict[str, Shape]:
-    """Shape by key of tensors that a checkpoint may hold and that inference never reads (the
-    expert's head).
+    """Shape by key of tensors that a checkpoint may hold but inference never reads (the expert's
+    head).
     """
     if dims.variant == "pi0_fast":
         return {}
@@ -204,10 +204,10 @@ def optional_tensors(dims: Pi0Dims) -> dict[str, Shape]:
 
 
 def module_keys(dims: Pi0Dims) -> dict[str, str]:
-    """Checkpoint key by parameter name of the network, for everything that inference reads.
+    """Checkpoint key by parameter name of the network, for all weights that inference reads.
 
-    With an expert, the last layer of the language model only yields keys and values for it, so the
-    rest of it is left out.
+    With an expert, the last layer of the language model only yields keys and values for it, so its
+    other weights are left out.
     """
     last = f"{_PREFIX}layers.{dims.prefix.depth - 1}."
     last_used = ("input_layernorm.", "self_attn.k_proj.", "self_attn.v_proj.")

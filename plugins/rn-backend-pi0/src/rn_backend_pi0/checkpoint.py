@@ -1,4 +1,4 @@
-"""What a checkpoint directory says of itself: family, dimensions, camera slots and statistics."""
+"""The contents of a checkpoint directory: family, dimensions, camera slots and statistics."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from rn_backend_pi0.statistics import Scaling
 
 Family = Literal["lerobot", "openpi"]
 PROFILE_FILE = "roboneuron.json"
-"""Optional file beside config.json that names the checkpoint's profile: {"profile": "libero"}."""
+"""Optional file next to config.json that names the checkpoint's profile: {"profile": "libero"}."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FastSettings:
-    """How pi0-FAST writes actions.
+    """Settings of pi0-FAST's action tokens.
 
     Attributes:
-        skip_tokens: ids at the end of the vocabulary that no action token has.
+        skip_tokens: number of ids at the end of the vocabulary that are no action tokens.
         most_tokens: longest answer.
     """
 
@@ -32,19 +32,19 @@ class Pi0Checkpoint:
     """A described checkpoint.
 
     Attributes:
-        directory: where it lies.
-        family: whose code wrote it; numerics and preprocessing follow that family.
+        directory: its folder.
+        family: code that wrote it; numerics and preprocessing follow that family.
         dims: model dimensions.
         slots: names of the camera slots, in the model's order.
-        state, action: statistics, as wide as the files have them.
+        state, action: statistics, with the width of the files.
         denoising_steps: Euler steps.
-        action_steps: how many of the chunk's actions are meant to be executed.
+        action_steps: number of a chunk's actions to be executed.
         prompt_length: most tokens of a prompt.
         relative_actions: the family's own code adds the state to the first six action values.
-        profile: what PROFILE_FILE says; empty without one.
-        trained_prefix_rows: it was trained to continue clean prefixes of up to so many rows; 0 when
-            it was not.
-        fast: of pi0-FAST; None for others.
+        profile: profile named in PROFILE_FILE; empty without one.
+        trained_prefix_rows: longest clean prefix that it was trained to continue, in rows; 0 for
+            none.
+        fast: settings of pi0-FAST; None for others.
     """
 
     directory: Path

@@ -1,4 +1,4 @@
-"""Real-time chunking: a new chunk continues the rows that are played while it is computed.
+"""Real-time chunking: a new chunk continues the rows that are executed while it is computed.
 
 Source: arXiv 2506.07339 and real-time-chunking-kinetix (guided), arXiv 2512.05964 (training time),
 lerobot 0.6.1 (names and defaults). Flow time runs from 1 (noise) to 0 (actions), as in pi0; tau = 1
@@ -27,8 +27,8 @@ class RunningChunk:
     """The backend's own form of a chunk (`ActionChunk.context`), uncut and unclipped.
 
     Attributes:
-        normalized: float32 (H, A), what the network yielded.
-        state: (n,), measured state that it was computed from, in the training data's units.
+        normalized: float32 (H, A), output of the network.
+        state: (n,), measured state used for it, in the training data's units.
     """
 
     normalized: F32
@@ -37,18 +37,18 @@ class RunningChunk:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Prefix:
-    """What the network is to continue.
+    """The rows that the network continues.
 
     Attributes:
-        rows: float32 (N, W <= A), normalised: rows not yet played at the capture, oldest first.
-        committed: that many will be played whatever comes.
-        horizon: rows guided at all; None for all of them.
-        schedule: how the weights of the rows after the committed ones fall.
-        max_weight: greatest guidance weight, that of the first step.
-        jacobian: "identity" as LeRobot computes it, "full" as the paper has it (one backward pass
-            for each step).
-        trained: the checkpoint was trained on clean prefixes: they are put in instead of guided
-            towards.
+        rows: float32 (N, W <= A), normalised: rows not yet executed at the capture, oldest first.
+        committed: number of rows that will be executed in any case.
+        horizon: number of guided rows; None for all of them.
+        schedule: decrease of the weights after the committed rows.
+        max_weight: largest guidance weight, that of the first step.
+        jacobian: "identity" as in LeRobot, "full" as in the paper (one backward pass for each
+            step).
+        trained: the checkpoint was trained on clean prefixes, which are then inserted instead of
+            guided towards.
     """
 
     rows: F32
@@ -64,11 +64,11 @@ def prefix_weights(committed: int, end: int, total: int, schedule: Schedule) -> 
     """Weight of each row of a chunk, float64 (total,), 0 .. 1.
 
     Args:
-        committed: the first rows weigh 1.
-        end: rows from here on weigh 0; at most as many as the left-over has.
-        total: rows of a chunk.
-        schedule: between them: "linear" (end - i) / (end - committed + 1), "exp" w (e^w - 1) / (e -
-            1) of it, "ones", "zeros".
+        committed: number of first rows with weight 1.
+        end: first row with weight 0; at most the length of the left-over.
+        total: number of rows of a chunk.
+        schedule: weights between them: "linear" (end - i) / (end - committed + 1), "exp" w (e^w -
+            1) / (e - 1) of it, "ones", "zeros".
     """
     start = min(committed, end)
     index = np.arange(total)
@@ -98,16 +98,16 @@ def guidance_weights(times: Sequence[float], max_weight: float) -> tuple[float, 
 
 
 def end_of(prefix: Prefix) -> int:
-    """First row that is not guided: the horizon, cut to what is left over.
+    """First row that is not guided: the horizon, limited to the left-over rows.
 
-    A left-over padded to the horizon would pull towards made-up rows, the mean action.
+    A left-over padded to the horizon would pull towards invented rows, the mean action.
     """
     rows = len(prefix.rows)
     return rows if prefix.horizon is None else min(prefix.horizon, rows)
 
 
 def padded(rows: F32, shape: tuple[int, int]) -> F32:
-    """`rows` with zeros behind and beside them, float32 of `shape` (H, A)."""
+    """Pad `rows` with zeros to float32 of `shape` (H, A)."""
     out = np.zeros(shape, dtype=np.float32)
     count = min(len(rows), shape[0])
     out[:count, : rows.shape[1]] = rows[:count]

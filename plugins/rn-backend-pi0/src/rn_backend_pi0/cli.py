@@ -1,4 +1,4 @@
-"""The command `roboneuron-pi0`: make a tiny checkpoint, or check one without running it."""
+"""The command `roboneuron-pi0`: create a tiny checkpoint, or check one without running it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,7 @@ from roboneuron import MissingDependencyError, RoboNeuronError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; returns 0, 1 for a failure that is printed, or exits with 2 for wrong
-    usage.
-    """
+    """Run the command; returns 0, or 1 after printing a failure; exits with 2 for wrong usage."""
     parser = argparse.ArgumentParser(prog="roboneuron-pi0", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     make = commands.add_parser(
@@ -30,13 +28,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     make.add_argument(
         "--profile", choices=TINY_PROFILES, default="libero", help="default: %(default)s"
     )
-    make.add_argument("--seed", type=int, default=0, help="of the weights; default: %(default)s")
+    make.add_argument(
+        "--seed", type=int, default=0, help="seed of the weights; default: %(default)s"
+    )
     check = commands.add_parser(
         "check", help="compare a checkpoint's files with what the backend needs"
     )
     check.add_argument("directory", type=Path, help="LeRobot or openpi checkpoint")
     check.add_argument(
-        "--asset-id", help="which statistics of an openpi checkpoint that has several"
+        "--asset-id", help="statistics to use from an openpi checkpoint that has several"
     )
     chosen = parser.parse_args(arguments)
     try:

@@ -1,5 +1,5 @@
-"""Between an observation, the network and the contract, for TCP policies and for joint policies
-alike.
+"""Conversion between an observation, the network and the contract, for TCP policies and joint
+policies.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from roboneuron import (
 
 
 class Conversion(Protocol):
-    """What one profile makes of states and actions."""
+    """Conversion of states and actions in one profile."""
 
     @property
     def space(self) -> ControlSpace:
-        """What the rows of a chunk are."""
+        """Control space of a chunk's rows."""
 
     @property
     def step_s(self) -> float:
@@ -40,28 +40,28 @@ class Conversion(Protocol):
 
     @property
     def state_columns(self) -> tuple[str, ...]:
-        """What each value of the state is."""
+        """Meaning of each value of the state."""
 
     @property
     def action_columns(self) -> tuple[str, ...]:
-        """What each value of an action is."""
+        """Meaning of each value of an action."""
 
     @property
     def relative(self) -> NDArray[np.intp]:
-        """Which action values are relative to the state value of the same place."""
+        """Indices of the action values that are relative to the state value at the same index."""
 
     @property
     def precision(self) -> Real:
         """Number type in which state and actions are normalised."""
 
     def read_state(self, observation: Observation) -> F64:
-        """float64 (n,), un-normalised. Raises UngroundedError or UnsafeError."""
+        """Un-normalised state, float64 (n,). Raises UngroundedError or UnsafeError."""
 
     def to_contract(self, raw: F64, state: F64, observation: Observation) -> F64:
-        """Un-normalised actions (H, n) -> rows of `space`.
+        """Convert un-normalised actions (H, n) to rows of `space`.
 
         Raises:
-            UngroundedError, UnsafeError: something is missing or not finite.
+            UngroundedError, UnsafeError: a needed value is missing or not finite.
         """
 
 
@@ -114,11 +114,11 @@ class JointConversion:
     """For a policy whose actions move the joints called `joints`, in its own order.
 
     Attributes:
-        layout: of the policy.
-        joints: the robot's names.
+        layout: joint layout of the policy.
+        joints: the robot's joint names.
 
     Raises:
-        ConfigurationError: the names do not fit.
+        ConfigurationError: the names do not match the layout.
     """
 
     layout: JointLayout

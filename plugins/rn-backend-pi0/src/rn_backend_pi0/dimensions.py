@@ -26,8 +26,8 @@ def read_dims(
     action: int,
     variant: Variant = "pi0",
 ) -> Pi0Dims:
-    """Model dimensions: from the blocks vlm_config and dit_config when there, else by the names of
-    the variants.
+    """Model dimensions: from the blocks vlm_config and dit_config if present, else from the names
+    of the variants.
 
     Raises:
         CheckpointError: an unknown variant, or blocks that do not fit together.
@@ -59,7 +59,7 @@ def _variant(key: str, name: str | None, path: Path) -> GemmaDims:
         hint = (
             "Merge the LoRA weights first."
             if str(name).endswith("_lora")
-            else "Own sizes go into vlm_config/dit_config."
+            else "Define other sizes in vlm_config/dit_config."
         )
         raise CheckpointError(
             f"{path}: {key!r} is {name!r}, expected one of {', '.join(GEMMA_VARIANTS)}.", hint=hint

@@ -1,8 +1,8 @@
 """The JSON files of a checkpoint as typed models with bounds; keys that inference does not need are
 ignored.
 
-The bounds hold every released pi0 with room to spare. They keep a damaged number from costing
-memory or time before it is compared with the tensors it describes.
+The bounds leave ample margin for every released pi0. They prevent a damaged number from costing
+memory or time before it is compared with the tensors.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class VlmBlock(_Document):
 
 
 class DimensionsDocument(_Document):
-    """What both layouts say of the network's size: blocks, or names of variants."""
+    """Settings of the network's size in both layouts: blocks, or names of variants."""
 
     vlm_config: VlmBlock | None = None
     dit_config: GemmaSettings | None = None
@@ -152,7 +152,7 @@ class ProcessorStep(_Document):
 
 
 class StepConfig(_Document):
-    """What is used of a step's config."""
+    """The keys used of a step's config."""
 
     eps: Annotated[float, Field(ge=1e-12, le=0.1)] = 1e-8
     enabled: bool = False
@@ -233,7 +233,7 @@ class RangeStatsDocument(_Document):
 
 
 class ProfileDocument(_Document):
-    """roboneuron.json beside config.json."""
+    """roboneuron.json next to config.json."""
 
     profile: Name = ""
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Pi0FastBackend(NativeBackend):
-    """Writes actions as tokens; every chunk is a new one."""
+    """Decodes actions from tokens; every chunk is computed anew."""
 
     name: ClassVar[str] = "pi0-fast"
     variants: ClassVar[tuple[Variant, ...]] = ("pi0_fast",)
@@ -34,7 +34,7 @@ class Pi0FastBackend(NativeBackend):
         self._config = config
 
     def build_model(self, checkpoint: Pi0Checkpoint, prompt: InstructionEncoder) -> Pi0Model:
-        """Read action tokenizer and weights.
+        """Load the action tokenizer and the weights.
 
         Raises:
             CheckpointError, ConfigurationError: see `load_fast_tokenizer` and `FastModel`.
@@ -62,10 +62,10 @@ class Pi0FastBackend(NativeBackend):
         )
 
     def reset(self) -> None:
-        """Nothing is remembered between observations."""
+        """Nothing to do: the backend keeps no history."""
 
     def draw_noise(self, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Zeros: the likeliest tokens are taken."""
+        """Zeros: decoding is greedy."""
         return np.zeros(shape, dtype=np.float32)
 
     def prefix_of(self, ahead: Ahead | None, state: Values) -> Prefix | None:

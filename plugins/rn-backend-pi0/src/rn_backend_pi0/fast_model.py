@@ -1,4 +1,6 @@
-"""A loaded pi0-FAST: pictures, token ids and what the tokens mean in; normalised actions out."""
+"""A loaded pi0-FAST: maps images and token ids to action tokens, and these to normalised
+actions.
+"""
 
 from __future__ import annotations
 
@@ -18,15 +20,15 @@ from roboneuron import CheckpointError, UngroundedError
 
 
 class FastModel(Pi0Model):
-    """Weights on a device, with the tokens of actions.
+    """The weights on a device, with the action tokenizer.
 
     Args:
-        checkpoint: what was read of the directory.
+        checkpoint: description of the checkpoint.
         prompt: tokenizer of the language model.
         actions: tokenizer of the actions.
-        max_outside_share: share of the tokens of an answer for which the model finds another one
-            likelier than every action token; more is refused.
-        settings: as `Pi0Model`.
+        max_outside_share: largest accepted fraction of an answer's tokens for which the model
+            prefers another token over every action token.
+        settings: those of `Pi0Model`.
 
     Raises:
         CheckpointError: the action tokens do not fit into the vocabulary, or as `Pi0Model`.
@@ -62,7 +64,7 @@ class FastModel(Pi0Model):
         self._allowed = torch.tensor(ids, dtype=torch.int64, device=self.device)
 
     def warm_up(self, images: int, token_count: int, state_width: int) -> float:
-        """As `Pi0Model.warm_up`; what is written on grey pictures need not be a chunk."""
+        """As `Pi0Model.warm_up`; the tokens for grey images need not form a chunk."""
         self._is_warming = True
         try:
             return super().warm_up(images, token_count, state_width)

@@ -1,4 +1,4 @@
-"""pi0-FAST as PyTorch modules: the language model itself writes the actions, token by token."""
+"""pi0-FAST as PyTorch modules: the language model itself generates the actions, token by token."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rn_backend_pi0.prefix import PrefixNetwork
 
 
 class FastNetwork(PrefixNetwork):
-    """The whole model. The token embedding is the head as well."""
+    """The whole model. The token embedding also serves as the output head."""
 
     def __init__(self, dims: Pi0Dims) -> None:
         super().__init__(dims, keys_only_last=False)
@@ -31,19 +31,19 @@ class FastNetwork(PrefixNetwork):
         stop: int,
         most: int,
     ) -> tuple[list[int], int]:
-        """Continue the prompt with the likeliest of the allowed tokens, again and again.
+        """Generate tokens greedily, restricted to the allowed ones.
 
         Args:
             pixels: float32 (cameras >= 1, 3, H, W) in -1..1, present cameras only, in slot order.
             token_ids: int64 (n,), the prompt without padding.
-            given: what the answer begins with, as all answers of the training data do.
-            allowed: int64 (m,), ids that may come after that, the stop among them.
+            given: first ids of the answer, as in all answers of the training data.
+            allowed: int64 (m,), ids allowed after that, including the stop.
             stop: the id that ends the answer.
-            most: tokens after `given` at most.
+            most: largest number of tokens after `given`.
 
         Returns:
-            The ids after `given`, without the stop, and for how many of all of them (the stop
-            included) another token of the vocabulary was likelier than every allowed one.
+            The ids after `given`, without the stop, and the number of them (the stop included) for
+            which another token of the vocabulary was likelier than every allowed one.
         """
         x = self.embed_prefix(pixels.to(self.projector.weight.dtype), token_ids)
         length = x.shape[0]
@@ -72,7 +72,7 @@ class FastNetwork(PrefixNetwork):
         return written, outside
 
     def _next(self, token: int, position: int, rotary: Rotary, cache: list[KeyValue]) -> Tensor:
-        """(1, width) of one more token, which sees all before it."""
+        """Hidden state (1, width) of one more token, which attends to all tokens before it."""
         x = self.embed_text(torch.tensor([token], device=self.embedding.weight.device))
         here = part_of(rotary, position, position + 1)
         for index, layer in enumerate(self.prefix.blocks()):

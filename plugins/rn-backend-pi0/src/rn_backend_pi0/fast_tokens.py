@@ -1,6 +1,7 @@
-"""FAST: tokens to actions. A byte-pair code of rounded coefficients of a cosine transform.
+"""FAST, which decodes tokens to actions: a byte-pair code of rounded coefficients of a cosine
+transform.
 
-Source: arXiv 2501.09747, and the published tokenizer's own files; its remote code is not run.
+Source: arXiv 2501.09747, and the files of the published tokenizer; its remote code is not run.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from tokenizers import Tokenizer
 
 FAST_DIRECTORY = "action_tokenizer"
-"""Where LeRobot saves the tokenizer, inside of the checkpoint."""
+"""Folder of the tokenizer within a checkpoint, as saved by LeRobot."""
 FastLength = Literal["exact", "padded"]
 _HINT = (
     "Copy processor_config.json and tokenizer.json of physical-intelligence/fast, or of the "
@@ -37,9 +38,9 @@ class FastTokenizer:
         tokenizer: the byte-pair code.
         processor: scale and offset of the coefficients.
         horizon: rows of a chunk.
-        width: values of a row.
-        length: "padded" takes coefficients that are missing at the end (the highest frequencies)
-            as 0 and drops surplus ones, as LeRobot does; "exact" refuses both.
+        width: number of values of a row.
+        length: "padded" fills coefficients missing at the end (the highest frequencies) with 0 and
+            drops extra ones, as LeRobot does; "exact" refuses both.
     """
 
     def __init__(
@@ -60,14 +61,16 @@ class FastTokenizer:
         return int(self._tokenizer.get_vocab_size(with_added_tokens=True))
 
     def to_actions(self, ids: Sequence[int]) -> F64:
-        """Token ids -> normalised actions, float64 (horizon, width).
+        """Decode token ids to normalised actions, float64 (horizon, width).
 
         Raises:
-            UngroundedError: the ids do not spell a chunk.
+            UngroundedError: the ids do not encode a chunk.
         """
         text = self._tokenizer.decode(list(ids), skip_special_tokens=False)
         if _UNREADABLE in text:
-            raise UngroundedError("The model wrote action tokens that are no whole coefficients.")
+            raise UngroundedError(
+                "The model wrote action tokens that form no complete coefficients."
+            )
         rows, columns = self._shape
         if len(text) != rows * columns and self._length == "exact":
             raise UngroundedError(
@@ -93,7 +96,7 @@ def load_fast_tokenizer(
     """Load the action tokenizer from `path`, else from the checkpoint's own directory.
 
     Raises:
-        CheckpointError: there is none, it cannot be read, or it is for chunks of another shape.
+        CheckpointError: it is missing, cannot be read, or is for chunks of another shape.
     """
     from tokenizers import Tokenizer  # heavy
 

@@ -1,8 +1,7 @@
-"""What the flow-matching models of the family have in common, for inference of one sample: nothing
-masked is computed, everything constant only once.
+"""Common base of the flow-matching models, for inference of one sample: masked positions are not
+computed, and constants are computed once.
 
-Missing cameras and prompt padding take no positions, so leaving them out is the same as masking
-them.
+Missing cameras and prompt padding occupy no positions, so leaving them out equals masking them.
 """
 
 from __future__ import annotations
@@ -24,12 +23,12 @@ from rn_backend_pi0.prefix import PrefixNetwork
 
 
 class FlowNetwork(PrefixNetwork, ABC):
-    """Images and text to a cache of keys and values, and the integration of the flow on top of it.
-    Projections at the border are float32.
+    """Computes a cache of keys and values from images and text, and integrates the flow on top of
+    it. Projections at the border are float32.
     """
 
     state_tokens: ClassVar[int]
-    """Tokens between the prompt and the actions that hold the state."""
+    """Number of tokens between the prompt and the actions that hold the state."""
 
     def __init__(self, dims: Pi0Dims) -> None:
         super().__init__(dims, keys_only_last=True)
@@ -39,7 +38,7 @@ class FlowNetwork(PrefixNetwork, ABC):
 
     @abstractmethod
     def time_terms(self, times: tuple[float, ...], device: torch.device) -> Tensor:
-        """What `velocity` needs of each flow time: float32 (steps, any width)."""
+        """Inputs of `velocity` for each flow time: float32 (steps, any width)."""
 
     @abstractmethod
     def fill_state(self, state: Tensor, rotary: Rotary, cache: list[KeyValue], length: int) -> None:
@@ -56,15 +55,15 @@ class FlowNetwork(PrefixNetwork, ABC):
         *,
         keep: bool = False,
     ) -> Tensor:
-        """float32 (chunk, dims.action), the flow at `x`.
+        """The flow at `x`, float32 (chunk, dims.action).
 
         Args:
             x: float32 (chunk, dims.action).
             term: one row of `time_terms`, or one for each action.
-            rotary: of the action tokens.
-            cache: of all layers; the action tokens go behind `position`.
-            position: tokens before the actions.
-            keep: leave the cache as it is, as a backward pass needs it.
+            rotary: rotary embedding of the action tokens.
+            cache: cache of all layers; the action tokens are written from `position` on.
+            position: number of tokens before the actions.
+            keep: do not modify the cache, because a backward pass needs it.
         """
 
     def sample_actions(
@@ -85,14 +84,14 @@ class FlowNetwork(PrefixNetwork, ABC):
             noise: float32 (dims.chunk, dims.action).
             times: flow time at each Euler step, from 1 downwards; their number is the number of
                 steps.
-            prefix: rows to continue; None for a chunk of its own.
+            prefix: rows to continue; None for an independent chunk.
 
         Returns:
             float32 (dims.chunk, dims.action), normalised.
         """
         needs_gradient = prefix is not None and prefix.jacobian == "full" and not prefix.trained
-        # Tensors made in inference mode cannot be differentiated through; no_grad allows it where
-        # it is asked for.
+        # Tensors created in inference mode cannot be differentiated through; under no_grad
+        # gradients can be enabled locally.
         with torch.no_grad() if needs_gradient else torch.inference_mode():
             return self._integrate(pixels, token_ids, state, noise, times, prefix)
 
@@ -164,7 +163,7 @@ class FlowNetwork(PrefixNetwork, ABC):
         return torch.cat([angles.sin(), angles.cos()], dim=1).to(device=device, dtype=torch.float32)
 
     def seen_by(self, cached: KeyValue, new: KeyValue, position: int, *, keep: bool) -> KeyValue:
-        """Keys and values of everything, `new` being those of the action tokens."""
+        """Cached keys and values together with `new`, those of the action tokens."""
         if keep:
             return _joined(until(cached, position), new)
         write(cached, new, position)
@@ -186,7 +185,7 @@ def _joined(cached: KeyValue, new: KeyValue) -> KeyValue:
 
 
 def write(cached: KeyValue, new: KeyValue, position: int) -> None:
-    """Put `new` into the cache, from token `position` on."""
+    """Write `new` into the cache, from token `position` on."""
     stop = position + new[0].shape[1]
     cached[0][:, position:stop] = new[0]
     cached[1][:, position:stop] = new[1]

@@ -1,6 +1,4 @@
-"""What bends pi0's flow so that a new chunk continues the rows that are being played (see
-`chunking`).
-"""
+"""Guidance of pi0's flow so that a new chunk continues the rows being executed (see `chunking`)."""
 
 from __future__ import annotations
 
@@ -15,9 +13,9 @@ from rn_backend_pi0.chunking import Prefix, end_of, guidance_weights, padded, pr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Guide:
-    """Bends the flow towards the rows that are left over.
+    """Guides the flow towards the left-over rows.
 
-    Columns of padding are guided towards zero as well, as the checkpoints were trained.
+    Columns of padding are guided towards zero as well, as in the checkpoints' training.
     """
 
     target: Tensor
@@ -28,7 +26,7 @@ class Guide:
 
     @classmethod
     def of(cls, prefix: Prefix, noise: Tensor, times: tuple[float, ...]) -> Guide | None:
-        """None when no row weighs anything."""
+        """Create the guide; None if no row has a weight."""
         chunk, width = noise.shape
         weights = prefix_weights(prefix.committed, end_of(prefix), chunk, prefix.schedule)
         if not weights.any():
@@ -42,12 +40,12 @@ class Guide:
         )
 
     def bend(self, x: Tensor, v: Tensor, index: int) -> Tensor:
-        """The velocity with the Jacobian of the estimate taken as the identity."""
+        """The guided velocity, with the Jacobian of the estimate approximated by the identity."""
         error = (self.target - (x - self.times[index] * v)) * self.row_weights
         return v - self.strengths[index] * error
 
     def bend_fully(self, x: Tensor, index: int, velocity: Callable[[Tensor], Tensor]) -> Tensor:
-        """The velocity with the estimate's own Jacobian: one backward pass through the expert."""
+        """The guided velocity with the exact Jacobian: one backward pass through the expert."""
         with torch.enable_grad():
             x = x.detach().requires_grad_()
             v = velocity(x)
@@ -59,7 +57,7 @@ class Guide:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CleanPrefix:
-    """Puts the committed rows in as finished ones, for checkpoints trained on such prefixes."""
+    """Inserts the committed rows as finished ones, for checkpoints trained on such prefixes."""
 
     rows: Tensor
     time_term: Tensor
@@ -72,10 +70,10 @@ class CleanPrefix:
         return cls(torch.from_numpy(rows).to(noise.device), done_term, len(noise))
 
     def put(self, x: Tensor) -> Tensor:
-        """`x` with the clean rows in front."""
+        """`x` with its first rows replaced by the clean ones."""
         return torch.cat([self.rows, x[len(self.rows) :]])
 
     def terms(self, term: Tensor) -> Tensor:
-        """The time term of each row: the clean ones are at the end of the flow."""
+        """The time term of each row; the clean rows get that of the end of the flow."""
         count = len(self.rows)
         return torch.cat([self.time_term.expand(count, -1), term.expand(self.chunk - count, -1)])

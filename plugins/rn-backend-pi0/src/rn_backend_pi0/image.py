@@ -1,5 +1,5 @@
-"""Images as pi0 takes them: 224 x 224, aspect kept, black bars, resized the way the checkpoint's
-own code does.
+"""Image preprocessing of pi0: 224 x 224, same aspect ratio, black bars, resized as in the
+checkpoint's own code.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Resize = Literal["antialiased", "plain"]
 
 
 def _sample_axis(size: int, target: int) -> tuple[NDArray[np.intp], NDArray[np.intp], F32]:
-    """Lower and upper index and the weight of the upper, for half-pixel-centred bilinear
+    """Lower and upper index, and the weight of the upper one, for half-pixel-centred bilinear
     sampling.
     """
     position = np.maximum(
@@ -37,8 +37,8 @@ def _mix(first: NDArray[np.generic], second: NDArray[np.generic], weight: F32) -
 
 
 def resize_plain(image: U8, side: int) -> F32:
-    """uint8 (H, W, 3) -> float32 (side, side, 3) in 0..255, bilinear without antialiasing, centred
-    on black.
+    """Resize uint8 (H, W, 3) to float32 (side, side, 3) in 0..255, bilinear without antialiasing,
+    centred on black.
 
     Source: LeRobot's pi0, resize_with_pad_torch (interpolation with align_corners off and antialias
     off).
@@ -61,7 +61,7 @@ def resize_plain(image: U8, side: int) -> F32:
 
 
 def to_pixels(image: U8, *, side: int, resize: Resize, flip: Flip) -> F32:
-    """uint8 RGB (H, W, 3) -> float32 (3, side, side) in -1..1."""
+    """Convert uint8 RGB (H, W, 3) to float32 (3, side, side) in -1..1."""
     turned = flip_image(image, flip)
     square = (
         resize_plain(turned, side) if resize == "plain" else fit_antialiased(turned, (side, side))

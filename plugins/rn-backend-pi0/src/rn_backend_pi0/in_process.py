@@ -1,4 +1,4 @@
-"""What the backends that run a checkpoint in this process have in common."""
+"""Common base of the backends that run a checkpoint in this process."""
 
 from __future__ import annotations
 
@@ -45,7 +45,9 @@ _ROLE_BY_SLOT = {
     "wrist_image": "wrist",
 }
 _FAR_FROM_TRAINING = 10.0
-"""Standard deviations of the state beyond which the chunk's note says that something is off."""
+"""Deviation of the state, in standard deviations, above which the chunk's note contains a
+warning.
+"""
 log = logging.getLogger(__name__)
 
 
@@ -54,11 +56,11 @@ def resolve_slots(slots: Sequence[str], wanted: Sequence[str] | None) -> tuple[s
 
     Args:
         slots: the checkpoint's names.
-        wanted: the user's choice; None for the usual roles of well-known names.
+        wanted: the user's choice; None for the default roles of known names.
 
     Raises:
-        ConfigurationError: wrong number, a role twice, no role at all, or an unknown name without a
-            choice.
+        ConfigurationError: wrong number, a repeated role, no role at all, or an unknown name
+            without a choice.
     """
     shown = ", ".join(slots)
     if wanted is None:
@@ -114,15 +116,16 @@ def _fit(
 
 
 class NativeBackend(ABC):
-    """Follows the protocol `Backend`; construction is pure, `load` does the work.
+    """Implements the protocol `Backend`; the constructor only stores the options, `load` does the
+    work.
 
-    What one model does otherwise than another one: `build_model`, `draw_noise` and `prefix_of`.
+    Differences between models are in `build_model`, `draw_noise` and `prefix_of`.
     """
 
     name: ClassVar[str]
-    """As in the descriptor."""
+    """Name in the descriptor."""
     variants: ClassVar[tuple[Variant, ...]]
-    """What it runs."""
+    """Supported model variants."""
 
     def __init__(
         self, config: NativeOptions, *, runtime: object = None, acceleration: object = None
@@ -137,7 +140,7 @@ class NativeBackend(ABC):
         self._warm_ms = 0.0
 
     def load(self) -> None:
-        """Read the checkpoint, put it on the device and warm it up.
+        """Read the checkpoint, move it to the device and warm it up.
 
         Raises:
             CheckpointError, ConfigurationError: see `read_checkpoint`, `load_prompt`, `Pi0Model`.
@@ -268,7 +271,7 @@ class NativeBackend(ABC):
         return images
 
     def prompt_like(self, variant: Variant) -> Variant:
-        """Whose form of the prompt a model of this variant takes."""
+        """The variant whose prompt format a model of this variant uses."""
         return variant
 
     @abstractmethod
@@ -277,14 +280,14 @@ class NativeBackend(ABC):
 
     @abstractmethod
     def reset(self) -> None:
-        """Forget the episode."""
+        """Reset the episode's state."""
 
     @abstractmethod
     def draw_noise(self, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """What the next inference starts from, float32 of `shape`."""
+        """Initial noise of the next inference, float32 of `shape`."""
 
     @abstractmethod
     def prefix_of(self, ahead: Ahead | None, state: Values) -> Prefix | None:
-        """The rest of the running chunk in the model's own form; None when there is none to
+        """The rest of the running chunk in the model's own form; None if there is none to
         continue.
         """

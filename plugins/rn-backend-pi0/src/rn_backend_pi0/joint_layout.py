@@ -1,5 +1,5 @@
-"""Policies that act on joints: what their state and action values mean, and the conversion between
-the robot, the network and the contract's units.
+"""Joint policies: meaning of their state and action values, and the conversion between the robot,
+the network and the contract's units.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from rn_vla.rotation import F64
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JointLayout(PlatformJoints):
-    """Joints and gripper of each arm in turn, as one family of checkpoints has them.
+    """Joints and gripper of each arm in turn, as in one family of checkpoints.
 
     Attributes:
         relative: the network's joints are relative to the state at the chunk's start.
-        signs: of each joint of an arm, network against robot; empty for all the same.
+        signs: sign of each joint of an arm, network relative to robot; empty for equal signs.
         angular: the network's gripper is the angle of ALOHA's motor (see `angular_gripper`).
-        limit: joint values are clipped to -limit..limit, as the public client does; 0 for none.
-        scale: contract units (rad, rad/s) of one unit of a joint value.
+        limit: joint values are clipped to -limit..limit, as in the public client; 0 for none.
+        scale: contract units (rad, rad/s) per unit of a joint value.
     """
 
     relative: bool = False
@@ -32,14 +32,16 @@ class JointLayout(PlatformJoints):
     scale: float = 1.0
 
     def to_network(self, state: F64) -> F64:
-        """float64 (width,) as the robot's own software has it -> what is normalised."""
+        """Convert the state of the robot's own software, float64 (width,), to the network's values
+        before normalisation.
+        """
         out = state * self._flips()
         if self.angular:
             out[self.grippers] = angular_gripper.from_opening(out[self.grippers])
         return out
 
     def to_robot(self, actions: F64, state: F64) -> F64:
-        """Un-normalised actions (H, width) -> what the robot's own software is told.
+        """Convert un-normalised actions (H, width) to commands of the robot's own software.
 
         Args:
             actions: float64 (H, width).
@@ -52,8 +54,8 @@ class JointLayout(PlatformJoints):
         return out
 
     def to_contract(self, actions: F64) -> F64:
-        """What the robot's own software is told (H, width) -> rows of `space`: rad or rad/s, and
-        openings 0 closed..1 open.
+        """Convert commands of the robot's own software (H, width) to rows of `space`: rad or rad/s,
+        and openings 0 closed..1 open.
         """
         at = ~self.grippers
         out = actions.copy()

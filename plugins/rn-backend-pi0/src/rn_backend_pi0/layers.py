@@ -33,7 +33,7 @@ class VisionLayer(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """(cameras, tokens, width) -> the same shape."""
+        """Apply the block to (cameras, tokens, width); same shape."""
         count, tokens, width = x.shape
         normed = self.layer_norm1(x)
         q, k, v = (
@@ -50,7 +50,7 @@ class VisionLayer(nn.Module):
 
 
 class VisionTower(nn.Module):
-    """SigLIP: pixels to tokens."""
+    """SigLIP vision tower: pixels to tokens."""
 
     def __init__(self, dims: VisionDims) -> None:
         super().__init__()
@@ -60,7 +60,7 @@ class VisionTower(nn.Module):
         self.post_layernorm = nn.LayerNorm(dims.width, eps=dims.norm_eps)
 
     def forward(self, pixels: Tensor) -> Tensor:
-        """(cameras, 3, H, W) in -1..1 -> (cameras, tokens, width)."""
+        """Encode (cameras, 3, H, W) in -1..1 to (cameras, tokens, width)."""
         x = self.patch_embedding(pixels).flatten(2).transpose(1, 2) + self.position_embedding
         for layer in self.layers:
             x = layer(x)
@@ -77,7 +77,7 @@ class RmsNorm(nn.Module):
         self.weight = nn.Parameter(torch.empty(width))
 
     def forward(self, x: Tensor) -> Tensor:
-        """(tokens, width) -> the same shape and dtype."""
+        """Normalise (tokens, width); same shape and dtype."""
         wide = x.float()
         wide = wide * torch.rsqrt(wide.square().mean(-1, keepdim=True) + self.eps)
         return (wide * (1.0 + self.weight.float())).to(x.dtype)
@@ -90,8 +90,8 @@ def _rotate(x: Tensor, rotary: Rotary) -> Tensor:
 
 
 class GemmaBlock(nn.Module):
-    """Attention and MLP of one Gemma block, without norms; with `keys_only` it holds just what
-    yields keys and values.
+    """Attention and MLP of one Gemma block, without norms; with `keys_only` only the projections to
+    keys and values.
     """
 
     def __init__(self, dims: GemmaDims, *, keys_only: bool = False) -> None:
@@ -116,7 +116,7 @@ class GemmaBlock(nn.Module):
             )
 
     def keys_values(self, normed: Tensor, rotary: Rotary) -> KeyValue:
-        """(tokens, width), already normed -> keys and values (kv_heads, tokens, head_dim), keys
+        """Keys and values (kv_heads, tokens, head_dim) of normed (tokens, width); keys are
         rotated.
         """
         shape = (normed.shape[0], self.dims.kv_heads, self.dims.head_dim)
@@ -125,7 +125,7 @@ class GemmaBlock(nn.Module):
         return _rotate(key, rotary), value
 
     def attended(self, normed: Tensor, rotary: Rotary, cached: KeyValue) -> Tensor:
-        """(tokens, width), already normed -> what attention to all of `cached` adds."""
+        """Output of attention to all of `cached`, for normed (tokens, width)."""
         dims, tokens = self.dims, normed.shape[0]
         groups = dims.heads // dims.kv_heads
         query = (
@@ -133,14 +133,14 @@ class GemmaBlock(nn.Module):
         )
         query = _rotate(query, rotary).reshape(dims.kv_heads, groups * tokens, dims.head_dim)
         key, value = cached
-        # Nothing is masked, so the heads of one key head are just more queries.
+        # Nothing is masked, so the query heads of one key head are handled as more queries.
         mixed = F.scaled_dot_product_attention(query[None], key[None], value[None])[0]
         mixed = mixed.reshape(dims.heads, tokens, dims.head_dim).transpose(0, 1).reshape(tokens, -1)
         out: Tensor = self.self_attn["o_proj"](mixed)
         return out
 
     def expanded(self, hidden: Tensor) -> Tensor:
-        """(tokens, width), already normed -> what the MLP adds."""
+        """Output of the MLP for normed (tokens, width)."""
         gate = F.gelu(self.mlp["gate_proj"](hidden), approximate="tanh")
         out: Tensor = self.mlp["down_proj"](gate * self.mlp["up_proj"](hidden))
         return out
@@ -156,15 +156,15 @@ class GemmaLayer(GemmaBlock):
             self.post_attention_layernorm = RmsNorm(dims.width, dims.norm_eps)
 
     def forward(self, x: Tensor, normed: Tensor, rotary: Rotary, cached: KeyValue) -> Tensor:
-        """(tokens, width) -> the same shape, every token attending to all of `cached`."""
+        """Apply the block to (tokens, width); every token attends to all of `cached`."""
         x = x + self.attended(normed, rotary, cached)
         out: Tensor = x + self.expanded(self.post_attention_layernorm(x))
         return out
 
 
 class Gemma(nn.Module):
-    """A stack of Gemma blocks; `keys_only_last` for the prefix, whose last hidden state nobody
-    reads.
+    """A stack of Gemma blocks; `keys_only_last` for the prefix, whose last hidden state is not
+    used.
     """
 
     def __init__(self, dims: GemmaDims, *, keys_only_last: bool) -> None:
@@ -178,5 +178,5 @@ class Gemma(nn.Module):
             self.norm = RmsNorm(dims.width, dims.norm_eps)
 
     def blocks(self) -> list[GemmaLayer]:
-        """The layers, typed."""
+        """The layers with their type."""
         return [cast("GemmaLayer", layer) for layer in self.layers]

@@ -1,5 +1,5 @@
-"""Describes a checkpoint in one of the two public layouts of the pi0 family, LeRobot's and
-openpi's. No weights are read.
+"""Description of a checkpoint in one of the two public layouts of the pi0 family, LeRobot's and
+openpi's. Weights are not read.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ def read_checkpoint(directory: Path, *, asset_id: str | None = None) -> Pi0Check
         directory: a LeRobot checkpoint (config.json with "type": "pi0" and policy_*.json) or an
             openpi PyTorch checkpoint (config.json with "action_horizon", and assets/<asset
             id>/norm_stats.json).
-        asset_id: which assets of an openpi checkpoint; only needed when it has several.
+        asset_id: chosen assets of an openpi checkpoint; only needed when it has several.
 
     Raises:
-        CheckpointError: not a pi0 checkpoint, or a file is missing or cannot be used; says which
-            and what to do.
+        CheckpointError: not a pi0 checkpoint, or a file is missing or invalid; the message names it
+            and the remedy.
     """
     if not directory.is_dir():
         raise CheckpointError(
@@ -139,7 +139,9 @@ def _openpi(directory: Path, config: OpenpiConfig, asset_id: str | None) -> Pi0C
 
 
 def _openpi_scalings(source: Path, variant: Variant) -> tuple[Scaling, Scaling]:
-    """Of state and actions. Source: openpi normalises pi0 by z-scores, all others by quantiles."""
+    """Statistics of state and actions. Source: openpi normalises pi0 by z-scores, all others by
+    quantiles.
+    """
     if variant == "pi05":
         limits = read_schema(source, RangeStatsDocument).norm_stats
         state, action = (

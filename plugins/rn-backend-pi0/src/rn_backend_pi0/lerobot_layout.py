@@ -55,9 +55,11 @@ _MODES: dict[Variant, tuple[str, ...]] = {
     "pi05": tuple(_STATISTICS),
     "pi0_fast": tuple(_STATISTICS),
 }
-"""Normalisations of state and actions that are read."""
+"""Supported normalisations of state and actions."""
 PROMPT_LENGTH: dict[Variant, int] = {"pi0": 48, "pi05": 200, "pi0_fast": 200}
-"""Most tokens of a prompt, where config.json does not say it. Source: openpi and LeRobot alike."""
+"""Largest number of tokens of a prompt, if config.json does not give it. Source: openpi and
+LeRobot.
+"""
 _NO_MEMORY = "Only models without use_visual_memory and use_proprioceptive_memory are run."
 _MAX_SLOTS = 16
 _MAX_STATISTICS_BYTES = 2**20
@@ -67,7 +69,7 @@ def read_lerobot(directory: Path, config: LerobotConfig, variant: Variant) -> Pi
     """Describe a checkpoint in LeRobot's layout.
 
     Raises:
-        CheckpointError: a file is missing or cannot be used; says which and what to do.
+        CheckpointError: a file is missing or invalid; the message names it and the remedy.
     """
     path = directory / "config.json"
     modes: dict[str, str] = {}
@@ -142,17 +144,17 @@ def read_lerobot(directory: Path, config: LerobotConfig, variant: Variant) -> Pi
 
 
 def _action_width(config: LerobotConfig, path: Path) -> int:
-    """Values of one row as the action tokens have it."""
+    """Number of values of one row of the action tokens."""
     action = config.output_features.get("action")
     if action is None or len(action.shape) != 1:
-        raise CheckpointError(f"{path}: output_features says no width of 'action'.")
+        raise CheckpointError(f"{path}: output_features has no width of 'action'.")
     return action.shape[0]
 
 
 def _fast_settings(config: LerobotConfig, path: Path) -> FastSettings:
     if config.temperature:
         raise CheckpointError(
-            f"{path}: temperature is {config.temperature:g}; tokens are only chosen by likelihood."
+            f"{path}: temperature is {config.temperature:g}; only greedy decoding is supported."
         )
     return FastSettings(skip_tokens=config.fast_skip_tokens, most_tokens=config.max_decoding_steps)
 
@@ -215,7 +217,7 @@ def _lerobot_statistics(
         limits = check_schema(found, TypeAdapter(Range), source)
         return Quantiles.of(limits.q01, limits.q99, eps=0.0)
     moments = check_schema(found, TypeAdapter(Moments), source)
-    # LeRobot adds eps when it divides, and nothing when it multiplies back.
+    # LeRobot adds eps when it divides, but not when it multiplies back.
     return ZScore.of(
         moments.mean, moments.std, forward_eps=_settings(steps[name], path).eps, backward_eps=0.0
     )

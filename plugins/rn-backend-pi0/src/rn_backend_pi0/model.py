@@ -1,4 +1,4 @@
-"""A loaded pi0: pictures, token ids, a measured state and noise in; normalised actions out. One
+"""A loaded pi0: maps images, token ids, a measured state and noise to normalised actions, one
 sample at a time.
 """
 
@@ -27,10 +27,10 @@ U8 = NDArray[np.uint8]
 
 
 def resolve_device(name: str) -> torch.device:
-    """The device called `name`; "auto" is a GPU if there is one.
+    """The device called `name`; "auto" selects a GPU if there is one.
 
     Raises:
-        ConfigurationError: a GPU is named and this PyTorch has none.
+        ConfigurationError: a GPU is named that this PyTorch does not have.
     """
     available = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if name == "auto":
@@ -38,22 +38,22 @@ def resolve_device(name: str) -> torch.device:
     device = torch.device(name)
     if device.type == "cuda" and (device.index or 0) >= available:
         raise ConfigurationError(
-            f"Device {name!r} is not there; PyTorch sees {available} GPUs.", hint="Use 'cpu'."
+            f"Device {name!r} does not exist; PyTorch has {available} GPUs.", hint="Use 'cpu'."
         )
     return device
 
 
 class Pi0Model:
-    """Weights on a device with the preprocessing of their family.
+    """Weights on a device, with the preprocessing of their family.
 
     Args:
-        checkpoint: what was read of the directory.
-        device, dtype: where and how to compute ("auto" allowed).
-        numerics: whose rounding, resizing and eps to follow; None for the family that wrote the
+        checkpoint: description of the checkpoint.
+        device, dtype: device and number type of the computation ("auto" allowed).
+        numerics: family whose rounding, resizing and eps are used; None for the one that wrote the
             checkpoint.
         resize: overrides the resizing alone.
         steps: Euler steps; None for the checkpoint's.
-        cpu_threads: threads of PyTorch, for the whole process; None leaves them as they are.
+        cpu_threads: threads of PyTorch, for the whole process; None for no change.
 
     Raises:
         CheckpointError, ConfigurationError: see `weights.load_network` and `resolve_device`.
@@ -105,10 +105,10 @@ class Pi0Model:
         Args:
             images: uint8 (H, W, 3) for each slot, in order; None for a missing camera.
             token_ids: the prompt without padding.
-            state: (n,), in the training data's units; pi0.5 has it in the prompt alone.
+            state: (n,), in the training data's units; pi0.5 has it only in the prompt.
             noise: float32 of `noise_shape`.
-            flip: how upright images are turned first.
-            prefix: rows to continue; None for a chunk of its own.
+            flip: rotation of upright images to those of the training data.
+            prefix: rows to continue; None for an independent chunk.
 
         Returns:
             float32 of `noise_shape`, normalised.
@@ -151,7 +151,7 @@ class Pi0Model:
         return np.asarray(actions.cpu().numpy(), dtype=np.float32)
 
     def warm_up(self, images: int, token_count: int, state_width: int) -> float:
-        """Run twice on grey pictures and the mean state; returns the second run's duration [ms].
+        """Run twice on grey images and the mean state; returns the second run's duration [ms].
 
         Raises:
             ConfigurationError: the device ran out of memory.
@@ -176,7 +176,7 @@ class Pi0Model:
         return duration_ms
 
     def release(self) -> None:
-        """Give the device's memory back; the model cannot be used afterwards."""
+        """Free the device's memory; the model cannot be used afterwards."""
         del self._network
         if self.device.type == "cuda":
             torch.cuda.empty_cache()

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 
 class Pi0Backend(NativeBackend):
-    """Integrates a flow from noise to actions, which may continue rows that are played."""
+    """Integrates a flow from noise to actions, optionally continuing the rows that are being
+    executed.
+    """
 
     name: ClassVar[str] = "pi0"
     variants: ClassVar[tuple[Variant, ...]] = ("pi0", "pi05")
@@ -34,7 +36,7 @@ class Pi0Backend(NativeBackend):
         self._random = np.random.default_rng(config.numpy_seed)
 
     def prompt_like(self, variant: Variant) -> Variant:
-        """pi0's, without the state, where the options say so."""
+        """That of pi0, without the state, if the option `state_in_prompt` is false."""
         return variant if self._config.state_in_prompt else "pi0"
 
     def build_model(self, checkpoint: Pi0Checkpoint, prompt: InstructionEncoder) -> Pi0Model:
@@ -53,11 +55,11 @@ class Pi0Backend(NativeBackend):
         )
 
     def reset(self) -> None:
-        """Start the noise anew, so that an episode with a seed repeats itself."""
+        """Restart the noise, so that an episode with a seed is repeatable."""
         self._random = np.random.default_rng(self._config.numpy_seed)
 
     def prefix_of(self, ahead: Ahead | None, state: Values) -> Prefix | None:
-        """The rest of the running chunk in the model's own form; None when there is none to
+        """The rest of the running chunk in the model's own form; None if there is none to
         continue.
         """
         config, model, conversion = self._config, self._model, self._conversion
@@ -74,7 +76,7 @@ class Pi0Backend(NativeBackend):
         if not len(rows):
             return None
         at = conversion.relative
-        if len(at):  # the rows are relative to a state that has changed meanwhile
+        if len(at):  # the rows are relative to the old state
             rows = rows.copy()
             rows[:, at] += (running.state - state)[at] / model.action.unit(conversion.precision)[at]
         trained = model.checkpoint.trained_prefix_rows

@@ -1,8 +1,8 @@
 """pi0's action expert as PyTorch modules: one token for the state, and the flow time mixed into
 each action token.
 
-The state token sees only the prefix, so its keys and values are constant over the Euler steps and
-join the prefix cache.
+The state token attends only to the prefix, so its keys and values are constant over the Euler steps
+and are stored in the prefix cache.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Pi0Network(FlowNetwork):
         self.action_time_mlp_out = nn.Linear(width, width)
 
     def fill_state(self, state: Tensor, rotary: Rotary, cache: list[KeyValue], length: int) -> None:
-        """Run the expert over the state token, which sees the prefix and itself."""
+        """Run the expert over the state token, which attends to the prefix and itself."""
         x = self.state_proj(state)[None].to(self.projector.weight.dtype)
         for index, layer in enumerate(self.expert.blocks()):
             normed = layer.input_layernorm(x)
@@ -50,7 +50,7 @@ class Pi0Network(FlowNetwork):
         *,
         keep: bool = False,
     ) -> Tensor:
-        """Run the expert over the action tokens, which see everything."""
+        """Run the expert over the action tokens, which attend to all tokens."""
         action_weight = self.action_time_mlp_in.weight[:, : self.dims.expert.width]
         hidden = F.silu(F.linear(self.action_in_proj(x), action_weight) + term)
         x = self.action_time_mlp_out(hidden).to(self.projector.weight.dtype)
@@ -62,7 +62,7 @@ class Pi0Network(FlowNetwork):
         return out
 
     def time_terms(self, times: tuple[float, ...], device: torch.device) -> Tensor:
-        """What each flow time adds before the SiLU: float32 (steps, expert width)."""
+        """Term of each flow time before the SiLU: float32 (steps, expert width)."""
         layer = self.action_time_mlp_in
         weight = layer.weight[:, self.dims.expert.width :]
         return F.linear(self.sinusoids(times, device), weight, layer.bias)

@@ -1,4 +1,4 @@
-"""What differs numerically between the two public codes of pi0: flow times, and the eps of
+"""Numerical differences between the two public implementations of pi0: flow times, and the eps of
 z-scores.
 """
 
@@ -17,7 +17,7 @@ def flow_times(family: Family, steps: int) -> tuple[float, ...]:
     float32.
 
     The highest frequency of the time embedding is 1571 rad, so a rounding of 1e-7 in time is 2e-4
-    in the embedding. Source: openpi subtracts 1/steps again and again in float32; LeRobot computes
+    in the embedding. Source: openpi subtracts 1/steps repeatedly in float32; LeRobot computes
     1 - k/steps and then rounds.
     """
     if family == "lerobot":

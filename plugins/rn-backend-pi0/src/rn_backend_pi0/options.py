@@ -1,4 +1,4 @@
-"""What a user may set under `[plugins.pi0]` and `[plugins.pi0-fast]`."""
+"""Options under `[plugins.pi0]` and `[plugins.pi0-fast]`."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class NativeOptions(ProfileOptions):
         description="directory of a LeRobot or openpi PyTorch checkpoint"
     )
     tokenizer: Annotated[Path | None, ConfigurationOnly()] = Field(
-        default=None, description="tokenizer.json; the checkpoint's own when not given"
+        default=None, description="tokenizer.json; the checkpoint's own if unset"
     )
     asset_id: str | None = Field(
-        default=None, description="which statistics of an openpi checkpoint that has several"
+        default=None, description="statistics to use from an openpi checkpoint that has several"
     )
     camera_slots: tuple[Role, ...] | None = Field(
         default=None, description="camera role for each slot of the model, '-' for an empty one"
@@ -47,16 +47,16 @@ class NativeOptions(ProfileOptions):
         default=None,
         ge=1,
         le=512,
-        description="threads of PyTorch in this process; PyTorch's own choice if unset",
+        description="threads of PyTorch in this process; PyTorch's default if unset",
     )
     numerics: Literal["lerobot", "openpi"] | None = Field(
         default=None,
-        description="whose rounding, resizing and eps to follow; the family that wrote the "
+        description="family whose rounding, resizing and eps are used; the one that wrote the "
         "checkpoint if unset",
     )
     resize: Resize | None = Field(
         default=None,
-        description="'antialiased' as openpi serves, 'plain' as LeRobot; by numerics if unset",
+        description="'antialiased' as in openpi, 'plain' as in LeRobot; by numerics if unset",
     )
 
 
@@ -65,31 +65,31 @@ class Pi0Options(NativeOptions):
 
     state_in_prompt: bool = Field(
         default=True,
-        description="pi0.5: the prompt names the state; false for checkpoints that were trained "
-        "without (openpi's pi05_libero), which see no state at all",
+        description="pi0.5: the prompt contains the state; false for checkpoints trained "
+        "without it (openpi's pi05_libero), which get no state at all",
     )
     denoising_steps: int | None = Field(
         default=None, ge=1, le=1000, description="Euler steps; the checkpoint's if unset"
     )
     seed: Annotated[int, Field(ge=0)] | Literal["random"] = Field(
         default=0,
-        description="of the noise, restarted by every reset; 'random' for another one each time",
+        description="seed of the noise, restarted by every reset; 'random' for a new one each time",
     )
     noise: Literal["fresh", "fixed"] = Field(
         default="fresh", description="'fixed' starts every inference from the same noise"
     )
     rtc: bool = Field(
-        default=True, description="continue the rows that are played meanwhile (real-time chunking)"
+        default=True, description="continue rows executed during inference (real-time chunking)"
     )
     rtc_schedule: Schedule = Field(
         default="linear",
-        description="how the guidance falls after the rows that will be played in any case",
+        description="decrease of the guidance after the committed rows",
     )
     rtc_horizon: int | None = Field(
-        default=None, ge=1, description="rows that are guided; all that are left if unset"
+        default=None, ge=1, description="number of guided rows; all remaining ones if unset"
     )
     rtc_max_weight: float = Field(
-        default=10.0, gt=0, le=1000, description="greatest weight of the guidance"
+        default=10.0, gt=0, le=1000, description="largest weight of the guidance"
     )
     rtc_jacobian: Jacobian = Field(
         default="identity",
@@ -98,7 +98,7 @@ class Pi0Options(NativeOptions):
 
     @property
     def numpy_seed(self) -> int | None:
-        """The seed as numpy takes it."""
+        """The seed in numpy's form."""
         return None if self.seed == "random" else self.seed
 
     @model_validator(mode="after")
@@ -114,17 +114,17 @@ class Pi0FastOptions(NativeOptions):
     action_tokenizer: Annotated[Path | None, ConfigurationOnly()] = Field(
         default=None,
         description="directory of the action tokenizer's files; the checkpoint's "
-        "action_tokenizer when not given",
+        "action_tokenizer if unset",
     )
     max_outside_share: float = Field(
         default=0.15,
         ge=0,
         le=1,
-        description="share of an answer's tokens for which another token than every "
-        "action token may be the likeliest; more is refused",
+        description="largest accepted fraction of an answer's tokens for which the model "
+        "prefers another token over every action token",
     )
     fast_length: FastLength = Field(
         default="exact",
-        description="'padded' takes coefficients that are missing at the end as 0 and "
-        "drops surplus ones, as LeRobot does",
+        description="'padded' fills coefficients missing at the end with 0 and "
+        "drops extra ones, as LeRobot does",
     )

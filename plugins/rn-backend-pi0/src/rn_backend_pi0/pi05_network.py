@@ -1,8 +1,8 @@
 """pi0.5's action expert as PyTorch modules: the flow time scales, shifts and gates every norm, and
 the state is in the prompt.
 
-What a flow time does to the norms depends on nothing else, so it is computed for all Euler steps at
-once.
+The effect of a flow time on the norms depends on nothing else, so it is computed for all Euler
+steps at once.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Pi05Network(FlowNetwork):
         self.time_mlp_out = nn.Linear(width, width)
 
     def fill_state(self, state: Tensor, rotary: Rotary, cache: list[KeyValue], length: int) -> None:
-        """Nothing: the prompt says the state."""
+        """Nothing to do: the prompt contains the state."""
 
     def velocity(
         self,
@@ -44,7 +44,7 @@ class Pi05Network(FlowNetwork):
         *,
         keep: bool = False,
     ) -> Tensor:
-        """Run the expert over the action tokens, which see everything."""
+        """Run the expert over the action tokens, which attend to all tokens."""
         x = self.action_in_proj(x).to(self.projector.weight.dtype)
         changes = torch.split(term, 3 * self.dims.expert.width, dim=-1)
         for index, layer in enumerate(self.expert.blocks()):

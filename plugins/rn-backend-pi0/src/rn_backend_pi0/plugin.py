@@ -1,4 +1,4 @@
-"""What this package offers RoboNeuron: the backends "pi0" and "pi0-fast"."""
+"""Descriptors of this package: the backends "pi0" and "pi0-fast"."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SPACE = ActionSpace(horizon=50, step_s=0.0)
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """Offer the backends "pi0" and "pi0-fast"."""
+    """Register the backends "pi0" and "pi0-fast"."""
     return [
         BackendSpec(
             name="pi0",

@@ -1,7 +1,6 @@
-"""What all models of the family begin with: images and text as one sequence for the language model.
+"""Common first part of all models: images and text as one sequence for the language model.
 
-Missing cameras and prompt padding take no positions, so leaving them out is the same as masking
-them.
+Missing cameras and prompt padding occupy no positions, so leaving them out equals masking them.
 """
 
 from __future__ import annotations
@@ -32,14 +31,14 @@ class PrefixNetwork(nn.Module):
         self.prefix = Gemma(dims.prefix, keys_only_last=keys_only_last)
 
     def embed_prefix(self, pixels: Tensor, token_ids: Tensor) -> Tensor:
-        """(images x tokens + prompt, width): images as they are, the prompt scaled by
-        sqrt(width).
+        """Embed images and prompt as (images x tokens + prompt, width): images unchanged, the
+        prompt scaled by sqrt(width).
         """
         images = self.projector(self.vision(pixels)).flatten(0, 1)
         return torch.cat([images, self.embed_text(token_ids)])
 
     def embed_text(self, token_ids: Tensor) -> Tensor:
-        """(n,) -> (n, width), scaled by sqrt(width)."""
+        """Embed token ids (n,) as (n, width), scaled by sqrt(width)."""
         out: Tensor = self.embedding(token_ids) * math.sqrt(self.dims.prefix.width)
         return out
 

@@ -1,4 +1,4 @@
-"""Options that say what a model's states and actions mean."""
+"""Options that define the meaning of a model's states and actions."""
 
 from __future__ import annotations
 
@@ -39,29 +39,30 @@ ProfileName = Literal[
 
 
 class ProfileOptions(OptionSection):
-    """Options of every backend: what the model's numbers mean."""
+    """Options of every backend that define the meaning of the model's numbers."""
 
     profile: ProfileName | None = Field(
         default=None,
-        description="what state and actions mean; the checkpoint's roboneuron.json when not given",
+        description="meaning of state and actions; from the checkpoint's roboneuron.json if unset",
     )
     joints: Annotated[tuple[str, ...], Field(max_length=64)] | None = Field(
         default=None,
         description="for profiles that move joints: the robot's names of the policy's joints, in "
-        "the policy's order (each arm from the base to the tip); nothing is mapped by place "
-        "otherwise",
+        "the policy's order (each arm from the base to the tip); joints are never mapped by "
+        "position",
     )
     state: StateOptions | None = Field(default=None, description="for profile 'own'")
     action: ActionOptions | None = Field(default=None, description="for profile 'own'")
     base_position_m: Vector = Field(
         default=(0.0, 0.0, 0.0),
-        description="where the robot's base stands in the frame of the training data [m]",
+        description="position of the robot's base in the frame of the training data [m]",
     )
     action_steps: int | None = Field(
         default=None, ge=1, description="actions of a chunk to execute before the next one"
     )
     image_flip: Flip = Field(
-        default="none", description="turns upright camera images into what the model was trained on"
+        default="none",
+        description="converts upright images to the orientation of the training data",
     )
 
     @model_validator(mode="after")
@@ -74,20 +75,20 @@ class ProfileOptions(OptionSection):
         return self
 
     def resolve_conversion(self, declared: str = "") -> Conversion:
-        """The conversion to use, of a profile that moves the TCP or joints.
+        """The conversion of the chosen profile, which moves the TCP or joints.
 
         Args:
-            declared: what the checkpoint says of itself; used when the user gives none.
+            declared: profile named by the checkpoint; used if the user sets none.
 
         Raises:
             ConfigurationError: as `resolve_profile`, or the option `joints` is missing, does not
-                fit, or has no use.
+                match, or is unused.
         """
         name = self.profile or declared
         if name not in JOINT_PROFILES:
             if self.joints is not None:
                 raise ConfigurationError(
-                    "The option 'joints' has no use: the profile moves the TCP.",
+                    "The option 'joints' has no effect: the profile moves the TCP.",
                     hint=f"Profiles that move joints: {', '.join(JOINT_PROFILES)}.",
                 )
             return TcpConversion(self.resolve_profile(declared), np.array(self.base_position_m))
@@ -99,10 +100,10 @@ class ProfileOptions(OptionSection):
         return JointConversion(JOINT_PROFILES[name], self.joints)
 
     def resolve_profile(self, declared: str = "") -> Profile:
-        """The profile to use, of those that move the TCP.
+        """The chosen profile, among those that move the TCP.
 
         Args:
-            declared: what the checkpoint says of itself; used when the user gives none.
+            declared: profile named by the checkpoint; used if the user sets none.
 
         Raises:
             ConfigurationError: neither names one, or the checkpoint names an unknown one.
@@ -117,7 +118,7 @@ class ProfileOptions(OptionSection):
             known = (*PROFILES, "own", *JOINT_PROFILES)
             raise ConfigurationError(
                 f"The option 'profile' is not set{got}; choose one of {', '.join(known)}.",
-                hint="The profile says what state the model takes and what its actions mean; it "
+                hint="The profile defines the model's state and its actions' meaning; it "
                 "is never guessed.",
             )
         base = np.array(self.base_position_m)

@@ -1,4 +1,4 @@
-"""Named conventions of public pi0 checkpoints that act on joints; those that move the TCP are in
+"""Named conventions of public pi0 checkpoints with joint actions; those that move the TCP are in
 `rn_vla.tcp_profiles`.
 """
 
@@ -51,13 +51,13 @@ JOINT_PROFILES: Mapping[str, JointLayout] = MappingProxyType(
         "aloha-plain-absolute": _aloha(adapted=False, relative=False),
     }
 )
-"""Layout by name, of policies that act on joints, from the base to the tip.
+"""Layout by name, for policies with joint actions, from the base to the tip.
 
-"droid": joint velocities at 15 Hz. They are shares of the greatest step of DROID's software, 0.2
+"droid": joint velocities at 15 Hz. They are fractions of the largest step of DROID's software, 0.2
 rad in one period, so 1 is 3 rad/s; clipped to -1..1 as openpi's example does. Gripper 0 open, 1
 closed. Source: droid robot_ik_solver.py, openpi examples/droid. "droid-position": the same data
 with joint positions as targets. "franka", "ur5e": the spaces of the base models, 20 Hz, gripper 0
-open, 1 closed. Source: openpi docs/norm_stats.md. "aloha": two arms at 50 Hz; the base models have
-other signs of three joints than ALOHA's software, and the gripper's angle. "-plain": trained on
+open, 1 closed. Source: openpi docs/norm_stats.md. "aloha": two arms at 50 Hz; the base models use
+opposite signs for three joints of ALOHA's software, and the gripper's angle. "-plain": trained on
 ALOHA's own values (`adapt_to_pi` is false). "-absolute": trained without deltas.
 """

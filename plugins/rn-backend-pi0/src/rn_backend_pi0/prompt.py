@@ -1,5 +1,5 @@
-"""Instructions, and pi0.5's state, to token ids, with a local tokenizer.json and nothing from the
-network.
+"""Encoding of instructions, and of pi0.5's state, to token ids, with a local tokenizer.json and no
+network access.
 """
 
 from __future__ import annotations
@@ -28,28 +28,27 @@ _WHERE = (
 
 
 ANSWER = "Action: "
-"""What comes before the actions."""
+"""Text before the actions."""
 STOP = "|"
-"""What ends pi0-FAST's answer."""
+"""Text that ends pi0-FAST's answer."""
 _EDGES = np.linspace(-1.0, 1.0, 257)[:-1]
 """Lower edges of the 256 bins of the state. Source: openpi, PaligemmaTokenizer."""
 
 
 def state_bins(state: Values) -> list[int]:
-    """Numbers that say a normalised state (n,) in the prompt: 0..255 over -1..1, -1 below; values
-    beyond are not clipped first.
+    """Bins of a normalised state (n,) for the prompt: 0..255 over -1..1, -1 below; values outside
+    are not clipped first.
     """
     bins: list[int] = (np.digitize(state, _EDGES) - 1).tolist()
     return bins
 
 
 class InstructionEncoder:
-    """Encodes instructions as the model was trained, without padding: for pi0 BOS, the text and a
-    newline of its own, for the others BOS and a text that names the state; pi0-FAST's answer begins
-    with another BOS.
+    """Encodes instructions as in training, without padding: for pi0 BOS, the text and a newline
+    token, for the others BOS and a text with the state; pi0-FAST's answer begins with another BOS.
 
-    Padding takes no positions and is masked in the original codes, so leaving it out changes
-    nothing.
+    Padding occupies no positions and is masked in the original implementations, so leaving it out
+    changes nothing.
     """
 
     def __init__(
@@ -83,25 +82,25 @@ class InstructionEncoder:
             )
 
     def token_ids(self, text: str) -> list[int]:
-        """Token ids of a text as it is."""
+        """Token ids of an unmodified text."""
         ids: list[int] = self._tokenizer.encode(text, add_special_tokens=False).ids
         return ids
 
     @property
     def last_id(self) -> int:
-        """Greatest id of the tokenizer's own vocabulary, from which action tokens count down."""
+        """Largest id of the tokenizer's own vocabulary; action tokens are counted down from it."""
         return int(self._tokenizer.get_vocab_size(with_added_tokens=False)) - 1
 
     def encode(self, instruction: str, state: Values) -> list[int]:
         """Token ids of an instruction.
 
         Args:
-            instruction: what to do.
-            state: (n,) normalised, not padded; pi0's prompt does not name it.
+            instruction: the task as text.
+            state: (n,) normalised, not padded; pi0's prompt does not contain it.
 
         Raises:
-            UngroundedError: the instruction is empty or longer than the model takes; it is never
-                cut short silently.
+            UngroundedError: the instruction is empty or longer than the model's limit; it is never
+                truncated silently.
             CheckpointError: the tokenizer yields an id outside the model's vocabulary.
         """
         # Source: openpi's tokenizer replaces underscores and newlines, LeRobot's pipeline of pi0
@@ -110,7 +109,7 @@ class InstructionEncoder:
         if self._family == "openpi" or self._variant != "pi0":
             text = text.replace("_", " ")
         if not text:
-            raise UngroundedError("The instruction is empty; say what to do.")
+            raise UngroundedError("The instruction is empty; name the task.")
         end = [self._newline]
         if self._variant != "pi0":
             numbers = " ".join(map(str, state_bins(state)))
@@ -146,7 +145,7 @@ def load_prompt(
     checkpoint's directory.
 
     Raises:
-        CheckpointError: there is none, or it cannot be read.
+        CheckpointError: it is missing or cannot be read.
     """
     from tokenizers import Tokenizer  # heavy
 

@@ -1,4 +1,4 @@
-"""Which control space the chunks of a configured pi0 have, said before anything is loaded."""
+"""Control space of a configured pi0's chunks, determined before anything is loaded."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ from roboneuron import EE_DELTA, ControlSpace, RobotProfile
 def pi0_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
     """The space of the profile that the options or the checkpoint's roboneuron.json name.
 
-    Every profile that is not among `JOINT_PROFILES` moves the TCP; whether it exists at all is
-    checked when the backend loads.
+    Profiles that are not among `JOINT_PROFILES` move the TCP; `load` checks that the profile
+    exists.
 
     Raises:
-        ConfigurationError: the option `joints` is missing or does not fit the policy or the robot.
+        ConfigurationError: the option `joints` is missing or does not match the policy or the
+            robot.
         CheckpointError: roboneuron.json cannot be read.
     """
     name = options.get("profile") or _declared(options.get("checkpoint"))
@@ -30,7 +31,7 @@ def pi0_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSp
 
 
 def _declared(checkpoint: object) -> str:
-    """What the checkpoint says of itself; empty where there is nothing to read."""
+    """Profile named by the checkpoint; empty if it names none."""
     if not isinstance(checkpoint, str | Path):
         return ""
     sidecar = Path(checkpoint) / PROFILE_FILE

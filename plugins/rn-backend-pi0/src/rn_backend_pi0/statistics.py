@@ -1,7 +1,7 @@
-"""Statistics of a checkpoint's training data, and what is normalised with them: z-scores, or the
+"""Statistics of a checkpoint's training data, and normalisation with them: by z-scores, or by the
 range between two quantiles.
 
-All is computed in the number type of the values that are given.
+Everything is computed in the number type of the given values.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ZScore:
-    """Mean and standard deviation of one vector, and the small numbers that a code family adds to
-    the latter.
+    """Mean and standard deviation of one vector, and the eps that a code family adds to the latter.
 
     Attributes:
         mean, std: float64 (n,).
@@ -41,7 +40,7 @@ class ZScore:
     def of(
         cls, mean: Sequence[float], std: Sequence[float], *, forward_eps: float, backward_eps: float
     ) -> ZScore:
-        """Build from what a file holds, two checked sequences of one length."""
+        """Create from two checked sequences of equal length."""
         numbers = (np.asarray(values, dtype=np.float64) for values in (mean, std))
         return cls(
             mean=next(numbers),
@@ -57,20 +56,20 @@ class ZScore:
 
     @property
     def centre(self) -> F64:
-        """float64 (n,), what 0 stands for."""
+        """Un-normalised value of 0, float64 (n,)."""
         return self.mean
 
     @property
     def is_flat(self) -> NDArray[np.bool_]:
-        """bool (n,), True where the training data never varied."""
+        """bool (n,), True for values that never varied in the training data."""
         return np.equal(self.std, 0.0)
 
     def unit(self, dtype: Real) -> Values:
-        """(n,), how far a normalised value of 1 moves the un-normalised one."""
+        """Change of the un-normalised value per normalised unit, (n,)."""
         return self.std.astype(dtype) + dtype.type(self.backward_eps)
 
     def normalize(self, values: Values) -> Values:
-        """(..., n) in the data's units -> the same shape and number type, z-scores."""
+        """Convert (..., n) in the data's units to z-scores of the same shape and number type."""
         kind = values.dtype
         out: Values = (values - self.mean.astype(kind)) / (
             self.std.astype(kind) + kind.type(self.forward_eps)
@@ -78,19 +77,19 @@ class ZScore:
         return out
 
     def denormalize(self, values: Values) -> Values:
-        """(H, n), z-scores -> the same shape and number type, in the data's units."""
+        """Convert z-scores (H, n) to the data's units, same shape and number type."""
         kind = values.dtype
         out: Values = values * self.unit(kind) + self.mean.astype(kind)
         return out
 
     def head(self, width: int) -> ZScore:
-        """The first `width` values (statistics padded to the model's width hold more)."""
+        """The first `width` values; statistics padded to the model's width hold more."""
         return replace(self, mean=self.mean[:width], std=self.std[:width])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Quantiles:
-    """The 1st and 99th percentile of one vector, which become -1 and 1; nothing is clipped.
+    """The 1st and 99th percentile of one vector, which map to -1 and 1; nothing is clipped.
 
     Attributes:
         low, high: float64 (n,).
@@ -106,7 +105,7 @@ class Quantiles:
 
     @classmethod
     def of(cls, low: Sequence[float], high: Sequence[float], *, eps: float) -> Quantiles:
-        """Build from what a file holds, two checked sequences of one length."""
+        """Create from two checked sequences of equal length."""
         return cls(
             low=np.asarray(low, dtype=np.float64), high=np.asarray(high, dtype=np.float64), eps=eps
         )
@@ -118,20 +117,20 @@ class Quantiles:
 
     @property
     def centre(self) -> F64:
-        """float64 (n,), what 0 stands for."""
+        """Un-normalised value of 0, float64 (n,)."""
         return (self.low + self.high) / 2.0
 
     @property
     def is_flat(self) -> NDArray[np.bool_]:
-        """bool (n,), True where the training data never varied."""
+        """bool (n,), True for values that never varied in the training data."""
         return np.equal(self.high, self.low)
 
     def unit(self, dtype: Real) -> Values:
-        """(n,), how far a normalised value of 1 moves the un-normalised one."""
+        """Change of the un-normalised value per normalised unit, (n,)."""
         return self._range(dtype) / dtype.type(2.0)
 
     def normalize(self, values: Values) -> Values:
-        """(..., n) in the data's units -> the same shape and number type, about -1..1."""
+        """Convert (..., n) in the data's units to about -1..1, same shape and number type."""
         kind = values.dtype
         out: Values = (values - self.low.astype(kind)) / self._range(kind) * kind.type(
             2.0
@@ -139,14 +138,14 @@ class Quantiles:
         return out
 
     def denormalize(self, values: Values) -> Values:
-        """(H, n), about -1..1 -> the same shape and number type, in the data's units."""
+        """Convert (H, n), about -1..1, to the data's units, same shape and number type."""
         kind = values.dtype
         share = (values + kind.type(1.0)) / kind.type(2.0)
         out: Values = share * self._range(kind) + self.low.astype(kind)
         return out
 
     def head(self, width: int) -> Quantiles:
-        """The first `width` values (statistics padded to the model's width hold more)."""
+        """The first `width` values; statistics padded to the model's width hold more."""
         return replace(self, low=self.low[:width], high=self.high[:width])
 
     def _range(self, dtype: Real) -> Values:

@@ -1,4 +1,4 @@
-"""Names of the tensors of a checkpoint, from the header or the index alone, without PyTorch."""
+"""Names of the tensors of a checkpoint, read from the header or the index only, without PyTorch."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ WEIGHT_FILE = "model.safetensors"
 INDEX_FILE = "model.safetensors.index.json"
 MAX_INDEX_BYTES = 16 * 2**20
 LEROBOT_PREFIX = "model."
-"""LeRobot's keys begin with it, openpi's do not."""
+"""Prefix of LeRobot's keys; openpi's have none."""
 
 
 def read_names(directory: Path) -> frozenset[str]:
     """Keys of all tensors, without LeRobot's prefix.
 
     Raises:
-        CheckpointError: there are no weights, or header or index is damaged.
+        CheckpointError: there are no weights, or the header or index is damaged.
     """
     index = directory / INDEX_FILE
     if index.is_symlink() or index.exists():
@@ -35,5 +35,5 @@ def read_names(directory: Path) -> frozenset[str]:
 
 
 def variant_of(names: frozenset[str]) -> Variant:
-    """Which model has such tensors; "pi0" when nothing says otherwise."""
+    """The variant with these tensors; "pi0" by default."""
     return "pi05" if "time_mlp_in.weight" in names else "pi0"

@@ -1,5 +1,5 @@
-"""A tiny random checkpoint of the pi0 family in a public layout: for trying out the plumbing,
-useless on a robot.
+"""A tiny random checkpoint of the pi0 family in a public layout, to test the software; useless on a
+robot.
 """
 
 from __future__ import annotations
@@ -49,9 +49,7 @@ _ACTIVATION = "gelu_pytorch_tanh"
 
 
 def make_tokenizer(vocabulary: int) -> Tokenizer:
-    """A byte-complete BPE tokenizer with PaliGemma's special tokens, trained on six sentences of
-    our own.
-    """
+    """A byte-complete BPE tokenizer with PaliGemma's special tokens, trained on six sentences."""
     tokenizer = Tokenizer(models.BPE(byte_fallback=False))
     tokenizer.normalizer = normalizers.NFC()
     tokenizer.pre_tokenizer = pre_tokenizers.ByteLevel(add_prefix_space=False)
@@ -79,13 +77,13 @@ def make_tiny(
     Args:
         directory: new or empty.
         layout: "lerobot" or "openpi".
-        seed: of the weights.
+        seed: seed of the weights.
         variant: "pi0", "pi05", or "pi0_fast" (only in LeRobot's layout).
         profile: one of `TINY_PROFILES`, which the checkpoint then names.
 
     Raises:
-        ConfigurationError: there is no such profile or layout, or the directory holds something or
-            cannot be written.
+        ConfigurationError: there is no such profile or layout, or the directory is not empty or not
+            writable.
     """
     if profile not in TINY_PROFILES:
         raise ConfigurationError(
@@ -136,11 +134,11 @@ def _write_weights(directory: Path, dims: Pi0Dims, layout: Family, seed: int) ->
         elif "lm_head" in key:
             values = values / dims.prefix.width**0.5
             if dims.variant == "pi0_fast":
-                values = values * 0.1  # the head is tied: a larger one repeats the token before
+                values = values * 0.1  # the head is tied: a larger one repeats the last token
         else:
             values = values / float(np.prod(shape[1:])) ** 0.5
         if dims.variant == "pi0_fast" and key.endswith(("q_proj.weight", "k_proj.weight")):
-            values = values * 3.0  # attention that is not spread evenly over all pictures
+            values = values * 3.0  # so that attention is not spread evenly over all images
         prefix = "model." if layout == "lerobot" else ""
         tensors[prefix + key] = values.to(torch.bfloat16)
     save_file(tensors, directory / "model.safetensors", metadata={"format": "pt"})
@@ -233,7 +231,7 @@ def _write_lerobot(directory: Path, variant: Variant, blocks: tuple[Block, Block
 
 
 def _write_openpi(directory: Path, blocks: tuple[Block, Block]) -> None:
-    # openpi's config.json does not say which variant it is; the names of the tensors do.
+    # openpi's config.json does not contain the variant; the names of the tensors show it.
     config = {
         "action_dim": TINY.action,
         "action_horizon": TINY.chunk,

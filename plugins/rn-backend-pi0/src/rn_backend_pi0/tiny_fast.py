@@ -17,8 +17,8 @@ _CHUNKS = 200
 
 
 def write_fast_tokenizer(checkpoint: Path, *, horizon: int, width: int) -> None:
-    """Write processor_config.json and tokenizer.json, trained on random smooth chunks, into the
-    checkpoint's directory for them. Every token is made of whole coefficients.
+    """Write processor_config.json and tokenizer.json, trained on random smooth chunks, to the
+    tokenizer folder of the checkpoint. Every token consists of whole coefficients.
     """
     directory = checkpoint / FAST_DIRECTORY
     directory.mkdir()

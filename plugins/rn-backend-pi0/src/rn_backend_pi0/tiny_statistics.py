@@ -20,14 +20,16 @@ _TCP_STATE = {
 }
 _TCP_ACTION = {"mean": [0.0] * 7, "std": [0.15, 0.15, 0.15, 0.03, 0.03, 0.03, 0.6]}
 _BENT_RAD = {6: (0.0, -1.57, 1.57, -1.57, -1.57, 0.0), 7: (0.0, -0.8, 0.0, -2.4, 0.0, 1.6, 0.8)}
-"""Postures around which tiny policies of six and seven joints act."""
+"""Postures around which tiny policies of six and seven joints move."""
 _STEP_RAD = 0.02
 _QUANTILE = 2.326
 """Standard deviations from the mean to the 1st and 99th percentile of a normal distribution."""
 
 
 def tiny_statistics(profile: str, variant: Variant) -> tuple[Block, Block]:
-    """Of state and actions: "mean" and "std", for pi0.5 also "q01" and "q99"."""
+    """Statistics of state and actions: "mean" and "std", for pi0.5 and pi0-FAST also "q01" and
+    "q99".
+    """
     if profile in JOINT_PROFILES:
         state, action = _joints(JOINT_PROFILES[profile])
     else:

@@ -1,5 +1,5 @@
-"""Weights from safetensors files into a network: every tensor is accounted for, one tensor in host
-memory at a time.
+"""Loading of weights from safetensors files into a network: every tensor is checked, and only one
+is in host memory at a time.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _NETWORKS: dict[Variant, type[Pi0Network] | type[Pi05Network] | type[FastNetwork
 }
 _NAMES: dict[Variant, str] = {"pi0": "pi0", "pi05": "pi0.5", "pi0_fast": "pi0-FAST"}
 _MARKS: dict[str, Variant] = {"action_time_mlp_in.": "pi0", "time_mlp_in.": "pi05"}
-"""Variant by the beginning of keys that only it has."""
+"""Variant by the prefix of keys that only it has."""
 
 
 class _Slice(Protocol):
@@ -67,7 +67,7 @@ def open_shards(directory: Path) -> Iterator[dict[str, tuple[_Shard, str]]]:
     """Yield the open shard and the key in it, by key without LeRobot's leading "model.".
 
     Raises:
-        CheckpointError: no file, a truncated or damaged one, one key in two shards, or a tensor of
+        CheckpointError: a missing, truncated or damaged file, a key in two shards, or a tensor of
             integers.
     """
     index = directory / INDEX_FILE
@@ -102,7 +102,7 @@ def open_shards(directory: Path) -> Iterator[dict[str, tuple[_Shard, str]]]:
 
 
 def check_keys(shapes: Mapping[str, Shape], dims: Pi0Dims) -> str:
-    """Compare what a checkpoint holds with what its dimensions ask for; returns the key of the
+    """Compare a checkpoint's tensors with those required by its dimensions; returns the key of the
     token embedding.
 
     Raises:
@@ -145,13 +145,13 @@ def check_keys(shapes: Mapping[str, Shape], dims: Pi0Dims) -> str:
 def load_network(
     directory: Path, dims: Pi0Dims, *, device: torch.device, dtype: torch.dtype
 ) -> PrefixNetwork:
-    """Build the network and fill it.
+    """Create the network and load its weights.
 
     Args:
         directory: holds model.safetensors, or shards and their index.
         dims: dimensions of the model.
-        device, dtype: where the weights go and as what; norms and the projections at the border
-            stay float32.
+        device, dtype: device and number type of the weights; norms and the projections at the
+            border stay float32.
 
     Raises:
         CheckpointError: keys or shapes do not fit, or a value is not finite.

@@ -3,7 +3,7 @@
     python lerobot_fast_numbers.py LEROBOT TINY OUT
 
 LEROBOT is a checkout of lerobot, TINY what `roboneuron-pi0 make-tiny --variant pi0_fast --profile
-droid` wrote, OUT the file for the numbers. It runs in an environment of its own with transformers
+droid` wrote, OUT the file for the numbers. It runs in its own environment with transformers
 5.5.4, which `make test-parity` sets up. Sizes are patched on the way, because LeRobot fixes them;
 packages whose `__init__` imports everything are replaced by empty ones.
 """
@@ -23,7 +23,7 @@ from scipy.fft import dct
 from transformers import PreTrainedTokenizerFast
 
 SLOTS, CELLS = 3, 14
-"""Camera slots, and cells of a picture along a side: 16 x 16 pixels of one colour each."""
+"""Camera slots, and cells along a side of an image: 16 x 16 pixels of one colour each."""
 STEPS = 24
 PROMPT_LENGTH = 200
 CASES = {
@@ -39,7 +39,7 @@ PROMPTS = (
 
 
 def stub(name: str, path: Path | None = None, **content: object) -> None:
-    """Put a module with this content in the place of `name`; with `path` others may lie in it."""
+    """Replace the module `name` by one with this content; with `path` it may have submodules."""
     module = ModuleType(name)
     if path is not None:
         module.__path__ = [str(path)]
@@ -64,7 +64,7 @@ def load_modules(lerobot: Path) -> Any:
 
 
 def build(module: Any, dims: dict[str, Any], weights: dict[str, torch.Tensor], words: Any) -> Any:
-    """LeRobot's model of these sizes, with these weights, every one accounted for."""
+    """LeRobot's model of these sizes, with all of these weights."""
     text, vision = dims["vlm_config"]["text_config"], dims["vlm_config"]["vision_config"]
     size = module.GemmaConfig(
         width=text["hidden_size"],
@@ -105,7 +105,7 @@ def build(module: Any, dims: dict[str, Any], weights: dict[str, torch.Tensor], w
     model = module.PI0FastPytorch(config, paligemma_tokenizer=words)
     plain = {key.removeprefix("model."): value.float() for key, value in weights.items()}
     missing, unexpected = model.load_state_dict(plain, strict=False)
-    # The token embedding is tied to the head, which is what the file holds.
+    # The token embedding is tied to the head, which the file holds.
     assert all(key.endswith("embed_tokens.weight") for key in missing), missing
     assert not unexpected, unexpected
     head = model.paligemma_with_expert.paligemma.lm_head.weight

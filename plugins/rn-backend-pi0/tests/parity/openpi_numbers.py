@@ -2,11 +2,11 @@
 
     python openpi_numbers.py OPENPI TINY OUT
 
-OPENPI is a checkout of openpi, TINY what `roboneuron-pi0 make-tiny --variant pi05 --layout openpi
---profile droid` wrote, OUT the file for the numbers. It runs in an environment of its own, which
-`make test-parity` sets up: openpi needs transformers 4.53.2 with some of its files replaced. Sizes
-are patched on the way, because openpi fixes them; modules that inference does not need (jax, flax
-and what downloads things) are replaced by empty ones.
+OPENPI is a checkout of openpi, TINY the output of `roboneuron-pi0 make-tiny --variant pi05 --layout
+openpi --profile droid`, OUT the file for the numbers. It runs in its own environment, which `make
+test-parity` sets up: openpi needs transformers 4.53.2 with some of its files replaced. Sizes are
+patched on the way, because openpi fixes them; modules that inference does not need (jax, flax and
+what downloads things) are replaced by empty ones.
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ from tokenizers import Tokenizer
 from transformers import AutoProcessor, GemmaForCausalLM, PaliGemmaForConditionalGeneration
 
 LOADED = (AutoProcessor, GemmaForCausalLM, PaliGemmaForConditionalGeneration)
-"""What openpi takes of transformers; it looks for jax while it loads, so before jax is a stub."""
+"""Imports of openpi from transformers; it looks for jax on import, so they must precede the stub of
+jax.
+"""
 SLOTS = ("base_0_rgb", "left_wrist_0_rgb", "right_wrist_0_rgb")
 CELLS = 14
-"""Cells of a picture along a side; each is 16 x 16 pixels of one colour."""
+"""Cells along a side of an image; each is 16 x 16 pixels of one colour."""
 INSTRUCTIONS = (" put the red_cube\non the plate ", "open the drawer")
 PROMPT_LENGTH = 200
 CASES = {
@@ -42,7 +44,7 @@ CASES = {
 
 
 def stub(name: str, **content: object) -> None:
-    """Put a module with this content in the place of `name`."""
+    """Replace the module `name` by one with this content."""
     module = ModuleType(name)
     for key, value in content.items():
         setattr(module, key, value)
@@ -53,7 +55,7 @@ def stub(name: str, **content: object) -> None:
 
 
 def prepare(openpi: Path, dims: dict[str, Any]) -> None:
-    """Make openpi's PyTorch modules importable, and its gemma sizes those of the checkpoint."""
+    """Make openpi's PyTorch modules importable, with the checkpoint's gemma sizes."""
     sys.path.insert(0, str(openpi / "src"))
     blocks = {"vlm": dims["vlm_config"]["text_config"], "expert": dims["dit_config"]}
     sizes = {
@@ -84,7 +86,7 @@ def prepare(openpi: Path, dims: dict[str, Any]) -> None:
 
 
 def build(dims: dict[str, Any], weights: dict[str, torch.Tensor]) -> torch.nn.Module:
-    """openpi's model of these sizes, with these weights, every one accounted for."""
+    """openpi's model of these sizes, with all of these weights."""
     from openpi.models_pytorch import gemma_pytorch, pi0_pytorch
 
     vision, vocabulary = (
@@ -129,18 +131,18 @@ def build(dims: dict[str, Any], weights: dict[str, torch.Tensor]) -> torch.nn.Mo
             pytorch_compile_mode=None,
         )
     )
-    torch.set_float32_matmul_precision("highest")  # openpi asks for less
+    torch.set_float32_matmul_precision("highest")  # openpi sets a lower precision
     missing, unexpected = model.load_state_dict(
         {key: value.float() for key, value in weights.items()}, strict=False
     )
-    # The token embedding is tied to the head, which is what the file holds.
+    # The token embedding is tied to the head, which the file holds.
     assert all(key.endswith("embed_tokens.weight") for key in missing), missing
     assert not unexpected, unexpected
     return model.eval()
 
 
 class TokenizerOfTheCheckpoint:
-    """The tiny tokenizer, called as openpi calls SentencePiece."""
+    """The tiny tokenizer with the interface of SentencePiece that openpi uses."""
 
     def __init__(self, path: Path) -> None:
         self._tokenizer = Tokenizer.from_file(str(path))

@@ -1,3 +1,3 @@
-"""Classical visual servoing: picks up the cube that the instruction names, from images and
-proprioception alone.
+"""Classical visual servoing: picks up the cube named by the instruction, using only images and
+proprioception.
 """

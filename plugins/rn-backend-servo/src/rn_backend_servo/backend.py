@@ -1,4 +1,4 @@
-"""The backend "servo": ties instruction, images and proprioception to the policy."""
+"""The backend "servo": passes instruction, images and proprioception to the policy."""
 
 from __future__ import annotations
 
@@ -27,13 +27,12 @@ from roboneuron import (
 
 
 class ServoBackend(EpisodeBackend):
-    """Picks up the cube that the instruction names; uses images, TCP pose and gripper opening,
-    nothing else.
+    """Picks up the cube named by the instruction; uses only images, TCP pose and gripper opening.
 
     One action per prediction, or `rows` of them, each at most `max_step_m` long. A chunk of several
-    rows continues the rows that are played meanwhile (`Observation.ahead`) and then leads from
-    where they end to the goal. Raising leaves the state machine where it was, so that the episode
-    goes on when the cause (a black image, a hidden cube) is gone.
+    rows continues the rows executed during inference (`Observation.ahead`) and then moves from
+    their end to the goal. An error does not change the state machine, so the episode continues when
+    the cause (a black image, a hidden cube) is gone.
     """
 
     name = "servo"
@@ -60,8 +59,8 @@ class ServoBackend(EpisodeBackend):
         """Return the next small motions of the TCP.
 
         Raises:
-            UngroundedError: the instruction, the images or a run of failed grasps leave nothing
-                sensible to do.
+            UngroundedError: no sensible action follows from the instruction or the images, or
+                several grasps failed.
             InvalidInputError: the primary image, the TCP pose or the gripper opening is absent.
             UnsafeError: the state is not finite.
             StateError: not loaded.
@@ -83,7 +82,7 @@ class ServoBackend(EpisodeBackend):
         primary = observation.frames["primary"]
         if primary.calibration is None:
             raise UngroundedError(
-                f"Camera {primary.camera!r} is not calibrated, so what it sees has no place.",
+                f"Camera {primary.camera!r} is not calibrated, so the cube cannot be located.",
                 hint="Give the robot's profile a calibration for this image size.",
             )
         sighting = look(observation.frames, places, colour, self._options)

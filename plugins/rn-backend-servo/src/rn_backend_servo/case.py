@@ -1,5 +1,5 @@
 """The backend's contract case: a painted table with one cube, seen by a calibrated camera; loaded
-by the kit only.
+only by the contract kit.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ POINTING_DOWN_XYZW = np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def overhead_camera() -> CameraCalibration:
-    """A camera 0.8 m above (0.5, 0, 0) in the base frame, looking straight down, image up being
+    """A camera 0.8 m above (0.5, 0, 0) in the base frame, looking straight down; up in the image is
     base +x.
     """
     pose = np.array(
@@ -50,8 +50,8 @@ def overhead_camera() -> CameraCalibration:
 def paint_table(
     cubes: dict[str, tuple[float, float, float]], edge_m: float = 0.044
 ) -> NDArray[np.uint8]:
-    """An image (SIDE_PX, SIDE_PX, 3) of cubes, colour -> x_m, y_m, yaw_rad: filled outlines and a
-    hint of noise.
+    """An image (SIDE_PX, SIDE_PX, 3) of cubes, colour -> x_m, y_m, yaw_rad: filled outlines with
+    slight noise.
     """
     noise = np.random.default_rng(0).integers(-4, 5, (SIDE_PX, SIDE_PX, 3))
     image = np.asarray(TABLE_RGB) + noise
@@ -64,7 +64,7 @@ def paint_table(
 
 
 def _inside_hull(points: F64, columns: F64, rows: F64) -> NDArray[np.bool_]:
-    """Pixels inside the convex hull of `points` (n, 2): those that no direction sees beyond the
+    """Pixels inside the convex hull of `points` (n, 2): in every direction, not beyond the
     outermost point.
     """
     inside = np.ones(columns.shape, dtype=bool)
@@ -82,7 +82,7 @@ def observe(
     gripper_open: float = 1.0,
     stamp_ns: int | None = None,
 ) -> Observation:
-    """What the backend sees with the hand pointing down at `tcp_m`."""
+    """Observation of the backend with the hand pointing down at `tcp_m`."""
     now_ns = time.time_ns() if stamp_ns is None else stamp_ns
     frame = Frame(
         camera="front",
@@ -104,8 +104,8 @@ def observe(
 
 
 def _grained(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The image with one grey value changed by the time, as a camera never gives the same picture
-    twice.
+    """The image with one grey value changed by the time, because a camera never gives the same
+    image twice.
     """
     grained = image.copy()
     grained[0, time.time_ns() // 1000 % SIDE_PX] ^= 1
@@ -125,7 +125,7 @@ def contract_case() -> BackendCase:
 
 
 def observe_pair(image: NDArray[np.uint8]) -> Observation:
-    """What the backend of two arms sees, with both hands pointing down above the table."""
+    """Observation of the two-arm backend, with both hands pointing down above the table."""
     one = observe(image, instruction="hand over the red cube")
     assert one.ee_pose is not None
     other = replace(one.ee_pose, position_m=np.array([0.8, 0.0, 0.4]))
@@ -139,7 +139,7 @@ def observe_pair(image: NDArray[np.uint8]) -> Observation:
 
 
 def _two_arms() -> RobotProfile:
-    """A robot whose arms are called as the options' defaults say."""
+    """A robot whose arms have the names of the options' defaults."""
     finger = GripperProfile(joint="finger", closed_position=0.0, open_position=0.04)
     arms = tuple(
         ArmProfile(

@@ -1,6 +1,4 @@
-"""Several rows from one prediction: what is under way is kept, then the way to the goal goes on row
-by row.
-"""
+"""Chunks of several rows: committed rows are kept, and further rows lead to the goal."""
 
 from __future__ import annotations
 
@@ -13,24 +11,23 @@ from roboneuron import Ahead, matrix_from_rotvec
 F64 = NDArray[np.float64]
 
 _HALF_A_ROW = 0.5
-"""The first row after an image is sent up to one period later, half a period on average."""
+"""Delay of the first row after an image: up to one period, half a period on average."""
 
 
 def kept_rows(ahead: Ahead | None, count: int) -> F64:
-    """The rows (N, 7) that a chunk of `count` rows begins with; none when they would fill it."""
+    """First rows (N, 7) of a chunk of `count` rows; none if they would fill it."""
     if ahead is None or ahead.committed_rows >= count:
         return np.zeros((0, 7))
     return ahead.rows[: ahead.committed_rows]
 
 
 def pose_after(tcp: F64, rows: F64, done_rows: float) -> F64:
-    """Predict where the arm is after `rows`.
+    """Predict the TCP pose after `rows`.
 
     Args:
         tcp: measured TCP pose (4, 4).
-        rows: float64 (N, 7), oldest first; the first was the next one when the image was taken.
-        done_rows: how many the arm had carried out when its pose was measured; a part of a row is
-            scaled.
+        rows: float64 (N, 7), oldest first; the first one was due next when the image was taken.
+        done_rows: number of rows executed when the pose was measured; a fraction scales a row.
 
     Returns:
         (4, 4).
@@ -44,15 +41,13 @@ def pose_after(tcp: F64, rows: F64, done_rows: float) -> F64:
 
 
 def rows_done(pose_ns: int, captured_ns: int, step_s: float) -> float:
-    """Rows carried out between the capture of an image and the measurement of a pose; never
-    negative.
-    """
+    """Rows executed between the capture of an image and the measurement of a pose; at least 0."""
     return max(0.0, (pose_ns - captured_ns) / 1e9 / step_s - _HALF_A_ROW)
 
 
 def chunk_rows(policy: PickPolicy, motion: ServoMotion, start: F64, kept: F64, count: int) -> F64:
-    """Rows (`count`, 7): `kept`, then `motion` from `start` (4, 4), then on towards the same
-    goal.
+    """Rows (`count`, 7): `kept`, then `motion` from `start` (4, 4), then further motions towards
+    the same goal.
     """
     rows = list(kept)
     here = start

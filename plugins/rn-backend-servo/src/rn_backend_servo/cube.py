@@ -1,4 +1,4 @@
-"""Measuring a cube that lies on the table from its outline in one image."""
+"""Measurement of a cube on the table from its outline in one image."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ F64 = NDArray[np.float64]
 
 _DIRECTIONS = 24
 _HALF_PIXEL = 0.35
-"""How far outlines reach beyond the centres of their outermost pixels, on average over all
-directions [px].
+"""Distance of outlines from the centres of their outermost pixels, on average over all directions
+[px].
 """
 _STARTS_RAD = tuple(np.deg2rad([0.0, 22.5, 45.0, 67.5]))
 _ITERATIONS = 8
 _NUDGES = np.array([1e-4, 1e-4, 1e-3, 1e-4])
-"""Differences for numerical derivatives by x, y [m], yaw [rad] and edge [m]."""
+"""Steps of the numerical derivatives by x, y [m], yaw [rad] and edge [m]."""
 _DAMPING = np.array([1.0, 1.0, 0.1, 1.0])
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (0.0, 1.0)])
 _POOR_PX, _POOR_SHARE = 0.9, 0.05
-"""An outline that misses the model by more than this, or this share of its size, is hidden in part
-or is no cube.
+"""Misfit, absolute [px] and relative to the outline's size, above which a cube is partly hidden or
+is no cube.
 """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CubeEstimate:
-    """Where a cube lies, from one image.
+    """Position of a cube, estimated from one image.
 
     Attributes:
         x_m, y_m: its centre in the base frame.
@@ -60,8 +60,8 @@ def cube_corners(parameters: F64, table_m: float) -> F64:
 
 
 class _OutlineFit:
-    """Gauss-Newton on the differences between the outline of a cube and one seen, for several cubes
-    at once.
+    """Gauss-Newton on the differences between a cube's outline and the measured one, for several
+    start values at once.
     """
 
     def __init__(
@@ -74,8 +74,8 @@ class _OutlineFit:
         self._edge_m, self._edge_spread_m = edge_m, edge_spread_m
 
     def residuals(self, parameters: F64) -> F64:
-        """Parameters (..., 4) -> how much farther the cubes' outlines reach in each direction [px],
-        then the prior.
+        """Differences of the outlines in each direction [px] for parameters (..., 4), then the
+        prior's residual.
         """
         reach = (self._view.project(cube_corners(parameters, self._table_m)) @ self._normals).max(
             axis=-2
@@ -107,12 +107,12 @@ class _OutlineFit:
 def measure_cube(
     blob: Blob, view: CameraView, *, table_m: float, edge_m: float, edge_spread_m: float
 ) -> CubeEstimate | None:
-    """Fit a cube that stands on the table to the outline of `blob`; None when the blob cannot be on
+    """Fit a cube that stands on the table to the outline of `blob`; None if the blob cannot be on
     the table.
 
-    Position, yaw and edge are chosen so that the projected cube reaches as far as the blob in every
-    direction of the image (equal support functions), from four yaw angles, with the usual edge as
-    prior.
+    Position, yaw and edge are chosen so that the projected cube extends as far as the blob in every
+    direction of the image (equal support functions), starting from four yaw angles, with the usual
+    edge as prior.
     """
     centre = view.meet_plane(blob.centre, table_m + edge_m / 2)
     if centre is None:

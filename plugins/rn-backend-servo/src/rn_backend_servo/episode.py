@@ -1,6 +1,4 @@
-"""What both backends here have in common: no weights, and an episode that ends with another
-instruction.
-"""
+"""Common base of both backends: no weights, and an episode that ends with another instruction."""
 
 from __future__ import annotations
 
@@ -14,7 +12,7 @@ class EpisodeBackend(ABC):
     """A backend between `load` and `close`, with one episode for each instruction.
 
     Attributes:
-        name: as in the descriptor.
+        name: name in the descriptor.
     """
 
     name: ClassVar[str]
@@ -25,20 +23,20 @@ class EpisodeBackend(ABC):
 
     @abstractmethod
     def forget(self) -> None:
-        """Forget what was seen and done."""
+        """Clear everything seen and done."""
 
     def load(self) -> None:
-        """Become ready; there are no weights."""
+        """Become ready; there are no weights to load."""
         self._is_loaded = True
         self.reset()
 
     def reset(self) -> None:
-        """Forget the episode."""
+        """Reset the episode."""
         self.forget()
         self._instruction = ""
 
     def close(self) -> None:
-        """Refuse to predict from now on."""
+        """Make later predictions fail with StateError."""
         self._is_loaded = False
 
     def check_loaded(self) -> None:
@@ -50,7 +48,7 @@ class EpisodeBackend(ABC):
             )
 
     def follow(self, instruction: str) -> None:
-        """Begin another episode when the instruction is another one."""
+        """Start a new episode if the instruction has changed."""
         if instruction != self._instruction:
             self.reset()
             self._instruction = instruction

@@ -1,4 +1,6 @@
-"""Poses and pinhole cameras: where a pixel's ray meets a plane, where a point is seen."""
+"""Poses and pinhole cameras: intersection of a pixel's ray with a plane, and projection of
+points.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ F64 = NDArray[np.float64]
 
 
 def matrix_of(pose: Pose) -> F64:
-    """Pose -> float64 (4, 4)."""
+    """Convert a pose to float64 (4, 4)."""
     matrix = np.eye(4)
     matrix[:3, :3] = matrix_from_quaternion(pose.quaternion_xyzw)
     matrix[:3, 3] = pose.position_m
@@ -35,7 +37,7 @@ def yaw_of(rotation: F64) -> float:
 
 def quarter_turn_near(angle_rad: float, reference_rad: float) -> float:
     """The angle nearest to `reference_rad` that differs from `angle_rad` by quarter turns: a cube
-    looks the same.
+    has this symmetry.
     """
     quarter = np.pi / 2
     return float(angle_rad + quarter * np.round((reference_rad - angle_rad) / quarter))
@@ -48,7 +50,7 @@ def rotation_between(start: F64, goal: F64) -> F64:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class CameraView:
-    """A pinhole camera at a known place.
+    """A pinhole camera at a known pose.
 
     Attributes:
         intrinsics: float64 (3, 3) [px].
@@ -60,15 +62,15 @@ class CameraView:
 
     @classmethod
     def of(cls, calibration: CameraCalibration, T_base_tcp: F64) -> CameraView:
-        """The view of a camera on the base, or at a TCP that is at `T_base_tcp` (4, 4)."""
+        """The view of a camera on the base, or on a TCP at `T_base_tcp` (4, 4)."""
         mount = np.eye(4) if calibration.arm is None else T_base_tcp
         return cls(
             intrinsics=calibration.intrinsics, T_base_camera=mount @ calibration.T_mount_camera
         )
 
     def project(self, points_m: F64) -> F64:
-        """Points (..., 3) in the base frame -> pixels (..., 2); those behind the camera become
-        NaN.
+        """Project points (..., 3) in the base frame to pixels (..., 2); NaN for points behind the
+        camera.
         """
         rotation, origin = self.T_base_camera[:3, :3], self.T_base_camera[:3, 3]
         camera = (points_m - origin) @ rotation
@@ -78,8 +80,8 @@ class CameraView:
         return pixels
 
     def meet_plane(self, pixel: F64, height_m: float) -> F64 | None:
-        """Where the ray through `pixel` (2,) meets z = `height_m`: (3,) in the base frame, None
-        when it does not.
+        """Intersection (3,) of the ray through `pixel` (2,) with z = `height_m`, in the base frame;
+        None if there is none.
         """
         ray = self.T_base_camera[:3, :3] @ np.linalg.solve(
             self.intrinsics, np.array([pixel[0], pixel[1], 1.0])

@@ -1,6 +1,4 @@
-"""The policy that hands a cube over: one arm picks it up and shows it to the other, which takes
-it.
-"""
+"""The hand-over policy: one arm picks the cube up and presents it to the other, which takes it."""
 
 from __future__ import annotations
 
@@ -20,26 +18,26 @@ from roboneuron import Action, ArmState, Pose, UngroundedError, apply_delta
 F64 = NDArray[np.float64]
 
 _NEAR_M, _NEAR_RAD = 0.004, 0.04
-"""How near a TCP must come to a goal."""
+"""Tolerances within which a TCP has reached a goal."""
 _MOST_STEPS = 250
-"""Of one stage; an arm that is later does not get where it is sent."""
+"""Step limit of one stage; beyond it an arm does not reach its goal."""
 _GRIP_STEPS = 12
-"""A gripper has closed or opened after so many actions."""
+"""Number of actions after which a gripper has closed or opened."""
 _SHOWN = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """Rotation of the giver's TCP: along +y, fingers above and below the cube. Along the line between
-the two arms the hand would have to pass a singularity of the wrist.
+the two arms the wrist would pass a singularity.
 """
 _TAKING = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]])
 """Rotation of the taker's TCP: along -y, fingers beside the cube."""
 _GRIP, _LOST = 0.42, 0.46
-"""Opening that squeezes the smallest cube (40 of 80 mm), and the one below which there is none.
-Closed further, the fingers of one hand would be commanded into those of the other.
+"""Opening that squeezes the smallest cube (40 of 80 mm), and the one below which no cube is held.
+If they closed further, the fingers of one hand would be commanded into those of the other.
 """
 _HOLDS_GIVER = frozenset({"SHOW", "READY", "REACH", "TAKE"})
 
 
 class Stage(Enum):
-    """What the arms are doing; the value is shown to the agent."""
+    """Stages of the hand-over; the value is shown to the agent."""
 
     PICK = "picking up"
     SHOW = "showing"
@@ -53,7 +51,7 @@ class Stage(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ArmGoal:
-    """Where one arm goes next.
+    """Next goal of one arm.
 
     Attributes:
         pose: TCP pose in the base frame, a small motion away.
@@ -65,8 +63,8 @@ class ArmGoal:
 
 
 class HandOverPolicy:
-    """Pick, show, get ready, reach, take, give, part; each stage begins when both arms are where
-    the one before leads them.
+    """Pick, show, get ready, reach, take, give, part; each stage starts when both arms have reached
+    the goals of the previous one.
 
     The giver stands at the base frame's origin and the taker faces it along x.
     """
@@ -77,7 +75,7 @@ class HandOverPolicy:
         self.reset()
 
     def reset(self) -> None:
-        """Start anew."""
+        """Reset the policy."""
         self.pick.reset()
         self.stage = Stage.PICK
         self._steps = 0
@@ -89,13 +87,14 @@ class HandOverPolicy:
         """Goals of giver and taker.
 
         Raises:
-            UngroundedError: a grasp failed for good, or an arm does not get where it is sent.
+            UngroundedError: all grasps failed, the cube was lost, or an arm does not reach its
+                goal.
         """
         self._steps += 1
         if self._steps > _MOST_STEPS and self.stage is not Stage.DONE:
             raise UngroundedError(
                 f"The arms are stuck while {self.stage.value} the cube.",
-                hint="Give the instruction again to start anew.",
+                hint="Give the instruction again to restart.",
             )
         if self.stage is Stage.PICK:
             return self._pick(sighting, giver, taker)
@@ -103,7 +102,7 @@ class HandOverPolicy:
         if (held.gripper_open or 0.0) <= _LOST and self._steps > _GRIP_STEPS:
             raise UngroundedError(
                 f"The cube was lost while {self.stage.value} it.",
-                hint="Give the instruction again to start anew.",
+                hint="Give the instruction again to restart.",
             )
         goals = self._goals()
         (shown, giver_open), (reached, taker_open) = goals
@@ -162,12 +161,12 @@ class HandOverPolicy:
         return bool(np.linalg.norm(goal[:3, 3] - pose[:3, 3]) < _NEAR_M and turn < _NEAR_RAD)
 
     def _nearer(self, pose: Pose, goal: F64) -> Pose:
-        """A share of the way from a measured pose to `goal`, bounded."""
+        """A bounded fraction of the motion from a measured pose to `goal`."""
         options, start = self._options, matrix_of(pose)
         way = options.gain * (goal[:3, 3] - start[:3, 3])
         turn = options.gain * rotation_between(start[:3, :3], goal[:3, :3])
         far_m, far_rad = float(np.linalg.norm(way)), float(np.linalg.norm(turn))
-        # both shares at once, so that the hand turns on its way and not at its end
+        # one fraction for both, so that the hand rotates during the translation and not at its end
         share = min(
             1.0,
             options.max_step_m / far_m if far_m else 1.0,

@@ -1,6 +1,4 @@
-"""Where the TCP was when an image was taken: images arrive 100 ms and more after the pose that
-belongs to them.
-"""
+"""TCP poses by time: images arrive 100 ms and more after the pose that belongs to them."""
 
 from __future__ import annotations
 
@@ -16,7 +14,7 @@ F64 = NDArray[np.float64]
 
 _LENGTH = 40
 _AHEAD_NS = 50_000_000
-"""An image may be this much newer than the newest pose."""
+"""Largest time by which an image may be newer than the newest pose."""
 _AT_REST_M = 1e-3
 
 
@@ -27,12 +25,12 @@ class PoseHistory:
         self._poses: deque[Pose] = deque(maxlen=_LENGTH)
 
     def clear(self) -> None:
-        """Forget all poses."""
+        """Delete all poses."""
         self._poses.clear()
 
     def add(self, pose: Pose) -> None:
-        """Note a measured pose; one no newer than the last is ignored, after a clock set back all
-        start anew.
+        """Add a measured pose; one that is not newer than the last is ignored. If the clock was set
+        back, all earlier ones are deleted.
         """
         if self._poses and pose.stamp_ns < self._poses[-1].stamp_ns:
             self._poses.clear()
@@ -40,8 +38,8 @@ class PoseHistory:
             self._poses.append(pose)
 
     def at(self, stamp_ns: int) -> F64 | None:
-        """TCP pose (4, 4) in the base frame at `stamp_ns`, interpolated; None when the motion then
-        is not known.
+        """TCP pose (4, 4) in the base frame at `stamp_ns`, interpolated; None if the motion at that
+        time is not known.
         """
         poses = self._poses
         if not poses or stamp_ns > poses[-1].stamp_ns + _AHEAD_NS:
@@ -58,8 +56,8 @@ class PoseHistory:
 
 
 def _between(earlier: Pose, later: Pose, stamp_ns: int) -> Pose:
-    """Linear in position, normalised linear in rotation: poses lie at most a tenth of a second
-    apart.
+    """Interpolate linearly in position, normalised linearly in rotation: poses are at most a tenth
+    of a second apart.
     """
     share = (stamp_ns - earlier.stamp_ns) / (later.stamp_ns - earlier.stamp_ns)
     start, end = earlier.quaternion_xyzw, later.quaternion_xyzw

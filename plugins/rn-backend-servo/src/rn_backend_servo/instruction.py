@@ -1,5 +1,5 @@
-"""Grounding of instructions: a known verb and one known colour, or an UngroundedError that says
-what is understood.
+"""Grounding of instructions: a known verb and one known colour, or an UngroundedError that lists
+the known words.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ COLOUR_BY_WORD = {
     "purple": "purple",
     "violet": "purple",
 }
-"""Understood colour words; the values are the colours that can be found in images."""
+"""Known colour words; the values are the colours that can be found in images."""
 
 VERBS = (
     "pick",
@@ -34,7 +34,7 @@ VERBS = (
     "collect",
     "hold",
 )
-"""Verbs that mean: grasp it and lift it."""
+"""Verbs for grasping and lifting."""
 
 _OBJECTS = frozenset(
     {"cube", "block", "box", "brick", "dice", "die", "one", "object", "thing", "item"}
@@ -120,8 +120,8 @@ def parse_instruction(instruction: str) -> str:
     Case, punctuation and politeness do not matter; English only.
 
     Raises:
-        UngroundedError: no verb, an action that is not picking up, a negation, no colour, several
-            colours, or an object that is no cube; the hint lists the known words.
+        UngroundedError: no verb, an action other than picking up, a negation, no colour, several
+            colours, or an object other than a cube; the hint lists the known words.
     """
     words = re.findall(r"[^\W\d_]+", instruction.lower())
     if not words:
@@ -151,14 +151,14 @@ def parse_instruction(instruction: str) -> str:
 
 
 _HAND_OVER = ("hand", "pass", "give")
-"""Verbs that mean: pick it up with one arm and let the other one take it."""
+"""Verbs for picking up with one arm and handing over to the other."""
 
 
 def parse_hand_over(instruction: str) -> str:
     """Return the colour of the cube to hand over.
 
     Raises:
-        UngroundedError: no verb of handing over; otherwise as `parse_instruction`.
+        UngroundedError: no verb for handing over; otherwise as `parse_instruction`.
     """
     words = re.findall(r"[^\W\d_]+", instruction.lower())
     if not any(word in _HAND_OVER for word in words):
@@ -171,9 +171,7 @@ def parse_hand_over(instruction: str) -> str:
 
 
 def _check_object(words: list[str], quoted: str) -> None:
-    """Raise UngroundedError when what follows the colour is the name of something that is no
-    cube.
-    """
+    """Raise UngroundedError if the colour is followed by the name of an object that is no cube."""
     last = max(i for i, word in enumerate(words) if word in COLOUR_BY_WORD)
     for word in words[last + 1 :]:
         if word in _OBJECTS or word in _AFTER_THE_COLOUR:

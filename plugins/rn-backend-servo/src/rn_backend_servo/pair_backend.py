@@ -1,5 +1,5 @@
-"""The backend "servo-pair": ties instruction, images and the state of two arms to the policy that
-hands a cube over.
+"""The backend "servo-pair": passes instruction, images and the state of two arms to the hand-over
+policy.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from roboneuron import (
 
 
 def hand_over_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
-    """Poses of the TCPs of both arms.
+    """Control space: TCP poses of both arms.
 
     Raises:
         InvalidInputError: the robot lacks one of them.
@@ -69,8 +69,8 @@ def _value(channel: Channel, goals: Mapping[str, ArmGoal]) -> float:
 
 
 class HandOverBackend(EpisodeBackend):
-    """Hands the cube that the instruction names from one arm to the other; uses images, TCP poses
-    and openings of both arms, nothing else. One row of `ee_pose` per prediction.
+    """Hands the cube named by the instruction from one arm to the other; uses only images, TCP
+    poses and openings of both arms. One row of `ee_pose` per prediction.
     """
 
     name = "servo-pair"
@@ -99,8 +99,8 @@ class HandOverBackend(EpisodeBackend):
         """Return the next small motions of both TCPs.
 
         Raises:
-            UngroundedError: instruction, images (also those that are repeated or frozen), or a lost
-                cube leave nothing sensible to do.
+            UngroundedError: no sensible action follows from the instruction or the images (also
+                repeated or frozen ones), or the cube was lost.
             InvalidInputError: the primary image or the state of one of the arms is absent.
             UnsafeError: it is not finite.
             StateError: not loaded.
@@ -134,11 +134,11 @@ class HandOverBackend(EpisodeBackend):
         )
 
     def _watch(self, observation: Observation) -> dict[str, F64 | None]:
-        """TCP pose (4, 4) of the arm that carries each camera, of the giver for a fixed one, when
-        its image was taken.
+        """TCP pose (4, 4), at the time of each image, of the arm that carries the camera; of the
+        giver for a fixed camera.
 
         Raises:
-            UngroundedError: an image cannot be acted on, see `FrameWatch.check`.
+            UngroundedError: an image cannot be used, see `FrameWatch.check`.
         """
         giver, taker = self._options.giver, self._options.taker
         for name in (giver, taker):
@@ -153,10 +153,10 @@ class HandOverBackend(EpisodeBackend):
             carrier = None if frame.calibration is None else frame.calibration.arm
             if carrier == "":
                 carrier = next(iter(observation.arms))
-            # a camera beside the arms sees both move
+            # a fixed camera sees both arms move
             for name in (giver, taker) if carrier is None else (carrier,):
                 if name not in self._histories:
-                    continue  # it is on an arm that does nothing here
+                    continue  # it is on an arm that is not used
                 place = self._histories[name].at(frame.stamp_ns)
                 places.setdefault(role, place)
                 self._watches.setdefault((role, name), FrameWatch()).check(

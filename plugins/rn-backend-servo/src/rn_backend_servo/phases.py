@@ -1,4 +1,4 @@
-"""The phases of picking up a cube and what is remembered from one action to the next."""
+"""The phases of picking up a cube, and the state kept between actions."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NEW_SHARE = 0.4
 
 
 class Phase(Enum):
-    """What the policy is doing; the value is the word shown to the agent."""
+    """Phases of the policy; the value is the word shown to the agent."""
 
     SEARCH = "looking for"
     RELEASE = "putting down what it holds before picking up"
@@ -35,12 +35,12 @@ class Phase(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Target:
-    """Where the cube is believed to be.
+    """Estimated pose of the cube.
 
     Attributes:
         x_m, y_m: centre in the base frame.
         yaw_rad: the TCP yaw that aligns the fingers with its faces, nearest to the present one.
-        is_clear: at least one clear view went into it.
+        is_clear: True if at least one clear view contributed.
     """
 
     x_m: float
@@ -50,7 +50,7 @@ class Target:
 
     @classmethod
     def first(cls, estimate: CubeEstimate, yaw_rad: float) -> Target:
-        """From a single view; `yaw_rad` is the present yaw of the TCP."""
+        """Estimate from a single view; `yaw_rad` is the present yaw of the TCP."""
         return cls(
             x_m=estimate.x_m,
             y_m=estimate.y_m,
@@ -59,8 +59,8 @@ class Target:
         )
 
     def updated(self, estimate: CubeEstimate) -> Target:
-        """After another view: clear ones are averaged, a clear one far away or after unclear ones
-        replaces.
+        """Estimate after another view: clear views are averaged; a clear view that is far away, or
+        follows unclear ones, replaces the estimate.
         """
         if not estimate.is_clear:
             return self
@@ -77,16 +77,16 @@ class Target:
 
 @dataclass(kw_only=True, slots=True)
 class ServoEpisode:
-    """What is remembered within one attempt to follow one instruction.
+    """State of one attempt to follow one instruction.
 
     Attributes:
-        phase: what is being done.
+        phase: present phase.
         steps: actions given in this phase.
-        attempts: grasps that failed.
-        target: where the cube is; None before it was seen.
-        anchor: TCP pose (4, 4) when the phase began.
+        attempts: number of failed grasps.
+        target: estimate of the cube; None before it was seen.
+        anchor: TCP pose (4, 4) at the start of the phase.
         openings: measured gripper openings of this phase, oldest first.
-        failure: why the episode was given up; empty while it goes on.
+        failure: reason why the episode was given up; empty while it runs.
     """
 
     phase: Phase = Phase.SEARCH
@@ -98,7 +98,7 @@ class ServoEpisode:
     failure: str = ""
 
     def enter(self, phase: Phase, T_base_tcp: F64) -> None:
-        """Begin a phase with the TCP at `T_base_tcp` (4, 4)."""
+        """Start a phase with the TCP at `T_base_tcp` (4, 4)."""
         self.phase = phase
         self.steps = 0
         self.anchor = T_base_tcp.copy()

@@ -1,4 +1,4 @@
-"""What this package offers RoboNeuron: the backends "servo" and "servo-pair"."""
+"""Descriptors of this package: the backends "servo" and "servo-pair"."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from roboneuron import ActionSpace, BackendSpec, hookimpl
 
 MAX_ROWS = 32
-"""Greatest value of the option `rows`."""
+"""Largest value of the option `rows`."""
 
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """Offer the backends "servo" and "servo-pair"."""
+    """Register the backends "servo" and "servo-pair"."""
     return [
         BackendSpec(
             name="servo",

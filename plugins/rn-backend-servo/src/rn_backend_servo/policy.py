@@ -1,4 +1,4 @@
-"""The state machine: from what is seen and felt to the next small motion."""
+"""The state machine that maps images and proprioception to the next small motion."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from roboneuron import UngroundedError
 F64 = NDArray[np.float64]
 
 _NEAR_M, _NEAR_HEIGHT_M, _NEAR_RAD = 0.004, 0.006, 0.04
-"""How near the TCP must come to a goal, beside it, in height and in rotation."""
+"""Tolerances within which the TCP has reached a goal: horizontal, vertical and rotational."""
 _STRAY_M = 0.008
-"""The descent waits while the TCP is farther than this beside its line."""
+"""Horizontal deviation from its line at which the descent pauses."""
 _BLIND_M = 0.09
-"""Below this height of the TCP above the table the fingers hide the cube: its place is remembered.
+"""Height of the TCP above the table below which the fingers hide the cube, so that its last
+estimate is kept.
 """
 _SEEN_TWICE = 2
 _CLOSING_STEPS, _STEADY_STEPS, _STEADY = 6, 3, 0.02
-"""A grasp is judged after so many actions, once the opening changes by less than _STEADY over
-_STEADY_STEPS.
+"""A grasp is evaluated after this number of actions, once the opening changes by less than _STEADY
+over _STEADY_STEPS.
 """
 _FULLY_OPEN = 0.85
 _MOST_STEPS = {
@@ -46,7 +47,7 @@ class ServoMotion:
         translation_m, rotation_rad: float64 (3,) each, TCP delta in the base frame.
         gripper_open: 0 closed .. 1 open.
         remaining_m: distance to the goal of the phase.
-        goal: TCP pose (4, 4) that it leads to; None for none: the arm is to stay.
+        goal: TCP pose (4, 4) that it leads to; None if the arm should stay.
     """
 
     translation_m: F64
@@ -65,7 +66,7 @@ class PickPolicy:
         self._start = np.eye(4)
 
     def reset(self) -> None:
-        """Start anew."""
+        """Reset the policy."""
         self.episode = ServoEpisode()
 
     def step(
@@ -77,23 +78,22 @@ class PickPolicy:
     ) -> ServoMotion:
         """Return the next motion.
 
-        What has happened is judged by the measured pose; the motion leads on from where the arm
-        will be.
+        Transitions depend on the measured pose; the motion starts from the predicted pose.
 
         Args:
-            sighting: the named cube; None when it is not visible, which must not be in phase
+            sighting: the named cube; None if it is not visible, which is not allowed in phase
                 SEARCH.
             T_base_tcp: measured TCP pose (4, 4).
             gripper_open: measured opening.
-            start: TCP pose (4, 4) in which the motion will begin; the measured one when not given.
+            start: TCP pose (4, 4) at the start of the motion; None for the measured one.
 
         Raises:
-            UngroundedError: every attempt failed, or the arm does not get where it is sent; `reset`
-                starts anew.
+            UngroundedError: every attempt failed, or the arm does not reach its goals; `reset`
+                starts a new episode.
         """
         episode = self.episode
         if episode.failure:
-            raise UngroundedError(episode.failure, hint="Give the instruction again to start anew.")
+            raise UngroundedError(episode.failure, hint="Give the instruction again to restart.")
         self._start = T_base_tcp if start is None else start
         episode.steps += 1
         episode.openings.append(gripper_open)
@@ -110,7 +110,7 @@ class PickPolicy:
         return action(sighting, T_base_tcp, gripper_open)
 
     def continued(self, motion: ServoMotion, start: F64) -> ServoMotion:
-        """The motion after `motion`, from `start` (4, 4) on towards the same goal with the same
+        """The motion after `motion`: from `start` (4, 4) towards the same goal with the same
         opening.
         """
         self._start = start
@@ -197,12 +197,12 @@ class PickPolicy:
             self.episode.enter(Phase.SEARCH, tcp)
             self.episode.target = None
         elif self._is_late():
-            self.episode.failure = "The arm does not move up as it is told to."
+            self.episode.failure = "The arm does not move up as commanded."
         return self._towards(goal, OPEN)
 
     def _release(self, sighting: Sighting | None, tcp: F64, gripper_open: float) -> ServoMotion:
-        """Straight down with the gripper closed, then open it: what was lifted goes back where it
-        came from.
+        """Move straight down with the gripper closed, then open it: a lifted object is put back to
+        its place.
         """
         episode, anchor = self.episode, self.episode.anchor
         goal = self._goal(anchor[0, 3], anchor[1, 3], self._options.grasp_m, yaw_of(anchor))
@@ -210,7 +210,7 @@ class PickPolicy:
         if gripper_open > _FULLY_OPEN:
             episode.enter(Phase.RETREAT, tcp)
         elif episode.steps > _MOST_STEPS_RELEASE:
-            episode.failure = "The gripper holds something that it could not put down."
+            episode.failure = "The gripper could not put down the object that it holds."
         opening = OPEN if is_down or gripper_open > _FULLY_OPEN else CLOSED
         return self._towards(goal, opening)
 
@@ -243,7 +243,7 @@ class PickPolicy:
         return self.episode.steps > _MOST_STEPS[self.episode.phase]
 
     def _towards(self, goal: F64, gripper_open: float) -> ServoMotion:
-        """A share of the way from the start to `goal`, bounded; proportional control."""
+        """A bounded fraction of the motion from the start to `goal`: proportional control."""
         options = self._options
         way = goal[:3, 3] - self._start[:3, 3]
         turn = rotation_between(self._start[:3, :3], goal[:3, :3])
@@ -256,14 +256,14 @@ class PickPolicy:
         )
 
     def _failed(self, reason: str, tcp: F64) -> ServoMotion:
-        """Count a failed attempt; go up and look again, or give up."""
+        """Count a failed attempt; retreat to look again, or give up."""
         episode = self.episode
         episode.attempts += 1
         if episode.attempts >= self._options.max_attempts:
             episode.failure = (
                 f"Gave up after {episode.attempts} attempts; in the last one {reason}."
             )
-            raise UngroundedError(episode.failure, hint="Give the instruction again to start anew.")
+            raise UngroundedError(episode.failure, hint="Give the instruction again to restart.")
         episode.enter(Phase.RETREAT, tcp)
         return ServoMotion(translation_m=np.zeros(3), rotation_rad=np.zeros(3), gripper_open=OPEN)
 

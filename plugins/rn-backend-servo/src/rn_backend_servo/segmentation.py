@@ -1,4 +1,4 @@
-"""Finding coloured things in an image: hue ranges and connected regions, numpy only."""
+"""Segmentation of coloured objects in an image: hue ranges and connected regions, numpy only."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ HUES_DEG = {
 """Lowest and highest hue of each colour [deg]; the gaps belong to none."""
 LEAST_SATURATION = 0.45
 LEAST_VALUE = 0.15
-"""Grey, pale and dark pixels have no colour."""
+"""Limits below which pixels are grey, pale or dark and have no colour."""
 LEAST_AREA_PX = 16
-"""Smaller regions are noise."""
+"""Area below which regions are noise."""
 LEAST_FILL = 0.45
-"""Share of its bounding box that a compact region fills: a cube's outline fills at least half, seen
-from anywhere.
+"""Smallest fraction of its bounding box that a compact region fills: a cube's outline fills at
+least half from any direction.
 """
 
 
@@ -36,7 +36,7 @@ class Blob:
 
     Attributes:
         pixels: float64 (n, 2), u v of the pixel centres.
-        is_cut: it touches the edge of the image, so part of it may be outside.
+        is_cut: True if it touches the edge of the image, so part of it may be outside.
     """
 
     pixels: F64
@@ -75,7 +75,7 @@ def colour_mask(image: NDArray[np.uint8], colour: str) -> Mask:
 
 
 def _runs(mask: Mask) -> list[tuple[int, int, int]]:
-    """Horizontal runs of True: (row, first column, column after the last), row by row."""
+    """Horizontal runs of True, row by row: (row, first column, column after the last)."""
     edges = np.diff(np.pad(mask, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     rows, starts = np.nonzero(edges == 1)
     _, ends = np.nonzero(edges == -1)
@@ -139,5 +139,5 @@ def find_blob(image: NDArray[np.uint8], colour: str) -> Blob | None:
 
 
 def visible_colours(image: NDArray[np.uint8]) -> list[str]:
-    """Names of the colours of which `image` shows a compact region."""
+    """Names of the colours with a compact region in `image`."""
     return [colour for colour in HUES_DEG if find_blob(image, colour) is not None]

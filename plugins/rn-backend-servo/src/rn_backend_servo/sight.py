@@ -1,4 +1,4 @@
-"""Looking for the named cube in all cameras and choosing the best view of it."""
+"""Search for the named cube in all cameras, and choice of the best view."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sighting:
-    """The named cube as the best camera sees it.
+    """The named cube in the best camera.
 
     Attributes:
         role: the camera's role.
-        estimate: where the cube is.
+        estimate: estimated pose of the cube.
     """
 
     role: str
@@ -36,16 +36,16 @@ def look(
     colour: str,
     options: ServoOptions,
 ) -> Sighting | None:
-    """Find the cube of `colour`; None when no camera shows it.
+    """Find the cube of `colour`; None if no camera shows it.
 
-    A clear view beats a partial one, the wrist's beats the fixed camera's.
+    A clear view is preferred to a partial one, the wrist camera to a fixed one.
 
     Args:
         frames: images by role.
-        T_base_tcp: where the TCP of the camera's arm was when each was taken, by role; None skips
+        T_base_tcp: TCP pose of the camera's arm at the time of each image, by role; None skips
             cameras on a TCP.
         colour: key of `segmentation.HUES_DEG`.
-        options: where the table is and how large cubes are.
+        options: height of the table and size of the cubes.
     """
     best: Sighting | None = None
     best_rank = (False, False)
@@ -73,7 +73,7 @@ def look(
 
 
 def not_visible(frames: Mapping[str, Frame], colour: str) -> UngroundedError:
-    """The error that says that no cube of `colour` is in sight, and which colours are."""
+    """The error that no cube of `colour` is visible, with the visible colours."""
     seen = list(
         dict.fromkeys(name for frame in frames.values() for name in visible_colours(frame.image))
     )

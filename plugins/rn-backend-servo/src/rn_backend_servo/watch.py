@@ -1,6 +1,4 @@
-"""Is there something to see, and is it now? Black, blank, repeated and frozen images are
-refused.
-"""
+"""Checks of images for content and age: black, blank, repeated and frozen images are refused."""
 
 from __future__ import annotations
 
@@ -14,26 +12,28 @@ from roboneuron import Frame, Pose, UngroundedError
 F64 = NDArray[np.float64]
 
 _DARK = 24
-"""An image whose brightest value is below this shows nothing."""
+"""Brightest value below which an image is black."""
 _EVEN = 1.5
-"""An image whose values spread less than this (standard deviation, of 255) shows nothing."""
+"""Standard deviation of the values (of 255) below which an image is blank."""
 _STRIDE = 4
 _FROZEN_M, _FROZEN_UNSYNCHRONISED_M = 0.02, 0.10
-"""The TCP has moved this far between two identical images: by the images' times, or where those are
-not comparable.
+"""TCP motion between two identical images above which they count as frozen: by the images' times,
+or without comparable times.
 """
 _OLD_POSE_NS = 500_000_000
-"""A pose this much older than the image belongs to another moment; going on would move the arm
+"""Age of a pose relative to the image above which it is outdated; continuing would move the arm
 blindly.
 """
 
 _BEHIND_NS = 400_000_000
-"""An image that comes again may be this much older than the newest one of another camera."""
+"""Age of a repeated image relative to the newest one of another camera up to which it is
+accepted.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class _Reference:
-    """The first of a series of identical images, and where the TCP was."""
+    """The first of a series of identical images, with the TCP position."""
 
     image: NDArray[np.uint8]
     tcp_m: F64
@@ -41,7 +41,7 @@ class _Reference:
 
 
 class FrameWatch:
-    """Watches the images of one camera over an episode."""
+    """Checks the images of one camera during an episode."""
 
     def __init__(self) -> None:
         self._stamp_ns: int | None = None
@@ -56,20 +56,20 @@ class FrameWatch:
         newest_ns: int,
         must_change: bool = True,
     ) -> None:
-        """Accept `frame`, or say why it cannot be acted on.
+        """Accept `frame`, or raise the reason why it cannot be used.
 
         Args:
             frame: the image.
             pose: the newest measured TCP pose.
-            T_base_tcp: the TCP pose (4, 4) when the image was taken; None when not known.
-            newest_ns: capture time of the newest image of any camera; cameras take turns, so one of
-                them may show its last image again while another has a new one.
-            must_change: the camera sees something that moves in its image when the arm moves. A
-                camera on the hand that sees only what the hand holds, and an even table, does not.
+            T_base_tcp: the TCP pose (4, 4) at the time of the image; None if unknown.
+            newest_ns: capture time of the newest image of any camera; cameras alternate, so one of
+                them may repeat its last image while another has a new one.
+            must_change: True if the image must change when the arm moves. It need not for a hand
+                camera that sees only the held object and an even table.
 
         Raises:
-            UngroundedError: the image is black, blank, one seen before, or frozen while the arm
-                moves; or the pose is far older than the image.
+            UngroundedError: the image is black, blank, repeated, or frozen while the arm moves; or
+                the pose is much older than the image.
         """
         who = f"The image of camera {frame.camera!r}"
         sample = frame.image[::_STRIDE, ::_STRIDE]
@@ -86,7 +86,7 @@ class FrameWatch:
         is_behind = newest_ns == frame.stamp_ns or newest_ns - frame.stamp_ns > _BEHIND_NS
         if frame.stamp_ns == self._stamp_ns and is_behind:
             raise UngroundedError(
-                f"{who} is the one seen before; no new image has come.",
+                f"{who} is the previous one; no new image has arrived.",
                 hint="Is perception running?",
             )
         if must_change:

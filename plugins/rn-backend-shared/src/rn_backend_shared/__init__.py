@@ -1,1 +1,1 @@
-"""One loaded model for the backends of several robots on a machine."""
+"""One loaded model for the backends of several robots."""

@@ -1,4 +1,4 @@
-"""Connections of a policy server: those that have not introduced themselves, and robots."""
+"""Connections of a policy server: unidentified ones, and those of robots."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ log = logging.getLogger(__name__)
 
 
 class ClientConnection(Protocol):
-    """What is kept in the table.
+    """A connection in the table.
 
     Attributes:
-        address: of its other end.
-        client: whose it is; all connections of one get one share.
+        address: address of the peer.
+        client: its owner; all connections of one client share one share.
     """
 
     address: str
     client: str
 
     def interrupt(self) -> None:
-        """End it, from any thread."""
+        """End the connection, from any thread."""
 
 
 class AdmissionTable:
-    """Who is connected; callable from any thread.
+    """Table of the connections; callable from any thread.
 
     Args:
-        most_robots: more are refused.
+        most_robots: largest number of robots; further ones are refused.
     """
 
     def __init__(self, most_robots: int) -> None:
@@ -46,23 +46,26 @@ class AdmissionTable:
 
     @property
     def robots(self) -> int:
-        """How many robots are connected."""
+        """Number of connected robots."""
         return len(self._robots)
 
     @property
     def refusals(self) -> tuple[int, str]:
-        """Connections that ended before they were a robot's, and why the newest did."""
+        """Number of connections that ended before they were admitted as robots, and the reason of
+        the newest.
+        """
         with self._lock:
             return self._refused, self._newest_refusal
 
     def add(self, connection: ClientConnection) -> None:
-        """One that has not introduced itself yet."""
+        """Add a connection that has not identified itself yet."""
         with self._lock:
             self._unknown[connection] = time.monotonic()
 
     def admit(self, connection: ClientConnection) -> None:
-        """It is a robot's from now on. When there are too many, the newest of the client with most
-        of them gives way, if that keeps more than the new one's then.
+        """Admit a connection as a robot's. If there are too many, the newest robot of the client
+        with the most is disconnected, provided that this client keeps more than the new one's would
+        have.
 
         Raises:
             ConfigurationError: there are too many robots.
@@ -80,7 +83,9 @@ class AdmissionTable:
             given_up.interrupt()
 
     def _given_up(self, client: str) -> ClientConnection | None:
-        """What gives way to a new robot of a client; None while there are not too many."""
+        """The robot to be disconnected for a new one of a client; None while the limit is not
+        reached.
+        """
         if len(self._robots) < self._most_robots:
             return None
         greedy = crowded(client, [robot.client for robot in self._robots])
@@ -92,7 +97,7 @@ class AdmissionTable:
         return next(robot for robot in reversed(self._robots) if robot.client == greedy)
 
     def leave(self, connection: ClientConnection, why: str) -> bool:
-        """It is gone; whether it was a robot's."""
+        """Remove an ended connection; returns True if it was a robot's."""
         with self._lock:
             self._unknown.pop(connection, None)
             is_robot = connection in self._robots
@@ -102,13 +107,13 @@ class AdmissionTable:
         return is_robot
 
     def note_refusal(self, address: str, why: str) -> None:
-        """Count a connection that did not become a robot's."""
+        """Count a connection that was not admitted as a robot."""
         with self._lock:
             self._refused += 1
             self._newest_refusal = f"{address}: {why}"
 
     def interrupt_late(self, longest_s: float) -> None:
-        """Hang up on those that have not introduced themselves for so long."""
+        """End connections that have not identified themselves within this time."""
         now_s = time.monotonic()
         with self._lock:
             late = [one for one, since_s in self._unknown.items() if now_s - since_s > longest_s]
@@ -116,15 +121,15 @@ class AdmissionTable:
             connection.interrupt()
 
     def interrupt_all(self) -> None:
-        """Hang up on everybody."""
+        """End all connections."""
         with self._lock:
             connections = [*self._unknown, *self._robots]
         for connection in connections:
             connection.interrupt()
 
     def make_room(self, *, least: int) -> None:
-        """Hang up on the oldest unknown connection of the address with most of them, when there are
-        `least` of them.
+        """If there are at least `least` unidentified connections, end the oldest one of the address
+        with the most.
         """
         with self._lock:
             if len(self._unknown) < least:
@@ -137,12 +142,12 @@ class AdmissionTable:
 
 
 def crowded(client: str, clients: Sequence[str]) -> str | None:
-    """The client with so many connections that it has more than `client` when one of them is taken
-    from it and given to that; None when nobody has.
+    """The client that would still have more connections than `client` after giving one of them to
+    it; None if there is none.
 
     Args:
-        client: who wants one more.
-        clients: whose the connections are.
+        client: the one that wants another connection.
+        clients: owners of the connections.
     """
     counts = Counter(clients)
     greedy, most = counts.most_common(1)[0]

@@ -1,4 +1,4 @@
-"""The backend `shared`: has observations answered by a model that several robots use."""
+"""The backend `shared`: a client of a model that several robots use."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from roboneuron import (
 
 
 class SharedBackend:
-    """Follows `roboneuron.contract.Backend`."""
+    """Implements `roboneuron.contract.Backend`."""
 
     def __init__(
         self, config: SharedOptions, *, runtime: object = None, acceleration: object = None
@@ -37,11 +37,11 @@ class SharedBackend:
         self._welcome: Welcome | None = None
 
     def load(self) -> None:
-        """Reach the server of the model; on this machine, start it when there is none.
+        """Connect to the model's server; on this machine, start it if it does not run.
 
         Raises:
             NotReadyError: it was not ready in time.
-            RoboNeuronError: why it could not load the model, as that backend says it.
+            RoboNeuronError: the error of its backend if it could not load the model.
         """
         if self._links is not None:
             raise StateError("Backend 'shared' is loaded already; close it first.")
@@ -55,13 +55,13 @@ class SharedBackend:
         self._links = links
 
     def served_spec(self, profile: RobotProfile) -> tuple[BackendSpec, ControlSpace] | None:
-        """What the server of another machine tells of its model to this robot: its needs and
-        chunks, as a descriptor, and the space of its rows. None for a model of this machine.
+        """Descriptor and control space of a model on another machine, requested from its server for
+        this robot. None for a model on this machine.
 
         Raises:
-            NotReadyError: it does not answer.
-            RoboNeuronError: why this robot cannot use the model, as its backend says it.
-            ConfigurationError: it tells no space.
+            NotReadyError: the server does not answer.
+            RoboNeuronError: the error of its backend if this robot cannot use the model.
+            ConfigurationError: the server gives no control space.
         """
         if not isinstance(self._links, RemoteLink):
             return None
@@ -70,8 +70,8 @@ class SharedBackend:
             wire.to_answer(told.refusal)
         if told.space is None:
             raise ConfigurationError(
-                f"The server {self._options.address} does not say in which space its model acts.",
-                hint="Install the same release of rn-backend-shared there.",
+                f"The server {self._options.address} does not give the control space of its model.",
+                hint="Install the same release of rn-backend-shared on that machine.",
             )
         served = replace(
             BACKEND,
@@ -85,14 +85,14 @@ class SharedBackend:
         return served, told.space
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """What the shared model answers.
+        """Request a chunk from the shared model.
 
         Raises:
-            NotReadyError: no answer in time, or the server is gone; the next observation may be
-                answered again.
-            InvalidInputError: a camera that the model needs, or the state, is absent.
+            NotReadyError: no answer in time, or the server is gone; the next observation may
+                succeed.
+            InvalidInputError: a camera that the model needs, or the state, is missing.
             UnsafeError: the state is not finite.
-            RoboNeuronError: what the model says of this observation.
+            RoboNeuronError: the model's error for this observation.
         """
         if self._links is None or self._welcome is None:
             raise StateError("Backend 'shared' is not loaded; call load first.")
@@ -110,10 +110,10 @@ class SharedBackend:
         return self._links.ask(observation, deadline_s)
 
     def reset(self) -> None:
-        """Nothing is remembered between observations: only such models can be shared."""
+        """Nothing to do: only models without a history can be shared."""
 
     def close(self) -> None:
-        """Hang up; idempotent."""
+        """Disconnect; idempotent."""
         links, self._links = self._links, None
         if links is not None:
             links.close()

@@ -1,6 +1,6 @@
-"""What waits for the model: a fair share for each client, and in it for each of its connections;
-the earliest deadline first among those who have had as much, as many at once as can be answered in
-time.
+"""Queue and batches of the model: each client gets a fair share, and within it each of its
+connections. Those with equal shares are ordered by deadline. A batch is as large as can be answered
+in time.
 """
 
 from __future__ import annotations
@@ -17,25 +17,26 @@ from roboneuron import ActionChunk, NotReadyError, Observation, PluginError, Rob
 log = logging.getLogger(__name__)
 Answer = ActionChunk | RoboNeuronError
 _NEW = 0.3
-"""Share of the newest measurement in the expected time of a batch."""
+"""Weight of the newest measurement in the expected time of a batch."""
 _FORGET = 0.9
-"""The expected time of a size that was not tried shrinks by this: one hiccup must not bar large
-batches for good.
+"""Factor by which the expected time of an untried size shrinks, so that one slow batch does not
+exclude large batches forever.
 """
 _POLL_S = 0.2
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Waiting:
-    """One observation that waits.
+    """One observation in the queue.
 
     Attributes:
-        observation: what is seen.
-        deadline_s: monotonic time after which nobody wants the answer [s].
-        tell: called with the answer, once, on the thread of the model; must not block for long.
-        client: who asks, by its key or address: all its connections together get one share.
-        connection: of the client, compared by identity; each gets an equal part of that share.
-        since_s: monotonic time since which it waits [s]; set by `Batcher.submit`.
+        observation: input of the model.
+        deadline_s: monotonic time after which the answer is useless [s].
+        tell: called once with the answer, on the model's thread; must not block for long.
+        client: the requester, by its key or address: all its connections together get one share.
+        connection: connection of the client, compared by identity; each gets an equal part of that
+            share.
+        since_s: monotonic time of queueing [s]; set by `Batcher.submit`.
     """
 
     observation: Observation
@@ -47,11 +48,11 @@ class Waiting:
 
 
 class Turns:
-    """How much each of several queues has had: start-time fair queueing with a cost of one for each
-    answer.
+    """Service received by each of several queues: start-time fair queueing with a cost of one for
+    each answer.
 
-    A queue's next turn is one after its last, but never before the turn that was served last: who
-    was silent gains nothing by it, and who asks more often than others comes after them.
+    The next start time of a queue is one after its last, but never before that of the last service.
+    So a queue gains nothing by being idle, and one with more requests than others comes after them.
     Source: Goyal, Vin, Cheng: Start-time Fair Queueing (1996).
     """
 
@@ -60,7 +61,7 @@ class Turns:
         self._next: dict[Hashable, int] = {}
 
     def order(self, queues: Mapping[Hashable, Sequence[Waiting]]) -> list[Waiting]:
-        """All that waits; what is in one queue stays in its order."""
+        """All waiting observations in order of service; the order within a queue is kept."""
         keys = [
             (self._turn(name) + place, one.deadline_s, one)
             for name, queue in queues.items()
@@ -69,7 +70,7 @@ class Turns:
         return [one for *_, one in sorted(keys, key=lambda key: key[:2])]
 
     def note(self, served: Sequence[Hashable]) -> None:
-        """Count an answer for each of these queues."""
+        """Count one answer for each of these queues."""
         turns = []
         for name in served:
             turns.append(self._turn(name))
@@ -82,14 +83,14 @@ class Turns:
 
 
 class Shares:
-    """Turns of clients, and of the connections of each."""
+    """Fair shares of clients, and of the connections of each."""
 
     def __init__(self) -> None:
         self._clients = Turns()
         self._connections: dict[Hashable, Turns] = {}
 
     def order(self, waiting: Sequence[Waiting], most: int) -> list[Waiting]:
-        """The first `most` of what waits, in their order."""
+        """The first `most` waiting observations in order of service."""
         by_deadline = sorted(waiting, key=lambda one: one.deadline_s)
         queues = {
             client: self._connections.get(client, Turns()).order(_grouped(own, _connection))
@@ -98,15 +99,15 @@ class Shares:
         return self._clients.order(queues)[:most]
 
     def note(self, served: Sequence[Waiting]) -> None:
-        """Count what is answered."""
+        """Count answered observations."""
         self._clients.note([one.client for one in served])
         for client, own in _grouped(served, _client).items():
             turns = self._connections.setdefault(client, Turns())
             turns.note([_connection(one) for one in own])
 
     def settle(self, waiting: Sequence[Waiting]) -> None:
-        """Forget what was had by connections of clients that wait for nothing; when nobody waits,
-        what clients have had no longer counts either.
+        """Discard the counts of connections whose client waits for nothing; if nothing waits at
+        all, discard the counts of clients too.
         """
         if not waiting:
             self._clients = Turns()
@@ -138,11 +139,11 @@ class Batcher:
 
     Args:
         predict: one answer for each observation; called on the batcher's thread only.
-        most: most observations in one batch.
-        waiting: most that wait. Beyond it the client with most of them gives one up, or of the same
-            client the connection.
-        linger_s: how long the first one of an idle server waits for others.
-        clients: how many may ask; when all of them wait, nobody else is waited for.
+        most: largest number of observations in one batch.
+        waiting: largest number of queued observations. Beyond it the client with the most loses
+            one; within a client, the connection with the most.
+        linger_s: time that an idle server's first observation waits for others [s].
+        clients: number of clients; when all of them wait, the batch starts at once.
         clock: monotonic time [s].
     """
 
@@ -170,10 +171,10 @@ class Batcher:
         self._thread = threading.Thread(target=self._run, name="batches", daemon=True)
 
     def submit(self, waiting: Waiting) -> None:
-        """Add one.
+        """Add one observation.
 
         Raises:
-            NotReadyError: too many wait already.
+            NotReadyError: the queue is full.
         """
         with self._changed:
             given_up = self._given_up(waiting)
@@ -184,11 +185,12 @@ class Batcher:
             given_up.tell(_full(self._most_waiting))
 
     def _given_up(self, newest: Waiting) -> Waiting | None:
-        """What leaves a full queue for an observation, None while it is not full.
+        """The observation to be dropped from a full queue for a new one; None while the queue is
+        not full.
 
         Raises:
-            NotReadyError: its client has as many there as any other, and its connection as many as
-                any of the client's.
+            NotReadyError: no other client has more observations there, and no other connection of
+                this client has more.
         """
         if self._is_over:
             raise NotReadyError("The shared model is being stopped.")
@@ -210,17 +212,15 @@ class Batcher:
 
     @property
     def waiting(self) -> int:
-        """How many wait."""
+        """Number of queued observations."""
         return len(self._waiting)
 
     def start(self) -> None:
-        """Begin to answer."""
+        """Start answering."""
         self._thread.start()
 
     def close(self) -> None:
-        """Answer no more, after the batch that may be under way; idempotent. What waits is
-        refused.
-        """
+        """Stop after the current batch; idempotent. Queued observations are refused."""
         with self._changed:
             self._is_over = True
             self._changed.notify()
@@ -231,19 +231,19 @@ class Batcher:
         self._waiting = []
 
     def expected_s(self, count: int) -> float:
-        """How long a batch of that size takes, as far as is known; larger ones take as long as
-        smaller at least.
+        """Expected time of a batch of that size, as far as known [s]; at least that of smaller
+        ones.
         """
         return max(
             (took_s for size, took_s in self._expected_s.items() if size <= count), default=0.0
         )
 
     def take(self) -> tuple[list[Waiting], list[Waiting]]:
-        """The next batch, and those that are too late; both leave the queue.
+        """Remove and return the next batch, and the observations whose deadline has passed.
 
-        Clients are taken in turns, see `Shares`; those who have had as many turns by their earliest
-        deadline. The first of the batch decides how large it may be. Others that a batch of this
-        size would answer too late stay.
+        Clients are served by fair shares, see `Shares`, and at equal shares by earliest deadline.
+        The first observation of the batch limits its size. Others that this batch would answer too
+        late stay in the queue.
         """
         now_s = self._clock()
         with self._changed:
@@ -268,7 +268,7 @@ class Batcher:
             return batch, late
 
     def step(self) -> None:
-        """Answer one batch, and refuse what is too late."""
+        """Answer one batch, and refuse observations whose deadline has passed."""
         batch, late = self.take()
         for waiting in late:
             waiting.tell(
@@ -294,7 +294,7 @@ class Batcher:
                 raise PluginError(
                     f"{len(observations)} observations were answered by {len(answers)} chunks."
                 )
-        except Exception as error:  # the border to the model: every robot that waits is told
+        except Exception as error:  # the border to the model: every waiting robot gets the error
             log.exception("A batch of %d failed.", len(observations))
             known = (
                 error
@@ -321,7 +321,7 @@ class Batcher:
             self.step()
 
     def _is_complete(self) -> bool:
-        """Nobody else is worth waiting for."""
+        """True if the batch needs no further observations."""
         return self._is_over or len(self._waiting) >= min(self._most, self._clients())
 
 

@@ -1,5 +1,5 @@
-"""The backend's contract case: a server with a small model that answers several robots with one
-matrix product.
+"""The backend's contract case: a server with a small model that computes the answers for several
+robots with one matrix product.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def roboneuron_backends():
 
 
 def shared_case() -> BackendCase:
-    """`shared` with the backend `reflex`, which exists in the server's process only."""
+    """`shared` with the backend `reflex`, which exists only in the server's process."""
     return BackendCase(
         spec=BACKEND,
         options=options_in(_folder(), idle_s=5.0, options={"rows": 6}),
@@ -129,7 +129,7 @@ def shared_case() -> BackendCase:
 
 
 def options_in(folder: Path, **options: object) -> dict[str, object]:
-    """Options for a server in a folder of its own that finds the small model."""
+    """Options for a server in its own folder that finds the small model."""
     path = os.pathsep.join(filter(None, (str(folder / "site"), os.environ.get("PYTHONPATH"))))
     return {
         "backend": "reflex",
@@ -142,7 +142,7 @@ def options_in(folder: Path, **options: object) -> dict[str, object]:
 
 
 def install(folder: Path) -> None:
-    """Put the small model where `options_in` says that it is."""
+    """Install the small model for servers with options from `options_in`."""
     PluginSite(path=folder / "site").install("rn-reflex", SOURCE, header="")
     (folder / "run").mkdir(mode=0o700)
 

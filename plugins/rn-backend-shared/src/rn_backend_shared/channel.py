@@ -29,46 +29,46 @@ class Received(NamedTuple):
     """One frame.
 
     Attributes:
-        header: of it.
-        body: document and arrays, as they came.
+        header: header of the frame.
+        body: document and arrays, as received.
     """
 
     header: Header
     body: bytearray
 
     def document(self) -> Document:
-        """What it says; raises FrameError."""
+        """Decode the document. Raises FrameError."""
         return decode(self.header, self.body)
 
 
 class FrameChannel:
-    """Frames over a connected socket. One thread reads; `send` from any thread that holds no other
-    `send`, over TLS from the reading thread alone.
+    """Frames over a connected socket. One thread reads; `send` may be called from any thread, one
+    at a time, but over TLS only from the reading thread.
 
     Args:
-        connected: its owner from now on.
-        most_bytes: longest body that is taken, until it is set otherwise.
+        connected: owned by the channel from now on.
+        most_bytes: longest accepted body, until changed.
     """
 
     def __init__(self, connected: socket.socket, most_bytes: int | None = None) -> None:
         self._in = connected
         self._is_tls = isinstance(connected, ssl.SSLSocket)
-        # each half with a time limit of its own; TLS has one state for both
+        # each direction has its own time limit; TLS has one state for both
         self._out = connected if self._is_tls else connected.dup()
         self._buffer, self._filled = bytearray(HEADER_BYTES), 0
-        self._header: Header | None = None  # of the frame that is being received
+        self._header: Header | None = None  # header of the frame that is being received
         self._begun_s: float | None = None
         self._is_cut = False
         self.most_bytes = most_bytes
 
     @property
     def begun_s(self) -> float | None:
-        """Monotonic time since which a frame is being received; None between frames."""
+        """Monotonic start time of the frame being received; None between frames."""
         return self._begun_s
 
     @property
     def is_cut(self) -> bool:
-        """A frame was sent in part: nothing more can be sent."""
+        """True if a frame was sent only in part, so that nothing more can be sent."""
         return self._is_cut
 
     def send(self, header: Header, document: Mapping[str, object], timeout_s: float) -> None:
@@ -76,14 +76,14 @@ class FrameChannel:
 
         Raises:
             OSError: the other side is gone, or does not read in time.
-            ValueError: it cannot be sent.
+            ValueError: the document cannot be sent.
         """
         self.send_parts(encode(header, document), timeout_s)
 
     def send_parts(self, parts: Sequence[Buffer], timeout_s: float) -> None:
-        """Send a frame that is encoded already; raises OSError as `send`."""
+        """Send an encoded frame; raises OSError as `send`."""
         if self._is_cut:
-            raise ConnectionError("a frame before was sent in part")
+            raise ConnectionError("an earlier frame was sent only in part")
         end_s = time.monotonic() + timeout_s
         self._is_cut = True
         for part in parts:
@@ -94,13 +94,13 @@ class FrameChannel:
         self._is_cut = False
 
     def receive(self, deadline_s: float | None) -> Received:
-        """The next frame; what has come of one by the deadline (monotonic [s]) is kept for the
-        next call.
+        """Receive the next frame. A frame that is incomplete at the deadline (monotonic [s]) is
+        continued by the next call.
 
         Raises:
-            TimeoutError: none by then.
+            TimeoutError: no frame until the deadline.
             OSError: the other side is gone.
-            FrameError: it sent something else.
+            FrameError: the other side sent something else.
         """
         if self._header is None:
             self._fill(deadline_s)
@@ -110,7 +110,7 @@ class FrameChannel:
                     raise FrameError(f"a frame of {header.body_bytes} bytes is more than expected")
             except FrameError:
                 if not self._is_tls:
-                    with suppress(OSError):  # unread bytes would reset the connection at its end
+                    with suppress(OSError):  # unread bytes would reset the connection on close
                         self._in.recv(1 << 20, socket.MSG_DONTWAIT)
                 raise
             self._header = header
@@ -127,8 +127,8 @@ class FrameChannel:
         while self._filled < len(rest):
             left_s = _LONG_S if deadline_s is None else deadline_s - time.monotonic()
             if left_s <= 0:
-                raise TimeoutError("nothing came in time")
-            self._in.settimeout(left_s)  # never None: it would make the other half blocking too
+                raise TimeoutError("no data arrived in time")
+            self._in.settimeout(left_s)  # never None: it would make the other direction block
             count = self._in.recv_into(rest[self._filled :])
             if not count:
                 raise ConnectionError("the other side has closed the connection")
@@ -137,13 +137,13 @@ class FrameChannel:
             self._filled += count
 
     def interrupt(self) -> None:
-        """End what any thread waits for here; idempotent."""
+        """Unblock every thread that waits for this channel; idempotent."""
         with suppress(OSError):
-            # the method of SSLSocket would go on in clear
+            # the method of SSLSocket would continue unencrypted
             socket.socket.shutdown(self._in, socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """Hang up, also for a thread that reads; idempotent."""
+        """Disconnect, which also unblocks a reading thread; idempotent."""
         self.interrupt()
         self._in.close()
         self._out.close()

@@ -1,4 +1,6 @@
-"""How images are sent: chosen by what the link carries, and checked by how far actions move."""
+"""Coding of images: chosen by the capacity of the link, and checked by the effect on the
+actions.
+"""
 
 from __future__ import annotations
 
@@ -37,25 +39,25 @@ from roboneuron import (
 
 log = logging.getLogger(__name__)
 Ask = Callable[[Document, float], ActionChunk]
-"""Sends an observation and returns the answer by a deadline (monotonic [s])."""
+"""Sends an observation and returns the answer until a deadline (monotonic [s])."""
 PARITY_S = 5.0
-"""Longest wait for each answer of a parity check; nothing is played meanwhile."""
+"""Longest wait for each answer of a parity check; nothing is executed meanwhile."""
 _SAMPLES = 5
 _AGREEING = 5
-"""So many choices in a row must agree on another coding before it is taken."""
+"""Number of consecutive equal choices before the coding changes."""
 _PROBE = 100
-"""Every so many observations one goes in the next larger coding, if the link may bear that: what
-was measured long ago may no longer be true.
+"""Number of observations after which one is sent in the next larger coding, if the link may support
+that: old measurements may no longer hold.
 """
 _LINK = "shared.link_ms"
 _NONE: Mapping[str, Rectangle] = MappingProxyType({})
 
 
 class LinkMeter:
-    """What images cost on a link, and which coding that means. Times are in seconds.
+    """Measures the cost of images on a link, and chooses the coding. Times are in seconds.
 
-    Each coding is measured by itself: a small image takes one round trip whatever the link carries,
-    and tells nothing of a larger one.
+    Each coding is measured separately: a small image takes one round trip on any link, and gives no
+    information about a larger one.
     """
 
     def __init__(self, share: float) -> None:
@@ -69,16 +71,16 @@ class LinkMeter:
         self._agreeing = 0
 
     def note_base(self, link_s: float) -> None:
-        """A round trip of next to nothing."""
+        """Note a round trip of almost no data."""
         self._base_s = link_s if self._base_s is None else min(self._base_s, link_s)
 
     def note(self, coding: Coding, size: int, coding_s: float, link_s: float) -> None:
-        """An observation that was answered.
+        """Note an answered observation.
 
         Args:
-            coding: of its images.
-            size: bytes of its images.
-            coding_s: time that coding took.
+            coding: coding of its images.
+            size: size of its images in bytes.
+            coding_s: time taken by coding.
             link_s: its time on the link, both ways.
         """
         self.note_base(link_s)
@@ -86,13 +88,13 @@ class LinkMeter:
         self._link_s.setdefault(coding, deque(maxlen=_SAMPLES)).append(link_s)
 
     def assume(self, coding: Coding, size: int) -> None:
-        """How large images would be with a coding that takes no time."""
+        """Set the size of images in a coding that takes no time."""
         self._sizes.setdefault(coding, size)
         self._coding_s.setdefault(coding, 0.0)
 
     def cost_s(self, coding: Coding) -> float | None:
-        """Time that images take with a coding, beyond a round trip of next to nothing; None when it
-        is not known. One that was not measured costs by its size what the next smaller one does.
+        """Time taken by images in a coding, beyond a round trip of almost no data; None if unknown.
+        That of an unmeasured coding is scaled by size from the next smaller one.
         """
         if coding not in self._sizes:
             return None
@@ -111,8 +113,8 @@ class LinkMeter:
         return self._transfer_s(measured) * self._sizes[coding] / self._sizes[measured]
 
     def choose(self, period_s: float, allowed: tuple[Coding, ...]) -> Coding:
-        """The coding to use from now on: the first that costs at most the share of a period, or the
-        one that costs least.
+        """The coding to use from now on: the first one within its share of a period, otherwise the
+        cheapest.
         """
         known: dict[Coding, float | None] = {coding: self.cost_s(coding) for coding in allowed}
         costs = {coding: cost for coding, cost in known.items() if cost is not None}
@@ -127,13 +129,13 @@ class LinkMeter:
         return self.current
 
     def settle(self, period_s: float, allowed: tuple[Coding, ...]) -> None:
-        """Choose at once."""
+        """Choose immediately."""
         for _ in range(_AGREEING):
             self.choose(period_s, allowed)
 
     def probe(self, allowed: tuple[Coding, ...], most_s: float) -> Coding:
-        """The next larger coding than the current one, where its images may take at most that long
-        by what the current ones take; its older measurements are forgotten.
+        """The next larger coding than the current one, if its images are estimated to take at most
+        this time; deletes its older measurements.
         """
         larger = [one for one in CODINGS[: CODINGS.index(self.current)] if one in allowed]
         if not larger or larger[-1] not in self._sizes or self.current not in self._link_s:
@@ -146,16 +148,16 @@ class LinkMeter:
 
 
 class Coder:
-    """Asks a server with images shrunk and coded as the options say.
+    """Sends images to a server, shrunk and coded according to the options.
 
     Args:
-        options: of the backend.
-        sizes: to which the model itself shrinks images, by role or by name of the camera.
-        base_s: a round trip of next to nothing [s].
-        crops: what the server takes of an image that comes whole, by role.
+        options: options of the backend.
+        sizes: sizes to which the model shrinks images, by role or by name of the camera.
+        base_s: a round trip of almost no data [s].
+        crops: the part of a whole image that the server uses, by role.
 
     Raises:
-        ConfigurationError: the options crop otherwise than the server.
+        ConfigurationError: the options crop differently from the server.
     """
 
     def __init__(
@@ -172,7 +174,7 @@ class Coder:
                 raise ConfigurationError(
                     f"The server crops images of {role!r} to {list(crops[role])}, `crop` of "
                     f"[plugins.shared] says {list(options.crop[role])}.",
-                    hint="Leave it out here: a robot crops as the server says.",
+                    hint="Leave it out: a robot uses the server's crop.",
                 )
         self._told_crops = dict(crops)
         self._crops = {**options.crop, **crops}
@@ -188,16 +190,16 @@ class Coder:
 
     @property
     def coding(self) -> Coding:
-        """How images are sent now."""
+        """Current coding of images."""
         return self._meter.current
 
     def ask(self, observation: Observation, ask: Ask, deadline_s: float) -> ActionChunk:
-        """The answer to an observation. The first one is also asked with the images as they are,
-        when coding or size may change what the model answers.
+        """Request the answer to an observation. The first observation is also sent with unchanged
+        images if coding or size may affect the answer.
 
         Raises:
-            ConfigurationError: actions move further by it than the options allow, or the model
-                remembers observations.
+            ConfigurationError: the change of actions exceeds the options' limit, or the model keeps
+                a history of observations.
             RoboNeuronError: as `ask`.
         """
         fitted = self._fitted(observation)
@@ -236,7 +238,7 @@ class Coder:
         return self._sizes.get(role, self._sizes.get(frame.camera))
 
     def _is_own(self, role: str, frame: Frame) -> bool:
-        """The configuration of this robot changes the image, and not the server's word."""
+        """True if this robot's configuration changes the image beyond the server's instructions."""
         crops = role in self._crops and role not in self._told_crops
         return crops or (
             self._options.image_size is not None and self._declared(role, frame) is None
@@ -269,7 +271,7 @@ class Coder:
         return replace(chunk, metrics={**chunk.metrics, **own})
 
     def _check(self, whole: Observation, fitted: Observation, ask: Ask) -> dict[str, float]:
-        """How far actions move by coding and shrinking, beyond what they move by themselves."""
+        """Change of actions by coding and shrinking, beyond their variation without it."""
         options = self._options
         changes = any(
             self._is_own(role, frame) and frame.image.shape != fitted.frames[role].image.shape
@@ -290,7 +292,7 @@ class Coder:
 
         first = asked(whole if changes else fitted, "png")
         try:
-            # twice: what a model draws at random is no fault of the coding
+            # twice, to exclude the model's own random variation
             as_is = [first, asked(whole if changes else fitted, "png")]
             coded = asked(fitted, "jpeg" if loses else "png")
         except NotReadyError:
@@ -301,7 +303,7 @@ class Coder:
         itself, moved = distances(*as_is), distances(as_is[0], coded)
         beyond = {unit: max(moved[unit] - itself[unit], 0.0) for unit in moved}
         log.info(
-            "Coded images move actions by %.2g m and %.2g rad; the same images by %.2g m and %.2g "
+            "Coded images change actions by %.2g m and %.2g rad; repeated ones by %.2g m and %.2g "
             "rad.",
             *(moved["m"], moved["rad"], itself["m"], itself["rad"]),
         )
@@ -310,13 +312,13 @@ class Coder:
         if excess and (changes or options.coding == "jpeg"):
             unit = excess[0]
             raise ConfigurationError(
-                f"Actions move by {beyond[unit]:.3g} {unit} when images are coded as configured; "
+                f"Actions change by {beyond[unit]:.3g} {unit} when images are coded as configured; "
                 f"parity_{unit} = {limits[unit]:g} are allowed.",
                 hint="Raise quality or image_size, look at crop, use coding = 'png', or allow "
                 "more.",
             )
         if excess:
-            log.warning("JPEG is not used: it moves actions by more than is allowed.")
+            log.warning("JPEG is not used: it changes actions by more than is allowed.")
             self._allowed = CODINGS[:2]
         if options.coding == "auto":
             self._meter.settle(coded.step_s, self._allowed)
@@ -326,15 +328,15 @@ class Coder:
 
 def _remembers(error: RoboNeuronError) -> ConfigurationError:
     return ConfigurationError(
-        "The model answered an observation and refused the same one when it was asked again, to "
-        f"measure what coded images change: it remembers what it has seen. It says: {error}",
+        "The model answered an observation and refused the same one when it was repeated to "
+        f"measure the effect of coded images: it keeps a history of observations. Error: {error}",
         hint="Such a model must not be served with stateless = true: it mixes robots up. For one "
-        "robot alone set coding = 'raw' or 'png' in [plugins.shared], which asks nothing twice.",
+        "robot alone set coding = 'raw' or 'png' in [plugins.shared], which repeats no request.",
     )
 
 
 def distances(one: ActionChunk, other: ActionChunk) -> dict[str, float]:
-    """Greatest difference of two chunks by unit, [m] and [rad] and their rates; infinite for chunks
+    """Largest difference of two chunks by unit, [m] and [rad] and their rates; infinite for chunks
     that cannot be compared.
     """
     if one.actions.shape != other.actions.shape or one.space != other.space:

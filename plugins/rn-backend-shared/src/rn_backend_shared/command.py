@@ -12,8 +12,8 @@ from roboneuron import ConfigurationError
 class SharedModelCommand:
     """Serve the model of [plugins.shared] in this process until Ctrl-C or SIGTERM.
 
-    Optional: the first robot starts a server by itself. Use it under a service manager, or to load
-    the model before any robot starts.
+    Optional: the first robot starts a server automatically. Use it under a service manager, or to
+    load the model before any robot starts.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -22,7 +22,7 @@ class SharedModelCommand:
             "--config", type=Path, metavar="FILE", help="a roboneuron.toml with [plugins.shared]"
         )
         parser.add_argument(
-            "--replica", type=int, default=0, metavar="N", help="which of `replicas`, from 0 on"
+            "--replica", type=int, default=0, metavar="N", help="number of the replica, from 0"
         )
 
     def run(self, arguments: Namespace) -> int:

@@ -1,4 +1,6 @@
-"""Fields of documents that came from elsewhere, each of the type and range of the contract."""
+"""Checked access to the fields of received documents: each must have the type and range of the
+contract.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,13 @@ from numpy.typing import NDArray
 from rn_backend_shared.frames import Document, FrameError
 
 MOST_TEXT = 16384
-"""Characters of an instruction or a message."""
+"""Limit of characters of an instruction or a message."""
 _INT64 = 1 << 63
 Shape = tuple[int | None, ...]
 
 
 def field(document: object, name: str) -> Any:
-    """A field that must be there."""
+    """A required field."""
     if not isinstance(document, dict) or name not in document:
         raise FrameError(f"{name!r} is missing")
     return document[name]
@@ -32,7 +34,7 @@ def table(value: object, what: str, most: int) -> Document:
 
 
 def items(value: object, what: str, *, most: int, least: int = 0) -> list[object]:
-    """A list."""
+    """A list of `least` to `most` entries."""
     if not isinstance(value, list) or not least <= len(value) <= most:
         raise FrameError(f"{what} is no list of {least} to {most}")
     return value
@@ -53,7 +55,7 @@ def integer(value: object, what: str, low: int = -_INT64, high: int = _INT64 - 1
 
 
 def number(value: object, what: str, low: float = -math.inf) -> float:
-    """A finite number, `low` at least."""
+    """A finite number, at least `low`."""
     if type(value) not in (int, float) or not math.isfinite(cast("float", value)):
         raise FrameError(f"{what} is no finite number")
     found = float(cast("float", value))
@@ -63,7 +65,7 @@ def number(value: object, what: str, low: float = -math.inf) -> float:
 
 
 def optional_number(value: object, what: str) -> float | None:
-    """A finite number, or none."""
+    """A finite number, or None."""
     return None if value is None else number(value, what)
 
 

@@ -1,5 +1,5 @@
 """Frames between robots and servers: a header of fixed size, a JSON document and the arrays it
-refers to, each bounded before memory is taken for it.
+refers to, each bounded before memory is allocated.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 Document = dict[str, Any]
 MAGIC = b"RNPI"
 VERSION = 5
-"""Of everything that is sent. The first five bytes of a frame, magic and version, never change."""
+"""Protocol version. The first five bytes of a frame, magic and version, never change."""
 MOST_DOCUMENT_BYTES = 1 << 18
 MOST_ARRAY_BYTES = 1 << 26
 MOST_LEFT_S = 3600.0
@@ -31,11 +31,11 @@ _MICRO = 1e6
 
 
 class FrameError(ValueError):
-    """What came is no frame, or not the one that was expected."""
+    """Received data is no frame, or not the expected one."""
 
 
 class VersionError(FrameError):
-    """The other side speaks another version.
+    """The other side uses another protocol version.
 
     Attributes:
         version: of the other side.
@@ -43,39 +43,39 @@ class VersionError(FrameError):
 
     def __init__(self, version: int) -> None:
         super().__init__(
-            f"the other side speaks version {version} of the protocol of shared models, this side "
+            f"the other side uses version {version} of the protocol of shared models, this side "
             f"version {VERSION}: install the same release of rn-backend-shared on both"
         )
         self.version = version
 
 
 class FrameKind(IntEnum):
-    """What a frame is."""
+    """Kind of a frame."""
 
     HELLO = 1
-    """A robot introduces itself."""
+    """Introduction of a robot."""
     WELCOME = 2
-    """What the server says of itself and its model."""
+    """Description of the server and its model."""
     REQUEST = 3
     """An observation."""
     ANSWER = 4
     """A chunk, or an error."""
     STATUS = 5
-    """Numbers of a server, asked for and told; on local sockets only."""
+    """Request or answer with a server's statistics; on local sockets only."""
 
 
 class Header(NamedTuple):
     """The first bytes of a frame.
 
     Attributes:
-        kind: what it is.
-        number: of the request, one more than that of the one before, on a connection; an answer
+        kind: kind of the frame.
+        number: number of the request, one more than the previous one on the connection; an answer
             repeats it. A policy server's welcome names the one before the first.
-        clock_ns: the robot's monotonic clock when it asked; answer and welcome repeat it [ns].
-        left_s: of a request, time until nobody wants the answer [s]. A duration, because the clocks
-            of two machines differ.
-        document_bytes: of the JSON document.
-        array_bytes: of the arrays behind it.
+        clock_ns: the robot's monotonic clock at the request; answer and welcome repeat it [ns].
+        left_s: in a request, time after which the answer is useless [s]. A duration, because the
+            clocks of two machines differ.
+        document_bytes: size of the JSON document.
+        array_bytes: size of the arrays after it.
     """
 
     kind: FrameKind
@@ -87,11 +87,11 @@ class Header(NamedTuple):
 
     @property
     def body_bytes(self) -> int:
-        """Everything behind the header."""
+        """Size of everything after the header."""
         return self.document_bytes + self.array_bytes
 
     def pack(self) -> bytes:
-        """As it is sent."""
+        """Encode the header."""
         left_us = round(min(max(self.left_s, 0.0), MOST_LEFT_S) * _MICRO)
         return _HEADER.pack(
             MAGIC,
@@ -110,8 +110,8 @@ def read_header(data: bytes | bytearray) -> Header:
     """The header in `HEADER_BYTES` bytes.
 
     Raises:
-        VersionError: it is of another version.
-        FrameError: it is none, or announces more than is allowed.
+        VersionError: the version differs.
+        FrameError: it is no header, or the sizes exceed the limits.
     """
     magic, version, kind, reserved, number, clock_ns, left_us, document, arrays = _HEADER.unpack(
         data
@@ -128,7 +128,8 @@ def read_header(data: bytes | bytearray) -> Header:
 
 
 def encode(header: Header, document: Mapping[str, object]) -> list[bytes | memoryview]:
-    """The frame of a document that may hold arrays anywhere, in parts; arrays are not copied.
+    """Encode a document, with arrays anywhere in it, as the parts of a frame; arrays are not
+    copied.
 
     Args:
         header: its sizes are filled in.
@@ -159,10 +160,10 @@ def encode(header: Header, document: Mapping[str, object]) -> list[bytes | memor
 
 
 def decode(header: Header, body: bytes | bytearray | memoryview) -> Document:
-    """The document of a frame, whose arrays share the memory of `body`.
+    """Decode the document of a frame; its arrays share the memory of `body`.
 
     Raises:
-        FrameError: there is none.
+        FrameError: it is malformed.
     """
     view = memoryview(body)
     try:
@@ -212,7 +213,7 @@ def _filled(value: object, arrays: list[NDArray[np.generic]]) -> object:
         if value.keys() == {_ARRAY}:
             place = value[_ARRAY]
             if type(place) is not int or not 0 <= place < len(arrays):
-                raise FrameError("a document refers to an array that is not there")
+                raise FrameError("a document refers to an array that does not exist")
             return arrays[place]
         return {key: _filled(inner, arrays) for key, inner in value.items()}
     return [_filled(inner, arrays) for inner in value] if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""The network side of `roboneuron serve-policy`: admits robots, and carries their frames to the
+"""The network side of `roboneuron serve-policy`: admits robots, and forwards their frames to the
 process of the model that they name.
 """
 
@@ -29,29 +29,29 @@ from roboneuron import ConfigurationError
 
 log = logging.getLogger(__name__)
 _ADMIT_S = 5.0
-"""Whoever connects has this long to shake hands and to introduce itself."""
+"""Time limit of handshake and identification of a new connection [s]."""
 _MOST_UNKNOWN = 64
-"""Connections that have not introduced themselves; the oldest of the address with most of them
-gives way.
+"""Limit of unidentified connections; beyond it, the oldest one of the address with the most is
+ended.
 """
 _MOST_THREADS = 512
 _FRAME_S = 10.0
-"""A frame that takes longer to arrive is not waited for."""
+"""Time limit for receiving one frame [s]."""
 _LOOK_S = 0.1
 _KEYS_LOOK_S = 0.5
 _TELL_S = 10.0
-"""How often the log tells of connections that were refused: strangers must not fill it."""
+"""Period of the log's summary of refused connections, so that strangers cannot fill the log [s]."""
 _NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _NO_HANDLES_S = 1.0
 
 
 class PolicyServer:
-    """Serves several models, each in a process of its own, to robots that prove who they are.
+    """Serves several models, each in its own process, to authenticated robots.
 
     Args:
-        options: of the server.
-        folder: for sockets and logs, this user's alone.
-        name: of the server among others in the folder.
+        options: options of the server.
+        folder: folder for sockets and logs, accessible only to this user.
+        name: name of the server among others in the folder.
     """
 
     def __init__(self, options: PolicyServerOptions, folder: Path, name: str) -> None:
@@ -70,7 +70,7 @@ class PolicyServer:
         self.port = self.metrics_port = 0
 
     def run(self) -> int:
-        """Serve until `stop`; returns the exit status.
+        """Serve until `stop` is called; returns the exit status.
 
         Raises:
             ConfigurationError: the address cannot be used.
@@ -106,11 +106,11 @@ class PolicyServer:
         return 0
 
     def stop(self) -> None:
-        """End soon; callable from a signal handler."""
+        """Request the end; callable from a signal handler."""
         self._end.set()
 
     def status(self) -> Document:
-        """Numbers of the server and of its models."""
+        """Statistics of the server and of its models."""
         listen = self._options.listen
         own: Document = {
             "address": f"{listen.host}:{self.port}",
@@ -131,7 +131,7 @@ class PolicyServer:
         return own
 
     def admit(self, visitor: Visitor, hello: Document) -> Replicas:
-        """The model of a robot that has introduced itself, which is one of the robots from now on.
+        """Admit an introduced robot; returns the model that it named.
 
         Raises:
             ConnectionError: its token is wrong.
@@ -154,9 +154,9 @@ class PolicyServer:
         return self.models[name]
 
     def leave(self, visitor: Visitor, why: str) -> None:
-        """It is gone."""
+        """Remove a disconnected robot."""
         if self._table.leave(visitor, why):
-            log.info("A robot at %s is gone: %s", visitor.address, why)
+            log.info("A robot at %s has disconnected: %s", visitor.address, why)
 
     def note_served(self, model: str, took_s: float) -> None:
         """See `VisitorServer`."""
@@ -164,13 +164,13 @@ class PolicyServer:
             self._served[model].note(took_s)
 
     def note_lost(self, model: str) -> None:
-        """An observation whose model was not there."""
+        """Count an observation that was lost because its model was not available."""
         with self._lock:
             self._lost[model] += 1
 
     @contextmanager
     def _metrics(self) -> Iterator[None]:
-        """Serve the metrics meanwhile, where the options name a port. Raises as
+        """Serve the metrics within the context, if the options name a port. Raises as
         `MetricsEndpoint`.
         """
         listen = self._options.listen
@@ -188,7 +188,9 @@ class PolicyServer:
             endpoint.close()
 
     def _watch(self) -> None:
-        """Until the end: hang up on those that have taken too long, and on all when keys change."""
+        """Until the end: disconnect those that exceed time limits, and all robots when keys
+        change.
+        """
         looked_s = told_s = 0.0
         told = 0
         while not self._end.wait(_LOOK_S):
@@ -202,7 +204,7 @@ class PolicyServer:
             if now_s - looked_s > _KEYS_LOOK_S:
                 looked_s = now_s
                 if self._guard.has_changed():
-                    log.warning("The keys of the link have changed; robots connect again.")
+                    log.warning("The keys of the link have changed; robots must reconnect.")
                     self._table.interrupt_all()
 
     def _accept(self, listener: socket.socket) -> None:
@@ -232,7 +234,7 @@ class PolicyServer:
             threading.Thread(target=visitor.serve, name="robot", daemon=True).start()
 
     def _tell(self, listener: socket.socket) -> None:
-        """Answer questions for the status, one after the other."""
+        """Answer status requests, one after the other."""
         while not self._end.is_set():
             try:
                 connected, _ = listener.accept()

@@ -1,4 +1,4 @@
-"""Images on their way: cropped and shrunk to what the model takes, and coded."""
+"""Images for transmission: cropped and shrunk to the model's input, and coded."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from roboneuron import Frame, InvalidInputError
 
 Coding = Literal["raw", "png", "jpeg"]
 CODINGS: tuple[Coding, ...] = ("raw", "png", "jpeg")
-"""From the one that needs most of the link to the one that needs least; the last one loses."""
+"""Codings, from the largest data to the smallest; the last one is lossy."""
 Size = tuple[int, int]
 """Width and height [px]."""
 Rectangle = tuple[int, int, int, int]
 """Left, top, width and height [px]."""
 MOST_SIDE_PX = 8192
 CROPPED = "cropped"
-"""Entry of a frame that is sent: the robot has cropped it."""
+"""Entry of a sent frame: True if the robot has cropped it."""
 _PNG_LEVEL = 1
-"""Higher ones take several times as long for a few per cent."""
+"""Higher levels take several times as long to save a few per cent."""
 
 
 def crop(frame: Frame, rectangle: Rectangle) -> Frame:
-    """What a rectangle shows of the frame, its calibration as well.
+    """Crop the frame to a rectangle, and adapt its calibration.
 
     Raises:
-        InvalidInputError: the image does not hold it.
+        InvalidInputError: the rectangle exceeds the image.
     """
     left, top, width, height = rectangle
     all_height, all_width = frame.image.shape[:2]
@@ -50,9 +50,10 @@ def crop(frame: Frame, rectangle: Rectangle) -> Frame:
 
 
 def fit(frame: Frame, size: Size) -> Frame:
-    """The frame shrunk to a size, its calibration as well; the frame itself where it is not larger.
+    """Shrink the frame to a size, and adapt its calibration; a frame that is not larger is returned
+    unchanged.
 
-    The filter is Pillow's bilinear one, which averages over the pixels that become one.
+    The filter is Pillow's bilinear one, which averages over the merged pixels.
     """
     from PIL import Image  # heavy
 
@@ -68,12 +69,12 @@ def fit(frame: Frame, size: Size) -> Frame:
 
 
 def encode_image(image: NDArray[np.uint8], coding: Coding, quality: int) -> object:
-    """What is sent for an image.
+    """Encode an image for sending.
 
     Args:
         image: uint8 (H, W, 3), RGB.
-        coding: how; `raw` is the image itself.
-        quality: of JPEG, 1 .. 100.
+        coding: `raw` keeps the image itself.
+        quality: quality of JPEG, 1 .. 100.
     """
     if coding == "raw":
         return image
@@ -83,7 +84,7 @@ def encode_image(image: NDArray[np.uint8], coding: Coding, quality: int) -> obje
     if coding == "png":
         Image.fromarray(image).save(made, "png", compress_level=_PNG_LEVEL)
     else:
-        # colours in full resolution: cubes are told apart by them
+        # full colour resolution, because cubes are distinguished by colour
         Image.fromarray(image).save(made, "jpeg", quality=quality, subsampling=0)
     height, width = image.shape[:2]
     data = np.frombuffer(made.getbuffer(), dtype=np.uint8)
@@ -91,10 +92,10 @@ def encode_image(image: NDArray[np.uint8], coding: Coding, quality: int) -> obje
 
 
 def decode_image(value: object) -> NDArray[np.uint8]:
-    """The image that was sent.
+    """Decode a received image.
 
     Raises:
-        FrameError: it is none, or not of the size that was announced.
+        FrameError: it is invalid, or its size differs from the announced one.
     """
     if isinstance(value, np.ndarray):
         raw: NDArray[np.uint8] = array(value, "an image", "|u1", (None, None, 3))
@@ -107,10 +108,10 @@ def decode_image(value: object) -> NDArray[np.uint8]:
     )
     data = array(field(value, "data"), "data of an image", "|u1", (None,))
     if coding not in ("png", "jpeg"):
-        raise FrameError("the coding of an image is not known")
+        raise FrameError("the coding of an image is unknown")
     try:
         with Image.open(io.BytesIO(data.tobytes()), formats=(coding,)) as opened:
-            # before anything is unpacked: a small file can announce a large image
+            # checked before decompression: a small file can contain a large image
             if opened.size != (width, height) or opened.mode != "RGB":
                 raise FrameError(f"an image of {opened.size} {opened.mode} was not announced")
             decoded: NDArray[np.uint8] = np.asarray(opened, dtype=np.uint8)
@@ -124,7 +125,7 @@ def decode_image(value: object) -> NDArray[np.uint8]:
 
 
 def image_bytes(document: Document) -> int:
-    """Bytes of the images of an observation as it is sent."""
+    """Size of the coded images of an observation in bytes."""
     total = 0
     for frame in document["frames"].values():
         image = frame["image"]

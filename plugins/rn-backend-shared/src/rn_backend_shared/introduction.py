@@ -1,4 +1,6 @@
-"""How a robot introduces itself to the server of its model: what a space may depend on."""
+"""A robot's introduction to the server of its model: the properties on which a control space may
+depend.
+"""
 
 from __future__ import annotations
 
@@ -12,14 +14,14 @@ from roboneuron import ArmProfile, CameraProfile, GripperProfile, RobotProfile, 
 ROBOT = "robot"
 """Entry of an introduction."""
 CLIENT = "client"
-"""Entry of an introduction on a local socket: whose share the connection has a part of."""
+"""Entry of an introduction on a local socket: the client whose share the connection uses."""
 _MOST_JOINTS = 256
 _MOST_ARMS = 8
 _MOST_CAMERAS = 32
 
 
 def from_profile(profile: RobotProfile) -> Document:
-    """What is sent of a robot: names of joints, arms and cameras, and which joints slide."""
+    """Introduction of a robot: names of joints, arms and cameras, and the prismatic joints."""
     slides: list[str] = []
     if profile.arm_joints:
         channels = robot_space("joint_position", profile).channels
@@ -48,14 +50,14 @@ def _from_gripper(gripper: GripperProfile | None) -> list[object] | None:
 
 
 def to_profile(document: object) -> RobotProfile:
-    """The profile that was sent, without what no space depends on.
+    """The profile of an introduction, with only the parts on which a control space may depend.
 
     Raises:
-        FrameError: a field is missing, or not of the type and range that is expected.
+        FrameError: a field is missing, or has another type or range than expected.
         RoboNeuronError: as `RobotProfile`.
     """
     slides = _names(field(document, "slides"), "joints that slide")
-    # a profile says by its URDF which joints slide
+    # a profile names its prismatic joints in its URDF
     joints = "".join(f'<joint name={quoteattr(name)} type="prismatic"/>' for name in slides)
     arms = items(field(document, "arms"), "arms", most=_MOST_ARMS)
     cameras = items(field(document, "cameras"), "cameras", most=_MOST_CAMERAS)

@@ -1,5 +1,5 @@
-"""A robot's connection to the servers of its model: started when there is none, left for another
-when one dies.
+"""A robot's connection to the servers of its model: starts a missing one, and switches to another
+one when one dies.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ log = logging.getLogger(__name__)
 _HELLO_S = 0.5
 _SPAWN_S = 60.0
 _AGAIN_S = 2.0
-"""Between two starts of the same server."""
+"""Shortest time between two starts of the same server."""
 _POLL_S = 0.02
 
 
 def directory_of(options: SharedOptions) -> Path:
-    """The folder of sockets and logs; raises as `private_directory`."""
+    """Folder of sockets and logs. Raises as `private_directory`."""
     return private_directory(options.directory)
 
 
 def private_directory(chosen: Path | None) -> Path:
-    """A folder for sockets and logs, made for this user alone.
+    """Create a folder for sockets and logs that only this user can access.
 
     Args:
         chosen: None for one in the user's run-time directory.
 
     Raises:
-        ConfigurationError: it cannot be made, or belongs to somebody else.
+        ConfigurationError: it cannot be created, or is accessible to others.
     """
     path = chosen
     if path is None:
@@ -55,23 +55,23 @@ def private_directory(chosen: Path | None) -> Path:
         ) from error
     if found.st_uid != os.getuid() or found.st_mode & 0o077:
         raise ConfigurationError(
-            f"The directory {path} of shared models must be this user's alone (mode 700)."
+            f"The directory {path} of shared models must be private to this user (mode 700)."
         )
     return path
 
 
 class Links:
-    """Asks one of the servers; used from one thread, except `close`.
+    """Client of one of the servers; used from one thread, except `close`.
 
     Args:
-        options: which model.
+        options: the model.
     """
 
     def __init__(self, options: SharedOptions) -> None:
         folder, name = directory_of(options), options.identity()
         self._options = options
         self._paths = [folder / f"{name}-{index}.sock" for index in range(options.replicas)]
-        first = os.getpid() % options.replicas  # robots spread over the replicas
+        first = os.getpid() % options.replicas  # distributes robots over the replicas
         self._paths = self._paths[first:] + self._paths[:first]
         self._session: ModelSession | None = None
         self._started_s: dict[Path, float] = {}
@@ -79,11 +79,11 @@ class Links:
         self._is_closed = False
 
     def open(self) -> Welcome:
-        """Start the servers that do not run, and wait for the first that is ready; returns what it
-        says of its model.
+        """Start the missing servers, and wait for the first one that is ready; returns its
+        description of the model.
 
         Raises:
-            RoboNeuronError: why it could not load its model.
+            RoboNeuronError: the server could not load its model.
             NotReadyError: none was ready in time.
         """
         deadline_s = time.monotonic() + self._options.start_timeout_s
@@ -106,12 +106,12 @@ class Links:
             time.sleep(_POLL_S)
 
     def ask(self, observation: Observation, deadline_s: float) -> ActionChunk:
-        """The answer to an observation. A server that dies meanwhile is replaced by another one
-        that is ready.
+        """Request the answer to an observation. A server that dies meanwhile is replaced by another
+        ready one.
 
         Raises:
-            NotReadyError: none by the deadline, or no server is ready; another is being started.
-            RoboNeuronError: what the server says instead of a chunk.
+            NotReadyError: no answer by the deadline, or no server is ready; one is being started.
+            RoboNeuronError: the server's error for this observation.
         """
         document = wire.from_observation(observation)
         while True:
@@ -124,7 +124,7 @@ class Links:
             try:
                 return self._session.ask(document, deadline_s)
             except TimeoutError as error:
-                if len(self._paths) > 1:  # it may hang: another one is asked next
+                if len(self._paths) > 1:  # it may hang: use another one next
                     self._paths.append(self._paths.pop(0))
                     self._drop()
                 raise NotReadyError(
@@ -142,8 +142,8 @@ class Links:
         return told is not None and told.state == READY
 
     def _greet(self, path: Path) -> Welcome | None:
-        """What the server there says of itself; a ready one is connected from now on. None: there
-        is none.
+        """Welcome message of the server at this path; a ready one becomes the current connection.
+        None if there is no server.
         """
         connected = socket.socket(socket.AF_UNIX)
         try:
@@ -156,7 +156,7 @@ class Links:
         is_kept = False
         try:
             if peer_user(connected) != os.getuid():
-                raise ConfigurationError(f"{path} is somebody else's.")
+                raise ConfigurationError(f"{path} belongs to another user.")
             told = greet(channel, {}, _HELLO_S)
             is_kept = told.state == READY and not self._is_closed
         except VersionError as error:
@@ -177,8 +177,8 @@ class Links:
                 self._start(path)
 
     def _start(self, path: Path) -> None:
-        """Start a server in the background, unless it was just started; one that runs already makes
-        it end at once.
+        """Start a server in the background, unless it was just started. If one is already running,
+        the new one ends at once.
         """
         now_s = time.monotonic()
         if now_s - self._started_s.get(path, -_AGAIN_S) < _AGAIN_S:
@@ -196,7 +196,7 @@ class Links:
                 timeout=_SPAWN_S,
             )
         except subprocess.CalledProcessError as error:
-            lines = error.stderr.strip().splitlines() or ["it said nothing"]
+            lines = error.stderr.strip().splitlines() or ["it printed nothing"]
             raise ConfigurationError(
                 f"The server of the shared model cannot be started: {lines[-1]}."
             ) from error
@@ -206,12 +206,12 @@ class Links:
             ) from error
 
     def _revive(self) -> None:
-        """Start what is gone, beside the caller: a robot must not wait for a process."""
+        """Start missing servers on another thread, so that a robot never waits for a process."""
         if self._reviving is not None and self._reviving.is_alive():
             return
 
         def start() -> None:
-            # one that died soon after its start is not started at once
+            # one that died soon after its start is not restarted immediately
             end_s = time.monotonic() + 2 * _AGAIN_S
             try:
                 while not self._is_closed and time.monotonic() < end_s:
@@ -233,7 +233,7 @@ class Links:
             session.close()
 
     def close(self) -> None:
-        """Hang up; idempotent. The server ends when nobody has asked for a while."""
+        """Disconnect; idempotent. The server ends after a time without requests."""
         self._is_closed = True
         self._drop()
         if self._reviving is not None:

@@ -1,4 +1,6 @@
-"""Where a policy server listens: the address for robots, and the local socket of its status."""
+"""Sockets of a policy server: the network address for robots, and the local socket for its
+status.
+"""
 
 from __future__ import annotations
 
@@ -13,25 +15,25 @@ _BACKLOG = 1024
 
 
 def network_listener(host: str, port: int) -> socket.socket:
-    """A listening TCP socket; raises ConfigurationError when the address cannot be used."""
+    """Create a listening TCP socket. Raises ConfigurationError if the address cannot be used."""
     try:
         return socket.create_server((host, port), backlog=_BACKLOG)
     except OSError as error:
         raise ConfigurationError(
             f"The policy server cannot listen on {host}:{port}: {error.strerror or error}.",
-            hint="Does another one run there? Choose another host or port in [listen].",
+            hint="Is another one running? Choose another host or port in [listen].",
         ) from error
 
 
 def local_listener(path: Path) -> socket.socket:
-    """A listening Unix socket; raises ConfigurationError when a server has it already."""
+    """Create a listening Unix socket. Raises ConfigurationError if a server uses it already."""
     listener = socket.socket(socket.AF_UNIX)
     try:
         with socket.socket(socket.AF_UNIX) as probe:
             if probe.connect_ex(str(path)) == 0:
                 raise ConfigurationError(
-                    "A policy server of this file runs already.",
-                    hint="Look at it with `roboneuron serve-policy status`.",
+                    "A policy server of this file is already running.",
+                    hint="See `roboneuron serve-policy status`.",
                 )
         path.unlink(missing_ok=True)
         listener.bind(str(path))
@@ -46,7 +48,7 @@ def local_listener(path: Path) -> socket.socket:
 
 
 def notify_manager() -> None:
-    """Tell systemd that the service has begun. Source: sd_notify(3)."""
+    """Notify systemd that the service is ready. Source: sd_notify(3)."""
     address = os.environ.get("NOTIFY_SOCKET")
     if not address:
         return

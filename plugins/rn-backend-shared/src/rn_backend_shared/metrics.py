@@ -1,7 +1,7 @@
-"""Numbers of a policy server for Prometheus: the endpoint, and what it tells.
+"""Prometheus metrics of a policy server, and their endpoint.
 
 Labels are names of models from the server's own file, numbers of replicas and words of this module:
-nothing that a robot sends becomes one.
+no data sent by a robot becomes a label.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ from roboneuron import ConfigurationError
 _PREFIX = "roboneuron_policy"
 _MODEL = ["model", "replica"]
 _COUNTS = {
-    "batches": "Forwards of the model.",
-    "observations": "Observations that the model was shown.",
+    "batches": "Forward passes of the model.",
+    "observations": "Observations processed by the model.",
     "restarts": "Starts of the model's process after the first.",
 }
 _GAUGES = {
     "clients": "Robots that are connected to the model.",
-    "waiting": "Observations that wait for the model.",
-    "busy_s": "Time since the forward under way began [s].",
+    "waiting": "Observations queued for the model.",
+    "busy_s": "Duration of the current forward pass so far [s].",
 }
 _OUTCOMES = ("answered", "refused", "errors")
 _JOIN_S = 5.0
 
 
 class PolicyMetrics:
-    """A collector of prometheus_client; asked anew at each scrape.
+    """A collector of prometheus_client, evaluated at each scrape.
 
     Args:
-        status: numbers of the server, see `PolicyServer.status`.
+        status: statistics of the server, see `PolicyServer.status`.
     """
 
     def __init__(self, status: Callable[[], Document]) -> None:
         self._status = status
 
     def collect(self) -> Iterator[Metric]:
-        """All metrics; on the thread of the endpoint."""
+        """All metrics; called on the endpoint's thread."""
         told = self._status()
         rows = [
             ([name, str(number)], one)
@@ -61,10 +61,10 @@ class PolicyMetrics:
         yield GaugeMetricFamily(f"{_PREFIX}_robots", "Robots connected.", told["robots"])
         yield CounterMetricFamily(
             f"{_PREFIX}_refused_connections",
-            "Connections that did not become a robot's.",
+            "Connections that were not admitted as a robot's.",
             told["refused_connections"],
         )
-        ready = GaugeMetricFamily(f"{_PREFIX}_ready", "The model can be asked.", labels=_MODEL)
+        ready = GaugeMetricFamily(f"{_PREFIX}_ready", "1 if the model is ready.", labels=_MODEL)
         for labels, one in rows:
             ready.add_metric(labels, float(one["state"] == READY))
         yield ready
@@ -79,24 +79,28 @@ class PolicyMetrics:
                 gauge.add_metric(labels, one.get(key, 0))
             yield gauge
         requests = CounterMetricFamily(
-            f"{_PREFIX}_requests", "What robots were told.", labels=[*_MODEL, "outcome"]
+            f"{_PREFIX}_requests", "Answers to robots by outcome.", labels=[*_MODEL, "outcome"]
         )
         for labels, one in rows:
             for outcome in _OUTCOMES:
                 requests.add_metric([*labels, outcome], one.get(outcome, 0))
         yield requests
         lost = CounterMetricFamily(
-            f"{_PREFIX}_lost", "Observations whose model was not there.", labels=["model"]
+            f"{_PREFIX}_lost",
+            "Observations lost because the model was not available.",
+            labels=["model"],
         )
         served = HistogramMetricFamily(
-            f"{_PREFIX}_served_seconds", "From a request whole to its answer.", labels=["model"]
+            f"{_PREFIX}_served_seconds",
+            "Time from a complete request to its answer.",
+            labels=["model"],
         )
         for name, model in told["models"].items():
             lost.add_metric([name], model["lost"])
             _add(served, [name], model["served_times"])
         yield lost
         yield served
-        for key, what in (("model", "Of a forward."), ("queue", "Of an observation's wait.")):
+        for key, what in (("model", "Forward pass."), ("queue", "Observation in the queue.")):
             times = HistogramMetricFamily(f"{_PREFIX}_{key}_seconds", what, labels=_MODEL)
             for labels, one in rows:
                 if f"{key}_times" in one:
@@ -114,26 +118,26 @@ def _add(family: HistogramMetricFamily, labels: Sequence[str], times: Document) 
 
 
 class _ScrapeHandler(WSGIRequestHandler):
-    """One scrape. Whoever is slow is left, because scrapes are answered one after the other."""
+    """One scrape, with a time limit, because scrapes are answered one after the other."""
 
     timeout = 2.0
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: others fill no log."""
+        """Log nothing, so that clients cannot fill the log."""
 
 
 class _MetricsServer(WSGIServer):
     request_queue_size = 8
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Say nothing: a connection that ended early is no fault."""
+        """Log nothing: a connection that ended early is no fault."""
 
 
 class MetricsEndpoint:
     """Serves the metrics of a policy server until `close`.
 
     Args:
-        host, port: where; port 0 for a free one.
+        host, port: address; port 0 for a free one.
         status: see `PolicyMetrics`.
 
     Raises:
@@ -156,7 +160,7 @@ class MetricsEndpoint:
         self._thread.start()
 
     def close(self) -> None:
-        """Serve no longer."""
+        """Stop serving."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join(_JOIN_S)

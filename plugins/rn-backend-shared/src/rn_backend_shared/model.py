@@ -1,4 +1,4 @@
-"""The backend that a server holds, built as the inference module builds it, and asked for several
+"""The served backend: created in the same way as in the inference module, and called for several
 robots at once.
 """
 
@@ -26,13 +26,13 @@ from roboneuron.command import build, discover
 
 Many = Callable[[Sequence[Observation]], Sequence[ActionChunk]]
 METHOD = "predict_batch"
-"""What a backend may offer beside `Backend`: one chunk for each observation, in their order, from
-one forward. Offering it says that predictions depend on the observation alone.
+"""Optional method of a backend: one chunk for each observation, in their order, from one forward
+pass. Offering it declares that predictions depend only on the observation.
 """
 
 SIZES = "image_sizes"
 CONTINUES = "continues_rows"
-"""What a backend may say beside its descriptor's `conditions_on_rows` once it is loaded: whether
+"""Optional attribute of a loaded backend, besides its descriptor's `conditions_on_rows`: True if
 this checkpoint continues rows.
 """
 
@@ -41,7 +41,7 @@ class SharedModel:
     """A loaded backend; `load`, `answer` and `close` on one thread.
 
     Attributes:
-        spec: of the backend.
+        spec: descriptor of the backend.
     """
 
     def __init__(self, options: SharedOptions) -> None:
@@ -51,7 +51,7 @@ class SharedModel:
         self.spec: BackendSpec
 
     def load(self) -> None:
-        """Build and load the backend.
+        """Create and load the backend.
 
         Raises:
             ConfigurationError: it is not installed, cannot be shared, or an option is wrong.
@@ -59,7 +59,7 @@ class SharedModel:
         """
         options, registry = self._options, discover()
         if options.backend is None:
-            raise ConfigurationError("No backend is named that holds the shared model.")
+            raise ConfigurationError("The option `backend` of the shared model is not set.")
         self.spec = spec = registry.get(BackendSpec, options.backend)
         runtime = options.runtime or spec.default_runtime
         parts: dict[str, object] = {"runtime": None, "acceleration": None}
@@ -77,44 +77,42 @@ class SharedModel:
             raise ConfigurationError(
                 f"The backend {spec.name!r} cannot answer several observations at once, and may "
                 "remember robots.",
-                hint="If it remembers nothing from one observation to the next, set stateless = "
+                hint="If it keeps no state from one observation to the next, set stateless = "
                 "true in "
-                "[plugins.shared]: it is then asked one by one.",
+                "[plugins.shared]: observations are then answered one by one.",
             )
         self._backend.load()
 
     @property
     def most(self) -> int:
-        """Most observations that are worth a batch: one that is asked one by one has nothing to
-        gain.
-        """
+        """Largest useful batch; 1 for a backend without batches."""
         return self._options.most if self._many is not None else 1
 
     @property
     def image_sizes(self) -> Mapping[str, tuple[int, int]]:
-        """What the backend says in an attribute `image_sizes`: width and height by role or name
-        of the camera, to which it shrinks images itself, by Pillow's bilinear filter [px].
+        """Attribute `image_sizes` of the backend: width and height [px], by role or name of the
+        camera, to which it shrinks images with Pillow's bilinear filter.
         """
         return dict(getattr(self._backend, SIZES, {}))
 
     @property
     def continues_rows(self) -> bool:
-        """Whether it continues rows that are ahead, with the context of an earlier chunk."""
+        """True if it continues the rows ahead, with the context of an earlier chunk."""
         return bool(getattr(self._backend, CONTINUES, self.spec.conditions_on_rows))
 
     def space_on(self, profile: RobotProfile) -> ControlSpace:
-        """The space of its chunks on a robot.
+        """The control space of its chunks on a robot.
 
         Raises:
-            RoboNeuronError: the robot is not one that it can move, as its backend says it.
+            RoboNeuronError: the backend's error if it cannot move this robot.
         """
         return space_of(self.spec, self._options, profile)
 
     def answer(self, observations: Sequence[Observation]) -> Sequence[Answer]:
-        """One answer for each; what one observation lacks is an error of that one only.
+        """One answer for each observation; an error in one observation affects only its own answer.
 
-        Where rows are ahead that the model continues it is asked one by one: its forward over
-        several observations continues none.
+        Observations whose rows the model continues are answered one by one, because a batched
+        forward pass continues none.
         """
         answers: dict[int, Answer] = {}
         together: list[int] = []
@@ -136,7 +134,7 @@ class SharedModel:
             try:
                 return list(self._many(observations))
             except RoboNeuronError:
-                pass  # whose fault it is comes out below
+                pass  # answered one by one below, which shows the cause
         return [self._alone(observation) for observation in observations]
 
     def _alone(self, observation: Observation) -> Answer:

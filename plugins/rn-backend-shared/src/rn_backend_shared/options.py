@@ -1,4 +1,4 @@
-"""Options of the backend `shared`, and which server they mean."""
+"""Options of the backend `shared`, and the identity of its server."""
 
 from __future__ import annotations
 
@@ -23,40 +23,41 @@ Table = Annotated[dict[str, object], ConfigurationOnly()]
 
 
 class ModelOptions(BaseModel):
-    """Which model is held, and how its server answers."""
+    """Options of the model and of its server."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     checkpoint: Annotated[str | None, ConfigurationOnly()] = None
-    """Directory of its files, where it needs one."""
+    """Directory of its files, if it needs one."""
     options: Table = {}
-    """Its own options, as they would stand under `[plugins.<backend>]`."""
+    """Its own options, as under `[plugins.<backend>]`."""
     runtime: Annotated[Name | None, ConfigurationOnly()] = None
-    """The runtime that executes it; the backend's default when left out."""
+    """The runtime that executes it; the backend's default if unset."""
     runtime_options: Table = {}
     """Options of the runtime."""
     acceleration: Annotated[Name | None, ConfigurationOnly()] = None
-    """A preset, where the runtime takes one."""
+    """A preset, if the runtime supports one."""
     acceleration_options: Table = {}
     """Options of the acceleration."""
     stateless: Annotated[bool, ConfigurationOnly()] = False
-    """Share a backend that cannot answer several observations at once: it is asked one by one. Only
-    for a backend that remembers nothing from one observation to the next, because it would mix the
-    robots up.
+    """Share a backend that cannot answer several observations at once: they are answered one by
+    one. Only for a backend that keeps no state from one observation to the next, otherwise it would
+    mix the robots up.
     """
     crop: Annotated[dict[Role, Rectangle], ConfigurationOnly(), Field(max_length=16)] = {}
-    """What the checkpoint takes of an image, by role of the camera: left, top, width and height
-    [px]. A server crops what comes whole, and tells robots of other machines, which send no more
-    than that. A robot's own, with an address, is checked as `image_size`.
+    """The part of an image that the checkpoint uses, by role of the camera: left, top, width and
+    height [px]. A server crops whole images, and announces the crop to robots on other machines,
+    which then send only that part. A crop set by a robot with an address is checked like
+    `image_size`.
     """
     most: Annotated[int, Field(ge=1, le=256)] = 8
-    """Most observations in one batch."""
+    """Largest number of observations in one batch."""
     waiting: Annotated[int, Field(ge=1, le=4096)] = 64
-    """Most observations that wait; more are refused at once."""
+    """Largest number of queued observations; further ones are refused at once."""
     linger_s: Annotated[float, Field(ge=0, le=0.1, allow_inf_nan=False)] = 0.003
-    """How long an idle server waits for other robots before it answers the first one alone."""
+    """Time that an idle server waits for other robots before it answers the first one alone."""
     python: Annotated[Path | None, ConfigurationOnly()] = None
-    """Interpreter of the servers; this one's by default."""
+    """Interpreter of the servers; by default that of this process."""
     environment: Annotated[dict[str, str], ConfigurationOnly()] = {}
     """Further environment variables of the servers."""
 
@@ -69,70 +70,70 @@ class SpaceOptions(BaseModel):
     kind: str
     """One of the contract's kinds, such as `joint_position`."""
     rate_hz: Annotated[float, Field(ge=0, le=1000, allow_inf_nan=False)] = 0.0
-    """Rows per second that the policy was trained for; 0 when any rate will do."""
+    """Rows per second for which the policy was trained; 0 for any rate."""
     channels: Annotated[tuple[str, ...], Field(strict=False)] = ()
-    """Names of its values in its own order, as the robot calls them: joints, `gripper_open`,
-    `left/x`. Left out: the robot's own order.
+    """The robot's names of the policy's values, in the policy's order: joints, `gripper_open`,
+    `left/x`. If unset: the robot's own order.
     """
 
 
 class SharedOptions(ModelOptions):
-    """Which model is shared, and how it is asked. Robots with the same model options use the same
+    """The shared model and the connection to it. Robots with the same model options use the same
     server.
     """
 
     backend: Annotated[Name | None, ConfigurationOnly()] = None
-    """The backend that holds the model, for instance `oft`; with `address` the server knows it."""
+    """The backend that holds the model, for instance `oft`; not needed with `address`."""
     address: Annotated[
         str | None, ConfigurationOnly(), Field(pattern=r"^[^\s:]{1,253}:\d{1,5}$")
     ] = None
     """A server on another machine, `host:port`; `host` may be the name of a machine of `roboneuron
-    link`. Left out: a server of this machine, started when there is none.
+    link`. If unset: a server on this machine, which is started if necessary.
     """
     model: Annotated[Name | None, ConfigurationOnly()] = None
-    """Name of the model on that server; may be left out when it has one."""
+    """Name of the model on that server; optional if it has only one."""
     space: Annotated[SpaceOptions | None, ConfigurationOnly()] = None
-    """Control space of a model with an address, when it does not move the TCP by deltas. What it
-    answers is held against it.
+    """Control space of a model with an address, unless it moves the TCP by deltas. The model's
+    answers are checked against it.
     """
     token_file: Annotated[Path | None, ConfigurationOnly()] = None
-    """Introduce this robot to that server by the token in this file, instead of the keys of
+    """File with the token that identifies this robot to that server, instead of the keys of
     `roboneuron link`.
     """
     ca: Annotated[Path | None, ConfigurationOnly()] = None
-    """With a token: certificate that the server's is, or is issued by (PEM). Without it the server
-    has to be reached by loopback.
+    """With a token: the server's certificate, or that of its issuer (PEM). Without it the server
+    must be on loopback.
     """
     coding: Literal["auto", "raw", "png", "jpeg"] = "auto"
-    """How images are sent to an address. `auto`: raw where the link carries it within `link_share`
-    of a period, else PNG, else JPEG. On this machine they are always raw.
+    """Coding of images sent to an address. `auto`: raw if the link transfers it within `link_share`
+    of a period, otherwise PNG, otherwise JPEG. On this machine images are always raw.
     """
     link_share: Annotated[float, Field(gt=0, le=1)] = 0.3
-    """See `coding`."""
+    """Fraction of a period, see `coding`."""
     quality: Annotated[int, Field(ge=1, le=100)] = 90
-    """Of JPEG."""
+    """Quality of JPEG."""
     image_size: Annotated[tuple[int, int] | None, ConfigurationOnly(), Field(strict=False)] = None
-    """Shrink images to this width and height before they are sent [px], where the model itself
-    declares no size.
+    """Shrink images to this width and height [px] before sending, if the model itself declares no
+    size.
     """
     parity_m: Annotated[float, ConfigurationOnly(), Field(ge=0)] = 0.002
-    """Before the first action it is measured how far JPEG, `image_size` or `crop` move actions.
-    Where it is more, JPEG is not chosen, and what is fixed is refused [m, m/s].
+    """Largest accepted change of actions by JPEG, `image_size` or `crop`, measured before the first
+    action. Above it, JPEG is not chosen, and fixed settings are refused [m, m/s].
     """
     parity_rad: Annotated[float, ConfigurationOnly(), Field(ge=0)] = 0.01
     """Likewise [rad, rad/s]."""
     replicas: Annotated[int, Field(ge=1, le=8)] = 1
-    """Servers, each with a copy of the model; when one dies, its robots go on with another within
-    the same chunk.
+    """Number of servers, each with a copy of the model; when one dies, its robots continue with
+    another within the same chunk.
     """
     timeout_s: Annotated[float, Field(gt=0, le=60, allow_inf_nan=False)] = 1.5
-    """An answer that takes longer is of no use: the deadline of each observation."""
+    """Deadline of each observation; later answers are useless."""
     start_timeout_s: Annotated[float, Field(gt=0, le=3600, allow_inf_nan=False)] = 900.0
-    """Longest wait for a server that loads."""
+    """Longest wait for a server that is loading."""
     idle_s: Annotated[float, Field(ge=0, le=86400, allow_inf_nan=False)] = 60.0
-    """A server without any robot ends after this long."""
+    """Time without any robot after which a server ends."""
     directory: Annotated[Path | None, ConfigurationOnly()] = None
-    """Where sockets and logs of the servers are; by default in the user's run-time directory."""
+    """Folder of the servers' sockets and logs; by default in the user's run-time directory."""
 
     @model_validator(mode="after")
     def _check_place(self) -> Self:
@@ -145,7 +146,7 @@ class SharedOptions(ModelOptions):
         return self
 
     def identity(self) -> str:
-        """16 hexadecimal digits: the same for robots that share a model."""
+        """16 hexadecimal digits, equal for robots that share a model."""
         of_the_server = {*ModelOptions.model_fields, "backend", "replicas", "idle_s"}
         own = self.model_dump(mode="json", include=of_the_server)
         return hashlib.sha256(json.dumps([VERSION, own], sort_keys=True).encode()).hexdigest()[:16]
@@ -157,12 +158,12 @@ class ServedModelOptions(ModelOptions):
     backend: Name
     """The backend that holds the model, for instance `oft`."""
     replicas: Annotated[int, Field(ge=1, le=16)] = 1
-    """Processes that hold it. A robot stays at one of them, the one with the fewest robots, and
-    goes on with another when that dies.
+    """Number of processes that hold it. A robot stays with one of them, initially the one with the
+    fewest robots, and continues with another when that dies.
     """
     gpus: Annotated[tuple[GpuName, ...], Field(strict=False, max_length=16)] = ()
-    """What each replica sees as `CUDA_VISIBLE_DEVICES`, replica after replica: `["0", "1"]`. Left
-    out: all see all.
+    """`CUDA_VISIBLE_DEVICES` of each replica, in order: `["0", "1"]`. If unset: all replicas see
+    all GPUs.
     """
 
     @model_validator(mode="after")
@@ -174,21 +175,21 @@ class ServedModelOptions(ModelOptions):
         return self
 
     def of_replica(self, number: int) -> ServedModelOptions:
-        """As replica `number` takes them."""
+        """The options of replica `number`."""
         if not self.gpus:
             return self
         environment = {**self.environment, "CUDA_VISIBLE_DEVICES": self.gpus[number]}
         return self.model_copy(update={"environment": environment})
 
     def shared(self) -> SharedOptions:
-        """As its process takes them."""
+        """The options of the model's process."""
         own = self.model_dump(include=set(ModelOptions.model_fields))
         return SharedOptions.model_validate({**own, "backend": self.backend})
 
 
 class ListenOptions(BaseModel):
-    """`[listen]` of a server's file: where robots of other machines connect, and how they prove
-    who they are.
+    """`[listen]` of a server's file: the address for robots of other machines, and their
+    authentication.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
@@ -198,29 +199,29 @@ class ListenOptions(BaseModel):
     port: Annotated[int, Field(ge=0, le=65535)] = 7420
     """TCP port; 0 for a free one."""
     keys: Literal["link", "token"] = "link"
-    """`link`: both sides show the keys of `roboneuron link` (mutual TLS 1.3). `token`: robots show
-    a token.
+    """`link`: both sides use the keys of `roboneuron link` (mutual TLS 1.3). `token`: robots send a
+    token.
     """
     token_file: Path | None = None
-    """With `token`: the file that holds it, readable for this user alone; made when it is not
-    there.
-    """
+    """With `token`: its file, readable only by this user; created if missing."""
     certificate: Path | None = None
-    """With `token`: the server's certificate chain (PEM), a must where it is not loopback."""
+    """With `token`: the server's certificate chain (PEM), required unless it listens on
+    loopback.
+    """
     key: Path | None = None
     """Its key (PEM)."""
     metrics_port: Annotated[int | None, Field(ge=0, le=65535)] = None
-    """Serve numbers for Prometheus at this port, 9465 as a rule; 0 for a free one. Left out: none
-    are served.
+    """Port of Prometheus metrics, usually 9465; 0 for a free one. If unset: no metrics are
+    served.
     """
     metrics_host: str = "127.0.0.1"
-    """Address of that. Whoever reaches it reads the numbers, without a key."""
+    """Address of the metrics. Anyone who can reach it can read them, without a key."""
     robots: Annotated[int, Field(ge=1, le=100)] = 64
-    """Most robots that are connected. Beyond it the newest of the client with most of them gives
-    way to a client with fewer.
+    """Largest number of connected robots. Beyond it, the newest robot of the client with the most
+    is disconnected in favour of a client with fewer.
     """
     directory: Path | None = None
-    """Where sockets and logs are; by default in the user's run-time directory."""
+    """Folder of sockets and logs; by default in the user's run-time directory."""
 
     @model_validator(mode="after")
     def _check_keys(self) -> Self:
@@ -239,6 +240,6 @@ class PolicyServerOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     listen: ListenOptions = ListenOptions()
-    """Where robots connect."""
+    """Address for robots."""
     models: Annotated[dict[Name, ServedModelOptions], Field(min_length=1, max_length=32)]
-    """What is served, by the name that robots ask for."""
+    """The served models by name."""

@@ -1,4 +1,4 @@
-"""What this package offers: the backend `shared`, and the commands that keep servers, for this
+"""Descriptors of this package: the backend `shared`, and the commands that run servers, for this
 machine or for others.
 """
 
@@ -21,8 +21,8 @@ BACKEND = BackendSpec(
     case="rn_backend_shared.case:shared_case",
     space="rn_backend_shared.space:shared_space",
 )
-"""Descriptor of the backend. What the model itself needs is checked when its server answers; one
-that continues no rows says so in each chunk.
+"""Descriptor of the backend. The model's own requirements are checked when its server answers; a
+chunk that continues no rows is marked as such.
 """
 COMMAND = CommandSpec(
     name="shared-model",
@@ -39,11 +39,11 @@ SERVE_COMMAND = CommandSpec(
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """The backend."""
+    """Register the backend."""
     return (BACKEND,)
 
 
 @hookimpl
 def roboneuron_commands() -> Sequence[CommandSpec]:
-    """The commands."""
+    """Register the commands."""
     return (COMMAND, SERVE_COMMAND)

@@ -1,4 +1,6 @@
-"""The process of one model, kept alive: started again with growing pauses when it dies or hangs."""
+"""Supervision of the process of one model: it is restarted with growing pauses when it dies or
+hangs.
+"""
 
 from __future__ import annotations
 
@@ -24,28 +26,28 @@ from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
 
 log = logging.getLogger(__name__)
 DEAD = "dead"
-"""State of a process that is not there, in a pause before its next start."""
+"""State without a process, in a pause before its next start."""
 _GREET_S = 1.0
 _LOOK_S, _READY_LOOK_S = 0.1, 1.0
 _HANGS_S = 15.0
-"""A process that does not introduce itself for so long is killed."""
+"""Time without a welcome message after which a process is killed."""
 _FIRST_PAUSE_S, _LAST_PAUSE_S = 0.5, 30.0
 _WELL_S = 60.0
-"""After so long without a fault the pauses begin anew."""
+"""Time without a fault after which the pauses are reset."""
 _END_S = 20.0
 _MOST_LOG_BYTES = 10_000_000
 _NOBODY: Mapping[str, object] = MappingProxyType({})
 _MOST_PATH_BYTES = 107
-"""What sockaddr_un of Linux holds besides a zero."""
+"""Size of a path in Linux's sockaddr_un, without the final zero."""
 
 
 class ModelProcess:
-    """Holds one model in a process of its own, from `start` to `close`.
+    """Runs one model in its own process, from `start` to `close`.
 
     Args:
-        name: of the model.
-        options: which.
-        path: of the socket of its process; the log lies beside it.
+        name: name of the model.
+        options: options of the model.
+        path: socket of its process; the log is next to it.
 
     Raises:
         ConfigurationError: the path is too long for a socket.
@@ -75,39 +77,39 @@ class ModelProcess:
         return self._state
 
     def start(self) -> None:
-        """Start it, and keep it alive."""
+        """Start the process and its supervision."""
         self._thread.start()
 
     def stop(self) -> None:
-        """Begin to end it."""
+        """Request the end."""
         self._end.set()
 
     def close(self) -> None:
-        """End it, and wait for that; idempotent."""
+        """End the process, and wait for it; idempotent."""
         self.stop()
         if self._thread.ident is not None:
             self._thread.join(2 * _END_S)
 
     def welcome(self) -> Document:
-        """What robots are told while it is not ready."""
+        """Welcome message for robots while the model is not ready."""
         if self._failure is not None:
             return {"state": FAILED, "pid": 0, **self._failure}
         return {"state": LOADING, "pid": 0}
 
     def connect(self, hello: Document) -> tuple[FrameChannel, Welcome]:
-        """A connection to its process, when it is ready.
+        """Connect to its process.
 
         Args:
-            hello: what a robot is introduced with.
+            hello: introduction of a robot.
 
         Raises:
-            NotReadyError: it is not.
+            NotReadyError: the process is not ready.
         """
         try:
             channel, welcome = _connect(self.path, hello)
         except (OSError, FrameError) as error:
             raise NotReadyError(
-                f"The model {self.name!r} has died, or is being started; it comes back by itself."
+                f"The model {self.name!r} has died, or is starting; it is restarted automatically."
             ) from error
         if welcome.state != READY:
             channel.close()
@@ -115,7 +117,7 @@ class ModelProcess:
         return channel, welcome
 
     def status(self) -> Document:
-        """Its numbers; those of its process where it answers."""
+        """Statistics, including those of its process if it answers."""
         process = self._process
         own: Document = {
             "state": self._state,
@@ -136,7 +138,7 @@ class ModelProcess:
             return own
         finally:
             channel.close()
-        # the connection that asks is none of a robot
+        # this request's own connection is not a robot's
         return {**own, **told, "state": self._state, "clients": max(int(told["clients"]) - 1, 0)}
 
     def _keep(self) -> None:
@@ -158,7 +160,7 @@ class ModelProcess:
                 self._state = DEAD
             if time.monotonic() - begun_s > _WELL_S:
                 pause_s = _FIRST_PAUSE_S
-            log.warning("The model %s is started again in %g s.", self.name, pause_s)
+            log.warning("The model %s is restarted in %g s.", self.name, pause_s)
             self._end.wait(pause_s)
             pause_s = min(2 * pause_s, _LAST_PAUSE_S)
             self._restarts += 1
@@ -182,19 +184,19 @@ class ModelProcess:
                 stderr=output,
                 text=True,
                 env={**os.environ, **self._options.environment},
-                start_new_session=True,  # Ctrl-C ends the supervisor, which ends this
+                start_new_session=True,  # Ctrl-C ends the supervisor, which ends this process
             )
         assert process.stdin is not None
         try:
             process.stdin.write(self._options.shared().model_dump_json() + "\n")
             process.stdin.flush()
         except BrokenPipeError:
-            pass  # it has died already, which is seen next
+            pass  # it has died already, which is detected next
         log.info("The model %s is process %d.", self.name, process.pid)
         return process
 
     def _watch(self, process: subprocess.Popen[str]) -> None:
-        """Follow a process until it is gone, or everything ends."""
+        """Monitor a process until it ends, or `stop` is called."""
         heard_s = looked_s = time.monotonic()
         while process.poll() is None and not self._end.wait(_LOOK_S):
             now_s = time.monotonic()
@@ -217,13 +219,13 @@ class ModelProcess:
             log.warning("The model %s has ended with %s.", self.name, process.returncode)
 
     def _look(self, process: subprocess.Popen[str]) -> bool:
-        """Whether the process introduces itself."""
+        """True if the process sends a welcome message."""
         try:
             channel, welcome = _connect(self.path)
             channel.close()
         except (OSError, FrameError):
             return False
-        if welcome.pid != process.pid:  # one that was left behind; this one ends at once
+        if welcome.pid != process.pid:  # an old process; the new one ends at once
             return False
         if welcome.state != self._state:
             log.info("The model %s is %s.", self.name, welcome.state)
@@ -243,7 +245,7 @@ def _failure(welcome: Welcome) -> Document | None:
 
 
 def _connect(path: Path, hello: Mapping[str, object] = _NOBODY) -> tuple[FrameChannel, Welcome]:
-    """Greet the server at a local socket; raises OSError or FrameError."""
+    """Greet the server at a local socket. Raises OSError or FrameError."""
     connected = socket.socket(socket.AF_UNIX)
     try:
         connected.settimeout(_GREET_S)
@@ -260,10 +262,10 @@ def _connect(path: Path, hello: Mapping[str, object] = _NOBODY) -> tuple[FrameCh
 
 
 def ask_status(path: Path) -> Document:
-    """What the server at a local socket says of itself.
+    """Status of the server at a local socket.
 
     Raises:
-        NotReadyError: there is none.
+        NotReadyError: there is no server.
     """
     with socket.socket(socket.AF_UNIX) as connected:
         connected.settimeout(_END_S)
@@ -272,7 +274,7 @@ def ask_status(path: Path) -> Document:
             channel = FrameChannel(connected)
         except OSError as error:
             raise NotReadyError(
-                "No policy server of this file runs here as this user.",
+                "No policy server of this file runs on this machine as this user.",
                 hint="Start it with `roboneuron serve-policy`.",
             ) from error
         try:

@@ -1,4 +1,4 @@
-"""A robot's connection to a server on another machine, which comes back by itself."""
+"""A robot's connection to a server on another machine, with automatic reconnection."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ _CONNECT_S = 3.0
 _GREET_S = 2.0
 _DESCRIBE_S = 5.0
 _REACH_S = 10.0
-"""So long a server is looked for at the start; one that loads is waited for longer."""
+"""Longest wait for an unreachable server at the start; the wait for a loading one is longer."""
 _LOOK_S = 0.2
 _FIRST_PAUSE_S, _LAST_PAUSE_S = 0.1, 2.0
 _SILENT = 3
-"""Deadlines in a row without an answer, after which the connection is made anew."""
+"""Number of consecutive deadlines without an answer after which the connection is replaced."""
 _LEAST_SILENT_S = 1.0
 _KEYS_S = 1.0
-"""How often the keys are looked at."""
+"""Period of checks for changed keys."""
 
 
 class RemoteLink:
-    """Asks a server by its address; used from one thread, except `close`.
+    """Client of a server with an address; used from one thread, except `close`.
 
-    Nothing here makes a robot wait beyond the deadline of its observation: connections are made
-    beside it.
+    It never blocks a robot beyond the deadline of its observation: connections are made on another
+    thread.
 
     Args:
         options: with an address.
@@ -65,12 +65,12 @@ class RemoteLink:
         self._looked_s = 0.0
 
     def open(self) -> Welcome:
-        """Reach the server, and wait until its model is ready; returns what it says of it.
+        """Connect to the server, and wait until its model is ready; returns its description.
 
         Raises:
-            ConfigurationError: keys, token, version or model are not those of the server.
+            ConfigurationError: keys, token, version or model differ from the server's.
             NotReadyError: it cannot be reached, or was not ready in time.
-            RoboNeuronError: why it could not load its model.
+            RoboNeuronError: the server could not load its model.
         """
         begun_s = time.monotonic()
         while True:
@@ -84,7 +84,7 @@ class RemoteLink:
                         f"The server {self._address} of the shared model "
                         + ("was not ready" if is_reached else "cannot be reached")
                         + f" within {most_s:g} s: {error}",
-                        hint="Does `roboneuron serve-policy` run there?",
+                        hint="Is `roboneuron serve-policy` running there?",
                     ) from error
                 self._end.wait(_LOOK_S)
                 continue
@@ -95,7 +95,7 @@ class RemoteLink:
             return session.welcome
 
     def describe(self, profile: RobotProfile) -> Welcome:
-        """What the server says of its model to this robot, once it is reached.
+        """The server's description of its model for this robot; after `open`.
 
         Raises:
             NotReadyError: it does not answer.
@@ -109,15 +109,15 @@ class RemoteLink:
         except (OSError, FrameError) as error:
             self._lose(str(error))
             raise NotReadyError(
-                f"The server {self._address} does not say what its model yields: {error}."
+                f"The server {self._address} does not describe its model: {error}."
             ) from error
 
     def ask(self, observation: Observation, deadline_s: float) -> ActionChunk:
-        """The answer to an observation; before the first one it is measured what coded images
-        change, see `Coder`.
+        """Request the answer to an observation; before the first one, the effect of coded images is
+        measured, see `Coder`.
 
         Raises:
-            ConfigurationError: they change too much.
+            ConfigurationError: the effect is too large.
             RoboNeuronError: as `exchange`.
         """
         if self._coder is None:
@@ -125,12 +125,12 @@ class RemoteLink:
         return self._coder.ask(observation, self.exchange, deadline_s)
 
     def exchange(self, observation: Document, deadline_s: float) -> ActionChunk:
-        """The answer to an observation that is a document.
+        """Request the answer to an encoded observation.
 
         Raises:
-            NotReadyError: none by the deadline (monotonic [s]), or there is no connection; another
-                one is being made.
-            RoboNeuronError: what the server says instead of a chunk.
+            NotReadyError: no answer by the deadline (monotonic [s]), or there is no connection; a
+                new one is being made.
+            RoboNeuronError: the server's error for this observation.
         """
         self._leave_for_other_keys()
         with self._lock:
@@ -166,7 +166,9 @@ class RemoteLink:
         self._begin_connecting()
 
     def _leave_for_other_keys(self) -> None:
-        """Let go of a machine that `roboneuron link` may have removed."""
+        """Disconnect if keys of `roboneuron link` have changed, because the machine may have been
+        removed.
+        """
         now_s = time.monotonic()
         if self._options.token_file is not None or now_s - self._looked_s < _KEYS_S:
             return
@@ -203,13 +205,13 @@ class RemoteLink:
             pause_s = min(2 * pause_s, _LAST_PAUSE_S)
 
     def _connect(self) -> ModelSession:
-        """A conversation with a server that is ready.
+        """Connect to a server that is ready.
 
         Raises:
             OSError: it cannot be reached.
             ConfigurationError: it cannot be used.
             NotReadyError: it is not ready.
-            RoboNeuronError: why it has failed.
+            RoboNeuronError: its model could not be loaded.
         """
         self._stamps = () if self._options.token_file is not None else link_stamps()
         place = place_of(self._options)
@@ -238,7 +240,7 @@ class RemoteLink:
             return place.context.wrap_socket(connected)
         except ssl.SSLCertVerificationError as error:
             raise ConfigurationError(
-                f"The server {self._address} has shown a certificate that is not trusted: "
+                f"The server {self._address} has sent a certificate that is not trusted: "
                 f"{error.verify_message}.",
                 hint="Is it the machine that was paired? Pair it again with `roboneuron link`.",
             ) from error
@@ -253,8 +255,8 @@ class RemoteLink:
             raise ConfigurationError(f"The server {self._address}: {error}.") from error
         except (OSError, FrameError) as error:
             raise ConnectionError(
-                "it has closed the connection without a word. Are the keys or the token those of "
-                f"the server, and is rn-backend-shared of the same release there? ({error})"
+                "it has closed the connection without an answer. Are the keys or the token those "
+                f"of the server, and does it have the same release of rn-backend-shared? ({error})"
             ) from error
 
     def _drop(self) -> None:
@@ -264,7 +266,7 @@ class RemoteLink:
             session.close()
 
     def close(self) -> None:
-        """Hang up; idempotent."""
+        """Disconnect; idempotent."""
         self._end.set()
         self._drop()
         if self._connecting is not None:

@@ -1,4 +1,6 @@
-"""Replicas of one model behind one name, each a supervised process; robots are spread over them."""
+"""Replicas of one model under one name, each a supervised process; robots are distributed over
+them.
+"""
 
 from __future__ import annotations
 
@@ -25,15 +27,15 @@ _SUMS = (
 )
 _GREATEST = ("model_ms_median", "model_ms_p99", "busy_s")
 _BEST_FIRST = (READY, LOADING, DEAD, FAILED)
-"""A model is in the best state of its replicas."""
+"""States from best to worst; a model has the best state of its replicas."""
 
 
 class Seat:
-    """A robot's connection to a replica, counted there, until `leave`.
+    """A robot's connection to a replica; counted until `leave`.
 
     Attributes:
         channel: to the replica's process.
-        welcome: what that said.
+        welcome: its welcome message.
         replica: its number.
     """
 
@@ -47,11 +49,13 @@ class Seat:
 
     @property
     def is_crowded(self) -> bool:
-        """Another replica has room for this robot, and its chunks need no context of this one."""
+        """True if another replica has fewer robots, and this robot's chunks need no context of this
+        replica.
+        """
         return not self.welcome.continues and self._model.is_crowded(self.replica)
 
     def leave(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self.channel.close()
         self._model.vacate(self.replica)
 
@@ -59,20 +63,19 @@ class Seat:
 class Replicas:
     """The processes of one model; callable from any thread.
 
-    A robot stays at the replica that it was given: its connection is there, with the contexts of
-    its chunks. It moves when the replica dies, and when it continues no rows and another replica
-    has fewer robots.
+    A robot stays with its replica, which holds the connection and the contexts of its chunks. It
+    moves when the replica dies, or, if it continues no rows, when another replica has fewer robots.
 
     Args:
-        name: of the model.
-        options: which.
-        folder: for sockets and logs.
-        prefix: of their names.
+        name: name of the model.
+        options: options of the model.
+        folder: folder of sockets and logs.
+        prefix: prefix of their names.
     """
 
     def __init__(self, name: str, options: ServedModelOptions, folder: Path, prefix: str) -> None:
         self.name = name
-        # names of models hold no dot, so no replica has the socket of another model
+        # names of models have no dot, so sockets of replicas are unique
         marks = [""] if options.replicas == 1 else [f".{n}" for n in range(options.replicas)]
         self.processes: Sequence[ModelProcess] = tuple(
             ModelProcess(
@@ -85,38 +88,38 @@ class Replicas:
 
     @property
     def state(self) -> str:
-        """The best of its replicas: `READY` when one of them is."""
+        """The best state of its replicas."""
         return min((process.state for process in self.processes), key=_BEST_FIRST.index)
 
     def start(self) -> None:
-        """Start all, and keep them alive."""
+        """Start all processes and their supervision."""
         for process in self.processes:
             process.start()
 
     def stop(self) -> None:
-        """Begin to end them."""
+        """Request the end of all processes."""
         for process in self.processes:
             process.stop()
 
     def close(self) -> None:
-        """End them, and wait for that; idempotent."""
+        """End all processes, and wait for them; idempotent."""
         for process in self.processes:
             process.close()
 
     def welcome(self) -> Document:
-        """What robots are told while none is ready: why all have failed, or that one loads."""
+        """Welcome message while no replica is ready: loading, or the failure if all have failed."""
         told = [process.welcome() for process in self.processes]
         return next((one for one in told if one["state"] != FAILED), told[0])
 
     def take_seat(self, hello: Document, *, avoided: int | None = None) -> Seat:
-        """A connection for a robot to the replica that is ready with the fewest robots.
+        """Connect a robot to the ready replica with the fewest robots.
 
         Args:
-            hello: what the robot is introduced with.
-            avoided: a replica that has just failed; taken when there is no other.
+            hello: introduction of the robot.
+            avoided: a replica that has just failed; used only if there is no other.
 
         Raises:
-            NotReadyError: none is ready.
+            NotReadyError: no replica is ready.
         """
         refusal: NotReadyError | None = None
         for replica in self._by_room(avoided):
@@ -132,7 +135,9 @@ class Replicas:
         raise refusal
 
     def is_crowded(self, replica: int) -> bool:
-        """Whether another replica that is ready has two robots less: moving one evens them out."""
+        """True if another ready replica has at least two robots less, so that moving one balances
+        them.
+        """
         others = [
             self._seated[number]
             for number, process in enumerate(self.processes)
@@ -141,12 +146,12 @@ class Replicas:
         return bool(others) and min(others) + 2 <= self._seated[replica]
 
     def vacate(self, replica: int) -> None:
-        """A robot has left."""
+        """Remove a robot from the count of a replica."""
         self._count(replica, -1)
 
     def status(self) -> Document:
-        """Numbers of the model, and of each replica where there are several. Counts are sums,
-        times those of the slowest.
+        """Statistics of the model, and of each replica if there are several. Counts are summed,
+        times are those of the slowest.
         """
         told = [process.status() for process in self.processes]
         if len(told) == 1:

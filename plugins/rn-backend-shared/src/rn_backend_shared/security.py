@@ -1,4 +1,4 @@
-"""Who may talk over a network: keys that `roboneuron link` keeps, or a token."""
+"""Authentication over a network: keys of `roboneuron link`, or a token."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ class ServerAddress(NamedTuple):
     """A server that a robot connects to.
 
     Attributes:
-        host, port: where it is.
-        context: None for a connection in clear, over loopback.
-        token: what the robot shows inside; empty for keys.
+        host, port: its address.
+        context: None for an unencrypted connection over loopback.
+        token: token that the robot sends; empty with keys.
     """
 
     host: str
@@ -45,7 +45,7 @@ class ServerAddress(NamedTuple):
 
 
 def is_loopback(host: str) -> bool:
-    """Whether what is sent to or from there stays on this machine, for sure."""
+    """True if data sent to or from this host certainly stays on this machine."""
     if host == "localhost":
         return True
     with suppress(ValueError):
@@ -57,7 +57,7 @@ def read_token(path: Path) -> str:
     """The token in a file.
 
     Raises:
-        ConfigurationError: there is none, it is too short, or others may read it.
+        ConfigurationError: it is missing, too short, or readable by others.
     """
     try:
         text = path.read_text(encoding="ascii").strip()
@@ -77,7 +77,7 @@ def read_token(path: Path) -> str:
 
 
 def make_token(path: Path) -> str:
-    """The token in a file, which is made when it is not there; raises as `read_token`."""
+    """The token in a file, which is created if missing; raises as `read_token`."""
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     except FileExistsError:
@@ -90,17 +90,17 @@ def make_token(path: Path) -> str:
 
 
 def is_same_token(one: str, other: str) -> bool:
-    """Compare in a time that tells nothing of either."""
+    """Compare in constant time."""
     first, second = (hashlib.sha256(text.encode()).digest() for text in (one, other))
     return hmac.compare_digest(first, second)
 
 
 def place_of(options: SharedOptions) -> ServerAddress:
-    """Where a robot's server is, and how it is talked to.
+    """Address and TLS context of a robot's server.
 
     Raises:
-        ConfigurationError: the machines are not paired, or a token would be sent in clear.
-        MissingDependencyError: rn-link is not installed here.
+        ConfigurationError: the machines are not paired, or a token would be sent unencrypted.
+        MissingDependencyError: rn-link is not installed.
     """
     assert options.address is not None
     host, _, port = options.address.rpartition(":")
@@ -109,7 +109,7 @@ def place_of(options: SharedOptions) -> ServerAddress:
     token = read_token(options.token_file)
     if options.ca is not None:
         context = _context(ssl.PROTOCOL_TLS_CLIENT)
-        context.check_hostname = False  # what the file names issues for this server alone
+        context.check_hostname = False  # the authority in the file issues only for this server
         try:
             context.load_verify_locations(options.ca)
         except OSError as error:
@@ -117,14 +117,14 @@ def place_of(options: SharedOptions) -> ServerAddress:
         return ServerAddress(host, int(port), context, token)
     if not is_loopback(host):
         raise ConfigurationError(
-            f"A token is not sent in clear to {host}.",
+            f"A token is not sent unencrypted to {host}.",
             hint=f"Name the server's certificate with `ca`. Better: {_PAIR}",
         )
     return ServerAddress(host, int(port), None, token)
 
 
 def link_stamps() -> Sequence[object]:
-    """What is different after a change of this machine's keys or peers; empty without rn-link."""
+    """A value that changes with this machine's keys or peers; empty without rn-link."""
     try:
         from rn_link.machine import link_folder
     except ModuleNotFoundError:
@@ -160,12 +160,14 @@ def _linked_place(host: str, port: int) -> ServerAddress:
 
 
 def _link() -> tuple[Path, Machine]:
-    """The folder of this machine's link and what is in it."""
+    """Folder and contents of this machine's link. Raises MissingDependencyError,
+    ConfigurationError.
+    """
     try:
         from rn_link.machine import link_folder, read_machine
     except ModuleNotFoundError as error:
         raise MissingDependencyError(
-            "The keys of `roboneuron link` are used by rn-link, which is not installed.",
+            "The keys of `roboneuron link` need rn-link, which is not installed.",
             hint=f"Run: {availability.install_command('rn-link')}. Or use a token (token_file).",
         ) from error
     folder = link_folder()
@@ -184,10 +186,10 @@ def _context(protocol: int) -> ssl.SSLContext:
 
 
 class Guard:
-    """Decides at a server who may talk to it. Raises ConfigurationError for what is not safe.
+    """Admission to a server. Raises ConfigurationError for unsafe options.
 
     Args:
-        options: of the server.
+        options: options of the server.
     """
 
     def __init__(self, options: ListenOptions) -> None:
@@ -199,7 +201,7 @@ class Guard:
             assert options.token_file is not None
             if options.certificate is None and not is_loopback(options.host):
                 raise ConfigurationError(
-                    f"A token would travel in clear to {options.host}.",
+                    f"A token would be sent unencrypted to {options.host}.",
                     hint="Name certificate and key in [listen], listen on 127.0.0.1, or use keys = "
                     f"'link'. {_PAIR}",
                 )
@@ -217,8 +219,8 @@ class Guard:
             self._context = _member_context()
 
     def has_changed(self) -> bool:
-        """Take what `roboneuron link` has changed; whether something has. Who is no longer paired
-        is refused from now on.
+        """Load changes made by `roboneuron link`; returns True if there were any. Machines that are
+        no longer paired are refused from now on.
         """
         if self._options.keys == "token" or (stamps := link_stamps()) == self._stamps:
             return False
@@ -230,7 +232,7 @@ class Guard:
         return True
 
     def wrap(self, connected: socket.socket) -> socket.socket:
-        """The connection, over which hands are still to be shaken where it is TLS.
+        """Wrap a connection for TLS if needed; the handshake is still to be done.
 
         Raises:
             ConnectionError: this machine is no longer paired with any.
@@ -261,12 +263,12 @@ def _member_context() -> ssl.SSLContext:
 
 
 def client_of(address: str, connected: socket.socket | None = None) -> str:
-    """Who is at the other end, for fair shares: whose certificate it has shown, else its address.
-    Of IPv6 that is the first half, because the second is the client's own choice.
+    """Identity of the peer for fair shares: its certificate if it has sent one, otherwise its
+    address. Of an IPv6 address only the first half counts, because the client chooses the second.
 
     Args:
-        address: of the other end.
-        connected: over which hands were shaken, where it may be TLS.
+        address: address of the peer.
+        connected: socket after the handshake, possibly TLS.
     """
     if isinstance(connected, ssl.SSLSocket) and (shown := connected.getpeercert(binary_form=True)):
         return f"key {hashlib.sha256(shown).hexdigest()[:32]}"
@@ -282,7 +284,7 @@ def client_of(address: str, connected: socket.socket | None = None) -> str:
 
 
 def valid_until(connected: socket.socket) -> datetime | None:
-    """When the certificate of the other side expires; None where it has shown none."""
+    """Expiry of the peer's certificate; None without one."""
     shown = connected.getpeercert() if isinstance(connected, ssl.SSLSocket) else None
     if not shown:
         return None
@@ -290,7 +292,7 @@ def valid_until(connected: socket.socket) -> datetime | None:
 
 
 def tune(connected: socket.socket, silent_s: float) -> None:
-    """Send at once, and notice within `silent_s` that the other side is gone without a word."""
+    """Send without delay, and detect within `silent_s` that the peer has disappeared."""
     connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
     for option, value in (

@@ -41,8 +41,8 @@ _FILES = {"unit": "serve-policy.service", "containerfile": "Containerfile"}
 class ServePolicyCommand:
     """Serve the models of a file to robots on other machines, until Ctrl-C or SIGTERM.
 
-    Each model has a process of its own, which is started again when it dies. Robots use it with
-    `address` under [plugins.shared].
+    Each model has its own process, which is restarted when it dies. Robots use it with `address`
+    under [plugins.shared].
     """
 
     def configure(self, parser: ArgumentParser) -> None:
@@ -62,18 +62,23 @@ class ServePolicyCommand:
             default=Path("policies.toml"),
             help="[listen] and [models.NAME]; policies.toml by default",
         )
-        parser.add_argument("--host", metavar="ADDRESS", help="listen there, whatever FILE says")
+        parser.add_argument(
+            "--host", metavar="ADDRESS", help="address to listen on, instead of FILE's"
+        )
         parser.add_argument("--port", type=int, metavar="N", help="likewise")
         parser.add_argument(
-            "--replicas", type=int, metavar="N", help="processes that hold the model, likewise"
+            "--replicas",
+            type=int,
+            metavar="N",
+            help="processes that hold the model, instead of FILE's",
         )
         parser.add_argument(
-            "--model", metavar="NAME", help="which model of FILE --replicas means; else all"
+            "--model", metavar="NAME", help="model of FILE that --replicas refers to; all if unset"
         )
         parser.add_argument("--json", action="store_true", help="status as JSON")
 
     def run(self, arguments: Namespace) -> int:
-        """Do it."""
+        """Run the action; returns the exit status."""
         if arguments.action in _FILES:
             print(deployment_file(arguments.action, arguments.config), end="")
             return 0
@@ -90,7 +95,7 @@ class ServePolicyCommand:
             return 0
         from rn_backend_shared.front import PolicyServer
 
-        logging.basicConfig(format="%(asctime)s %(message)s")  # -v and -q have begun another log
+        logging.basicConfig(format="%(asctime)s %(message)s")  # -v and -q have set up another log
         logging.getLogger("rn_backend_shared").setLevel(logging.INFO)
         server = PolicyServer(options, folder, name)
         for number in (signal.SIGTERM, signal.SIGINT):
@@ -99,11 +104,13 @@ class ServePolicyCommand:
 
 
 def deployment_file(action: str, config: Path) -> str:
-    """The systemd unit (`unit`) for this interpreter and a file, or the container file."""
+    """The systemd unit (`unit`) for this interpreter and a configuration file, or the container
+    file.
+    """
     text = (files(__package__) / "deployment" / _FILES[action]).read_text(encoding="utf-8")
     if action == "containerfile":
         return text
-    # systemd splits at spaces and knows % as the begin of a specifier
+    # systemd splits at spaces and treats % as the start of a specifier
     words = {"python": sys.executable, "config": str(config.resolve())}
     return Template(text).substitute(
         {name: '"' + word.replace("%", "%%") + '"' for name, word in words.items()}
@@ -111,10 +118,10 @@ def deployment_file(action: str, config: Path) -> str:
 
 
 def read_options(arguments: Namespace) -> PolicyServerOptions:
-    """What the file and the command line say.
+    """Options from the file and the command line.
 
     Raises:
-        ConfigurationError: the file cannot be read, or is wrong.
+        ConfigurationError: the file cannot be read, or is invalid.
     """
     from rn_backend_shared.options import PolicyServerOptions
     from rn_backend_shared.plugin import SERVE_COMMAND
@@ -141,10 +148,10 @@ def read_options(arguments: Namespace) -> PolicyServerOptions:
 
 
 def _set_replicas(models: object, name: str | None, count: int | None, path: Path) -> None:
-    """Put the count of the command line into the tables of models.
+    """Write the command line's number of replicas into the tables of models.
 
     Raises:
-        ConfigurationError: there is no model of that name, or no count for it.
+        ConfigurationError: there is no model of that name, or a name without a number.
     """
     if name is not None and count is None:
         raise ConfigurationError("--model goes with --replicas N.")
@@ -160,13 +167,13 @@ def _set_replicas(models: object, name: str | None, count: int | None, path: Pat
 
 
 def name_of(path: Path) -> str:
-    """Name of the server of a file: the same for everybody who names the file."""
+    """Name of the server of a file: the same for every process that names the file."""
     digest = hashlib.sha256(str(path.resolve()).encode()).hexdigest()
     return f"policies-{digest[:8]}"
 
 
 def table_of(status: Document) -> str:
-    """A status for people."""
+    """A status as a table for people."""
     rows = [[title for title, _ in _COLUMNS]]
     for name, model in status["models"].items():
         replicas = model.get("replicas", ())

@@ -1,4 +1,4 @@
-"""The server of one model: one socket, a thread for each robot that asks, one for the model."""
+"""The server of one model: one socket, a thread for each connected robot, one for the model."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ from roboneuron import (
 
 log = logging.getLogger(__name__)
 _SEND_S = 0.5
-"""A robot that does not read for so long has lost its connection; nobody else waits for it."""
+"""Time without reading after which a robot is disconnected, so that it blocks nobody else."""
 _FAILED_S = 3.0
-"""A server that could not load tells so for this long, then ends."""
+"""Time for which a server that could not load reports this before it ends."""
 _LOOK_S = 0.1
 _BACKLOG = 1024
 _MOST_HELD = 8
-"""Contexts of chunks that are kept for a robot: of the running one, and of answers on their way."""
+"""Number of chunk contexts kept for a robot: of the running chunk, and of answers in transit."""
 _MOST_ROBOTS = 128
-"""Connections; each has a thread and two handles."""
+"""Limit of connections; each has a thread and two handles."""
 _FIRST_S = 5.0
-"""Whoever connects has this long for the first request."""
+"""Time limit for a new connection's first request."""
 _NO_HANDLES = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 _NO_HANDLES_S = 1.0
 
@@ -57,9 +57,9 @@ class SharedModelServer:
     """Serves one model to all robots that connect.
 
     Args:
-        options: which model.
-        path: of the socket.
-        idle_s: end after so long without a robot; None: never.
+        options: options of the model.
+        path: path of the socket.
+        idle_s: time without a robot after which the server ends; None for never.
     """
 
     def __init__(self, options: SharedOptions, path: Path, idle_s: float | None) -> None:
@@ -77,8 +77,8 @@ class SharedModelServer:
         self._statistics = Statistics()
 
     def run(self) -> int:
-        """Serve until `stop`, or idle; returns the exit status. One server of a path at a time:
-        another one ends.
+        """Serve until `stop`, or idle; returns the exit status. Only one server serves a path at a
+        time: a second one ends at once.
         """
         with self._path.with_suffix(".lock").open("a") as lock:
             try:
@@ -86,7 +86,7 @@ class SharedModelServer:
             except BlockingIOError:
                 return 0
             with socket.socket(socket.AF_UNIX) as listener:
-                # Renamed once it listens: a robot that finds the socket is not refused.
+                # Renamed once it listens, so that a robot that finds the socket is not refused.
                 unready = self._path.with_suffix(".new")
                 unready.unlink(missing_ok=True)
                 listener.bind(str(unready))
@@ -103,7 +103,7 @@ class SharedModelServer:
                         robot.close()
 
     def stop(self) -> None:
-        """End soon; callable from a signal handler."""
+        """Request the end; callable from a signal handler."""
         self._end.set()
 
     def _serve(self) -> int:
@@ -113,7 +113,7 @@ class SharedModelServer:
             return self._fail(error)
         except (
             Exception
-        ) as error:  # the border to the model: robots are told before the process ends
+        ) as error:  # the border to the model: robots are notified before the process ends
             log.exception("The model cannot be loaded.")
             return self._fail(NotReadyError(f"The shared model cannot be loaded: {error!r}."))
         options = self._options
@@ -147,11 +147,11 @@ class SharedModelServer:
         return 1
 
     def hello(self, hello: Document) -> Document:
-        """What a robot is told first, whenever it asks again while the model loads, and when it
-        says which robot it is (see `from_profile`).
+        """Welcome message: sent first, repeated while the model loads, and after a robot's
+        introduction (see `from_profile`).
 
         Raises:
-            FrameError: that is no robot.
+            FrameError: the introduction is invalid.
         """
         told: Document = {"state": self._state, "pid": os.getpid()}
         if self._failure is not None:
@@ -172,14 +172,14 @@ class SharedModelServer:
         return told
 
     def _space_on(self, robot: object) -> Document:
-        """The space of the model's chunks on a robot, or why it cannot move that."""
+        """The control space of the model's chunks on a robot, or why it cannot move it."""
         try:
             return {"space": wire.from_space(self._model.space_on(to_profile(robot)))}
         except RoboNeuronError as error:
             return {"refusal": wire.from_answer(error)}
 
     def status(self) -> Document:
-        """Numbers of this server."""
+        """Statistics of this server."""
         asking = sum(robot.has_asked for robot in list(self._robots))
         return {
             "state": self._state,
@@ -190,14 +190,14 @@ class SharedModelServer:
         }
 
     def cropped(self, observation: Observation, document: Document) -> Observation:
-        """The observation as the model takes it: images that the robot did not crop are cropped.
+        """Crop the images that the robot has not cropped.
 
         Args:
-            observation: that was sent.
-            document: as which.
+            observation: the received observation.
+            document: its document.
 
         Raises:
-            InvalidInputError: an image does not hold what is to be cropped.
+            InvalidInputError: the crop exceeds an image.
         """
         frames = dict(observation.frames)
         for role, rectangle in self._options.crop.items():
@@ -212,16 +212,16 @@ class SharedModelServer:
         self._batcher.submit(waiting)
 
     def note(self, answer: Answer) -> None:
-        """Count what a robot is told."""
+        """Count an answer."""
         self._statistics.note(answer)
 
     def leave(self, robot: _RobotConnection) -> None:
-        """It is gone."""
+        """Remove a disconnected robot."""
         self._robots.pop(robot, None)
 
     def _accept(self, listener: socket.socket) -> None:
-        """Take connections until the end; a robot that has asked nothing yet gives way when there
-        are too many.
+        """Accept connections until the end; if there are too many, one without requests is
+        closed.
         """
         while not self._end.is_set():
             try:
@@ -230,9 +230,9 @@ class SharedModelServer:
             except OSError as error:
                 if error.errno not in _NO_HANDLES:
                     return
-                log.error("A robot cannot connect: %s. Who has so many files open?", error.strerror)
+                log.error("A robot cannot connect: %s. Too many files are open.", error.strerror)
                 self._drop_silent()
-                # the queue stays full until somebody closes something
+                # the queue stays full until something is closed
                 self._end.wait(_NO_HANDLES_S)
                 continue
             if peer_user(connected) != os.getuid() or (
@@ -245,7 +245,7 @@ class SharedModelServer:
             threading.Thread(target=robot.serve, name="robot", daemon=True).start()
 
     def _drop_silent(self) -> bool:
-        """Hang up on the oldest connection that has asked nothing yet; whether there was one."""
+        """Close the oldest connection without requests; returns True if there was one."""
         silent = next((robot for robot in list(self._robots) if not robot.has_asked), None)
         if silent is None:
             return False
@@ -258,9 +258,9 @@ class _RobotConnection:
     """One connection.
 
     Args:
-        channel: over it.
-        server: of the model.
-        client: whose it is, unless it is introduced as another's.
+        channel: channel of the connection.
+        server: the model's server.
+        client: its owner, unless it is introduced as another's.
     """
 
     def __init__(self, channel: FrameChannel, server: SharedModelServer, client: str) -> None:
@@ -274,7 +274,7 @@ class _RobotConnection:
         self.has_asked = False
 
     def serve(self) -> None:
-        """Read what it asks until it is gone; it has to begin soon."""
+        """Serve its requests until it disconnects; the first one has a time limit."""
         try:
             first = self._channel.receive(time.monotonic() + _FIRST_S)
             self.has_asked = True
@@ -338,7 +338,7 @@ class _RobotConnection:
             tell(InvalidInputError(f"The observation cannot be read: {error}."))
 
     def _hold(self, answer: Answer, number: int) -> wire.HeldContext | None:
-        """Keep the context of a chunk; on the thread of the model, so that it is there before the
+        """Store the context of a chunk; called on the model's thread, so that it exists before the
         robot can name it.
         """
         if not isinstance(answer, ActionChunk) or answer.context is None:
@@ -349,7 +349,7 @@ class _RobotConnection:
         return wire.HeldContext(self._session, number)
 
     def _recall(self, named: wire.HeldContext) -> object:
-        """A context that is still held; None for those of another connection."""
+        """A stored context; None for that of another connection."""
         return self._held.get(named.number) if named.session == self._session else None
 
     def _send(self, header: Header, document: Document) -> None:
@@ -357,15 +357,17 @@ class _RobotConnection:
             with self._sending:
                 self._channel.send(header, document, _SEND_S)
         except OSError:
-            self.close()  # `serve` ends by that
+            self.close()  # this ends `serve`
 
     def close(self) -> None:
-        """Hang up."""
+        """Disconnect."""
         self._channel.close()
 
 
 def _channel_of(connected: socket.socket) -> FrameChannel:
-    """Raises OSError, with the connection closed, when no second handle is left for it."""
+    """Create a channel. If no second handle is available, closes the connection and raises
+    OSError.
+    """
     try:
         return FrameChannel(connected)
     except OSError:

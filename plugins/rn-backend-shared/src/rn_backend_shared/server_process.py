@@ -26,11 +26,11 @@ def serve(options: SharedOptions, path: Path, idle_s: float | None) -> int:
 
 
 def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> int:
-    """A server in the background: options as JSON in the first line of stdin, path of the socket as
-    argument.
+    """Run a server in the background: options as JSON in the first line of stdin, path of the
+    socket as argument.
 
-    Returns at once in the process that was started, which leaves one behind that belongs to
-    nobody's group. With `--stay` it serves in the process itself, until stdin ends.
+    The started process returns at once; the server continues in a new session. With `--stay` the
+    process itself serves, until stdin ends.
     """
     options, path = SharedOptions.model_validate_json(source.readline()), Path(arguments[-1])
     if arguments[0] == STAY:
@@ -46,11 +46,11 @@ def main(source: IO[str] = sys.stdin, arguments: list[str] = sys.argv[1:]) -> in
     code = 1
     try:
         code = serve(options, path, options.idle_s)
-    except Exception:  # the end of the process would hide it
-        log.exception("The server cannot go on.")
+    except Exception:  # the process would end silently
+        log.exception("The server cannot continue.")
     finally:
         logging.shutdown()
-        # threads of robots may be in the middle of something, and hold nothing that must be saved
+        # threads of robots may still be running, but hold nothing to be saved
         os._exit(code)
 
 
@@ -61,15 +61,15 @@ def _stay(options: SharedOptions, path: Path, source: IO[str]) -> int:
         signal.signal(number, lambda *_: server.stop())
 
     def watch() -> None:
-        source.read()  # its other end closes with the process that started this one
+        source.read()  # the other end closes with the parent process
         server.stop()
 
     threading.Thread(target=watch, name="parent", daemon=True).start()
     code = 1
     try:
         code = server.run()
-    except Exception:  # the end of the process would hide it
-        log.exception("The server cannot go on.")
+    except Exception:  # the process would end silently
+        log.exception("The server cannot continue.")
     finally:
         logging.shutdown()
         os._exit(code)

@@ -1,4 +1,4 @@
-"""A robot's conversation with a server that has a model ready: one question at a time."""
+"""A robot's conversation with a server whose model is ready: one request at a time."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from roboneuron import ActionChunk, ControlSpace, NotReadyError, RoboNeuronError
 LOADING, READY, FAILED = "loading", "ready", "failed"
 """States of a server."""
 _MOST_OPEN = 64
-"""Questions without an answer on one connection, after which it is of no more use."""
+"""Number of unanswered requests after which a connection is given up."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Welcome:
-    """What a server says of itself.
+    """Welcome message of a server.
 
     Attributes:
         state: `LOADING`, `READY` or `FAILED`.
-        pid: of its process.
+        pid: pid of its process.
         cameras: roles that the model needs.
-        optional_cameras: roles that it uses where they are.
-        image_sizes: width and height by role to which the model shrinks images itself [px].
-        crops: what the server takes of an image that comes whole, by role.
+        optional_cameras: roles that it uses if present.
+        image_sizes: width and height [px], by role, to which the model itself shrinks images.
+        crops: the part of a whole image that the server uses, by role.
         continues: chunks continue rows with a context that the server holds.
-        horizon, step_s: rows of a chunk, and time between two [s], as its backend declares.
+        horizon, step_s: rows of a chunk, and time between two [s], as declared by its backend.
         most_committed: see `BackendSpec.max_committed_rows`.
         takes_predicted_state: see `BackendSpec`.
-        space: of its chunks on the robot that has introduced itself; None: not asked.
-        refusal: why that robot cannot use it, as a document.
-        failure: why it failed, as a document; None for another state.
-        document: all of it, as it came.
-        number: of the last request before the robot's first; drawn by a policy server for each
-            connection, so that no request fits another one.
+        space: control space of its chunks on the introduced robot; None without an introduction.
+        refusal: error if that robot cannot use it, as a document.
+        failure: error if it failed, as a document; None in other states.
+        document: the received message.
+        number: number before that of the robot's first request; random for each connection to a
+            policy server, so that a request is valid on one connection only.
     """
 
     state: str
@@ -60,7 +60,7 @@ class Welcome:
 
     @classmethod
     def of(cls, document: Document, number: int = 0) -> Welcome:
-        """What was sent; raises FrameError."""
+        """Parse a received message. Raises FrameError."""
         space, refusal = document.get("space"), document.get("refusal")
         crops = fields.table(document.get("crops", {}), "crops", 16)
         sizes = fields.table(document.get("image_sizes", {}), "image sizes", 16)
@@ -100,7 +100,7 @@ def _space(value: object) -> ControlSpace:
     try:
         return wire.to_space(value)
     except RoboNeuronError as error:
-        raise FrameError(f"the server tells a space that is none: {error}") from error
+        raise FrameError(f"the server sent an invalid control space: {error}") from error
 
 
 def _size(value: object) -> tuple[int, int]:
@@ -113,9 +113,9 @@ def greet(channel: FrameChannel, hello: Document, timeout_s: float) -> Welcome:
     """Introduce a robot.
 
     Raises:
-        OSError: the server is gone, or silent.
-        FrameError: it says something else, or what it said to another hello; a VersionError for
-            another version.
+        OSError: the server is gone, or does not answer.
+        FrameError: the answer is invalid, or belongs to another hello; VersionError for another
+            version.
     """
     asked = Header(FrameKind.HELLO, clock_ns=time.monotonic_ns())
     channel.send(asked, hello, timeout_s)
@@ -129,39 +129,39 @@ def greet(channel: FrameChannel, hello: Document, timeout_s: float) -> Welcome:
 
 
 class ModelSession:
-    """Asks over one connection; used from one thread, except `close`.
+    """Sends requests over one connection; used from one thread, except `close`.
 
     Args:
-        channel: to a server that has said that it is ready.
-        welcome: what it said.
-        base_s: how long it took to say that [s].
+        channel: to a server that is ready.
+        welcome: its welcome message.
+        base_s: round-trip time of that message [s].
     """
 
     def __init__(self, channel: FrameChannel, welcome: Welcome, base_s: float = 0.0) -> None:
         self._channel = channel
         self._number = welcome.number
-        self._open: dict[int, int] = {}  # clock_ns of each question without an answer
+        self._open: dict[int, int] = {}  # clock_ns of each unanswered request
         self.welcome = welcome
         self.base_s = base_s
 
     def ask(self, observation: Document, deadline_s: float) -> ActionChunk:
-        """The answer to an observation, with the time of the round trip split up.
+        """Request the answer to an observation; its metrics split the round-trip time.
 
         Raises:
-            TimeoutError: none by the deadline (monotonic [s]); the next one may be asked.
-            OSError: the connection is of no more use.
-            FrameError: likewise; an answer that was not asked for, or came twice, is one.
-            RoboNeuronError: what the server says instead.
+            TimeoutError: no answer by the deadline (monotonic [s]); the next request may follow.
+            OSError: the connection is unusable.
+            FrameError: likewise, for instance after an answer without a request or a repeated one.
+            RoboNeuronError: the server's error for this observation.
         """
         began_ns, left_s = time.monotonic_ns(), deadline_s - time.monotonic()
         header = Header(FrameKind.REQUEST, self._number + 1, began_ns, left_s)
         if left_s <= 0:
-            raise TimeoutError("the deadline is over before it is asked")
+            raise TimeoutError("the deadline has passed before the request")
         if len(self._open) >= _MOST_OPEN:
-            raise FrameError(f"the server left {_MOST_OPEN} questions without an answer")
-        # one that is not sent in time is cut: the next question finds the connection of no use
+            raise FrameError(f"the server left {_MOST_OPEN} requests without an answer")
+        # a request that is not sent in time is cut, and the connection unusable
         self._channel.send(header, {"observation": observation}, left_s)
-        self._number += 1  # after it is sent, because the server takes no number but the next
+        self._number += 1  # after sending, because the server accepts only the next number
         self._open[header.number] = began_ns
         chunk = wire.to_answer(self._answer(header, deadline_s))
         round_trip_ms = (time.monotonic_ns() - began_ns) / 1e6
@@ -173,7 +173,7 @@ class ModelSession:
         return replace(chunk, metrics={**chunk.metrics, **own})
 
     def introduce(self, hello: Document, timeout_s: float) -> Welcome:
-        """What the server says to a robot that says more of itself; between two questions.
+        """The welcome message for a robot's introduction; between two requests.
 
         Raises:
             OSError, FrameError: as `greet`.
@@ -181,28 +181,28 @@ class ModelSession:
         return greet(self._channel, hello, timeout_s)
 
     def _answer(self, asked: Header, deadline_s: float) -> Document:
-        """The answer to this question. Each question is answered once: late answers to those
-        before are dropped, all others end the connection.
+        """The answer to this request. Each request is answered once: late answers to earlier
+        requests are dropped, all others end the connection.
         """
         while True:
             received = self._channel.receive(deadline_s)
             header = received.header
             if header.kind is not FrameKind.ANSWER:
-                raise FrameError("the server sent what is no answer")
+                raise FrameError("the server sent a frame that is no answer")
             if self._open.pop(header.number, None) != header.clock_ns:
                 raise FrameError(
-                    f"answer {header.number} was replayed: nobody waits for it on this connection"
+                    f"answer {header.number} was replayed: it has no request on this connection"
                 )
             if header.number == asked.number:
                 return received.document()
 
     def close(self) -> None:
-        """Hang up; idempotent."""
+        """Disconnect; idempotent."""
         self._channel.close()
 
 
 def check_ready(welcome: Welcome) -> None:
-    """Raise what a server that failed says, NotReadyError for one that is not ready yet."""
+    """Raise the error of a server that failed, or NotReadyError if it is not ready yet."""
     if welcome.failure is not None:
         wire.to_answer(welcome.failure)
     if welcome.state != READY:

@@ -1,4 +1,4 @@
-"""Which control space the chunks of a shared model have, said before its server is asked."""
+"""Control space of a shared model's chunks, determined without its server."""
 
 from __future__ import annotations
 
@@ -21,12 +21,11 @@ from roboneuron.command import discover, loading
 
 
 def shared_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace | None:
-    """What the backend that holds the model says of its own options; of a model with an address
-    what a person says, or None: its server is asked when the backend has reached it.
+    """The control space declared by the model's backend; for a model with an address that of the
+    option `space`, or None, and then its server gives it after connecting.
 
-    A backend that is installed in the interpreter of this machine's servers only is taken to move
-    the TCP; chunks in another space are then refused. Options that are wrong are told when the
-    backend loads.
+    A backend that is installed only in the servers' interpreter is assumed to move the TCP; chunks
+    in another space are then refused. Invalid options are reported when the backend loads.
 
     Raises:
         RoboNeuronError: as that backend's `space`.
@@ -47,7 +46,7 @@ def shared_space(options: Mapping[str, object], profile: RobotProfile) -> Contro
 
 
 def space_of(spec: BackendSpec, options: ModelOptions, profile: RobotProfile) -> ControlSpace:
-    """The space of a backend's chunks with its options, on a robot.
+    """The control space of a backend's chunks, with its options, on a robot.
 
     Raises:
         RoboNeuronError: as the backend's `space`.
@@ -65,12 +64,12 @@ def space_of(spec: BackendSpec, options: ModelOptions, profile: RobotProfile) ->
 
 
 def _declared(options: SpaceOptions, profile: RobotProfile) -> ControlSpace:
-    """The space that a person declares, with the units and frames of the robot.
+    """The control space of the option `space`, with the units and frames of the robot.
 
     Raises:
         ConfigurationError: there is no such kind or channel.
     """
-    # a delta has the channels of the position that it is added to
+    # deltas have the same channels as positions
     kind = "joint_position" if options.kind == "joint_delta" else options.kind
     try:
         own = robot_space(kind, profile, options.rate_hz)
@@ -82,7 +81,7 @@ def _declared(options: SpaceOptions, profile: RobotProfile) -> ControlSpace:
     if unknown or len(set(names)) != len(names):
         raise ConfigurationError(
             f"plugins.shared.space names {', '.join(unknown or names)}; each of the robot's "
-            f"channels can stand there once: {', '.join(known)}."
+            f"channels can appear once: {', '.join(known)}."
         )
     return ControlSpace(
         kind=options.kind,

@@ -1,4 +1,4 @@
-"""What a server has done so far, in numbers."""
+"""Statistics of a server."""
 
 from __future__ import annotations
 
@@ -15,30 +15,28 @@ from rn_backend_shared.frames import Document
 from roboneuron import NotReadyError, Observation, RoboNeuronError
 
 _RECENT = 1000
-"""Batches whose times are remembered."""
+"""Number of batches whose times are kept."""
 Predict = Callable[[Sequence[Observation]], Sequence[Answer]]
 
 
 BOUNDS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
-"""Upper bounds of the counts of times [s]."""
+"""Upper bounds of the histogram of times [s]."""
 
 
 class Times:
-    """Counts times by their size; from one thread at a time."""
+    """Histogram of times; from one thread at a time."""
 
     def __init__(self) -> None:
         self._counts = [0] * (len(BOUNDS_S) + 1)
         self._sum_s = 0.0
 
     def note(self, took_s: float) -> None:
-        """One more."""
+        """Add one time."""
         self._counts[bisect.bisect_left(BOUNDS_S, took_s)] += 1
         self._sum_s += took_s
 
     def document(self) -> Document:
-        """How many lie up to each bound and above the one before, the last ones above all; and
-        their sum [s].
-        """
+        """Counts per interval, up to each bound, the last one above all bounds; and the sum [s]."""
         return {"counts": list(self._counts), "sum_s": self._sum_s}
 
 
@@ -53,7 +51,7 @@ class Statistics:
         self._busy_since_s: float | None = None
 
     def timed(self, predict: Predict) -> Predict:
-        """The same function, with the time of each batch noted."""
+        """The same function, with measurement of the time of each batch."""
 
         def timed(observations: Sequence[Observation]) -> Sequence[Answer]:
             began_s = self._busy_since_s = time.monotonic()
@@ -71,7 +69,7 @@ class Statistics:
         return timed
 
     def note(self, answer: Answer) -> None:
-        """Count what a robot is told: a chunk, a refusal for lack of time or place, or an error."""
+        """Count an answer to a robot: a chunk, a refusal for lack of time or space, or an error."""
         kind = "answered"
         if isinstance(answer, RoboNeuronError):
             kind = "refused" if isinstance(answer, NotReadyError) else "errors"
@@ -81,7 +79,7 @@ class Statistics:
                 self._queue.note(answer.metrics.get("shared.queue_ms", 0.0) / 1e3)
 
     def values(self) -> Document:
-        """All of it; times of the model are of the last thousand batches [ms]."""
+        """All statistics; the model's times are those of the last thousand batches [ms]."""
         with self._lock:
             counts, took_ms = dict(self._counts), np.array(self._took_s) * 1e3
             busy_since_s = self._busy_since_s

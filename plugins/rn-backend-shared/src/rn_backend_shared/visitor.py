@@ -1,5 +1,5 @@
-"""A connection from the network: introduced, then carried to the process of its model frame by
-frame.
+"""A connection from the network: introduced first, then its frames are forwarded to the process of
+its model.
 """
 
 from __future__ import annotations
@@ -26,42 +26,44 @@ from roboneuron import ConfigurationError, NotReadyError, RoboNeuronError
 
 log = logging.getLogger(__name__)
 HELLO_BYTES = 4096
-"""Longest introduction."""
+"""Longest introduction in bytes."""
 _REQUEST_BYTES = 1 << 25
 _SEND_S = 2.0
 _SILENT_S = 5.0
 _SLICE_S = 0.5
 _NUMBER_BITS = 62
-"""Of the first request's number, which is drawn for each connection."""
+"""Bits of the random number of a connection's first request."""
 _GRACE_S = 0.1
-"""So much later than its deadline an answer of the model is passed on, for the robot to count."""
+"""Time after its deadline up to which an answer is still forwarded, so that the robot can count
+it.
+"""
 
 
 class VisitorServer(Protocol):
-    """The server that a visitor asks."""
+    """The server that a visitor uses."""
 
     def admit(self, visitor: Visitor, hello: Document) -> Replicas:
-        """The model of a robot that has introduced itself. Raises ConnectionError or
-        ConfigurationError for one that is refused.
+        """Admit an introduced robot and return its model. Raises ConnectionError or
+        ConfigurationError for a refused one.
         """
 
     def leave(self, visitor: Visitor, why: str) -> None:
-        """It is gone."""
+        """Remove a disconnected visitor."""
 
     def note_served(self, model: str, took_s: float) -> None:
-        """An observation was answered, so long after it had come whole [s]."""
+        """Note the time from a complete observation to its answer [s]."""
 
     def note_lost(self, model: str) -> None:
-        """An observation whose model was not there."""
+        """Count an observation that was lost because its model was not available."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Patience:
-    """How long a visitor may take.
+    """Time limits of a visitor.
 
     Attributes:
-        admit_s: to shake hands and to introduce itself [s].
-        frame_s: for a frame to arrive whole [s].
+        admit_s: for handshake and introduction [s].
+        frame_s: for receiving a whole frame [s].
     """
 
     admit_s: float
@@ -69,20 +71,20 @@ class Patience:
 
 
 class Visitor:
-    """One connection from the network, served on a thread of its own.
+    """One connection from the network, served on its own thread.
 
     Args:
-        server: to which it wants.
-        guard: puts TLS around its socket where keys are asked for.
+        server: the policy server.
+        guard: adds TLS to the socket if keys are required.
         connected: its socket.
-        address: of the other end.
-        patience: with it.
+        address: address of the peer.
+        patience: its time limits.
 
     Attributes:
-        client: who it is among others, see `client_of`.
+        client: identity of the peer, see `client_of`.
 
     Raises:
-        OSError: nobody is to be talked to.
+        OSError: no connection is admitted.
     """
 
     def __init__(
@@ -106,7 +108,7 @@ class Visitor:
         self._last = secrets.randbits(_NUMBER_BITS)
 
     def serve(self) -> None:
-        """Until it is gone."""
+        """Serve the visitor until it disconnects."""
         why = "it was refused"
         try:
             if isinstance(self._connected, ssl.SSLSocket):
@@ -142,7 +144,7 @@ class Visitor:
             self._connected.close()
 
     def _refuse_version(self, error: VersionError) -> None:
-        """Say it to whoever has shown a key; anybody else learns nothing."""
+        """Report the version only to a peer with a valid key."""
         if self._expires is None or self._channel is None:
             return
         refusal = ConfigurationError(f"The policy server refuses: {error}.")
@@ -150,23 +152,24 @@ class Visitor:
             self._channel.send(Header(FrameKind.ANSWER), wire.from_answer(refusal), _SEND_S)
 
     def interrupt(self) -> None:
-        """End it, from another thread."""
+        """End the connection, from another thread."""
         with suppress(OSError):
-            # the method of SSLSocket would go on in clear
+            # the method of SSLSocket would continue unencrypted
             socket.socket.shutdown(self._connected, socket.SHUT_RDWR)
 
     def _next(self, channel: FrameChannel) -> Received:
-        """The next frame, however long a robot is silent.
+        """The next frame; waits any time for it to begin.
 
         Raises:
-            OSError: it is gone, its certificate has expired, or a frame takes too long.
+            OSError: the connection has ended, its certificate has expired, or a frame takes too
+                long.
         """
         while True:
             with suppress(TimeoutError):
                 return channel.receive(time.monotonic() + _SLICE_S)
             begun_s = channel.begun_s
             if begun_s is not None and time.monotonic() - begun_s > self._patience.frame_s:
-                raise ConnectionError("a frame has not come whole in time")
+                raise ConnectionError("a frame has not arrived completely in time")
             if self._expires is not None and datetime.now(UTC) > self._expires:
                 raise ConnectionError("its certificate has expired")
 
@@ -195,7 +198,7 @@ class Visitor:
             channel.send_parts([answer.header.pack(), answer.body], _SEND_S)
 
     def _welcome(self, channel: FrameChannel, model: Replicas, received: Received) -> None:
-        """Tell what the model's own process says of itself."""
+        """Forward the welcome message of the model's process."""
         hello = received.document()
         told: Mapping[str, object] = model.welcome()
         own = {ROBOT: hello[ROBOT]} if ROBOT in hello else {}
@@ -207,7 +210,7 @@ class Visitor:
     def _take_seat(
         self, model: Replicas, avoided: int | None = None, hello: Document | None = None
     ) -> Seat:
-        """A new seat at the model. Raises NotReadyError when no replica is ready."""
+        """Connect to a replica of the model. Raises NotReadyError if none is ready."""
         self._leave_seat()
         self._seat = model.take_seat({**(hello or {}), CLIENT: self.client}, avoided=avoided)
         return self._seat
@@ -218,11 +221,11 @@ class Visitor:
             seat.leave()
 
     def _carry(self, model: Replicas, received: Received) -> Received:
-        """The model's answer to a request. When its replica dies meanwhile, another one is asked,
-        once: an observation that no process survives must not end them all.
+        """The model's answer to a request. If its replica dies meanwhile, one other replica is
+        used; only one, because an observation that crashes a process must not end them all.
 
         Raises:
-            NotReadyError: it has died, is not ready, or does not answer by the deadline.
+            NotReadyError: the replica has died, is not ready, or does not answer by the deadline.
         """
         deadline_s = time.monotonic() + received.header.left_s
         if self._seat is not None and self._seat.is_crowded:
@@ -231,7 +234,7 @@ class Visitor:
         try:
             return _asked(seat.channel, received, deadline_s)
         except TimeoutError as error:
-            if len(model.processes) > 1:  # it may hang: another one is asked next
+            if len(model.processes) > 1:  # it may hang: another replica is used next
                 with suppress(NotReadyError):
                     self._take_seat(model, seat.replica)
             raise NotReadyError(
@@ -239,9 +242,7 @@ class Visitor:
             ) from error
         except (OSError, FrameError) as error:
             self._leave_seat()
-            refusal = NotReadyError(
-                f"The model {model.name!r} has died; the server starts it again."
-            )
+            refusal = NotReadyError(f"The model {model.name!r} has died; the server restarts it.")
             if len(model.processes) == 1 or time.monotonic() > deadline_s:
                 raise refusal from error
             log.warning("Replica %d of the model %s has died.", seat.replica, model.name)
@@ -258,7 +259,7 @@ class Visitor:
 
 
 def _asked(channel: FrameChannel, received: Received, deadline_s: float) -> Received:
-    """The answer to a request, of the process at the other end; raises OSError or FrameError."""
+    """Forward a request to a process and return its answer. Raises OSError or FrameError."""
     header = received.header
     left_s = deadline_s - time.monotonic()
     told = header._replace(left_s=max(left_s, 0.0))

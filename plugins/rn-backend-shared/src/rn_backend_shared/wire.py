@@ -1,5 +1,5 @@
-"""What robots and servers say to each other: observations, chunks and errors as documents of
-frames, and back again, with every field checked.
+"""Encoding of observations, chunks and errors as documents of frames, and decoding with a check of
+every field.
 """
 
 from __future__ import annotations
@@ -70,11 +70,11 @@ _ERRORS: dict[str, type[RoboNeuronError]] = {
 
 @dataclass(frozen=True, slots=True)
 class HeldContext:
-    """The context of a chunk (see `ActionChunk.context`), which stays in the server.
+    """Reference to the context of a chunk (see `ActionChunk.context`), which stays in the server.
 
     Attributes:
-        session: of the connection that holds it.
-        number: of the request that was answered with it.
+        session: number of the connection that holds it.
+        number: number of the request whose answer has it.
     """
 
     session: int
@@ -82,11 +82,11 @@ class HeldContext:
 
 
 Held = Callable[[HeldContext], object]
-"""What a server holds under that name; None when it holds nothing more."""
+"""Looks a context up in the server; None if it is no longer held."""
 
 
 def from_observation(observation: Observation) -> Document:
-    """What is sent of an observation; a context only by the name that the server gave it.
+    """Encode an observation, with a context only as the server's reference.
 
     Raises:
         UnsafeError: a number of its state is not finite.
@@ -155,10 +155,10 @@ def _from_frame(frame: Frame) -> Document:
 
 
 def to_observation(document: object, held: Held = lambda context: None) -> Observation:
-    """The observation that was sent.
+    """Decode an observation.
 
     Raises:
-        FrameError: a field is missing, or not of the type and range of the contract.
+        FrameError: a field is missing, or has not the type and range of the contract.
         RoboNeuronError: as the contract's own types.
     """
     frames = table(field(document, "frames"), "frames", _MOST_CAMERAS)
@@ -244,11 +244,11 @@ def _to_calibration(value: object) -> CameraCalibration:
 def from_answer(
     answer: ActionChunk | RoboNeuronError, context: HeldContext | None = None
 ) -> Document:
-    """What is sent of a chunk, or of an error.
+    """Encode a chunk or an error.
 
     Args:
-        answer: of the model.
-        context: how the server calls the context of the chunk, which it keeps.
+        answer: answer of the model.
+        context: reference to the chunk's context, which stays in the server.
     """
     if isinstance(answer, RoboNeuronError):
         return {
@@ -271,11 +271,11 @@ def from_answer(
 
 
 def to_answer(document: Mapping[str, object]) -> ActionChunk:
-    """The chunk that was sent.
+    """Decode a chunk.
 
     Raises:
-        RoboNeuronError: the error that was sent instead.
-        FrameError: it is neither.
+        RoboNeuronError: the received error.
+        FrameError: it is neither a chunk nor an error.
     """
     if "error" in document:
         kind = _ERRORS.get(text(document["error"], "an error"), PluginError)
@@ -302,16 +302,16 @@ def _to_context(value: object) -> HeldContext:
 
 
 def from_space(space: ControlSpace) -> list[object]:
-    """What is sent of a space."""
+    """Encode a control space."""
     channels = [[c.name, c.unit, c.frame, c.arm] for c in space.channels]
     return [space.kind, space.rate_hz, channels]
 
 
 def to_space(value: object) -> ControlSpace:
-    """The space that was sent; the default is the contract's own object.
+    """Decode a control space; the default one becomes the contract's own object.
 
     Raises:
-        FrameError: it is none.
+        FrameError: it is malformed.
         RoboNeuronError: as `ControlSpace`.
     """
     kind, rate_hz, channels = items(value, "a space", most=3, least=3)

@@ -1,1 +1,1 @@
-"""An encrypted, authenticated link between machines: what every process of a machine uses."""
+"""An encrypted, authenticated link between machines, used by every process of a machine."""

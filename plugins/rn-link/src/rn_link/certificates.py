@@ -1,7 +1,7 @@
 """Keys and certificates of the machines.
 
-Each machine's certificate has an issuer of its own, and a machine trusts exactly the issuers of
-its peers: Fast DDS has no switch for revocation lists, so taking an issuer out revokes a machine.
+Each machine's certificate has its own issuer, and a machine trusts exactly the issuers of its
+peers. Fast DDS has no option for revocation lists, so removing an issuer revokes a machine.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from roboneuron import ConfigurationError
 
 DAYS = 365
 MOST_DAYS = 3650
-"""How long an issuer is valid, which bounds what it issues."""
+"""Validity of an issuer, which limits that of its certificates."""
 _CLOCKS = timedelta(days=1)
-"""By how much the clocks of two machines may differ."""
+"""Tolerated difference between the clocks of two machines."""
 _PURPOSES = {"hub": ExtendedKeyUsageOID.CLIENT_AUTH, "member": ExtendedKeyUsageOID.SERVER_AUTH}
-"""The hub connects and members listen: neither can take the other's part."""
+"""The hub connects and members listen, so neither can act in the other's role."""
 
 
 class Issuer(NamedTuple):
-    """What issues the certificate of one machine."""
+    """Issuer of one machine's certificate."""
 
     key: ec.EllipticCurvePrivateKey
     certificate: x509.Certificate
@@ -111,12 +111,12 @@ def _name(text: str) -> x509.Name:
 
 
 def to_pem(certificate: x509.Certificate) -> bytes:
-    """As kept in files."""
+    """PEM of a certificate, for files."""
     return certificate.public_bytes(serialization.Encoding.PEM)
 
 
 def key_to_pem(key: ec.EllipticCurvePrivateKey) -> bytes:
-    """As kept in files, without a password: modules start without a person."""
+    """PEM of a key, for files; without a password, because modules start without a person."""
     return key.private_bytes(
         serialization.Encoding.PEM,
         serialization.PrivateFormat.PKCS8,
@@ -128,7 +128,7 @@ def read_certificate(path: Path) -> x509.Certificate:
     """Read the certificate in a file.
 
     Raises:
-        ConfigurationError: there is none.
+        ConfigurationError: it is missing or invalid.
     """
     try:
         return x509.load_pem_x509_certificate(path.read_bytes())
@@ -143,7 +143,7 @@ def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
     """Read a key of this machine.
 
     Raises:
-        ConfigurationError: there is none, or others may read it.
+        ConfigurationError: it is missing or invalid, or readable by others.
     """
     try:
         mode = path.stat().st_mode
@@ -166,8 +166,8 @@ def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
 
 
 def expiries(machine: Machine, folder: Path) -> dict[str, datetime]:
-    """When the certificates that this machine knows expire, by name: its own, and in the hub those
-    of the members.
+    """Expiry of the certificates known to this machine, by name: its own, and on the hub those of
+    the members.
     """
     files = {machine.name: folder / "own.pem"}
     if machine.role == "hub":
@@ -179,7 +179,8 @@ def check_in_time(machine: Machine, folder: Path, now: datetime | None = None) -
     """Check this machine's key and certificate.
 
     Raises:
-        ConfigurationError: the certificate has expired, or the key is not kept well.
+        ConfigurationError: the certificate has expired, or the key is missing or readable by
+            others.
     """
     read_key(folder / "own.key")
     expiry = read_certificate(folder / "own.pem").not_valid_after_utc
@@ -197,7 +198,7 @@ def check_in_time(machine: Machine, folder: Path, now: datetime | None = None) -
 
 
 def write_private(path: Path, content: bytes) -> None:
-    """Replace a file by one that only this user may read, in one step."""
+    """Replace a file atomically by one that only this user may read."""
     fresh = path.with_name(f".{path.name}.new")
     fresh.unlink(missing_ok=True)
     descriptor = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)

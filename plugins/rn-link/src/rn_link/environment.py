@@ -1,6 +1,6 @@
 """The environment with which a process joins the link; set before rclpy is imported.
 
-Standard library alone: every process imports this while it discovers plugins.
+Standard library only: every process imports this while it discovers plugins.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ OTHERS = (
     "ROS_STATIC_PEERS",
     "ROS_LOCALHOST_ONLY",
 )
-"""Variables that lead ROS past the link."""
+"""Variables that would make ROS bypass the link."""
 _SHIPPED = files("roboneuron") / "data" / "fastdds.xml"
 SWITCH = "ROBONEURON_LINK"
 """Environment variable; "off" keeps a process on this machine."""
 
 
 def join_link() -> None:
-    """Let this process, and what it starts, use the link of this machine, if it has one.
+    """Let this process and its children use the link of this machine, if it has one.
 
-    Nothing is changed when the user has set what contradicts the link, or the link cannot be used:
-    ROS then stays on this machine, and `LinkFeature.check` says why.
+    Nothing is changed if a variable of the user conflicts with the link, or the link cannot be
+    used: ROS then stays on this machine, and `LinkFeature.check` reports the reason.
     """
     folder = link_folder()
     try:
@@ -46,24 +46,25 @@ def join_link() -> None:
 
 
 def set_link(environment: MutableMapping[str, str], folder: Path) -> None:
-    """Set what a process of a machine with a link needs.
+    """Set the environment of a process on a machine with a link.
 
     Raises:
-        ConfigurationError: the user has set what contradicts it.
+        ConfigurationError: a variable of the user conflicts with it.
     """
     check_unopposed(environment, folder)
     environment[PROFILE] = str(folder / "fastdds.xml")
-    # LOCALHOST, the project's default, replaces the peers of the profile, which says the same
+    # LOCALHOST, the project's default, would replace the profile's peers; the profile restricts ROS
+    # likewise
     environment[RANGE] = "SYSTEM_DEFAULT"
 
 
 def uses_link() -> bool:
-    """Whether this process has joined the link."""
+    """True if this process has joined the link."""
     return os.environ.get(PROFILE) == str(link_folder() / "fastdds.xml")
 
 
 def check_unopposed(environment: Mapping[str, str], folder: Path) -> None:
-    """Check that no variable of the user contradicts the link.
+    """Check that no variable of the user conflicts with the link.
 
     Raises:
         ConfigurationError: names the variable.

@@ -1,4 +1,4 @@
-"""The feature: a server starts only with a link that works."""
+"""The feature: a server starts only if its link works."""
 
 from __future__ import annotations
 
@@ -24,10 +24,11 @@ class LinkFeature(Feature[LinkOptions]):
         self._keeper: RelayKeeper | None = None
 
     def check(self, config: Config) -> None:
-        """Check that the link of this machine can be used, and warn of what expires soon.
+        """Check that the link of this machine works, and warn of certificates that expire soon.
 
         Raises:
-            ConfigurationError: it cannot, or there is none and the configuration requires one.
+            ConfigurationError: it does not work, or it is missing and the configuration requires
+                it.
         """
         folder = link_folder()
         machine = read_machine(folder)
@@ -48,7 +49,7 @@ class LinkFeature(Feature[LinkOptions]):
             self._keeper.start()
 
     def close(self) -> None:
-        """Leave the relay to the modules that still run."""
+        """Stop keeping the relay; other processes that use the link restart it."""
         if self._keeper is not None:
             self._keeper.close()
 

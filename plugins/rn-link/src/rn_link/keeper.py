@@ -1,4 +1,4 @@
-"""The relay of this machine, kept alive by every process that uses the link."""
+"""Supervision of this machine's relay, by every process that uses the link."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
     from roboneuron.node import ModuleHost  # imports rclpy
 
 _LOOK_S = 0.5
-"""A relay whose process has ended is replaced by another one's after this long."""
+"""Time after which another process replaces a relay whose process has ended."""
 
 
 def keep_link(_: ModuleHost | None = None) -> None:
-    """Keep the relay of this machine running until this process ends; called once a process."""
+    """Keep the relay of this machine running until this process ends; called once per process."""
     if uses_link():
         RelayKeeper(link_folder()).start()
 
 
 class RelayKeeper(Periodic):
-    """Starts the relay where none runs, on a thread of its own from `start` to `close`.
+    """Starts the relay if none runs, on its own thread from `start` to `close`.
 
-    The relay ends with the process that has started it; that of another process follows.
+    The relay ends with the process that started it; another process then starts a new one.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -40,7 +40,7 @@ class RelayKeeper(Periodic):
         self._relay: subprocess.Popen[bytes] | None = None
 
     def close(self) -> None:
-        """End the thread, and the relay if it is of this process."""
+        """End the thread, and the relay if this process started it."""
         super().close()
         self._end_relay()
 
@@ -58,12 +58,12 @@ class RelayKeeper(Periodic):
         try:
             if read_machine(self._folder) is None:
                 return
-        except ConfigurationError:  # told by `join_link`
+        except ConfigurationError:  # reported by `join_link`
             return
         lock = os.open(self._folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            (self._folder / STATE).unlink(missing_ok=True)  # of the relay before
+            (self._folder / STATE).unlink(missing_ok=True)  # from the previous relay
             # the relay inherits the lock, and holds it until it ends
             self._relay = subprocess.Popen(
                 [sys.executable, "-m", "rn_link.relay"],

@@ -1,6 +1,6 @@
-"""The link of this machine, as the command `roboneuron link` leaves it in the state directory.
+"""The link of this machine, as stored by the command `roboneuron link` in the state directory.
 
-Standard library alone: every process imports this.
+Standard library only: every process imports this.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ PORT = 7411
 """TCP port that a member listens on."""
 LOOPBACK = "127.0.0.1"
 RELAY = "127.90.0.1"
-"""Address at which the relay takes announcements of this machine's participants; see `alias`."""
+"""Address at which the relay receives announcements of this machine's participants; see `alias`."""
 DISCOVERY_PORT = 7399
-"""UDP port there; below those of ROS, which begin at 7400."""
+"""UDP port at that address; below those of ROS, which start at 7400."""
 _NAME = re.compile(r"[a-z0-9][a-z0-9-]{0,30}")
 _FILE = "link.json"
 
 
 def check_port(port: int) -> int:
-    """Raises ConfigurationError for what is no port of an unprivileged process."""
+    """Raise ConfigurationError unless it is a port of an unprivileged process."""
     if not 1024 <= port <= 65535:
         raise ConfigurationError(
             f"The link cannot use port {port}.", hint="Name one between 1024 and 65535."
@@ -61,7 +61,7 @@ class Machine:
     peers: Mapping[str, Peer] = field(default_factory=dict)
 
     def to_json(self) -> str:
-        """As it is kept."""
+        """JSON of the link's file."""
         facts = {
             "name": self.name,
             "role": self.role,
@@ -72,7 +72,7 @@ class Machine:
 
 
 def check_name(name: str) -> str:
-    """Raises ConfigurationError for what is no name of a machine."""
+    """Raise ConfigurationError unless it is a valid name of a machine."""
     if not _NAME.fullmatch(name):
         raise ConfigurationError(
             f"{name[:60]!r} is not a name for a machine.",
@@ -82,13 +82,15 @@ def check_name(name: str) -> str:
 
 
 def alias(name: str) -> str:
-    """The loopback address that stands for another machine on this one (127.90.1.0 and above)."""
+    """Loopback address that represents another machine on this one (127.90.1.0 and above)."""
     first, second, *_ = hashlib.sha256(name.encode()).digest()
     return f"127.90.{max(1, first)}.{second}"
 
 
 def check_address(address: str) -> str:
-    """Raises ConfigurationError for what is no IPv4 address: the transport takes no names."""
+    """Raise ConfigurationError unless it is an IPv4 address: the transport does not resolve
+    names.
+    """
     try:
         return str(IPv4Address(address))
     except ValueError as error:
@@ -98,16 +100,16 @@ def check_address(address: str) -> str:
 
 
 def link_folder() -> Path:
-    """Where keys, certificates and profile of this user's link are."""
+    """Folder of the keys, certificates and profile of this user's link."""
     base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     return Path(base) / "roboneuron" / "link"
 
 
 def read_machine(folder: Path) -> Machine | None:
-    """Return this machine's part of the link; None when it has none.
+    """Return this machine's part of the link; None if it has none.
 
     Raises:
-        ConfigurationError: the file cannot be read, or was damaged.
+        ConfigurationError: the file cannot be read, or is damaged.
     """
     path = folder / _FILE
     try:

@@ -1,4 +1,4 @@
-"""What this package offers; standard library and descriptors only."""
+"""Descriptors of this package; standard library only."""
 
 from roboneuron import CommandSpec, FeatureSpec, hookimpl
 
@@ -14,7 +14,7 @@ FEATURE = FeatureSpec(
 
 COMMAND = CommandSpec(
     name="link",
-    summary="pair machines, and show or remove what is paired",
+    summary="pair machines, and show or remove paired ones",
     target="rn_link_pairing.command:LinkCommand",
 )
 """Descriptor of the command."""

@@ -1,4 +1,6 @@
-"""The loopback ports of the relay: messages of this machine's ROS in, those of others out."""
+"""The loopback ports of the relay: they receive messages of this machine's ROS, and deliver those
+of other machines.
+"""
 
 from __future__ import annotations
 
@@ -20,18 +22,19 @@ PARTICIPANT_BYTES = 12
 _BUFFER_BYTES = 4_194_304
 _MOST_BYTES = 65_536
 _MOST_PORTS = 512
-"""Of one machine: a participant of ROS has three."""
+"""Limit of ports of one machine: a ROS participant has three."""
 _FORGOTTEN_S = 60.0
-"""Three times the lease of a participant; one that lives says its ports twice a second."""
+"""Three times the lease of a participant; a running one announces its ports twice a second."""
 _AT_ONCE = 64
-"""Datagrams taken from a socket before others have their turn."""
+"""Datagrams read from a socket before other sockets are served."""
 
 
 class ParticipantPort(NamedTuple):
-    """Where a participant takes messages.
+    """Port at which a participant receives messages.
 
-    A participant takes the port of one that was killed, to whom others send for another 20 s; Fast
-    DDS 2.14 hangs in a large message whose beginning came before the two had met.
+    A participant may reuse the port of a killed one, to which others send for another 20 s; Fast
+    DDS 2.14 hangs in a large message whose first part arrived before the two had discovered each
+    other. So the port alone does not identify the participant.
     """
 
     participant: bytes
@@ -39,20 +42,20 @@ class ParticipantPort(NamedTuple):
 
 
 Forward = Callable[[str | None, ParticipantPort, bytes], None]
-"""Called with the machine (None: all), the place there or DISCOVERY, and the message."""
+"""Called with the machine (None for all), the port on it or DISCOVERY, and the message."""
 DISCOVERY = ParticipantPort(bytes(PARTICIPANT_BYTES), 0)
 """All participants of the domain."""
 
 
 class Ports:
-    """Takes messages of this machine's participants, and delivers those of other machines.
+    """Receives messages of this machine's participants, and delivers those of other machines.
 
-    Everything is called on the event loop.
+    All methods are called on the event loop.
 
     Args:
-        forward: takes what goes to other machines.
-        record: file with the ports; participants do not announce those of their readers again, so
-            the next relay needs them.
+        forward: called with messages for other machines.
+        record: file with the ports; participants do not repeat the announcements of their readers'
+            ports, so the next relay needs the file.
     """
 
     def __init__(self, forward: Forward, record: Path) -> None:
@@ -61,20 +64,20 @@ class Ports:
         self._loop = asyncio.get_running_loop()
         self._discovery = _open(RELAY, DISCOVERY_PORT)
         self._sender = _open(LOOPBACK, 0)
-        # who has announced each port last
+        # participant that last announced each port
         self._here: dict[int, bytes] = {}
         self._metatraffic: set[int] = set()
         self._there: dict[tuple[str, ParticipantPort], socket.socket] = {}
-        # when a participant, of this machine or of another one, has said any port
+        # time at which each participant, of this or another machine, last announced a port
         self._seen_s: dict[bytes, float] = {}
         self._saved = ""
         self._loop.add_reader(self._discovery, self._take_announcements)
         self._restore()
 
     def deliver(self, machine: str, place: ParticipantPort, message: bytes) -> None:
-        """Hand a message of another machine to this machine's participants.
+        """Deliver a message of another machine to this machine's participants.
 
-        A place that none of them has announced gets nothing: a peer reaches ROS alone.
+        Only announced ports receive messages, so that a peer can reach nothing but ROS.
         """
         announced = read_announcement(message)
         if announced.ports:
@@ -89,7 +92,7 @@ class Ports:
                 self._send(one, message)
 
     def forget(self) -> None:
-        """Close the ports of participants that have not announced themselves for a while."""
+        """Close the ports of participants without recent announcements."""
         before_s = time.monotonic() - _FORGOTTEN_S
         for participant in [one for one, seen_s in self._seen_s.items() if seen_s < before_s]:
             del self._seen_s[participant]
@@ -117,7 +120,9 @@ class Ports:
             self._forward(None, DISCOVERY, message)
 
     def _note(self, message: bytes) -> Announcement:
-        """Note the ports of one of this machine's participants; a reader may have its own."""
+        """Record the ports announced by one of this machine's participants; a reader may have its
+        own port.
+        """
         announced = read_announcement(message)
         if announced.ports:
             self._seen_s[announced.participant] = time.monotonic()
@@ -128,7 +133,9 @@ class Ports:
         return announced
 
     def _places(self, machine: str, announced: Announcement) -> dict[int, tuple[bytes, int]]:
-        """Where this machine's participants reach one of another machine, by its port there."""
+        """Local addresses of another machine's participant for this machine's participants, by its
+        remote port.
+        """
         found = {}
         self._seen_s[announced.participant] = time.monotonic()
         for port in announced.ports:
@@ -153,7 +160,7 @@ class Ports:
         try:
             made = _open(alias(machine), port)
         except OSError as error:
-            log.warning("There is no port for one of %s: %s", machine, error)
+            log.warning("A port for %s cannot be opened: %s", machine, error)
             return None
         self._loop.add_reader(made, self._take, machine, place, made)
         self._there[machine, place] = made
@@ -174,12 +181,14 @@ class Ports:
             try:
                 fresh.write_text(text, encoding="utf-8")
                 fresh.replace(self._record)
-            except OSError as error:  # also when the link is being removed
-                log.warning("The ports cannot be kept for the next relay: %s", error)
+            except OSError as error:  # also while the link is being removed
+                log.warning("The ports cannot be saved for the next relay: %s", error)
             self._saved = text
 
     def _restore(self) -> None:
-        """Take the ports over that an earlier relay has had; those in use announce themselves."""
+        """Restore the ports of an earlier relay; participants that still run announce
+        themselves.
+        """
         try:
             facts = json.loads(self._record.read_text(encoding="utf-8"))
             here = {int(port): bytes.fromhex(one) for port, one in facts["here"].items()}
@@ -191,7 +200,7 @@ class Ports:
         except FileNotFoundError:
             return
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            log.warning("%s is damaged, and ROS meets anew: %s", self._record, error)
+            log.warning("%s is damaged; ROS starts discovery again: %s", self._record, error)
             return
         self._here |= here
         self._metatraffic |= metatraffic
@@ -206,7 +215,7 @@ class Ports:
             self._forward(machine, place, message)
 
     def _send(self, port: int, message: bytes) -> None:
-        # a participant that has ended, or takes no more: UDP loses messages
+        # a participant that has ended or is overloaded: UDP may lose messages
         with suppress(BlockingIOError, ConnectionRefusedError):
             self._sender.sendto(message, (LOOPBACK, port))
 

@@ -13,12 +13,13 @@ from rn_link.machine import DISCOVERY_PORT, LOOPBACK, RELAY
 
 NAMESPACE = "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"
 BUFFER_BYTES = 4_194_304
-"""Of a participant's UDP socket: an image comes as many datagrams at once."""
+"""Size of a participant's UDP socket buffer: an image arrives as many datagrams at once."""
 LIMIT = Path("/proc/sys/net/core/rmem_max")
 
 
 def fast_dds_profile() -> str:
-    """Return the shipped profile with UDP held to the loopback interface, and the relay as a peer.
+    """Return the shipped profile with UDP restricted to the loopback interface, and the relay as a
+    peer.
 
     Processes of one machine find each other by UDP on the loopback interface, as without a link.
     """
@@ -36,7 +37,7 @@ def fast_dds_profile() -> str:
 
 
 def receive_buffer_bytes() -> int:
-    """As much as the kernel of this machine allows, at most BUFFER_BYTES."""
+    """Largest size that this machine's kernel allows, at most BUFFER_BYTES."""
     return min(BUFFER_BYTES, int(LIMIT.read_text(encoding="ascii")))
 
 

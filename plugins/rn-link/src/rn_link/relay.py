@@ -1,8 +1,8 @@
-"""The process that carries ROS between this machine and those that it is paired with.
+"""The process that relays ROS messages between this machine and its paired machines.
 
 To Fast DDS the link is UDP on the loopback interface. One relay serves all processes of a machine;
-it follows what `roboneuron link` changes, so that a machine which is removed is cut off at once.
-Standard library alone: it starts in a tenth of a second.
+it follows changes by `roboneuron link`, so that a removed machine is disconnected at once. Standard
+library only: it starts in a tenth of a second.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from roboneuron import ConfigurationError
 
 log = logging.getLogger("rn_link")
 LOOK_S = 0.5
-"""How often the relay looks for changes of the link."""
+"""Period of checks for changes of the link."""
 _ATTEMPT_S = 3.0
 _PAUSE_S = 0.5
 
 
 class Relay:
-    """Everything of one machine's link that runs, from `run` until what it serves ends."""
+    """All connections of one machine's link, from `run` until it ends."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -42,7 +42,7 @@ class Relay:
         self._state = StateFile(folder)
 
     async def run(self, ended: asyncio.Event) -> None:
-        """Carry messages until `ended` is set, or this machine has no link any more."""
+        """Relay messages until `ended` is set, or this machine has no link any more."""
         try:
             while not ended.is_set():
                 machine = read_machine(self._folder)
@@ -59,7 +59,9 @@ class Relay:
             self._ports.close()
 
     async def _follow(self, machine: Machine) -> None:
-        """Leave what was removed, and begin again where a certificate or an issuer is another."""
+        """Disconnect removed machines, and reconnect those whose certificate or issuer has
+        changed.
+        """
         found = {name: _stamps(self._folder, machine, name) for name in machine.peers}
         for name, stamps in list(self._known.items()):
             if found.get(name) != stamps:
@@ -89,14 +91,14 @@ class Relay:
                 stream.send(place, message)
 
     async def _connect(self, name: str, machine: Machine, context: ssl.SSLContext) -> None:
-        """Connect to a member, again and again."""
+        """Connect to a member, with endless retries."""
         logged = ""
         peer = machine.peers[name]
         while True:
             try:
                 async with asyncio.timeout(_ATTEMPT_S):
                     connection = await asyncio.open_connection(*peer, ssl=context)
-            except OSError as error:  # of TLS and of time, too
+            except OSError as error:  # includes TLS errors and timeouts
                 told = str(error) or "no answer"
                 self._state.unconnected(name, told, hint_for(machine, name, error))
                 if repr(error) != logged:
@@ -113,10 +115,10 @@ class Relay:
         self._state.unconnected(name, "it has not connected yet", waiting_hint(machine, name))
 
         async def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            if self._tasks.get(name) is not task:  # removed while hands were shaken
+            if self._tasks.get(name) is not task:  # removed during the handshake
                 writer.transport.abort()
                 return
-            # the hub connects again when it has lost a connection that looks alive here
+            # the hub reconnects after losing a connection that still looks alive on this side
             if name in self._streams:
                 self._streams[name].close()
             carried = asyncio.ensure_future(self._carry(name, machine, reader, writer))
@@ -129,7 +131,7 @@ class Relay:
                     accept, "0.0.0.0", machine.port, ssl=context, ssl_handshake_timeout=_ATTEMPT_S
                 )
             except OSError as error:
-                self._state.unconnected(name, str(error), "End what uses that port here.")
+                self._state.unconnected(name, str(error), "End the process that uses that port.")
                 log.warning("The link cannot listen: %s", error)
                 await asyncio.sleep(_PAUSE_S)
                 continue
@@ -154,7 +156,7 @@ class Relay:
         except (OSError, EOFError) as error:
             log.warning("The link to %s is lost: %s", name, error)
             if self._streams.get(name) is stream:
-                told = "it ended there" if isinstance(error, EOFError) else str(error)
+                told = "the other side has ended it" if isinstance(error, EOFError) else str(error)
                 self._state.unconnected(name, f"lost: {told}", hint_for(machine, name, error))
         finally:
             if self._streams.get(name) is stream:
@@ -162,7 +164,7 @@ class Relay:
 
 
 def _stamps(folder: Path, machine: Machine, name: str) -> tuple[object, ...]:
-    """What is different after a change that concerns a peer."""
+    """A value that changes with the files and settings of a peer."""
     files = ("own.pem", "own.key", f"peers/{name}.issuer.pem")
     stamps = tuple(_stamp(folder / file) for file in files)
     return (machine.role, machine.port, machine.peers[name], stamps)
@@ -171,14 +173,14 @@ def _stamps(folder: Path, machine: Machine, name: str) -> tuple[object, ...]:
 def _stamp(path: Path) -> int:
     try:
         return path.stat().st_mtime_ns
-    except FileNotFoundError:  # it is being changed
+    except FileNotFoundError:  # it is being replaced
         return 0
 
 
 async def serve(folder: Path) -> None:
     """Relay until standard input ends, or this machine has no link any more."""
     ended = asyncio.Event()
-    # its other end is in the process that started this one, and closes with it
+    # the other end is in the parent process, and closes with it
     asyncio.get_running_loop().add_reader(sys.stdin.fileno(), ended.set)
     while not ended.is_set():
         try:
@@ -192,6 +194,6 @@ async def serve(folder: Path) -> None:
 
 if __name__ == "__main__":
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s")
-    # it warns of what is written after the other side has closed
+    # asyncio warns of data written after the other side has closed
     logging.getLogger("asyncio").setLevel(logging.ERROR)
     asyncio.run(serve(link_folder()))

@@ -1,7 +1,7 @@
-"""RTPS messages on their way between machines: what they announce, and addresses put right.
+"""RTPS messages between machines: reading of announcements, and replacement of addresses.
 
-A participant of the link announces the loopback address, which on another machine is another
-loopback. There the relay takes its messages at an address of its own for that machine.
+A participant of the link announces the loopback address, which is a different host on another
+machine. There, the relay receives its messages at a local address that represents that machine.
 
 Source: OMG DDSI-RTPS 2.5, 8.3.3 (messages), 9.3.2 (locators), 9.6.2 (discovery parameters).
 """
@@ -19,7 +19,7 @@ _MESSAGE: Final = b"RTPS"
 _PARTICIPANT: Final = slice(8, 20)
 _DATA: Final = 0x15
 _BUILTIN: Final = (0xC2, 0xC3)
-"""Kinds of the writers of discovery, with and without key."""
+"""Entity kinds of the discovery writers, with and without key."""
 _METATRAFFIC: Final = 0x32
 _LOCATOR: Final = re.compile(
     # unicast of an endpoint, default unicast, metatraffic unicast; 24 bytes, UDPv4, little-endian
@@ -32,12 +32,12 @@ _DOMAIN_PORTS: Final = 250
 
 @dataclass(frozen=True, slots=True)
 class Announcement:
-    """What a message of discovery says of its sender.
+    """Contents of a discovery message.
 
     Attributes:
-        participant: 12 bytes, unlike those of all other participants, also of earlier ones.
-        ports: UDP ports at which the sender takes messages.
-        metatraffic: those of them for discovery.
+        participant: 12 bytes, unique among all participants, including earlier ones.
+        ports: UDP ports at which the sender receives messages.
+        metatraffic: the ones for discovery.
     """
 
     participant: bytes
@@ -46,12 +46,12 @@ class Announcement:
 
     @property
     def domains(self) -> frozenset[int]:
-        """ROS domains of the sender; empty when it names no port, as one that leaves."""
+        """ROS domains of the sender; empty if it names no port, for instance when it leaves."""
         return frozenset(map(domain_of, self.metatraffic))
 
 
 def domain_of(port: int) -> int:
-    """The ROS domain that a port of discovery belongs to."""
+    """The ROS domain of a discovery port."""
     return (port - _PORT_BASE) // _DOMAIN_PORTS
 
 
@@ -70,10 +70,10 @@ def read_announcement(message: bytes) -> Announcement:
 
 
 def with_places(message: bytes, places: Mapping[int, tuple[bytes, int]]) -> bytes:
-    """Return the message with other places instead of the loopback ports that it announces.
+    """Return the message with the announced loopback ports replaced by other addresses.
 
     Args:
-        places: address (4 bytes) and port, by port.
+        places: new address (4 bytes) and port, by announced port.
     """
     changed = bytearray(message)
     for begin, end in _discovery_data(message):
@@ -88,16 +88,16 @@ def with_places(message: bytes, places: Mapping[int, tuple[bytes, int]]) -> byte
 
 
 def _discovery_data(message: bytes) -> Iterator[tuple[int, int]]:
-    """Where the data of discovery begins and ends; data of users may hold anything."""
+    """Ranges of discovery data; user data may contain anything and is skipped."""
     if not message.startswith(_MESSAGE):
         return
     begin = _HEADER_BYTES
     while begin + 4 <= len(message):
         kind, flags = message[begin], message[begin + 1]
         (length,) = struct.unpack_from("<H" if flags & 1 else ">H", message, begin + 2)
-        # 0: up to the end of the message
+        # 0: until the end of the message
         end = begin + 4 + length if length else len(message)
-        # flags, offset, reader and writer come first
+        # preceded by flags, offset, reader and writer
         if kind == _DATA and begin + 16 <= len(message) and message[begin + 15] in _BUILTIN:
             yield begin + 16, min(end, len(message))
         begin = end

@@ -1,6 +1,6 @@
-"""Which machines are connected now, as the relay says to whoever asks.
+"""Connections of the machines, published by the relay in a file.
 
-Standard library alone, as the relay.
+Standard library only, like the relay.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rn_link.machine import Machine
 
 log = logging.getLogger("rn_link")
 STATE, LOCK = "relay.json", "relay.lock"
-"""Files of the link's folder; the relay that runs holds the lock."""
+"""Files of the link's folder; a running relay holds the lock."""
 _UNREACHABLE = (errno.EHOSTUNREACH, errno.ENETUNREACH, errno.EHOSTDOWN)
 
 
@@ -28,9 +28,9 @@ class PeerConnection:
     """The connection to one machine.
 
     Attributes:
-        since: when it was made, ISO 8601 in UTC; empty while there is none.
-        error: why there is none, or why the one before ended.
-        hint: what to do.
+        since: time of connection, ISO 8601 in UTC; empty while not connected.
+        error: why there is none, or why the last one ended.
+        hint: remedy.
     """
 
     since: str = ""
@@ -39,27 +39,27 @@ class PeerConnection:
 
     @property
     def is_open(self) -> bool:
-        """The machine is connected."""
+        """True if the machine is connected."""
         return bool(self.since)
 
 
 class StateFile:
-    """The connections of this machine, kept in a file from the relay's start on."""
+    """The connections of this machine, stored in a file from the relay's start on."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / STATE
         self._peers: dict[str, PeerConnection] = {}
 
     def connected(self, name: str) -> None:
-        """A connection was made."""
+        """Set a machine as connected."""
         self._keep(name, PeerConnection(since=datetime.now(UTC).isoformat(timespec="seconds")))
 
     def unconnected(self, name: str, error: str, hint: str) -> None:
-        """There is none, or no more."""
+        """Set a machine as not connected."""
         self._keep(name, PeerConnection(error=error, hint=hint))
 
     def forget(self, name: str) -> None:
-        """The machine was removed."""
+        """Delete a removed machine."""
         if self._peers.pop(name, None) is not None:
             self._write()
 
@@ -74,12 +74,12 @@ class StateFile:
         try:
             fresh.write_text(text, encoding="utf-8")
             fresh.replace(self._path)
-        except OSError as error:  # also when the link is being removed
-            log.warning("What is connected cannot be kept: %s", error)
+        except OSError as error:  # also while the link is being removed
+            log.warning("The state of the connections cannot be saved: %s", error)
 
 
 def read_connections(folder: Path) -> dict[str, PeerConnection] | None:
-    """The connections by machine, as the relay of this machine says; None when none runs."""
+    """The connections by machine, as stored by this machine's relay; None if no relay runs."""
     try:
         lock = os.open(folder / LOCK, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:
@@ -99,12 +99,12 @@ def read_connections(folder: Path) -> dict[str, PeerConnection] | None:
 
 
 def hint_for(machine: Machine, name: str, error: BaseException) -> str:
-    """What a person can do about an attempt that has failed.
+    """Remedy for a failed connection attempt.
 
     Args:
-        machine: this one.
-        name: the other one.
-        error: of the attempt or of the connection.
+        machine: this machine.
+        name: name of the other machine.
+        error: error of the attempt or of the connection.
     """
     peer = machine.peers[name]
     if isinstance(error, ssl.SSLCertVerificationError) and error.verify_code == 10:
@@ -116,12 +116,12 @@ def hint_for(machine: Machine, name: str, error: BaseException) -> str:
     if isinstance(error, TimeoutError) or (
         isinstance(error, OSError) and error.errno in _UNREACHABLE
     ):
-        return f"Is {name} on, {peer.address} its address, and TCP {peer.port} open there?"
-    return f"Look at {name} and at the network between; it is tried again."
+        return f"Is {name} on, {peer.address} its address, and its TCP port {peer.port} open?"
+    return f"Check {name} and the network; the connection is retried."
 
 
 def waiting_hint(machine: Machine, name: str) -> str:
-    """What a person can do where a member has not been connected to."""
+    """Remedy for a member that the hub has not connected to."""
     return (
         f"Start RoboNeuron on {name}, or `roboneuron link run`; it has to reach TCP {machine.port} "
         "here."

@@ -1,4 +1,4 @@
-"""The encrypted connection to one other machine, which carries datagrams."""
+"""The encrypted connection to one other machine, which transports datagrams."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from rn_link.tls import valid_until
 
 HEARTBEAT_S = 0.5
 SILENT_BEATS = 6
-"""A connection that brought nothing for this many heartbeats is given up: 3 s."""
+"""Heartbeats without received data after which a connection is given up: 3 s."""
 OLD_S = 0.5
-"""What waited this long to be sent is dropped; reliable writers send it again."""
+"""Queueing time after which a message is dropped; reliable writers send it again."""
 MOST_WAITING_BYTES = 8_388_608
 _HEADER = struct.Struct(f">{PARTICIPANT_BYTES}sHH")
 _UNSENT_BYTES = 131_072
-"""More waits here, where it can grow old, and not in the kernel."""
+"""Limit of data in the transport; more waits in this queue, where it can expire, and not in the
+kernel.
+"""
 _BEAT = _HEADER.pack(*DISCOVERY, 0)
 Deliver = Callable[[ParticipantPort, bytes], None]
 
@@ -33,10 +35,10 @@ class LinkStream:
     def __init__(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, deliver: Deliver
     ) -> None:
-        """Args: what has shaken hands already; `deliver` gets what comes.
+        """Args: streams after the handshake; `deliver` is called with received messages.
 
         Raises:
-            ssl.SSLError: the other side has shown no certificate.
+            ssl.SSLError: the other side has sent no certificate.
         """
         self._reader = reader
         self._writer = writer
@@ -54,10 +56,10 @@ class LinkStream:
         raw.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, _UNSENT_BYTES)
 
     async def run(self) -> None:
-        """Carry messages until the connection ends.
+        """Transport messages until the connection ends.
 
         Raises:
-            OSError, EOFError: how it has ended.
+            OSError, EOFError: the reason of its end.
         """
         tasks = [
             asyncio.ensure_future(one) for one in (self._receive(), self._write(), self._beat())
@@ -73,7 +75,7 @@ class LinkStream:
             await asyncio.gather(*tasks, return_exceptions=True)
 
     def send(self, place: ParticipantPort, message: bytes) -> None:
-        """Send a message when there is room; what waits too long is dropped."""
+        """Queue a message; messages that wait too long are dropped."""
         self._waiting.append((time.monotonic(), _HEADER.pack(*place, len(message)) + message))
         self._waiting_bytes += len(message)
         while self._waiting_bytes > MOST_WAITING_BYTES:
@@ -110,12 +112,14 @@ class LinkStream:
                 self._deliver(ParticipantPort(*place), message)
 
     async def _beat(self) -> None:
-        """Beats are counted, not seconds: a machine that was busy itself has not heard either."""
+        """Send heartbeats and count those without received data. Seconds are not counted, because a
+        machine that was busy has not received anything either.
+        """
         while self._silent_beats < SILENT_BEATS and datetime.now(UTC) < self._valid_until:
             self._waiting.append((time.monotonic(), _BEAT))
             self._more.set()
             await asyncio.sleep(HEARTBEAT_S)
             self._silent_beats += 1
         if self._silent_beats >= SILENT_BEATS:
-            raise TimeoutError(f"nothing came for {SILENT_BEATS * HEARTBEAT_S:g} s")
+            raise TimeoutError(f"nothing was received for {SILENT_BEATS * HEARTBEAT_S:g} s")
         raise ssl.SSLError("the certificate of the other side has expired")

@@ -1,6 +1,7 @@
-"""TLS between the machines of the link: both sides show a certificate of the other's issuer.
+"""TLS between the machines of the link: each side must send a certificate of the issuer that the
+other trusts.
 
-Standard library alone, as everything that the relay imports.
+Standard library only, like all imports of the relay.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from rn_link.machine import Machine
 
 
 def tls_context(machine: Machine, folder: Path, peer: str) -> ssl.SSLContext:
-    """Return what this machine talks to `peer` with: the hub connects, members listen.
+    """Return the TLS context for `peer`: the hub connects, members listen.
 
     Raises:
         OSError: key or certificates cannot be used.
@@ -21,7 +22,7 @@ def tls_context(machine: Machine, folder: Path, peer: str) -> ssl.SSLContext:
     connects = machine.role == "hub"
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT if connects else ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_3
-    # the issuer names the machine: each has one of its own, which issues for nobody else
+    # the issuer identifies the machine: each has its own, which issues for no other
     context.check_hostname = False
     context.verify_mode = ssl.CERT_REQUIRED
     context.load_cert_chain(folder / "own.pem", folder / "own.key")
@@ -30,13 +31,13 @@ def tls_context(machine: Machine, folder: Path, peer: str) -> ssl.SSLContext:
 
 
 def valid_until(connection: ssl.SSLObject) -> datetime:
-    """When the certificate of the other side expires.
+    """Expiry of the other side's certificate.
 
     Raises:
-        ssl.SSLError: it has shown none.
+        ssl.SSLError: it has sent none.
     """
     certificate = connection.getpeercert()
     if not certificate:
-        raise ssl.SSLError("the other side has shown no certificate")
+        raise ssl.SSLError("the other side has sent no certificate")
     seconds = ssl.cert_time_to_seconds(str(certificate["notAfter"]))
     return datetime.fromtimestamp(seconds, UTC)

@@ -25,52 +25,54 @@ from roboneuron import ConfigurationError
 
 _DAYS = 365
 _PAIRING_PORT = 7410
-_RESTART = "Start the server and its modules again here, if they ran before the first pairing."
-_NO_RELAY = "No relay runs here: start RoboNeuron, or `roboneuron link run`."
-_FOLLOWS = "What runs here follows within two seconds."
+_RESTART = "Restart the server and its modules if they were running before the first pairing."
+_NO_RELAY = "No relay is running: start RoboNeuron, or `roboneuron link run`."
+_FOLLOWS = "Running processes follow within two seconds."
 
 
 class LinkCommand:
-    """Pair machines, and show or remove what is paired.
+    """Pair machines, and show or remove paired ones.
 
     The robot's machine is the hub: `init`, then `add` for each other machine, which joins with
     `init --join`.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
-        """Arguments of `roboneuron link`."""
+        """Add the arguments of `roboneuron link`."""
         actions = parser.add_subparsers(
-            dest="action", required=True, metavar="ACTION", help="what to do (each: --help)"
+            dest="action", required=True, metavar="ACTION", help="action to run (each has --help)"
         )
         init = actions.add_parser(
             "init", help="make this machine the hub, renew its certificate, or join a hub"
         )
-        init.add_argument("--name", help="of this machine; default: its host name")
+        init.add_argument("--name", help="name of this machine; default: its host name")
         init.add_argument("--join", metavar="ADDRESS[:PORT]", help="hub to join as a member")
         init.add_argument(
-            "--port", type=int, default=PORT, help="that a member listens on (%(default)s)"
+            "--port", type=int, default=PORT, help="port that a member listens on (%(default)s)"
         )
         add = actions.add_parser("add", help="admit a member: shows a code for its `init --join`")
-        add.add_argument("name", metavar="NAME", help="that it gets")
-        add.add_argument("--address", help="that it is reached at; default: where it comes from")
-        add.add_argument("--port", type=int, default=_PAIRING_PORT, help="to pair on (%(default)s)")
+        add.add_argument("name", metavar="NAME", help="name of the member")
+        add.add_argument("--address", help="address of the member; default: that of its request")
+        add.add_argument(
+            "--port", type=int, default=_PAIRING_PORT, help="pairing port (%(default)s)"
+        )
         for one in (init, add):
             one.add_argument(
                 "--days", type=int, default=_DAYS, help="validity of the certificate (%(default)s)"
             )
         show = actions.add_parser("show", help="machines, addresses and dates")
         show.add_argument("--json", action="store_true", help="for programs")
-        actions.add_parser("run", help="keep this machine linked, where no server does")
+        actions.add_parser("run", help="keep this machine linked without a server")
         remove = actions.add_parser(
             "remove", help="revoke a member; or leave the link, on a member or with --all"
         )
         chosen = remove.add_mutually_exclusive_group(required=True)
-        chosen.add_argument("name", metavar="NAME", nargs="?", help="as `show` names it")
+        chosen.add_argument("name", metavar="NAME", nargs="?", help="name shown by `show`")
         chosen.add_argument("--all", action="store_true", help="remove keys and authority too")
 
     def findings(self) -> Sequence[tuple[bool, str, str]]:
-        """For each paired machine whether it is connected now, what is seen, and what to do; asked
-        by `roboneuron doctor`.
+        """Findings for `roboneuron doctor`: for each paired machine whether it is connected, a
+        description, and a remedy.
 
         Raises:
             ConfigurationError: the link's file is damaged.
@@ -82,11 +84,11 @@ class LinkCommand:
         connections = read_connections(folder)
         if connections is None:
             others = ", ".join(machine.peers)
-            return [(False, f"The link to {others} is not carried now.", _NO_RELAY)]
+            return [(False, f"The link to {others} is down: no relay is running.", _NO_RELAY)]
         now, found = datetime.now(UTC), []
         for name in machine.peers:
             one = _connection(connections, name)
-            hint = "" if one.is_open else one.hint or "Look again in a moment."
+            hint = "" if one.is_open else one.hint or "Check again in a moment."
             found.append((one.is_open, f"The machine {name} is {_spoken(one, now)}.", hint))
         return found
 
@@ -132,7 +134,7 @@ def _join(folder: Path, arguments: Namespace) -> None:
     if found is not None and found.role == "hub":
         raise ConfigurationError(
             f"This machine is itself a hub, {found.name}.",
-            hint="Type `roboneuron link remove --all` first, if its members may lose it.",
+            hint="Type `roboneuron link remove --all` first, if its members no longer need it.",
         )
     port_here = check_port(arguments.port)
     sys.stderr.write(f"Code that {address} shows: ")
@@ -169,7 +171,7 @@ def _show(folder: Path, as_json: bool) -> None:
         if as_json:
             _say("{}")
         else:
-            _say("This machine has no link. `roboneuron link init` makes one.")
+            _say("This machine has no link. `roboneuron link init` creates one.")
         return
     from rn_link.certificates import expiries  # heavy
 
@@ -208,7 +210,7 @@ def _connection(connections: Mapping[str, PeerConnection], name: str) -> PeerCon
 
 
 def _spoken(connection: PeerConnection, now: datetime) -> str:
-    """Whether a machine is connected, in words."""
+    """State of a connection in words."""
     if not connection.is_open:
         return f"NOT connected: {connection.error}"
     seconds = max(0, int((now - datetime.fromisoformat(connection.since)).total_seconds()))
@@ -254,12 +256,12 @@ def _remove(folder: Path, arguments: Namespace) -> None:
 
 
 def host_name() -> str:
-    """This machine's name, in the form that the link takes."""
+    """This machine's name, in the form that the link accepts."""
     return re.sub(r"[^a-z0-9-]+", "-", socket.gethostname().lower()).strip("-")[:31] or "robot"
 
 
 def check_code(text: str) -> str:
-    """Raises ConfigurationError for what is not six digits, spaces aside."""
+    """Raise ConfigurationError unless it is six digits, ignoring spaces."""
     code = "".join(text.split())
     if not (len(code) == 6 and code.isascii() and code.isdecimal()):
         raise ConfigurationError(

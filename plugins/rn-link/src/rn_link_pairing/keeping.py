@@ -1,4 +1,4 @@
-"""Changes of this machine's part of the link: all files of it, written here alone."""
+"""Changes of this machine's part of the link; the only module that writes its files."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def read_hub(folder: Path) -> Machine:
 
 
 def become_hub(folder: Path, name: str, now: datetime, days: int) -> Machine:
-    """Make the certificate authority and this machine's certificate, or renew the certificate.
+    """Create the certificate authority and this machine's certificate, or renew the certificate.
 
     Raises:
         ConfigurationError: this machine is a member of another link.
@@ -71,12 +71,12 @@ def become_hub(folder: Path, name: str, now: datetime, days: int) -> Machine:
 def add_member(
     folder: Path, name: str, peer: Peer, key: ec.EllipticCurvePublicKey, now: datetime, days: int
 ) -> x509.Certificate:
-    """Admit a machine, in place of an earlier one of that name, and return its certificate.
+    """Admit a machine, replacing an earlier one of that name, and return its certificate.
 
-    The key of its issuer is forgotten: nobody can issue another one for it.
+    The key of its issuer is discarded, so that no further certificate can be issued with it.
 
     Raises:
-        ConfigurationError: this machine is not the hub, or cannot take that name.
+        ConfigurationError: this machine is not the hub, or the name cannot be used.
     """
     hub = read_hub(folder)
     _check_alias(name, hub)
@@ -104,7 +104,9 @@ def become_member(
     certificate: x509.Certificate,
     trusted: x509.Certificate,
 ) -> None:
-    """Keep what a hub has issued for this machine; `trusted` is the issuer of the hub."""
+    """Store the certificates issued by a hub for this machine; `trusted` is the issuer of the
+    hub.
+    """
     _make_folder(folder)
     (hub,) = machine.peers
     write_private(folder / "own.key", key_to_pem(key))
@@ -144,7 +146,7 @@ def remove_all(folder: Path) -> None:
     """
     if not folder.is_dir():
         raise ConfigurationError("This machine has no link.", hint="There is nothing to remove.")
-    # first what makes processes use it
+    # first the file that makes processes use the link
     (folder / "link.json").unlink(missing_ok=True)
     shutil.rmtree(folder)
 
@@ -156,6 +158,6 @@ def _make_folder(folder: Path) -> None:
 
 
 def _publish(folder: Path, machine: Machine) -> None:
-    """Write what processes read; the entry that makes them use it is the last."""
+    """Write the files that processes read; last the one that makes them use the link."""
     write_private(folder / "fastdds.xml", fast_dds_profile().encode())
     write_private(folder / "link.json", machine.to_json().encode())

@@ -1,6 +1,6 @@
 """The pairing of two machines: the hub shows a code, a person types it at the member.
 
-Both prove that they know it before either believes the other (see `pake`). The member's key never
+Both prove that they know it before either trusts the other (see `pake`). The member's key never
 leaves it: the hub gets a signed request.
 """
 
@@ -29,7 +29,7 @@ from roboneuron import ConfigurationError
 PAIRING_PORT = 7410
 PAIRING_S = 300.0
 ATTEMPTS = 3
-"""Each can try one of a million codes."""
+"""Number of attempts; each tries one of a million codes."""
 _ATTEMPT_S = 10.0
 _SESSION = 16
 
@@ -58,10 +58,10 @@ class PairingHub:
     """The hub's side: admits one machine.
 
     Args:
-        folder: of the hub's link.
-        name: that the member gets.
-        address: that it is reached at; None: where it connects from.
-        days: how long its certificate is valid.
+        folder: folder of the hub's link.
+        name: name of the member.
+        address: address of the member; None for that of its connection.
+        days: validity of its certificate [days].
         notify: called with a sentence for the person about each failed attempt.
     """
 
@@ -82,10 +82,10 @@ class PairingHub:
         self._hub = read_hub(folder)
 
     def serve(self, listener: socket.socket, code: str, limit_s: float = PAIRING_S) -> Peer:
-        """Return the machine that knew the code.
+        """Pair with the machine that knows the code, and return it.
 
         Raises:
-            ConfigurationError: none did within `limit_s` [s] and ATTEMPTS.
+            ConfigurationError: none within `limit_s` [s] and ATTEMPTS.
         """
         end_s = time.monotonic() + limit_s
         failed = 0
@@ -104,21 +104,21 @@ class PairingHub:
                     return self._admit(wire, code, address)
                 except (PairingError, OSError) as error:
                     self._notify(f"{address}: {error}.")
-                    # what knows no code and sends nothing has tried none
+                    # a connection that sends nothing has tried no code
                     failed += isinstance(error, WrongCodeError)
         raise ConfigurationError(
-            f"{ATTEMPTS} attempts had a wrong code, which is void now.",
+            f"{ATTEMPTS} attempts had a wrong code; the code is no longer valid.",
             hint=f"Type `roboneuron link add {self._name}` again for a new code.",
         )
 
     def _admit(self, wire: Wire, code: str, address: str) -> Peer:
         session, share = map(to_bytes, wire.receive("session", "share"))
         if len(session) != _SESSION:
-            raise PairingError("the other side does not speak this protocol")
+            raise PairingError("the other side does not use this protocol")
         exchange = Exchange(code, session)
         to_hub, to_member = exchange.keys(share, is_hub=True)
         try:
-            # from here on the other side can try a code, whether or not it answers
+            # from here on the other side can try a code, even without answering
             wire.send(share=exchange.share.hex())
             (sealed,) = wire.receive("sealed")
             content = to_hub.open(to_bytes(sealed))
@@ -151,7 +151,7 @@ def _port(text: str) -> int:
 
 
 def _key(request: str) -> ec.EllipticCurvePublicKey:
-    """The key in a request that its owner has signed."""
+    """The key in a request that is signed with it."""
     try:
         found = x509.load_pem_x509_csr(request.encode())
         key = found.public_key()
@@ -168,7 +168,7 @@ def join(
     """Become a member of the link of the hub at that address, and return this machine's part.
 
     Raises:
-        ConfigurationError: the hub does not answer, or the code is not its code.
+        ConfigurationError: the hub does not answer, or the code is wrong.
     """
     key = new_key()
     deadline_s = time.monotonic() + limit_s
@@ -188,7 +188,7 @@ def join(
     except OSError as error:
         raise ConfigurationError(
             f"No hub answers at {address}, port {port}: {error.strerror or error}.",
-            hint="Type `roboneuron link add NAME` there first, and let TCP through.",
+            hint="Type `roboneuron link add NAME` on the hub first, and allow TCP to that port.",
         ) from error
     hub, name, *texts = parse(content, "hub", "name", "certificate", "trusted")
     certificate, trusted = (x509.load_pem_x509_certificate(one.encode()) for one in texts)

@@ -1,4 +1,4 @@
-"""CPace: a strong key from a six-digit code, of which each attempt can try one.
+"""CPace: a strong key from a six-digit code; each attempt can try one code.
 
 Source: draft-irtf-cfrg-cpace, group X25519 with SHA-512; the map is Elligator 2 (RFC 9380, 6.7.1).
 """
@@ -19,15 +19,15 @@ _PRIME = 2**255 - 19
 _A = 486662
 _BLOCK = 128
 _NONCE = bytes(12)
-"""Each key seals one message."""
+"""Constant nonce: each key seals one message."""
 
 
 class PairingError(ValueError):
-    """The other side does not know the code, or does not speak this protocol."""
+    """The other side does not know the code, or does not use this protocol."""
 
 
 def generator(code: bytes, parties: bytes, session: bytes) -> bytes:
-    """The point of the curve that stands for the code, as its u coordinate."""
+    """The u coordinate of the curve's point for the code."""
     padding = max(0, _BLOCK - 1 - len(_framed(code)) - len(_framed(_DOMAIN)))
     parts = (_DOMAIN, code, bytes(padding), parties, session)
     digest = hashlib.sha512(b"".join(map(_framed, parts))).digest()[:32]
@@ -40,7 +40,9 @@ def generator(code: bytes, parties: bytes, session: bytes) -> bytes:
 
 
 def _framed(part: bytes) -> bytes:
-    """With its length before it; a length beyond 127 takes more bytes in the draft."""
+    """Prefix a part with its length; lengths beyond 127, which take more bytes in the draft, are
+    refused.
+    """
     if len(part) > 127:
         raise PairingError("a part of the pairing is too long")
     return bytes([len(part)]) + part
@@ -56,8 +58,8 @@ class Exchange:
     """One side of one attempt.
 
     Args:
-        code: that the person typed or the hub shows.
-        session: random, the member's.
+        code: the code typed by the person or shown by the hub.
+        session: random bytes from the member.
     """
 
     def __init__(self, code: str, session: bytes) -> None:
@@ -69,14 +71,14 @@ class Exchange:
     def _times(self, point: bytes) -> bytes:
         try:
             return self._secret.exchange(X25519PublicKey.from_public_bytes(point))
-        except ValueError as error:  # a point of small order, which would fix the key
+        except ValueError as error:  # a point of small order, which would determine the key
             raise PairingError("the other side sent no valid share") from error
 
     def keys(self, other: bytes, *, is_hub: bool) -> tuple[Sealer, Sealer]:
-        """Return what seals the member's message and the hub's.
+        """Return the sealers of the member's message and the hub's.
 
         Raises:
-            PairingError: the share of the other side is none.
+            PairingError: the share of the other side is invalid.
         """
         secret = self._times(other)
         member, hub = (other, self.share) if is_hub else (self.share, other)
@@ -85,7 +87,7 @@ class Exchange:
 
 
 class Sealer:
-    """Seals and opens the one message of a direction."""
+    """Seals and opens the only message of one direction."""
 
     def __init__(self, material: bytes, direction: bytes) -> None:
         key = HKDF(hashes.SHA256(), 32, None, b"roboneuron link 1, " + direction).derive(material)

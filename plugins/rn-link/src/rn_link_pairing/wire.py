@@ -1,4 +1,4 @@
-"""Messages of a pairing over TCP: JSON objects with their length before them."""
+"""Messages of a pairing over TCP: JSON objects with a length prefix."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ class Wire:
         self._connection.sendall(_LENGTH.pack(len(content)) + content)
 
     def receive(self, *names: str) -> list[str]:
-        """Return these fields of the next message, all of which are texts.
+        """Return these text fields of the next message.
 
         Raises:
-            PairingError: it is no such message.
-            OSError: it did not come in time.
+            PairingError: it is malformed.
+            OSError: it did not arrive in time.
         """
         (length,) = _LENGTH.unpack(self._read(_LENGTH.size))
         if length > MOST_BYTES:
-            raise PairingError("the other side does not speak this protocol")
+            raise PairingError("the other side does not use this protocol")
         return parse(self._read(length), *names)
 
     def _read(self, size: int) -> bytes:
@@ -56,14 +56,14 @@ class Wire:
 
 
 def parse(content: bytes, *names: str) -> list[str]:
-    """Return fields of a JSON object, all of which are texts; raises PairingError."""
+    """Return text fields of a JSON object; raises PairingError."""
     try:
         fields = json.loads(content)
         found = [fields[name] for name in names]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise PairingError("the other side does not speak this protocol") from error
+        raise PairingError("the other side does not use this protocol") from error
     if not all(isinstance(one, str) for one in found):
-        raise PairingError("the other side does not speak this protocol")
+        raise PairingError("the other side does not use this protocol")
     return found
 
 
@@ -72,4 +72,4 @@ def to_bytes(text: str) -> bytes:
     try:
         return bytes.fromhex(text)
     except ValueError as error:
-        raise PairingError("the other side does not speak this protocol") from error
+        raise PairingError("the other side does not use this protocol") from error

@@ -1,5 +1,5 @@
-"""From packed weights to a folder in the public OpenVLA-OFT layout, which rn-backend-oft loads as
-any other.
+"""Conversion of packed weights to a folder in the public OpenVLA-OFT layout, which rn-backend-oft
+loads like any other.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ OPTIONS: Mapping[str, object] = {
     "constants": "bridge",
     "proprio": True,
 }
-"""Options of the backend that the weights were trained for, but for `checkpoint`."""
+"""Options of the backend for which the weights were trained, without `checkpoint`."""
 CONFIGURATION_FILE = "roboneuron.toml"
 SERVED_FILE = "policies.toml"
 
@@ -56,9 +56,9 @@ def unpack(packed: Packed, directory: Path, becomes: Path | None = None) -> None
     """Write config.json, weights, processor, tokenizer, statistics, head and projector into a new
     or empty folder.
 
-    Beside them a roboneuron.toml that runs this checkpoint on the simulated robot, and a
-    policies.toml that serves it to robots of other machines; they name the folder `becomes`, if it
-    is to be renamed.
+    Also writes a roboneuron.toml that runs this checkpoint on the simulated robot, and a
+    policies.toml that serves it to robots on other machines; both contain the folder `becomes`, if
+    it will be renamed.
 
     Raises:
         ConfigurationError: the folder is not empty.
@@ -91,8 +91,8 @@ def unpack(packed: Packed, directory: Path, becomes: Path | None = None) -> None
 
 
 def shipped_configuration(output: Path) -> Path:
-    """Unpack the shipped weights below `output`; returns the configuration that runs them on the
-    simulated robot.
+    """Unpack the shipped weights into a folder of `output`; returns the configuration that runs
+    them on the simulated robot.
 
     Raises:
         ConfigurationError: this build has no weights.
@@ -125,7 +125,7 @@ def served(directory: Path) -> str:
 
 
 def _tables(name: str, first: Mapping[str, object]) -> list[str]:
-    """The table of that name with `first` and the options of the backend."""
+    """TOML of the table `name`, with `first` and the options of the backend."""
     options = {**first, **OPTIONS}
     own = options.pop("own_profile")
     assert isinstance(own, Mapping)
@@ -137,7 +137,7 @@ def _toml(values: Mapping[str, object]) -> list[str]:
 
 
 def _write_model(packed: Packed, directory: Path) -> None:
-    """The base model; what the packed file leaves out is zero."""
+    """Write the base model; tensors missing in the packed file are zero."""
     tensors: dict[str, Tensor] = {}
     for name, weight in OpenvlaCheckpoint.read(directory).shards[0].weights.items():
         if name == EMBEDDING:
@@ -149,7 +149,7 @@ def _write_model(packed: Packed, directory: Path) -> None:
             value = torch.zeros(weight.shape, dtype=torch.bfloat16)
         if tuple(value.shape) != tuple(weight.shape):
             raise ConfigurationError(
-                f"{name} has shape {tuple(value.shape)}, the layout says {tuple(weight.shape)}."
+                f"{name} has shape {tuple(value.shape)}, the layout has {tuple(weight.shape)}."
             )
         tensors[name] = value.contiguous()
     save_file(tensors, directory / "model.safetensors", metadata={"format": "pt"})

@@ -22,16 +22,16 @@ _FUSE_HELP = "compile the layers: half the time; needs C++"
 
 
 class CubesPolicy:
-    """A small learned policy for the suite "cubes": from nothing to a checkpoint in the OpenVLA-OFT
-    layout.
+    """A small learned policy for the suite "cubes": training, and export as a checkpoint in the
+    OpenVLA-OFT layout.
     """
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron cubes-policy`."""
         actions = parser.add_subparsers(
-            dest="action", required=True, metavar="ACTION", help="what to do"
+            dest="action", required=True, metavar="ACTION", help="action to run"
         )
-        train = actions.add_parser("train", help="make demonstrations and train, or go on with it")
+        train = actions.add_parser("train", help="make demonstrations and train, or continue")
         train.add_argument(
             "--out", type=Path, default=DEFAULT_DIRECTORY, help="default: %(default)s"
         )
@@ -43,10 +43,10 @@ class CubesPolicy:
             action="append",
             default=[],
             metavar="NAME=VALUE",
-            help="another value of the recipe: steps=500",
+            help="set a value of the recipe: steps=500",
         )
         train.add_argument(
-            "--until", type=int, metavar="STEP", help="stop there, to go on another time"
+            "--until", type=int, metavar="STEP", help="stop at this step, to continue later"
         )
         train.add_argument(
             "--workers", type=int, default=1, help="processes that make demonstrations (default: 1)"
@@ -58,10 +58,10 @@ class CubesPolicy:
         _configure_improve(
             actions.add_parser(
                 "improve",
-                help="train on what the policy fails at, compare, promote if it is not worse",
+                help="train on the policy's failures, compare, promote if it is not worse",
             )
         )
-        rollback = actions.add_parser("rollback", help="return to the policy before the promoted")
+        rollback = actions.add_parser("rollback", help="return to the policy before the promotion")
         rollback.add_argument(
             "--out", type=Path, default=IMPROVED_DIRECTORY, help="default: %(default)s"
         )
@@ -107,26 +107,26 @@ def _configure_improve(parser: ArgumentParser) -> None:
     )
     for name, default, text in (
         ("shards", 8, "shards of demonstrations"),
-        ("rollouts", 3, "shards of what the champion itself comes into, labelled by the teacher"),
-        ("views", 256, "pictures of a shard"),
-        ("steps", 300, "of the training"),
+        ("rollouts", 3, "shards of the champion's own rollouts, labelled by the teacher"),
+        ("views", 256, "images of a shard"),
+        ("steps", 300, "training steps"),
         ("seeds", 40, "unseen scenes of the evaluation"),
     ):
         add(f"--{name}", type=int, default=default, help=f"{text} (default: %(default)s)")
-    add("--time-limit", type=float, default=30.0, metavar="S", help="of a scene (default: 30)")
+    add("--time-limit", type=float, default=30.0, metavar="S", help="of a scene [s] (default: 30)")
     add(
         "--set",
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help="another value of the training's recipe: rate=0.0005",
+        help="set a value of the training's recipe: rate=0.0005",
     )
     add("--threads", type=int, default=1, help="threads of the training on a CPU (default: 1)")
     add("--fuse", action="store_true", help=_FUSE_HELP)
 
 
 def _improve(arguments: Namespace) -> int:
-    """Status 0 also when the champion stays."""
+    """Run the rounds; status 0 also if the champion stays."""
     os.environ["OMP_NUM_THREADS"] = str(arguments.threads)
     import torch
     from pydantic import ValidationError
@@ -192,7 +192,7 @@ def _train(arguments: Namespace) -> int:
 
 
 def _say(line: str) -> None:
-    """Print at once, also into a file or a pipe."""
+    """Print immediately, also into a file or a pipe."""
     print(line, flush=True)
 
 
@@ -217,7 +217,7 @@ def _settings(settings: list[str]) -> dict[str, object]:
     for setting in settings:
         name, equals, value = setting.partition("=")
         if not equals:
-            raise ConfigurationError(f"--set {setting} is not of the form NAME=VALUE.")
+            raise ConfigurationError(f"--set {setting} does not have the form NAME=VALUE.")
         try:
             values[name] = json.loads(value)
         except ValueError:

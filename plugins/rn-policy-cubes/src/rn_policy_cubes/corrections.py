@@ -1,4 +1,4 @@
-"""Corrections of people, from data sets in the layout of LeRobot v3, as views to train on."""
+"""Human corrections, from data sets in the layout of LeRobot v3, as views for training."""
 
 from __future__ import annotations
 
@@ -28,18 +28,19 @@ FOLDER = "corrections"
 CAMERA = "observation.images.front"
 _POSE, _STATE = "observation.ee_pose", "observation.state"
 _RATE_SHARE = 0.2
-"""A data set whose rate differs by more from the policy's has other actions."""
+"""Relative difference of a data set's rate from the policy's above which its actions differ."""
 _STILL_M, _STILL_RAD = 1e-4, 1e-3
-"""A person who asks for less than this in a row rests, and shows nothing."""
+"""Commands below these values count as rest, which demonstrates nothing."""
 
 
 def take_corrections(directory: Path, dataset: Path) -> str:
-    """Keep the corrections of a data set below `directory`; returns the name by which
-    `corrections_in` finds them. The same data set has the same name.
+    """Store the corrections of a data set below `directory`; returns their name for
+    `corrections_in`. The same data set has the same name.
 
     Raises:
-        InvalidInputError: it has none that can be used; says why.
-        MissingDependencyError: rn-recorder, or what it reads data sets with, is not installed.
+        InvalidInputError: it has no usable ones; the message gives the reason.
+        MissingDependencyError: rn-recorder, or a library that it needs to read data sets, is not
+            installed.
     """
     name = f"{dataset.name}-{_digest(dataset)}"
     target = directory / FOLDER / f"{name}.npz"
@@ -48,8 +49,8 @@ def take_corrections(directory: Path, dataset: Path) -> str:
     parts = [part for demonstration in _episodes(dataset) for part in _views(demonstration)]
     if not parts:
         raise InvalidInputError(
-            f"{dataset} has no row in which a person corrected for {ROWS} rows from there on.",
-            hint="Export the runs in which somebody led the arm: roboneuron runs export --lerobot.",
+            f"{dataset} has no row from which a person corrected for {ROWS} rows.",
+            hint="Export the runs in which a person led the arm: roboneuron runs export --lerobot.",
         )
     rows, pictures, actions = (np.stack(column) for column in zip(*parts, strict=True))
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -59,7 +60,7 @@ def take_corrections(directory: Path, dataset: Path) -> str:
 
 
 def corrections_in(directory: Path, names: Sequence[str]) -> list[Shards]:
-    """Views to train on, of each data set that was taken."""
+    """Views for training, of each stored data set."""
     found = []
     for name in names:
         with np.load(directory / FOLDER / f"{name}.npz") as file:
@@ -68,7 +69,7 @@ def corrections_in(directory: Path, names: Sequence[str]) -> list[Shards]:
 
 
 def _shards(rows: NDArray[np.void], pictures: NDArray[np.uint8], actions: F64) -> Shards:
-    """Views with the one label that is known: that of the named cube."""
+    """Views with the only known label, that of the named cube."""
     count, colours = len(rows), len(COLOURS)
     normalised = np.zeros((count, colours, ROWS, ACTION_WIDTH), dtype=np.float32)
     normalised[np.arange(count), rows["target"]] = actions
@@ -109,7 +110,7 @@ def _episodes(dataset: Path) -> Iterator[Demonstration]:
 def _views(
     demonstration: Demonstration,
 ) -> Iterator[tuple[NDArray[np.void], NDArray[np.uint8], F64]]:
-    """State, picture (224, 224, 3) and actions (ROWS, 7) of each row that is a correction."""
+    """State, image (224, 224, 3) and actions (ROWS, 7) of each row that is a correction."""
     columns, source = demonstration.columns, demonstration.source
     absent = {"action", "intervention", _POSE, _STATE} - columns.keys()
     if absent or CAMERA not in demonstration.cameras:
@@ -125,7 +126,7 @@ def _views(
     if len(named) != 1:
         raise InvalidInputError(
             f"The instruction of {source}, {demonstration.instruction!r}, names no cube.",
-            hint=f"One of {', '.join(COLOURS)} is to be named.",
+            hint=f"It must name one of {', '.join(COLOURS)}.",
         )
     actions = columns["action"].values
     led = columns["intervention"].values[:, 0] > 0.5
@@ -143,7 +144,9 @@ def _views(
 
 
 def _is_shown(first: int, led: NDArray[np.bool_], actions: F64) -> bool:
-    """A person acts from this row on for a whole chunk, and does something in it."""
+    """True if a person controls the arm from this row on for a whole chunk, and moves it or the
+    gripper.
+    """
     span = slice(first, first + ROWS)
     move, gripper = actions[span], actions[max(0, first - 1) : first + ROWS, 6]
     moves = (np.abs(move[:, :3]) > _STILL_M).any() or (np.abs(move[:, 3:6]) > _STILL_RAD).any()
@@ -151,7 +154,7 @@ def _is_shown(first: int, led: NDArray[np.bool_], actions: F64) -> bool:
 
 
 def _state(demonstration: Demonstration, number: int) -> NDArray[np.void]:
-    """What the robot measured, as a row of demonstrations has it, of the dtype `ROW`, ()."""
+    """The measured state in the form of a demonstration's row, of the dtype `ROW`, ()."""
     row = np.zeros((), dtype=ROW)
     pose = demonstration.columns[_POSE].values[number]
     row["tcp_m"], row["rotation"] = pose[:3], matrix_from_quaternion(pose[3:7])
@@ -160,7 +163,7 @@ def _state(demonstration: Demonstration, number: int) -> NDArray[np.void]:
     names = state.names or ()
     if gripper.joint not in names:
         raise InvalidInputError(
-            f"{demonstration.source} has no joint {gripper.joint}; it is of another robot."
+            f"{demonstration.source} has no joint {gripper.joint}; it is from another robot."
         )
     row["opening"] = gripper.to_opening(float(state.values[number, names.index(gripper.joint)]))
     return row

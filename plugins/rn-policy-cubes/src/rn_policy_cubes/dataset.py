@@ -1,4 +1,4 @@
-"""Shards in memory, and the batch of a step: a function of seed and step alone."""
+"""Shards in memory, and the batch of a step, which depends only on seed and step."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 
 COLOURED = 0.10
-"""From this share of its pixels on, a patch counts as showing a cube."""
+"""Fraction of a patch's pixels from which it counts as showing a cube."""
 _SLIGHTLY_COLOURED = 0.03
 _STATE_NOISE = 0.004
 _NEAR_M, _NEAR_WEIGHT = 0.10, 1.6
@@ -29,12 +29,12 @@ _NEAR_M, _NEAR_WEIGHT = 0.10, 1.6
 
 @dataclass(frozen=True, slots=True)
 class Shards:
-    """Some shards, whole.
+    """Whole shards.
 
     Attributes:
         patches: uint8 (n, 256, 588).
-        share: float32 (n, 256, colours), of each patch that shows a cube.
-        labels: of n views.
+        share: float32 (n, 256, colours), fraction of each patch that shows a cube.
+        labels: labels of n views.
     """
 
     patches: U8
@@ -43,7 +43,7 @@ class Shards:
 
     @classmethod
     def load(cls, directory: Path, numbers: Sequence[int]) -> Shards:
-        """Read shards. Raises FileNotFoundError when one is not there."""
+        """Read shards. Raises FileNotFoundError if one is missing."""
         patches, shares, labels = [], [], []
         for number in numbers:
             rows, pictures = (np.load(path) for path in shard_files(directory, number))
@@ -55,7 +55,7 @@ class Shards:
 
     @classmethod
     def joined(cls, parts: Sequence[Shards]) -> Shards:
-        """All of them as one."""
+        """Concatenate the parts."""
         if len(parts) == 1:
             return parts[0]
         labels = {
@@ -71,15 +71,15 @@ class Shards:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """What one step is given; pairs are views x colours.
+    """Input of one training step; pairs are views x colours.
 
     Attributes:
-        look: pictures.
+        look: images.
         state: (views, 7).
         ids: (views, colours, n).
         actions: (pairs, ROWS, 7).
         place: (pairs, 5).
-        known, placed: (pairs,) float, 1 where `actions` count, and where `place` does.
+        known, placed: (pairs,) float, 1 if `actions`, or `place`, is a valid label.
         distance_m: (pairs,).
         shows_named: (pairs, tokens) bool, the token shows the named cube.
         shows_other: (pairs, tokens) bool, it shows another one and not the named one.
@@ -107,7 +107,7 @@ class Batch:
 
 
 def sampling(shards: Shards) -> NDArray[np.float64]:
-    """How likely each view is drawn: those of the grasp more often."""
+    """Probability of each view in sampling: views near the grasp are drawn more often."""
     near = (
         np.where(shards.labels.is_target, shards.labels.distance_m, np.inf).min(axis=1) < _NEAR_M
     ).astype(float)
@@ -133,7 +133,7 @@ def draw(
 
 
 def every(shards: Shards, prompts: Prompts, views: int, most: int | None = None) -> Sequence[Batch]:
-    """All views in order, or `most` spread over them; all tokens, plain sentences: for
+    """All views in order, or `most` evenly spaced ones; all tokens, plain sentences: for
     measuring.
     """
     random = np.random.default_rng(0)
@@ -185,11 +185,11 @@ def _batch(
 def _tokens(
     coloured: F32, tokens: int, random: np.random.Generator
 ) -> tuple[NDArray[np.int64], F32 | None]:
-    """Which patches are seen, and how many each stands for.
+    """Indices of the sampled patches, and the number of patches that each represents.
 
-    Those with cubes are always there and stand for themselves; a random sample of the others stands
-    for all others, so that attention, which weighs keys by these numbers, is on average what it
-    would be with all 256.
+    Patches with cubes are always included and represent themselves. A random sample of the others
+    represents all others, so that attention, which weights keys by these numbers, is on average the
+    same as with all 256.
     """
     views = len(coloured)
     if tokens >= PATCHES:

@@ -1,8 +1,7 @@
-"""Demonstrations: the teacher, disturbed on purpose, picks cubes in the simulated cell; pictures
-and states are kept.
+"""Demonstrations: the teacher, with deliberate disturbances, picks cubes in the simulated cell;
+images and states are stored.
 
-They come in shards. A shard depends on its number only, so that any of them can be made again, by
-any process.
+They are divided into shards. A shard depends only on its number, so any process can recreate it.
 """
 
 from __future__ import annotations
@@ -28,9 +27,9 @@ U8 = NDArray[np.uint8]
 
 COLOURS = DEFAULT_COLOURS
 VIEWS = 256
-"""Pictures of one shard."""
+"""Number of images of one shard."""
 FIRST_SEED = 1_000_000
-"""Scenes of the demonstrations have seeds from here on; those below are for evaluation."""
+"""First seed of demonstration scenes; lower seeds are for evaluation."""
 SEEDS_PER_SHARD = 1000
 SIDE_PX = 224
 ROW = np.dtype(
@@ -45,7 +44,7 @@ ROW = np.dtype(
         ("edge_m", "f4", (len(COLOURS),)),
     ]
 )
-"""What is known of one picture."""
+"""State belonging to one image."""
 
 _TICKS = round(STEP_S * 240)
 _MOST_STEPS = 110
@@ -53,9 +52,7 @@ _LONGEST_M = 0.045
 
 
 def situations(rows: NDArray[np.void], cube: int) -> Situations:
-    """What the teacher would look at if cube number `cube` were named in the views of `rows`
-    (n,).
-    """
+    """Input of the teacher for the views of `rows` (n,), if cube number `cube` is named."""
     rotation = rows["rotation"].astype(np.float64)
     return Situations(
         tcp_m=rows["tcp_m"].astype(np.float64),
@@ -71,10 +68,10 @@ def situations(rows: NDArray[np.void], cube: int) -> Situations:
 def write_shard(
     directory: Path, number: int, views: int = VIEWS, tell: Callable[[int], object] | None = None
 ) -> tuple[int, int]:
-    """Make shard `number`; returns how many of its episodes lifted the cube, and how many there
-    were.
+    """Create shard `number`; returns the number of its episodes that lifted the cube, and of all
+    its episodes.
 
-    `tell` gets the number of its views after each episode.
+    `tell` is called with the number of its views after each episode.
     """
     return fill_shard(directory, ShardRecorder(number, views), tell)
 
@@ -82,11 +79,11 @@ def write_shard(
 def fill_shard(
     directory: Path, recorder: ShardRecorder, tell: Callable[[int], object] | None = None
 ) -> tuple[int, int]:
-    """Have a recorder fill its shard and write it; as `write_shard`."""
+    """Let a recorder fill its shard, and write it; as `write_shard`."""
     rows_file, pictures_file = shard_files(directory, recorder.number)
     directory.mkdir(parents=True, exist_ok=True)
     recorder.run(tell or (lambda made: None))
-    # the rows last: they count
+    # the rows last: a shard exists once they do
     for path, array in ((pictures_file, recorder.pictures), (rows_file, recorder.rows)):
         with replacing(path) as unfinished, unfinished.open("wb") as file:
             np.save(file, array)
@@ -94,13 +91,13 @@ def fill_shard(
 
 
 def shard_files(directory: Path, number: int) -> tuple[Path, Path]:
-    """Rows and pictures of a shard."""
+    """Paths of a shard's rows and images."""
     return directory / f"rows-{number:05d}.npy", directory / f"pictures-{number:05d}.npy"
 
 
 @dataclass
 class _Disturbance:
-    """What one episode does to the teacher's actions."""
+    """Disturbance of the teacher's actions in one episode."""
 
     random: np.random.Generator
     noise_m: float
@@ -109,7 +106,7 @@ class _Disturbance:
     snapped: int = 0
 
     def apply(self, action: F64, now: Situations) -> F64:
-        """The action as it is executed."""
+        """The disturbed action."""
         random, action = self.random, action.copy()
         if self.kicked == 0 and self.noise_m > 0 and random.random() < 0.04:
             self.kick, self.kicked = random.normal(0, 0.018, 3), int(random.integers(2, 5))
@@ -132,14 +129,14 @@ class _Disturbance:
 
 
 class ShardRecorder:
-    """Plays episodes until the shard is full.
+    """Runs episodes until the shard is full.
 
     Attributes:
-        number: of the shard, which is all that its episodes depend on.
+        number: number of the shard, which fully determines its episodes.
         pictures: uint8 (views, 224, 224, 3) RGB.
-        rows: of the dtype `ROW`, (views,).
-        lifted: episodes that lifted the named cube.
-        random: draws of this shard.
+        rows: states of the dtype `ROW`, (views,).
+        lifted: number of episodes that lifted the named cube.
+        random: random generator of this shard.
     """
 
     def __init__(self, number: int, views: int) -> None:
@@ -167,16 +164,16 @@ class ShardRecorder:
             tell(self._count)
 
     def choose(self, simulation: ArmSimulation) -> str:
-        """The cube to be named."""
+        """Choose the cube to be named."""
         return COLOURS[int(self.random.integers(len(COLOURS)))]
 
     @property
     def is_full(self) -> bool:
-        """No view is missing."""
+        """True if all views are recorded."""
         return self._count == self._views
 
     def _wander(self, simulation: ArmSimulation, target: str) -> None:
-        """Go somewhere first, so that demonstrations begin everywhere."""
+        """Move somewhere first, so that demonstrations start everywhere."""
         random = self.random
         cube = simulation.cubes()[target].position_m
         if random.random() < 0.6:
@@ -199,7 +196,7 @@ class ShardRecorder:
             self.execute(simulation, np.array([*move, 0.0, 0.0, turn, 1.0]))
 
     def pick(self, simulation: ArmSimulation, target: str) -> None:
-        """One episode."""
+        """Run one episode."""
         random = self.random
         disturbance = _Disturbance(random, float(random.choice([0.0, 0.003, 0.006, 0.012])))
         held_steps = 0
@@ -214,7 +211,7 @@ class ShardRecorder:
             self.execute(simulation, disturbance.apply(act(now)[0], now))
 
     def execute(self, simulation: ArmSimulation, action: F64) -> None:
-        """One action (7,) of the contract, for `STEP_S`."""
+        """Execute one action (7,) of the contract for `STEP_S`."""
         joints = JointSample(names=JOINTS, position=simulation.joint_positions(), stamp_ns=0)
         command = self._controller.compute(Action.from_vector(action), joints, STEP_S)
         if isinstance(command, Hold):
@@ -224,8 +221,8 @@ class ShardRecorder:
         simulation.step(_TICKS)
 
     def keep(self, simulation: ArmSimulation, target: str) -> U8 | None:
-        """Take a picture and return it; None when the shard is full. The cubes that are not named
-        are put elsewhere first, so that each picture has new places.
+        """Render and store an image, and return it; None if the shard is full. The other cubes are
+        moved first, so that each image has new positions.
         """
         if self.is_full:
             return None
@@ -252,7 +249,7 @@ class ShardRecorder:
                 if min(float(np.hypot(*(place - other))) for other in taken) >= SPACING_M:
                     break
             else:
-                return  # no room this time: they stay where they are
+                return  # no free place this time: they stay where they are
             taken.append(place)
             half_yaw = self.random.uniform(-np.pi / 8, np.pi / 8)
             poses[name] = (
@@ -262,7 +259,7 @@ class ShardRecorder:
         simulation.world.set_cubes(poses)
 
     def look(self, simulation: ArmSimulation, target: str) -> NDArray[np.void]:
-        """What is known of this moment, of the dtype `ROW`."""
+        """State at this moment, of the dtype `ROW`."""
         row = np.zeros((), dtype=ROW)
         pose, cubes = simulation.tcp_pose(), simulation.cubes()
         row["tcp_m"], row["rotation"] = (

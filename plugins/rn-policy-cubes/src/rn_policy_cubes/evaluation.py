@@ -1,4 +1,4 @@
-"""How often a checkpoint succeeds: `roboneuron eval run` in a process of its own."""
+"""Success rate of a checkpoint, by `roboneuron eval run` in its own process."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import Any
 from rn_policy_cubes.checkpoint import BACKEND, CONFIGURATION_FILE
 from roboneuron import PluginError
 
-# 1 is PR_SET_PDEATHSIG of prctl(2), 9 is SIGKILL: an evaluation that outlives who began it would
-# keep its ledger locked
+# 1 is PR_SET_PDEATHSIG of prctl(2), 9 is SIGKILL: an evaluation that outlived its parent would keep
+# its ledger locked
 _CHILD = """
 import ctypes, runpy, sys
 ctypes.CDLL(None).prctl(1, 9)
@@ -23,8 +23,8 @@ runpy.run_module("roboneuron.cli.main", run_name="__main__", alter_sys=True)
 def evaluate(
     checkpoint: Path, out: Path, *, first_seed: int, count: int, time_limit_s: float
 ) -> dict[int, bool]:
-    """Try a checkpoint as `roboneuron eval run` does, in a process of its own that goes on where it
-    was; success by seed.
+    """Evaluate a checkpoint with `roboneuron eval run`, in its own process that resumes an
+    interrupted run; returns success by seed.
 
     Raises:
         PluginError: it has failed, or an episode has crashed.
@@ -36,7 +36,7 @@ def evaluate(
     done = subprocess.run([sys.executable, "-P", "-c", _CHILD, *words], check=False)
     ledger = out / "episodes.jsonl"
     lines = ledger.read_text(encoding="utf-8").splitlines() if ledger.exists() else []
-    # of an episode that was tried again the last line counts
+    # the last line counts for an episode that was retried
     status: dict[int, str] = {}
     for line in lines:
         entry: dict[str, Any] = json.loads(line)
@@ -50,6 +50,6 @@ def evaluate(
         raise PluginError(
             f"The evaluation in {out} ended with status {done.returncode}; {len(missing)} of "
             f"{count} scenes have no verdict.",
-            hint="Its message is above; the same command goes on where it was.",
+            hint="Its message is above; run the same command again to resume.",
         )
     return {seed: word == "success" for seed, word in status.items()}

@@ -1,5 +1,5 @@
-"""The ledger of a policy that is improved round by round: one line of JSON for each thing that has
-happened, only ever added to. What is not in it has not happened; the champion follows from it.
+"""The append-only ledger of a policy that is improved in rounds: one line of JSON for each event.
+An event that is not in it has not happened; the champion follows from it.
 """
 
 from __future__ import annotations
@@ -18,38 +18,38 @@ from roboneuron import StateError
 LEDGER_FILE, LOCK_FILE = "ledger.jsonl", "improve.lock"
 BEGUN, ROLLED_OUT, TRAINED, EVALUATED = "begun", "rolled_out", "trained", "evaluated"
 PROMOTED, KEPT, ROLLED_BACK = "promoted", "kept", "rolled_back"
-"""What ends a round: the challenger became the champion, or the champion stays; and what undoes a
-promotion.
+"""Events that end a round: the challenger was promoted, or the champion stays; and the event that
+undoes a promotion.
 """
 FIRST = 0
-"""Round of the weights that everything began with."""
+"""Round of the initial weights."""
 
 
 @contextmanager
 def alone_in(directory: Path) -> Iterator[None]:
-    """Hold a directory for one process. Raises StateError while another one works in it."""
+    """Lock a directory for one process. Raises StateError while another one uses it."""
     directory.mkdir(parents=True, exist_ok=True)
     with (directory / LOCK_FILE).open("w") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise StateError(
-                f"Another process improves the policy in {directory}.",
-                hint="Wait for its end, or name another folder by --out.",
+                f"Another process is improving the policy in {directory}.",
+                hint="Wait until it has ended, or name another folder with --out.",
             ) from error
         yield
 
 
 class ImprovementLedger:
-    """Used by one process at a time, see `alone_in`.
+    """A ledger on disk, used by one process at a time, see `alone_in`.
 
     Attributes:
-        entries: of the file, in order.
+        entries: entries of the file, in order.
     """
 
     def __init__(self, directory: Path) -> None:
-        """Read it. A line that was cut short by a crash is removed. Raises StateError for a file
-        that is none.
+        """Read the file. A line that was truncated by a crash is removed. Raises StateError if it
+        is no ledger.
         """
         self._path = directory / LEDGER_FILE
         self.entries: list[dict[str, Any]] = []
@@ -64,11 +64,11 @@ class ImprovementLedger:
             self.entries = [json.loads(line) for line in whole.splitlines()]
         except ValueError as error:
             raise StateError(
-                f"{self._path} is no ledger: {error}.", hint="Name another folder by --out."
+                f"{self._path} is no ledger: {error}.", hint="Name another folder with --out."
             ) from error
 
     def add(self, round_number: int, what: str, facts: Mapping[str, object]) -> None:
-        """Note what has happened; on disk when this returns. Raises StateError."""
+        """Append an event; it is on disk when this returns. Raises StateError."""
         now = datetime.now(UTC).isoformat(timespec="seconds")
         entry = {"at": now, "round": round_number, "what": what, **facts}
         try:
@@ -79,31 +79,31 @@ class ImprovementLedger:
         except OSError as error:
             raise StateError(
                 f"{self._path} cannot be written: {error.strerror or error}.",
-                hint="Free space on that disk; the same command goes on where it was.",
+                hint="Free space on that disk, and run the same command again to resume.",
             ) from error
         self.entries.append(entry)
 
     def of(self, round_number: int, what: str) -> dict[str, Any] | None:
-        """What was noted of a round; None when it has not happened."""
+        """The entry of an event in a round; None if it has not happened."""
         return next(
             (e for e in self.entries if e["round"] == round_number and e["what"] == what), None
         )
 
     @property
     def rounds(self) -> list[int]:
-        """Numbers of the rounds that have begun."""
+        """Numbers of the started rounds."""
         return [entry["round"] for entry in self.entries if entry["what"] == BEGUN]
 
     @property
     def unfinished(self) -> int | None:
-        """The round that is under way; None between two."""
+        """The current round; None between rounds."""
         ended = {entry["round"] for entry in self.entries if entry["what"] in (PROMOTED, KEPT)}
         return next((number for number in self.rounds if number not in ended), None)
 
     @property
     def champions(self) -> list[int]:
-        """Rounds whose challengers were champions and were not rolled back, the present one
-        last; `FIRST` is the first of them.
+        """Rounds of all champions that were not rolled back, the present one last; `FIRST` is the
+        first.
         """
         found = [FIRST]
         for entry in self.entries:

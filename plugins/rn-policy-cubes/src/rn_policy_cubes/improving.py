@@ -1,5 +1,5 @@
-"""The wheel: rollouts of the champion, labels of the teacher and corrections of people, training,
-a paired evaluation, and promotion. A process that is killed at any time goes on where it was.
+"""One improvement round: rollouts of the champion, labels of the teacher and human corrections,
+training, a paired evaluation, and promotion. A process that is killed at any time can be resumed.
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ from rn_policy_cubes.words import write_tokenizer
 from roboneuron import ConfigurationError, MissingDependencyError, StateError
 
 EVALUATION_SEED, SEEDS_PER_ROUND = 100_000, 1000
-"""Scenes of the evaluation of round n begin at the first plus n times the second: no round is
-judged by scenes of another one, nor by those of demonstrations.
+"""The evaluation scenes of round n start at the first value plus n times the second, so that rounds
+share no scenes with each other or with demonstrations.
 """
 _CHAMPION, _CHALLENGER = "champion", "challenger"
 
 
 class RoundPlan(BaseModel):
-    """What one round does; kept in the ledger, so that it is the same when it goes on.
+    """Settings of one round; stored in the ledger, so that a resumed round keeps them.
 
     Attributes:
-        recipe: of the training; its shards are the demonstrations.
-        rollouts: shards of the champion's states.
-        views: pictures of each shard.
-        seeds: unseen scenes that champion and challenger are tried on.
-        time_limit_s: of each of them [simulated s].
-        corrections: names of the data sets of people's corrections that came with this round.
+        recipe: recipe of the training; its shards are the demonstrations.
+        rollouts: number of shards of the champion's states.
+        views: images of each shard.
+        seeds: number of unseen scenes for the evaluation of champion and challenger.
+        time_limit_s: time limit of each scene [simulated s].
+        corrections: names of the data sets with human corrections added in this round.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -68,7 +68,7 @@ class RoundPlan(BaseModel):
 
 
 def recipe_of_round(shards: int, steps: int, settings: Mapping[str, object]) -> Recipe:
-    """The recipe of a training that goes on from a champion.
+    """The recipe of a training that continues from a champion.
 
     Raises:
         pydantic.ValidationError: a setting is wrong.
@@ -86,11 +86,11 @@ def recipe_of_round(shards: int, steps: int, settings: Mapping[str, object]) -> 
 
 
 class Wheel:
-    """One directory of rounds; held by one process, see `alone_in`.
+    """The improvement rounds of one directory; used by one process, see `alone_in`.
 
     Args:
-        directory: of everything.
-        say: gets lines for people.
+        directory: folder of all files.
+        say: called with lines for people.
         fuse: compile the layers before training, see `train`.
     """
 
@@ -100,16 +100,16 @@ class Wheel:
         self._data = directory / "demonstrations"
 
     def begin(self, weights: Path, plan: RoundPlan, corrections: Sequence[Path]) -> int:
-        """The round to work at: the one that is under way, else a new one.
+        """Return the current round, or start a new one.
 
         Args:
-            weights: packed file of the first champion; looked at only once.
-            plan: of a new round, without its corrections.
+            weights: packed file of the first champion; read only once.
+            plan: plan of a new round, without its corrections.
             corrections: data sets in the layout of LeRobot v3.
 
         Raises:
-            StateError: a round is under way by another plan.
-            RoboNeuronError: a data set cannot be taken.
+            StateError: a round with another plan is unfinished.
+            RoboNeuronError: a data set cannot be used.
         """
         if importlib.util.find_spec("rn_eval") is None:
             raise MissingDependencyError(
@@ -121,7 +121,7 @@ class Wheel:
             first.parent.mkdir(parents=True, exist_ok=True)
             with replacing(first) as unfinished:
                 shutil.copyfile(weights, unfinished)
-        # a copy that was cut short is made again: it counts once its round has begun
+        # an incomplete copy is written again: it counts only once its round has started
         names = tuple(take_corrections(self.directory, path) for path in corrections)
         shape = Packed.read(self._weights(self.champion)).card.recipe.shape
         number = self.ledger.unfinished
@@ -133,18 +133,18 @@ class Wheel:
             self.ledger.add(wanted, BEGUN, facts)
         elif plan != self._plan(number):
             raise StateError(
-                f"Round {number} in {self.directory} is under way by another plan: "
+                f"Round {number} in {self.directory} is unfinished and has another plan: "
                 f"{self._plan(number).model_dump_json()}.",
-                hint="Give the same arguments to go on with it, or another --out.",
+                hint="Use the same arguments to continue it, or another --out.",
             )
         return wanted
 
     def run(self, number: int) -> PairedTest:
-        """Do what is left of a round; returns how champion and challenger compare.
+        """Complete a round; returns the comparison of champion and challenger.
 
         Raises:
             PluginError: the evaluation has failed.
-            StateError: the disk is full, or cannot be written.
+            StateError: the disk is full, or not writable.
         """
         plan = self._plan(number)
         begun = self.ledger.of(number, BEGUN)
@@ -161,16 +161,16 @@ class Wheel:
         return test
 
     def roll_back(self) -> tuple[int, int]:
-        """Make the champion before this one the champion again; returns the rounds of the one that
-        went and of the one that is back.
+        """Restore the previous champion; returns the rounds of the removed champion and of the
+        restored one.
 
         Raises:
-            StateError: a round is under way, or there was no promotion.
+            StateError: a round is unfinished, or there was no promotion.
         """
         if self.ledger.unfinished is not None:
             raise StateError(
-                f"Round {self.ledger.unfinished} is under way.",
-                hint="Let `cubes-policy improve` end it first.",
+                f"Round {self.ledger.unfinished} is unfinished.",
+                hint="Let `cubes-policy improve` complete it first.",
             )
         *before, champion = self.ledger.champions
         if not before:
@@ -180,13 +180,11 @@ class Wheel:
 
     @property
     def champion(self) -> int:
-        """The round whose weights are the champion's."""
+        """Round of the champion's weights."""
         return self.ledger.champions[-1]
 
     def checkpoint(self, number: int) -> Path:
-        """The weights of a round in the layout that the backend loads; written when it is not
-        there.
-        """
+        """Checkpoint of a round in the layout that the backend loads; created if missing."""
         directory = self._folder(number) / "checkpoint"
         if not directory.exists():
             unfinished = directory.with_name("checkpoint.part")
@@ -262,7 +260,7 @@ class Wheel:
         return RoundPlan.model_validate(begun["plan"])
 
     def _corrections(self, number: int) -> list[str]:
-        """Names of all data sets that came until this round."""
+        """Names of all data sets added up to this round."""
         names = [
             name for earlier in range(1, number + 1) for name in self._plan(earlier).corrections
         ]
@@ -275,15 +273,15 @@ class Wheel:
         return self._folder(number) / "weights.safetensors"
 
     def _title(self, number: int) -> str:
-        return "that of the beginning" if number == FIRST else f"that of round {number}"
+        return "the initial one" if number == FIRST else f"that of round {number}"
 
 
 def evaluation_seed(number: int) -> int:
-    """First seed of a round's evaluation. Raises ConfigurationError when no unseen one is left."""
+    """First seed of a round's evaluation. Raises ConfigurationError if no unseen one is left."""
     seed = EVALUATION_SEED + SEEDS_PER_ROUND * number
     if seed + SEEDS_PER_ROUND > FIRST_SEED:
         raise ConfigurationError(
-            f"Round {number} has no scenes that were not seen.", hint="Name another --out."
+            f"Round {number} has no unseen scenes.", hint="Name another --out."
         )
     return seed
 

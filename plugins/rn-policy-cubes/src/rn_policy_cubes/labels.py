@@ -1,5 +1,5 @@
-"""From a recorded row to what the network is given and what it is to answer, for every colour that
-might be named.
+"""Conversion of a recorded row to the network's input and labels, for every colour that might be
+named.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
 
 PLACE_SCALE = 5.0
-"""Places relative to the TCP are told in units of 1 / PLACE_SCALE metres."""
+"""Positions relative to the TCP are labelled in units of 1 / PLACE_SCALE metres."""
 PLACE_WIDTH = 7
 _LOW, _HIGH = np.array(STATE_LOW), np.array(STATE_HIGH)
 _PIXELS_PER_PATCH = PATCH_PX * PATCH_PX
@@ -36,18 +36,18 @@ _PIXELS_PER_PATCH = PATCH_PX * PATCH_PX
 
 @dataclass(frozen=True, slots=True)
 class Labels:
-    """Of n views and their c colours.
+    """Labels of n views and their c colours.
 
     Attributes:
         state: float32 (n, 7), normalised.
         actions: float32 (n, c, ROWS, 7), normalised.
         place: float32 (n, c, 7), cube relative to the TCP, scaled; sine and cosine of four times
             the turn to it; the same of its yaw in the base frame.
-        known: bool (n, c), False where the teacher has no sensible answer: the gripper is busy with
+        known: bool (n, c), False if the teacher has no sensible answer because the gripper holds
             another cube.
         distance_m: float32 (n, c), between TCP and cube.
         is_target: bool (n, c), the cube that the demonstration picked.
-        is_placed: bool (n,), `place` and `distance_m` are known.
+        is_placed: bool (n,), True if `place` and `distance_m` are known.
     """
 
     state: F32
@@ -60,7 +60,7 @@ class Labels:
 
 
 def state_of(row: np.void | NDArray[np.void]) -> F32:
-    """The state of one view as rn-backend-oft normalises it, float32 (7,)."""
+    """The state of one view, normalised as in rn-backend-oft, float32 (7,)."""
     rotation = row["rotation"].astype(np.float64)
     values = np.concatenate([row["tcp_m"], rpy_by_down(rotation), [row["opening"]]])
     scaled = np.clip(2.0 * (values - _LOW) / (_HIGH - _LOW) - 1.0, -1.0, 1.0)
@@ -68,14 +68,14 @@ def state_of(row: np.void | NDArray[np.void]) -> F32:
 
 
 def label(rows: NDArray[np.void]) -> Labels:
-    """What the teacher says of every row."""
+    """The teacher's labels for every row."""
     count, colours = len(rows), len(COLOURS)
     actions = np.empty((count, colours, ROWS, ACTION_WIDTH), dtype=np.float32)
     place = np.empty((count, colours, PLACE_WIDTH), dtype=np.float32)
     distance = np.empty((count, colours), dtype=np.float32)
     for cube in range(colours):
         now = situations(rows, cube)
-        # a quarter turn changes nothing; the yaw can be seen without knowing the gripper's
+        # labels are invariant to quarter turns; the yaw is visible without knowing the gripper's
         angles = 4 * np.column_stack([now.turn_rad, now.cube_yaw_rad])
         sine, cosine = np.sin(angles), np.cos(angles)
         distance[:, cube] = np.linalg.norm(now.to_cube_m, axis=1)
@@ -92,15 +92,15 @@ def label(rows: NDArray[np.void]) -> Labels:
 
 
 def patches_of(pictures: U8) -> U8:
-    """Pictures (n, 224, 224, 3) -> patches (n, 256, 588), channel first, as a vision tower cuts
-    them.
+    """Divide images (n, 224, 224, 3) into patches (n, 256, 588), channel first, as a vision tower
+    does.
     """
     cut = pictures.reshape(-1, GRID, PATCH_PX, GRID, PATCH_PX, 3).transpose(0, 1, 3, 5, 2, 4)
     return np.ascontiguousarray(cut).reshape(-1, PATCHES, PATCH_VALUES)
 
 
 def coloured_share(patches: U8) -> F32:
-    """Patches (n, 256, 588) -> share of each that is a cube's, by colour; float32 (n, 256, c)."""
+    """Fraction of each patch (n, 256, 588) that shows a cube, by colour; float32 (n, 256, c)."""
     values = patches.reshape(*patches.shape[:2], 3, _PIXELS_PER_PATCH).astype(np.int16)
     red, green, blue = values[:, :, 0], values[:, :, 1], values[:, :, 2]
     masks = {

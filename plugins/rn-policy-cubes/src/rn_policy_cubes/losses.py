@@ -1,5 +1,5 @@
-"""What is minimised: the error of the actions, and three helpers whose heads are thrown away after
-training.
+"""The training loss: the error of the actions, and three auxiliary losses whose heads are discarded
+after training.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ _POINT, _SPOT, _PLACE = 0.5, 1.0, 1.0
 
 
 class Helpers(nn.Module):
-    """Heads that only training has.
+    """Auxiliary heads for training only.
 
     `point`: whether a visual token shows the named cube, after the first and the second layer.
-    `spot`: where that cube is, told by the tokens that show it. `place`: the same, told by the rows
-    that the action head reads.
+    `spot`: the position of that cube, from the tokens that show it. `place`: the same, from the
+    rows that the action head reads.
     """
 
     def __init__(self, shape: NetworkShape) -> None:
@@ -36,14 +36,14 @@ class Helpers(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class Losses:
-    """Terms of a step, and what they were computed from.
+    """Loss terms of a step.
 
     Attributes:
-        total: to be minimised.
+        total: sum to be minimised.
         action: weighted L1.
-        point, spot, place: of the helpers.
-        accuracy: of pointing, balanced.
-        told: (pairs, 7), the place told by the rows.
+        point, spot, place: losses of the auxiliary heads.
+        accuracy: balanced accuracy of pointing.
+        told: (pairs, 7), place predicted from the rows.
     """
 
     total: Tensor
@@ -61,7 +61,7 @@ class Losses:
 
 
 def losses(thought: Thought, helpers: Helpers, batch: Batch, guidance: float = 1.0) -> Losses:
-    """All terms, in float32; `guidance` is the weight of those of the helpers, 0 .. 1."""
+    """All terms, in float32; `guidance` is the weight of the auxiliary losses, 0 .. 1."""
     weight = thought.actions.new_tensor(ACTION_WEIGHT, dtype=torch.float32)
     error = (thought.actions.float() - batch.actions).abs() * weight
     action = (error.mean(dim=(1, 2)) * batch.known).sum() / batch.known.sum().clamp(min=1)
@@ -83,8 +83,8 @@ def losses(thought: Thought, helpers: Helpers, batch: Batch, guidance: float = 1
 
 
 def _pointing(logits: Tensor, batch: Batch) -> tuple[Tensor, Tensor]:
-    """Cross-entropy in which named, other cubes and background weigh alike; balanced accuracy of
-    the former two.
+    """Cross-entropy with equal weights of the named cube, other cubes and background; balanced
+    accuracy of the former two.
     """
     logits = logits.float()
     named, other = batch.shows_named.float(), batch.shows_other.float()

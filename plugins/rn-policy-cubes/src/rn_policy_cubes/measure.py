@@ -1,5 +1,5 @@
-"""Open-loop figures on held-out views, with all visual tokens: what decides whether a closed loop
-is worth trying.
+"""Open-loop metrics on held-out views, with all visual tokens: they show whether closed-loop
+evaluation is worthwhile.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ _NEAR_M, _FAR_M = 0.06, 0.10
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Of all held-out views, with each colour named.
+    """Metrics over all held-out views, with each colour named.
 
     Attributes:
-        pointing: balanced accuracy of the pointing helper after the second layer.
-        named_nearest: share of pairs in which the told place is nearest to the named cube.
-        place_mm: median distance between told and true place; `place_near_mm` within 6 cm of the
-            TCP.
-        turn_rad: median error of the told turn to the cube farther than 10 cm from the TCP, where
-            turns are spread evenly; who does not see how a cube is turned errs by pi / 8.
-        yaw_rad: likewise of its yaw in the base frame.
+        pointing: balanced accuracy of the pointing head after the second layer.
+        named_nearest: fraction of pairs whose predicted place is nearest to the named cube.
+        place_mm: median distance between predicted and true place; `place_near_mm` within 6 cm of
+            the TCP.
+        turn_rad: median error of the predicted turn to the cube, for cubes farther than 10 cm from
+            the TCP, where turns are evenly distributed; without any information it is pi / 8.
+        yaw_rad: likewise for its yaw in the base frame.
         action_mm: mean absolute error of a move, per axis; `action_near_mm` likewise near the cube.
-        grip: share of actions with the right opening; `grip_near` near the cube.
+        grip: fraction of actions with the right opening; `grip_near` near the cube.
     """
 
     pointing: float
@@ -50,7 +50,7 @@ class Figures:
     grip_near: float
 
     def __str__(self) -> str:
-        """For people."""
+        """Text for people."""
         named = (
             f"place nearest to the named cube {100 * self.named_nearest:.0f} %, off by "
             f"{self.place_mm:.0f} mm"
@@ -60,7 +60,7 @@ class Figures:
         )
 
     def as_dict(self) -> dict[str, float]:
-        """For the curve."""
+        """Entries of the training curve."""
         return {f"held_out_{name}": value for name, value in asdict(self).items()}
 
 
@@ -73,7 +73,7 @@ def measure(
     device: torch.device,
     most: int | None = None,
 ) -> Figures:
-    """The figures of a network, over all views or `most` of them."""
+    """Metrics of a network, over all views or `most` of them."""
     told, true, move, grip, known, distance, pointing, turn, yaw = ([] for _ in range(9))
     for batch in every(shards, prompts, _VIEWS, most):
         batch = batch.to(device)
@@ -113,7 +113,7 @@ def measure(
 
 
 def turn_error(told: Tensor, true: Tensor) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """Of turns (pairs, 2), sine and cosine of four times the angle; [rad]."""
+    """Error [rad] of turns (pairs, 2), given as sine and cosine of four times the angle."""
     four = torch.atan2(told[:, 0], told[:, 1]) - torch.atan2(true[:, 0], true[:, 1])
     error: np.ndarray[tuple[int, ...], np.dtype[np.float64]]
     error = torch.atan2(four.sin(), four.cos()).abs().double().cpu().numpy() / 4
@@ -121,5 +121,5 @@ def turn_error(told: Tensor, true: Tensor) -> np.ndarray[tuple[int, ...], np.dty
 
 
 def _mean(function: object, values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> float:
-    """Of no values: not a number."""
+    """The function of the values; NaN without values."""
     return float(function(values)) if len(values) else float("nan")  # type: ignore[operator]

@@ -1,4 +1,4 @@
-"""The network, trainable and in batches: the same function as rn-backend-oft computes from the
+"""The network, trainable and batched: the same function that rn-backend-oft computes from the
 exported checkpoint.
 """
 
@@ -40,8 +40,8 @@ class Look:
 
     Attributes:
         pixels: uint8 (views, tokens, 588), patches, channel first.
-        index: int64 (views, tokens), which of the 256 patches they are, ascending.
-        weight: float (views, tokens), how many patches each stands for; None for 1 each.
+        index: int64 (views, tokens), their indices among the 256 patches, ascending.
+        weight: float (views, tokens), number of patches that each represents; None for 1 each.
     """
 
     pixels: Tensor
@@ -50,8 +50,8 @@ class Look:
 
 
 def attend(query: Tensor, key: Tensor, value: Tensor, bias: Tensor | None) -> Tensor:
-    """Attention written out: on a CPU in bfloat16 its backward is several times faster than that of
-    the fused one.
+    """Unfused attention: on a CPU in bfloat16 its backward pass is several times faster than the
+    fused one.
     """
     scores = (query * query.shape[-1] ** -0.5) @ key.transpose(-1, -2)
     if bias is not None:
@@ -77,7 +77,7 @@ class CubesVisionBlock(nn.Module):
         self.ls2 = nn.Parameter(torch.ones(width)) if scaled else None
 
     def forward(self, x: Tensor, bias: Tensor | None) -> Tensor:
-        """(views, n, width) -> the same shape."""
+        """Apply the block to (views, n, width)."""
         views, count, width = x.shape
         query, key, value = (
             self.qkv(self.norm1(x)).view(views, count, 3, self.heads, -1).permute(2, 0, 3, 1, 4)
@@ -92,7 +92,7 @@ class CubesVisionBlock(nn.Module):
 
 
 class CubesVisionTower(nn.Module):
-    """Patches to features, read before the last block."""
+    """Encodes patches as features, read before the last block."""
 
     def __init__(self, shape: NetworkShape, number: int) -> None:
         super().__init__()
@@ -109,7 +109,7 @@ class CubesVisionTower(nn.Module):
         )
 
     def forward(self, pixels: Tensor, index: Tensor, bias: Tensor | None) -> Tensor:
-        """Normalised patches (views, n, 588) -> features (views, n, width)."""
+        """Encode normalised patches (views, n, 588) as features (views, n, width)."""
         x = self.patch(pixels) + self.pos_embed[0][index].to(pixels.dtype)
         if self.prefix:
             views = x.shape[0]
@@ -152,7 +152,9 @@ class CubesDecoderLayer(nn.Module):
     def forward(
         self, x: Tensor, cos: Tensor, sin: Tensor, bias: Tensor | None, last: int
     ) -> Tensor:
-        """(pairs, n, hidden) -> (pairs, last, hidden): what the last `last` positions become."""
+        """Apply the layer to (pairs, n, hidden); returns the last `last` positions, (pairs, last,
+        hidden).
+        """
         pairs, count, hidden = x.shape
         packed = (
             self.qkv(norm(x, self.norm_in))
@@ -174,7 +176,7 @@ def norm(x: Tensor, weight: Tensor) -> Tensor:
 
 
 class CubesProjector(nn.Module):
-    """Linear layers with exact GELU between them, called fc1, fc2, ... as on disk."""
+    """Linear layers with exact GELU between them, named fc1, fc2, ... as on disk."""
 
     def __init__(self, *widths: int) -> None:
         super().__init__()
@@ -185,7 +187,7 @@ class CubesProjector(nn.Module):
             self.add_module(f"fc{number}", layer)
 
     def forward(self, x: Tensor) -> Tensor:
-        """(..., first width) -> (..., last width)."""
+        """Project (..., first width) to (..., last width)."""
         for number in range(1, self.count):
             x = functional.gelu(self.get_submodule(f"fc{number}")(x))
         result: Tensor = self.get_submodule(f"fc{self.count}")(x)
@@ -193,7 +195,7 @@ class CubesProjector(nn.Module):
 
 
 class ActionHead(nn.Module):
-    """The L1 head: the 7 rows of an action side by side through a residual MLP."""
+    """The L1 head: a residual MLP over the 7 concatenated rows of an action."""
 
     def __init__(self, hidden: int) -> None:
         super().__init__()
@@ -205,7 +207,7 @@ class ActionHead(nn.Module):
         self.layer_norm2, self.fc2 = nn.LayerNorm(hidden), nn.Linear(hidden, ACTION_WIDTH)
 
     def forward(self, rows: Tensor) -> Tensor:
-        """(pairs, ROWS, 7 * hidden) -> (pairs, ROWS, 7)."""
+        """Map rows (pairs, ROWS, 7 * hidden) to actions (pairs, ROWS, 7)."""
         x = functional.relu(self.fc1(self.layer_norm1(rows)))
         for block in self.blocks:
             x = x + functional.relu(block(x))
@@ -215,11 +217,11 @@ class ActionHead(nn.Module):
 
 @dataclass(frozen=True, slots=True)
 class Thought:
-    """What a pass yields.
+    """Output of a forward pass.
 
     Attributes:
         actions: (pairs, ROWS, 7), normalised.
-        rows: (pairs, ROWS, 7 * hidden), what the head read.
+        rows: (pairs, ROWS, 7 * hidden), input of the head.
         visual: visual tokens (pairs, tokens, hidden) after the first and after the second layer.
     """
 
@@ -229,14 +231,16 @@ class Thought:
 
 
 class CubesNetwork(nn.Module):
-    """Patches, state and prompt to a chunk of actions; only the words in use have an embedding."""
+    """Maps patches, state and prompt to an action chunk; only the words in use have an
+    embedding.
+    """
 
     cos: Tensor
     sin: Tensor
     place_of_id: Tensor
 
     def __init__(self, shape: NetworkShape, ids: Sequence[int]) -> None:
-        """`ids`: token ids in use, ascending, with STOP_ID."""
+        """`ids` are the token ids in use, ascending, including STOP_ID."""
         super().__init__()
         self.shape, self.ids = shape, tuple(ids)
         hidden, features = shape.hidden, 2 * shape.vision_width
@@ -272,13 +276,13 @@ class CubesNetwork(nn.Module):
     def forward(
         self, look: Look, state: Tensor, ids: Tensor, dtype: torch.dtype = torch.float32
     ) -> Thought:
-        """Each view with as many prompts as there are per view.
+        """Run each view with each of its prompts.
 
         Args:
             look: (views, ...).
             state: (views, 7), normalised.
             ids: int64 (views, prompts, n), from BOS_ID to FINAL_ID, without placeholders.
-            dtype: of what is computed.
+            dtype: number type of the computation.
         """
         views, prompts, length = ids.shape
         count = look.index.shape[1]
@@ -305,6 +309,6 @@ class CubesNetwork(nn.Module):
             x = layer(x, cos, sin, bias, x.shape[1])
             visual.append(x[:, 1 : 1 + count])
         x = self.layers[-1](x, cos, sin, bias, PLACEHOLDERS + 2)
-        # Read-out begins one row early: the last prompt token speaks for the first value.
+        # The read-out starts one row early: the last prompt token predicts the first value.
         read = norm(x[:, :PLACEHOLDERS], self.norm).reshape(views * prompts, ROWS, -1)
         return Thought(self.head(read), read, tuple(visual[:2]))

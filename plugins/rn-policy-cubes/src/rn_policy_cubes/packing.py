@@ -1,9 +1,8 @@
-"""Packed weights: what was trained, by its name in the public layout; everything that is zero is
-left out.
+"""Packed weights: the trained tensors, by name in the public layout; zero tensors are left out.
 
-The public layout has a table of 32,064 embeddings, of which a few hundred were trained, a table of
-output words that nothing reads, and the last block and the pooling head of the vision towers, which
-nothing runs. None of it is kept.
+The public layout has a table of 32,064 embeddings, of which a few hundred were trained, an output
+head that is never read, and the last block and the pooling head of the vision towers, which are
+never run. The unused parts are left out.
 """
 
 from __future__ import annotations
@@ -24,20 +23,20 @@ from rn_policy_cubes.recipe import Recipe
 
 EMBEDDING = "language_model.model.embed_tokens.weight"
 HEAD, PROPRIO = "action_head.", "proprio_projector."
-"""First parts of the names of what is in files of its own."""
+"""Name prefixes of tensors that have their own files."""
 _IDS = "embed_ids"
 _CARD = "card"
 _TOWERS = ("featurizer", "fused_featurizer")
 
 
 class Card(BaseModel):
-    """What is known of packed weights.
+    """Description of packed weights.
 
     Attributes:
-        recipe: how they were trained.
-        step: optimiser steps done; fewer than the recipe's when training was ended early.
+        recipe: recipe of their training.
+        step: optimiser steps done; fewer than the recipe's if training was stopped early.
         cpu_s: CPU time of these steps.
-        figures: measured on held-out views, by name.
+        figures: metrics on held-out views, by name.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -53,9 +52,9 @@ class Packed:
     """The content of a packed file.
 
     Attributes:
-        card: what is known of it.
+        card: its description.
         ids: int64 (n,), token ids that have an embedding.
-        tensors: float32, by name in the public layout; `EMBEDDING` has the n rows of `ids` only.
+        tensors: float32, by name in the public layout; `EMBEDDING` has only the n rows of `ids`.
     """
 
     card: Card
@@ -64,12 +63,12 @@ class Packed:
 
     @classmethod
     def of(cls, network: CubesNetwork, card: Card) -> Packed:
-        """From a network."""
+        """Pack a network."""
         return cls(card, torch.tensor(network.ids), public_tensors(network))
 
     @classmethod
     def read(cls, path: Path) -> Packed:
-        """Read a file that `write` made."""
+        """Read a file written by `write`."""
         with safe_open(path, framework="pt") as file:
             card = Card.model_validate_json(file.metadata()[_CARD])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
@@ -147,7 +146,7 @@ def _of_layer(name: str, value: Tensor) -> list[tuple[str, Tensor]]:
 
 
 def network_of(packed: Packed) -> CubesNetwork:
-    """The trainable network with these weights, the inverse of `Packed.of`."""
+    """The trainable network with these weights; the inverse of `Packed.of`."""
     network = CubesNetwork(packed.card.recipe.shape, packed.ids.tolist())
     state: dict[str, object] = {}
     for name, value in network.state_dict().items():

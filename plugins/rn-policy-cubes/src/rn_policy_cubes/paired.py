@@ -1,7 +1,7 @@
 """Champion and challenger on the same episodes: the exact paired test, and an interval.
 
 Source: McNemar 1947, exact as a sign test of the pairs that differ; Clopper and Pearson 1934 for
-the interval of their share, from which that of the difference follows.
+the interval of their proportion, from which that of the difference follows.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ _HALVINGS = 50
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PairedTest:
-    """Success by seed of two policies.
+    """Comparison of two policies on the same seeds.
 
     Attributes:
-        seeds: that both were tried on.
-        champion, challenger: how many each of them solved.
-        only_champion, only_challenger: solved by one alone.
-        difference: share of the challenger less that of the champion, -1 .. 1.
-        low, high: of its 95 % interval, given how many pairs differ.
+        seeds: number of seeds.
+        champion, challenger: number of successes of each.
+        only_champion, only_challenger: seeds solved by only one.
+        difference: success rate of the challenger minus that of the champion, -1 .. 1.
+        low, high: its 95 % interval, given the number of differing pairs.
         p_value: two-sided.
     """
 
@@ -38,7 +38,7 @@ class PairedTest:
     p_value: float
 
     def __str__(self) -> str:
-        """For people."""
+        """Text for people."""
         champion, challenger = (
             f"{count}/{self.seeds} ({100 * count / self.seeds:.1f} %)"
             for count in (self.champion, self.challenger)
@@ -74,7 +74,7 @@ def paired(champion: Mapping[int, bool], challenger: Mapping[int, bool]) -> Pair
 
 
 def share_interval(successes: int, trials: int) -> tuple[float, float]:
-    """Exact interval of a share (Clopper and Pearson); 0 and 1 of no trials."""
+    """Exact interval of a proportion (Clopper and Pearson); 0 and 1 without trials."""
     tail = (1.0 - CONFIDENCE) / 2
     low, high = 0.0, 1.0
     if successes > 0:
@@ -85,7 +85,7 @@ def share_interval(successes: int, trials: int) -> tuple[float, float]:
 
 
 def _at_most(successes: int, trials: int, share: float) -> float:
-    """Probability of so many successes or fewer."""
+    """Probability of at most `successes` successes."""
     terms = (
         comb(trials, k) * share**k * (1.0 - share) ** (trials - k) for k in range(successes + 1)
     )
@@ -93,7 +93,7 @@ def _at_most(successes: int, trials: int, share: float) -> float:
 
 
 def _root(rising: Callable[[float], float]) -> float:
-    """Where a function that rises between 0 and 1 is zero."""
+    """Root of a function that rises between 0 and 1."""
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = (low + high) / 2

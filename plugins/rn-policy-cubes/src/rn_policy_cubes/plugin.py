@@ -1,4 +1,4 @@
-"""What this package offers: the command "cubes-policy"; standard library and descriptors only."""
+"""Descriptors of this package: the command "cubes-policy"; standard library only."""
 
 from __future__ import annotations
 

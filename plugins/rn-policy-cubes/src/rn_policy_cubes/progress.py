@@ -1,4 +1,4 @@
-"""What a person sees of long work: how far it is, how fast it goes, how long it still takes."""
+"""Progress lines of long work: count, rate and remaining time."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ EVERY_S = 10.0
 
 
 class Progress:
-    """One line every so often. Used from one thread.
+    """Prints a progress line at intervals. Used from one thread.
 
     Args:
-        what: is counted, for the beginning of each line ("step").
-        total: how many there are to be.
-        done: how many there were at the beginning; the rate leaves them out.
-        say: gets the lines.
+        what: the counted unit, at the start of each line ("step").
+        total: final count.
+        done: count at the start, which the rate leaves out.
+        say: called with each line.
         every_s: time between two lines [s].
         clock: monotonic time [s].
     """
@@ -37,7 +37,7 @@ class Progress:
         self._begun_s = self._said_s = clock()
 
     def update(self, done: int, figures: str = "") -> bool:
-        """Say how far it is if a line is due, or if all is done; returns whether one was said."""
+        """Print a line if one is due or all is done; returns True if one was printed."""
         now_s = self._clock()
         if now_s - self._said_s < self._every_s and done < self._total:
             return False
@@ -59,7 +59,7 @@ class Progress:
 
 
 def duration(seconds: float) -> str:
-    """A time for people: "40 s", "12 min", "3 h 5 min"."""
+    """A duration as text: "40 s", "12 min", "3 h 5 min"."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60)

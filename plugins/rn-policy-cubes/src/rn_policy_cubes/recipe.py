@@ -1,4 +1,4 @@
-"""Sizes, scales and settings of the policy and its training: one place, kept with the weights."""
+"""Sizes, scales and settings of the policy and its training, stored with the weights."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Size = Annotated[int, Field(ge=1)]
 ROWS = 5
-"""Actions of a chunk: `constants = "bridge"` of the backend."""
+"""Actions of a chunk, as in `constants = "bridge"` of the backend."""
 ACTION_WIDTH = 7
 PLACEHOLDERS = ROWS * ACTION_WIDTH
 STATE_WIDTH = 7
@@ -17,11 +17,11 @@ PATCHES = GRID * GRID
 PATCH_VALUES = 3 * PATCH_PX * PATCH_PX
 VOCABULARY, PADDING = 32064, 64
 MOVE_SCALE_M, TILT_SCALE_RAD, TURN_SCALE_RAD = 0.03, 0.05, 0.20
-"""What 1.0 means in a normalised action: moves, turns about x and y, turns about z."""
+"""Values of 1.0 in a normalised action: translation, rotation about x and y, rotation about z."""
 ACTION_SCALE = (MOVE_SCALE_M,) * 3 + (TILT_SCALE_RAD,) * 2 + (TURN_SCALE_RAD,)
 STATE_LOW = (0.25, -0.35, 0.0, -0.3, -0.3, -1.6, 0.0)
 STATE_HIGH = (0.70, 0.35, 0.50, 0.3, 0.3, 1.6, 1.0)
-"""Range of the state: TCP position [m], roll, pitch, yaw against a gripper pointing down [rad],
+"""Range of the state: TCP position [m], roll, pitch, yaw relative to a gripper pointing down [rad],
 opening.
 """
 
@@ -42,14 +42,14 @@ class NetworkShape(BaseModel):
     layers: Annotated[int, Field(ge=2)] = 4
     heads: Size = 3
     rope_theta: float = 1e8
-    """Large: most dimensions hardly turn over a few hundred positions, so that content is found
-    wherever it stands.
+    """Large, so that most dimensions hardly rotate over a few hundred positions, and content is
+    found at any position.
     """
 
 
 class Recipe(BaseModel):
-    """How the policy is trained. Two runs of one recipe over the same shards are equal, bit for
-    bit, on one machine.
+    """Settings of the training. Two runs of one recipe over the same shards are bit-identical on
+    one machine.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
@@ -60,22 +60,22 @@ class Recipe(BaseModel):
     """Shards of demonstrations; the last `held_out` of them are for measuring."""
     held_out: Size = 1
     steps: Size = 12_000
-    """Optimiser steps in all."""
+    """Total number of optimiser steps."""
     cool_down: Annotated[float, Field(ge=0, le=1)] = 0.3
-    """Share of the steps, at the end, over which the rate falls to nothing."""
+    """Fraction of the steps, at the end, over which the rate falls to zero."""
     warm_up: Size = 100
     rate: float = 2e-3
     views: Size = 32
-    """Views of a step; each gives one training pair for every colour."""
+    """Views per step; each gives one training pair for every colour."""
     tokens: Size = 24
-    """Visual tokens of a training step (of 256): those with cubes, and a sample that stands for the
+    """Visual tokens of a training step (of 256): those with cubes, and a sample that represents the
     others.
     """
     full_from: Annotated[float, Field(ge=0, le=1)] = 0.97
-    """Share of the steps after which all visual tokens are seen."""
+    """Fraction of the steps after which all visual tokens are used."""
     full_views: Size = 8
-    """Views of a step from then on."""
+    """Views per step from then on."""
     continues: bool = False
-    """Training begins with weights that were trained before. What only training has begins anew, so
-    its losses grow to their full weight during the warm-up.
+    """Training starts from earlier weights. The auxiliary heads start untrained, so their losses
+    grow to their full weight during the warm-up.
     """

@@ -1,4 +1,4 @@
-"""All demonstrations of a recipe, by several processes."""
+"""Recording of all demonstrations of a recipe, by several processes."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _POLL_S = 1.0
 
 
 def record(directory: Path, count: int, *, workers: int, say: Say, views: int = VIEWS) -> None:
-    """Make the shards below `count` that are not there.
+    """Create the missing shards below `count`.
 
     Args:
-        directory: of the shards.
-        count: how many there are to be.
-        workers: processes.
-        say: gets how far it is, every 10 s.
-        views: of each shard.
+        directory: folder of the shards.
+        count: total number of shards.
+        workers: number of processes.
+        say: called with the progress every 10 s.
+        views: views of each shard.
 
     Raises:
         PluginError: a process failed.
@@ -32,8 +32,8 @@ def record(directory: Path, count: int, *, workers: int, say: Say, views: int = 
     if not missing:
         return
     say(
-        f"demonstrations: {count - len(missing)} of {count} shards are there, {len(missing)} of "
-        f"{views} views are made"
+        f"demonstrations: {count - len(missing)} of {count} shards exist, {len(missing)} of "
+        f"{views} views are created"
     )
     progress = Progress("demonstrations: views", count * views, (count - len(missing)) * views, say)
     if workers > 1:
@@ -53,7 +53,7 @@ def _counted(progress: Progress, before: int, figures: str) -> Callable[[int], o
 def _record_by_several(
     directory: Path, count: int, workers: int, views: int, progress: Progress
 ) -> None:
-    """Make them in processes; shards that are finished are counted."""
+    """Create them in processes; the progress counts finished shards."""
     command = [
         sys.executable,
         "-m",
@@ -68,11 +68,11 @@ def _record_by_several(
             next(process for process in processes if process.poll() is None).wait(_POLL_S)
         progress.update((count - len(missing_shards(directory, count))) * views)
     if any(process.returncode for process in processes):
-        raise PluginError("A process that makes demonstrations failed; its message is above.")
+        raise PluginError("A process that records demonstrations failed; its message is above.")
 
 
 def missing_shards(directory: Path, count: int) -> list[int]:
-    """Numbers of the shards below `count` that are not there."""
+    """Numbers of the missing shards below `count`."""
     return [number for number in range(count) if not shard_files(directory, number)[0].exists()]
 
 

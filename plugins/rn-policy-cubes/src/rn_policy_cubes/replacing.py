@@ -1,6 +1,4 @@
-"""Files that are replaced at once or not at all, and a sentence when the disk does not take
-them.
-"""
+"""Atomic replacement of files, with an error message if the disk is full."""
 
 from __future__ import annotations
 
@@ -13,8 +11,7 @@ from roboneuron import StateError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a path to write to, which becomes `path` when that has worked; otherwise what was there
-    stays.
+    """Yield a path to write to, which replaces `path` on success; otherwise the old file stays.
 
     Raises:
         StateError: it cannot be written.
@@ -23,7 +20,7 @@ def replacing(path: Path) -> Iterator[Path]:
     try:
         yield unfinished
         unfinished.rename(path)
-    except (OSError, RuntimeError) as error:  # torch tells a full disk as the latter
+    except (OSError, RuntimeError) as error:  # torch reports a full disk as a RuntimeError
         with suppress(OSError):
             unfinished.unlink(missing_ok=True)
         reason = getattr(error, "strerror", None) or str(error).splitlines()[0]

@@ -1,5 +1,5 @@
 """Rollouts of a trained policy in the simulated cell: views of the states that the policy itself
-comes into, which the teacher labels (DAgger). They are shards like those of demonstrations.
+reaches, labelled by the teacher (DAgger). They are stored as shards like demonstrations.
 
 Source: Ross, Gordon and Bagnell 2011, "A reduction of imitation learning and structured prediction
 to no-regret online learning".
@@ -33,17 +33,17 @@ F64 = NDArray[np.float64]
 U8 = NDArray[np.uint8]
 
 SHARDS_PER_ROUND = 10_000
-"""Rollouts of round n have numbers from n times this on; those below are demonstrations."""
+"""Rollouts of round n have numbers from n times this value on; lower numbers are demonstrations."""
 _STEPS, _CORRECTED_FROM = 100, 65
-"""Actions of an episode; from the second on the teacher acts, and shows how to recover."""
+"""Actions of an episode; from the second value on the teacher acts, which demonstrates recovery."""
 _FEW_BETWEEN, _CORRECTED_SHARE, _HARD = 0.15, 0.5, 0.5
-"""Shares: of the steps between two predictions that are kept too; of those in which the teacher
-acts; of the episodes in which the cube that is turned most is named.
+"""Fractions: of the steps between two predictions that are recorded too; of the recorded steps
+under the teacher; of the episodes in which the cube with the largest turn is named.
 """
 
 
 class Student:
-    """A trained policy, asked in this process. Used from one thread."""
+    """A trained policy, run in this process. Used from one thread."""
 
     def __init__(self, packed: Packed, tokenizer: Path) -> None:
         self._network = network_of(packed).eval()
@@ -52,12 +52,12 @@ class Student:
 
     @torch.no_grad()
     def predict(self, picture: U8, row: NDArray[np.void], colour: str) -> F64:
-        """The next actions, float64 (ROWS, 7), as the teacher gives them.
+        """Predict the next actions, float64 (ROWS, 7), in the teacher's units.
 
         Args:
             picture: uint8 (224, 224, 3) RGB.
-            row: of the dtype `ROW`, (); only what the robot measures is looked at.
-            colour: of the named cube.
+            row: state of the dtype `ROW`, (); only the robot's measurements are used.
+            colour: colour of the named cube.
         """
         look = Look(torch.from_numpy(patches_of(picture[None])), self._index, None)
         state = torch.from_numpy(state_of(row))[None]
@@ -70,14 +70,14 @@ class Student:
 
 
 class RolloutRecorder(ShardRecorder):
-    """Lets the student act, and the teacher when it has not lifted the cube in time."""
+    """Lets the student act, and then the teacher if the cube was not lifted in time."""
 
     def __init__(self, number: int, views: int, student: Student) -> None:
         super().__init__(number, views)
         self._student = student
 
     def choose(self, simulation: ArmSimulation) -> str:
-        """Often the cube that is turned most, which is what this policy fails at."""
+        """Often choose the cube with the largest turn, on which this policy tends to fail."""
         row = self.look(simulation, COLOURS[0])[None]
         turns = [abs(float(situations(row, cube).turn_rad[0])) for cube in range(len(COLOURS))]
         if self.random.random() < _HARD:
@@ -85,7 +85,7 @@ class RolloutRecorder(ShardRecorder):
         return super().choose(simulation)
 
     def pick(self, simulation: ArmSimulation, target: str) -> None:
-        """One episode, from where the arm is."""
+        """Run one episode from the arm's present position."""
         cube, planned, held_steps = COLOURS.index(target), np.zeros((0, 7)), 0
         for step in range(_STEPS):
             held_steps += simulation.cubes()[target].held_s > 0.5
@@ -108,7 +108,9 @@ class RolloutRecorder(ShardRecorder):
 
 
 def write_rollouts(directory: Path, number: int, views: int, student: Student) -> tuple[int, int]:
-    """Make shard `number`; returns how many episodes lifted the cube, and how many there were."""
+    """Create shard `number`; returns the number of episodes that lifted the cube, and of all
+    episodes.
+    """
     return fill_shard(directory, RolloutRecorder(number, views, student))
 
 

@@ -1,4 +1,4 @@
-"""The network before training: filters from the pictures, positions that mean something."""
+"""Initial weights of the network: filters from the images, and smooth position embeddings."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rn_policy_cubes.network import PIXELS, CubesNetwork, CubesVisionTower
 from rn_policy_cubes.recipe import GRID, PATCH_VALUES, NetworkShape
 
 _POSITION_SHARE = 4
-"""One channel in so many of a tower is for the position."""
+"""One of this number of a tower's channels is for the position."""
 _SAMPLE = 20_000
 _SIZE = 0.7
 
@@ -21,9 +21,9 @@ _SIZE = 0.7
 def new_network(shape: NetworkShape, ids: Sequence[int], shards: Shards, seed: int) -> CubesNetwork:
     """A network whose patch filters are the principal components of patches with cubes.
 
-    Three quarters of a tower's channels begin as such filters, the components shared out between
-    the towers; the rest begins as smooth functions of the patch's place in the picture. Everything
-    is trained afterwards.
+    Three quarters of a tower's channels start as such filters, with the components distributed over
+    the towers; the others start as smooth functions of the patch's position in the image. All
+    weights are trained afterwards.
     """
     torch.manual_seed(seed)
     network = CubesNetwork(shape, ids)
@@ -66,7 +66,7 @@ def _set_positions(tower: CubesVisionTower, number: int, random: np.random.Gener
         functions += [torch.sin(waves * 1.5 * down), torch.cos(waves * 1.5 * down)]
     count = width // _POSITION_SHARE
     places = torch.stack(functions[:count], dim=-1)
-    if number:  # the other tower gets mixtures of more of them
+    if number:  # the other tower gets mixtures of more functions
         more = torch.stack(functions[: 2 * count], dim=-1)
         mix = torch.from_numpy(random.normal(size=(2 * count, count)) / (2 * count) ** 0.5).float()
         places = more @ mix * 1.5

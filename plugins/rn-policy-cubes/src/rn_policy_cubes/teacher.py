@@ -1,8 +1,7 @@
-"""The teacher: from the true state of the simulator to the next actions. It remembers nothing.
+"""The teacher: maps the true state of the simulator to the next actions. It is stateless.
 
-Because it is a function of the present state alone, it labels any state with the actions it would
-take from there, and it can be asked for each cube of one picture: four colours named, four labels.
-It answers for many situations at once.
+Because it depends only on the present state, it can label any state with the actions from there,
+for each cube of an image: four named colours give four labels. It is vectorised over situations.
 """
 
 from __future__ import annotations
@@ -18,12 +17,12 @@ Mask = NDArray[np.bool_]
 HOVER_M, GRASP_M, LIFT_M = 0.12, 0.020, 0.24
 """TCP heights: above the cubes, at the grasp, and at the end of the lift."""
 STEP_M, TURN_RAD = 0.03, 0.20
-"""Longest move and turn of one action."""
+"""Largest translation and rotation of one action."""
 STEP_S = 0.1
-"""Time of one action."""
+"""Duration of one action."""
 _GAIN = 0.5
 _REACHED = 0.93
-"""Share of a commanded move that the simulated arm has made after one action. Measured."""
+"""Fraction of a commanded motion that the simulated arm has executed after one action. Measured."""
 _FINGERS_PER_STEP = 0.13
 """Change of the opening in one action."""
 _FULL_OPENING_M = 0.08
@@ -34,15 +33,15 @@ _CLEAR_M, _BESIDE_M = 0.075, 0.028
 
 @dataclass(frozen=True, slots=True)
 class Situations:
-    """What the teacher looks at, n times.
+    """Input of the teacher, for n situations.
 
     Attributes:
         tcp_m: float64 (n, 3), TCP position in the base frame.
-        yaw_rad: (n,), of the gripper about the vertical.
+        yaw_rad: (n,), yaw of the gripper about the vertical.
         tilt_rad: (n, 2), turn about x and y that would make the gripper point straight down.
         opening: (n,), 0 closed .. 1 open.
         cube_m: (n, 3), centre of the named cube.
-        cube_yaw_rad: (n,), of any of its side faces.
+        cube_yaw_rad: (n,), yaw of any of its side faces.
         edge_m: (n,), length of its edges.
     """
 
@@ -56,7 +55,7 @@ class Situations:
 
     @property
     def to_cube_m(self) -> F64:
-        """From TCP to cube, (n, 3)."""
+        """Vector from TCP to cube, (n, 3)."""
         return self.cube_m - self.tcp_m
 
     @property
@@ -66,7 +65,7 @@ class Situations:
 
     @property
     def turn_rad(self) -> F64:
-        """Least turn that lays the fingers along a side face, within an eighth of a full turn;
+        """Smallest turn that aligns the fingers with a side face, within an eighth of a full turn;
         (n,).
         """
         angle = self.cube_yaw_rad - self.yaw_rad
@@ -74,12 +73,12 @@ class Situations:
 
     @property
     def is_inside(self) -> Mask:
-        """The cube is between the fingers, (n,)."""
+        """True if the cube is between the fingers, (n,)."""
         return np.asarray((self.distance_m < 0.020) & (np.abs(self.to_cube_m[:, 2]) < 0.020))
 
     @property
     def is_gripped(self) -> Mask:
-        """The fingers are closed on it, (n,)."""
+        """True if the fingers are closed on the cube, (n,)."""
         return np.asarray(self.is_inside & (self.opening < self.edge_m / _FULL_OPENING_M + 0.045))
 
 
@@ -94,7 +93,7 @@ def act(now: Situations) -> F64:
         (now.distance_m < 0.010) & (np.abs(height - GRASP_M) < 0.010) & (np.abs(turn) < 0.20)
     )
     closes = is_placed | (is_closing & (np.abs(turn) < 0.5))
-    # across its corners a cube is held further open than it is wide
+    # across its corners a cube keeps the fingers further open than its width
     lifts = inside & (now.opening < _STUCK_OPENING)
     rise = _GAIN * (LIFT_M - height)
     lift = np.where(now.is_gripped, rise, np.minimum(rise, _CREEP_M))
@@ -113,17 +112,17 @@ def act(now: Situations) -> F64:
 
 
 def _approach_height(now: Situations) -> F64:
-    """A funnel: the nearer and the better turned, the lower."""
+    """Funnel-shaped height: the smaller the distance and the turn, the lower."""
     height, turn, distance = now.tcp_m[:, 2], np.abs(now.turn_rad), now.distance_m
     above = np.maximum((distance - 0.008) * 4.0, (turn - 0.12) * 0.5)
     funnel = GRASP_M + np.clip(above, 0.0, HOVER_M - GRASP_M)
-    # closed fingers do not go down
+    # closed fingers do not descend
     stays_up = (now.opening < 0.85) & ((height > 0.05) | (distance > 0.03))
     return np.where(stays_up, HOVER_M, funnel)
 
 
 def _sideways(now: Situations) -> F64:
-    """Low and beside something, the gripper goes up first; (n, 1)."""
+    """Fraction of the lateral motion: low and next to a cube, the gripper rises first; (n, 1)."""
     height = now.tcp_m[:, 2]
     share = np.clip((height - 0.045) / 0.03, 0.0, 1.0)
     return np.where((height < _CLEAR_M) & (now.distance_m > _BESIDE_M), share, 1.0)[:, None]
@@ -135,7 +134,7 @@ def _shortened(vectors: F64, longest: float) -> F64:
 
 
 def chunks(now: Situations, rows: int) -> F64:
-    """The next `rows` actions, float64 (n, rows, 7): the teacher played forward without physics."""
+    """The next `rows` actions, float64 (n, rows, 7): the teacher rolled out without physics."""
     actions = []
     for _ in range(rows):
         actions.append(act(now))
@@ -144,8 +143,8 @@ def chunks(now: Situations, rows: int) -> F64:
 
 
 def after(now: Situations, action: F64) -> Situations:
-    """Where actions lead, as measured of the simulated arm; a closed gripper takes the cube
-    along.
+    """Situations after the actions, as measured for the simulated arm; a closed gripper moves the
+    cube.
     """
     closing = action[:, 6] < 0.5
     move = _REACHED * action[:, :3]
@@ -165,8 +164,8 @@ def after(now: Situations, action: F64) -> Situations:
 
 
 def tilt_of(rotation: F64) -> F64:
-    """Turn about x and y, (n, 2) [rad], that points the z axis of TCP rotations (n, 3, 3) straight
-    down.
+    """Rotation about x and y, (n, 2) [rad], that points the z axis of TCP rotations (n, 3, 3)
+    straight down.
     """
     axis = np.cross(rotation[..., 2], [0.0, 0.0, -1.0])
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
@@ -175,6 +174,6 @@ def tilt_of(rotation: F64) -> F64:
 
 
 def yaw_of(rotation: F64) -> float:
-    """Yaw [rad] of that axis of a rotation (3, 3) which lies flattest."""
+    """Yaw [rad] of the most horizontal axis of a rotation (3, 3)."""
     flattest = int(np.argmin(np.abs(rotation[2])))
     return float(np.arctan2(rotation[1, flattest], rotation[0, flattest]))

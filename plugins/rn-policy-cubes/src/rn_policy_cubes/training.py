@@ -1,4 +1,4 @@
-"""The training loop: any number of interruptions, the same result."""
+"""The training loop: it may be interrupted any number of times, with the same result."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ STATE_FILE, CURVE_FILE = "training.pt", "curve.jsonl"
 _BETAS, _DECAY, _CLIP = (0.9, 0.98), 0.01, 1.0
 _AVERAGE = 0.995
 _PREVIEW_VIEWS = 32
-"""Held-out views of a preview: seconds on a CPU, enough to see whether anything is learned."""
+"""Held-out views of a preview: they take seconds on a CPU and show whether training works."""
 
 
 @dataclass
 class Training:
-    """Everything that a step changes.
+    """The complete state of a training.
 
     Attributes:
-        recipe: what is being done.
-        network, helpers: as trained.
-        average: moving average of the network's weights, which is what is exported.
+        recipe: its settings.
+        network, helpers: the trained modules.
+        average: moving average of the network's weights, which is exported.
         average_helpers: likewise.
         step: steps done.
         cpu_s: CPU time of all steps.
@@ -69,8 +69,8 @@ class Training:
         device: torch.device,
         weights: Packed | None = None,
     ) -> Training:
-        """A new one, from `weights` if there are any; without shards and weights they are not set
-        up, for `read`.
+        """A new training, from `weights` if given; without shards and weights it is not
+        initialised, for `read`.
         """
         if weights is not None:
             torch.manual_seed(recipe.seed)
@@ -88,7 +88,9 @@ class Training:
 
     @classmethod
     def read(cls, path: Path, recipe: Recipe, prompts: Prompts, device: torch.device) -> Training:
-        """Go on with what `write` left. The recipe may have another length, not another shape."""
+        """Resume from a file of `write`. The recipe may have another length, but not another
+        shape.
+        """
         training = cls.begin(recipe, prompts, None, device)
         saved = torch.load(path, map_location=device, weights_only=True)
         for name in ("network", "helpers", "average", "average_helpers", "optimiser"):
@@ -97,7 +99,7 @@ class Training:
         return training
 
     def write(self, path: Path) -> None:
-        """Save everything; what was there is replaced at once or not at all. Raises StateError."""
+        """Save everything; an earlier file is replaced atomically. Raises StateError."""
         state: dict[str, object] = {
             "step": self.step,
             "cpu_s": self.cpu_s,
@@ -109,18 +111,18 @@ class Training:
             torch.save(state, unfinished)
 
     def rate(self) -> float:
-        """Learning rate of the next step: up, level, down."""
+        """Learning rate of the next step: warm-up, constant, cool-down."""
         recipe = self.recipe
         falling = max(1.0, recipe.steps * recipe.cool_down)
         left = (recipe.steps - self.step) / falling
         return recipe.rate * min(1.0, (self.step + 1) / recipe.warm_up, max(left, 0.0))
 
     def guidance(self) -> float:
-        """Weight of the helpers' losses."""
+        """Weight of the auxiliary losses."""
         return min(1.0, self.step / self.recipe.warm_up) if self.recipe.continues else 1.0
 
     def is_full(self) -> bool:
-        """Whether all visual tokens are seen."""
+        """True if all visual tokens are used."""
         return (
             self.step >= self.recipe.full_from * self.recipe.steps or self.recipe.tokens >= PATCHES
         )
@@ -132,7 +134,7 @@ class Training:
         return draw(shards, prompts, weight, views, tokens, [recipe.seed, self.step])
 
     def advance(self, batch: Batch) -> dict[str, float]:
-        """One step; returns its losses."""
+        """Run one step; returns its losses."""
         begun = time.process_time()
         rate = self.rate()
         for group in self.optimiser.param_groups:
@@ -158,7 +160,7 @@ class Training:
 
 
 def half_precision(device: torch.device) -> contextlib.AbstractContextManager[object]:
-    """bfloat16 for matrix products; weights stay float32."""
+    """Context with bfloat16 matrix products; weights stay float32."""
     return torch.autocast(device.type, torch.bfloat16)
 
 
@@ -179,24 +181,23 @@ def train(
     preview_every_s: float = 120.0,
     fuse: bool = False,
 ) -> Training:
-    """Train until step `until` (default: the recipe's last), going on from what `directory` holds.
+    """Train until step `until` (default: the recipe's last), resuming a training in `directory`.
 
     Args:
-        recipe: what to do.
-        directory: of state, curve and tokenizer.
-        data: of the shards.
-        weights: what a training begins with; its recipe says `continues`.
-        more: numbers of shards that are trained on beside those of the recipe.
-        corrections: other views that are trained on.
-        until: stop there, to go on another time.
-        say: gets lines for people: rate, time left, losses, figures on held-out views.
+        recipe: settings of the training.
+        directory: folder of state, curve and tokenizer.
+        data: folder of the shards.
+        weights: initial weights, for a recipe with `continues`.
+        more: numbers of shards for training, besides those of the recipe.
+        corrections: further views for training.
+        until: step to stop at, to continue later.
+        say: called with lines for people: rate, remaining time, losses, metrics on held-out views.
         log_every, measure_every: steps between entries, and between measurements on held-out views.
         save_every_s: time between two saved states.
         say_every_s: time between two lines.
-        preview_every_s: time between figures of a few held-out views; the first come with the first
-            line.
-        fuse: compile the layers first (a C++ compiler is needed); a CPU then needs half of the
-            time.
+        preview_every_s: time between metrics of a few held-out views; the first ones come with the
+            first line.
+        fuse: compile the layers first (needs a C++ compiler); this halves the time on a CPU.
     """
     directory.mkdir(parents=True, exist_ok=True)
     tokenizer = directory / "tokenizer.json"
@@ -261,7 +262,7 @@ def train(
 
 
 def pack(directory: Path) -> Packed:
-    """The averaged weights of a training, with the newest figures of its curve.
+    """The averaged weights of a training, with the newest metrics of its curve.
 
     Raises:
         ConfigurationError: there is no training in the folder.
@@ -269,7 +270,7 @@ def pack(directory: Path) -> Packed:
     state = directory / STATE_FILE
     if not state.exists():
         raise ConfigurationError(
-            f"{directory} holds no training.", hint="Begin one: roboneuron cubes-policy train"
+            f"{directory} holds no training.", hint="Start one: roboneuron cubes-policy train"
         )
     saved = torch.load(state, map_location="cpu", weights_only=True)
     recipe = Recipe.model_validate(saved["recipe"])
@@ -281,7 +282,7 @@ def pack(directory: Path) -> Packed:
     ]
     figures: dict[str, float] = {}
     for line in lines:
-        # JSON has no NaN, which stands for what the held-out views do not show
+        # JSON has no NaN, the value of metrics without suitable held-out views
         figures |= {
             name: value
             for name, value in line.items()
@@ -294,7 +295,7 @@ def pack(directory: Path) -> Packed:
 
 
 class _Curve:
-    """Losses by step, averaged between two lines of the file."""
+    """The training curve: losses by step, averaged between two lines of the file."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -302,18 +303,18 @@ class _Curve:
         self._count = 0
 
     def add(self, numbers: dict[str, float]) -> None:
-        """The losses of one step."""
+        """Add the losses of one step."""
         for name, value in numbers.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
         self._count += 1
 
     def flush(self, training: Training) -> None:
-        """Write the mean of what was added."""
+        """Write the mean of the added losses."""
         self.note(training, {name: value / self._count for name, value in self._sums.items()})
         self._sums, self._count = {}, 0
 
     def note(self, training: Training, numbers: dict[str, float]) -> None:
-        """One line."""
+        """Write one line."""
         rounded = {
             name: value if math.isnan(value) else round(value, 5) for name, value in numbers.items()
         }
@@ -323,7 +324,7 @@ class _Curve:
 
 
 def _told(numbers: dict[str, float]) -> str:
-    """The losses of a step, for people."""
+    """The losses of a step as text for people."""
     return ", ".join(
         f"{name} {numbers[name]:.3g}" for name in ("total", "action", "place", "accuracy")
     )

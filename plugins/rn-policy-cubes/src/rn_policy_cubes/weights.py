@@ -1,4 +1,4 @@
-"""The weights that come with this package."""
+"""The weights shipped with this package."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ WEIGHTS_FILE = "cubes-policy.safetensors"
 
 
 def shipped_weights() -> Path:
-    """The packed file in this package. Raises ConfigurationError when this build has none."""
+    """Path of the shipped packed file. Raises ConfigurationError if this build has none."""
     path = Path(str(files("rn_policy_cubes") / "data" / WEIGHTS_FILE))
     if not path.exists():
         raise ConfigurationError(

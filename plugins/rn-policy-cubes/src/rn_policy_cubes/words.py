@@ -1,4 +1,4 @@
-"""The tokenizer of the policy, the sentences it is trained with, and their token ids."""
+"""The tokenizer of the policy, the sentences of its training, and their token ids."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SENTENCES = (
     "now lift the {} block",
     "get me the {} cube",
 )
-"""One length, so that compiled layers see one shape."""
+"""Sentences of equal length, so that compiled layers have one shape."""
 _PREFIX, _SUFFIX = "▁In:▁What▁action▁should▁the▁robot▁take▁to", "?\nOut:"
 _WORDS = (
     "a all and at block box brick button collect cube cubes down fetch from get grab grasp hand "
@@ -42,7 +42,7 @@ def write_tokenizer(path: Path) -> None:
     """Write tokenizer.json: the special ids of Llama, one id for each common word and for both ends
     of the prompt.
 
-    Other words fall apart into letters and bytes, as usual.
+    Other words are encoded as letters and bytes, as usual.
     """
     from tokenizers import Tokenizer, models, normalizers, processors
 
@@ -95,13 +95,13 @@ class Prompts:
 
     @property
     def share(self) -> NDArray[np.float64]:
-        """How many of the sentences each length has."""
+        """Fraction of the sentences with each length."""
         counts = np.array([len(ids) for ids in self.by_length], dtype=np.float64)
         return np.asarray(counts / counts.sum())
 
 
 def read_prompts(tokenizer: Path, sentences: Sequence[str] = SENTENCES) -> Prompts:
-    """Encode the sentences as rn-backend-oft does."""
+    """Encode the sentences as in rn-backend-oft."""
     encoder = PromptEncoder(tokenizer, "v02", base=VOCABULARY - PADDING, embeddings=VOCABULARY)
     found: dict[int, list[I64]] = {}
     for sentence in sentences:

@@ -1,6 +1,4 @@
-"""Stands in for SGLang's CUDA kernels where there is no GPU: importable, and an error when one is
-really called.
-"""
+"""Replaces SGLang's CUDA kernels without a GPU: importable, but calling one is an error."""
 
 __version__ = "0.4.10"
 

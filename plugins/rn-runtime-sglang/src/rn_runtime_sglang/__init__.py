@@ -1,1 +1,1 @@
-"""SGLang as a runtime: the same backends, executed by a served engine on this or another host."""
+"""SGLang as a runtime: the same backends, executed by an SGLang server on this or another host."""

@@ -1,4 +1,4 @@
-"""The runtime's contract case: it launches the stand-in as its server and runs requests there."""
+"""The runtime's contract case: it launches the stand-in as its server and runs requests on it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def sglang_case() -> RuntimeCase:
 
 
 def write_checkpoint(path: Path, content: str = "weights") -> Path:
-    """Write files that a fingerprint can be taken of, and nothing a model could be loaded from."""
+    """Write files with a fingerprint, from which no model can be loaded."""
     path.mkdir(parents=True)
     (path / "config.json").write_text('{"model_type": "openvla"}', encoding="utf-8")
     (path / "model.safetensors").write_text(content, encoding="utf-8")
@@ -53,7 +53,7 @@ def write_checkpoint(path: Path, content: str = "weights") -> Path:
 
 
 def policy_model(checkpoint: Path) -> PolicyModel:
-    """A model as far as a served runtime looks at it."""
+    """A model with the parts that a served runtime uses."""
 
     def build_front() -> object:
         raise AssertionError("a served runtime builds no module")

@@ -1,5 +1,5 @@
-"""One HTTP connection that is kept open, held to a deadline as a whole, and can be cut from another
-thread.
+"""A persistent HTTP connection with a deadline for each whole request, which another thread can
+cut.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ import httpx2
 from roboneuron import NotReadyError
 
 MAX_ANSWER_BYTES = 4 << 20
-"""No honest answer is longer."""
+"""Limit of an answer; no valid one is longer."""
 _LOCAL = ("127.0.0.1", "::1", "localhost")
 _JSON = {"Content-Type": "application/json"}
 _CONNECTED = ("connection.connect_tcp.complete", "connection.start_tls.complete")
 
 
 class ServerLost(NotReadyError):
-    """A server cannot be reached or hung up; another one may answer."""
+    """A server cannot be reached or closed the connection; another one may answer."""
 
 
 class AnswerTooLate(NotReadyError):
-    """The deadline passed before the answer was there."""
+    """The deadline passed before the answer was complete."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Access:
-    """How to reach a server.
+    """Address and credentials of a server.
 
     Attributes:
         url: "http://host:port" or "https://host:port".
         key: API key, empty for none.
         connect_timeout_s: bound on opening a connection [s].
-        tls: what to check certificates with; needed for https.
+        tls: TLS context that checks certificates; needed for https.
     """
 
     url: str
@@ -51,7 +51,7 @@ class Access:
 
     @property
     def is_open_to_others(self) -> bool:
-        """Whether requests and key cross a network in clear text."""
+        """True if requests and key are sent unencrypted over a network."""
         parts = urlsplit(self.url)
         return parts.scheme == "http" and parts.hostname not in _LOCAL
 
@@ -69,9 +69,9 @@ class HttpConnection:
 
     def __init__(self, access: Access) -> None:
         self._access = access
-        # no Client, because that writes a line into the log for each request
+        # no Client, because that logs a line for each request
         self._transport = httpx2.HTTPTransport(
-            # without `tls` no certificate is trusted: the default ones take 0.1 s to read
+            # without `tls` no certificate is trusted: reading the default ones takes 0.1 s
             verify=access.tls or ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT),
             trust_env=False,
             limits=httpx2.Limits(max_connections=1, keepalive_expiry=None),
@@ -85,8 +85,8 @@ class HttpConnection:
         """Send one request and read its answer.
 
         Args:
-            method, path: "GET" or "POST" and where to.
-            deadline_s: `time.monotonic()` by which the whole answer must be there.
+            method, path: "GET" or "POST", and the path.
+            deadline_s: `time.monotonic()` by which the whole answer must be complete.
             body: JSON, if any.
 
         Raises:
@@ -99,7 +99,7 @@ class HttpConnection:
         if left_s <= 0:
             raise late
         connect_s = min(self._access.connect_timeout_s, left_s)
-        # the timeouts bound each step, and an answer may trickle in
+        # the timeouts bound each step, but an answer may arrive slowly
         end = threading.Timer(left_s, self.cut)
         end.daemon = True
         end.start()
@@ -116,7 +116,7 @@ class HttpConnection:
             raise ServerLost(f"{url} cannot be reached or hung up ({text}).") from error
         finally:
             end.cancel()
-            end.join()  # it must not cut the next request
+            end.join()  # otherwise it could cut the next request
 
     def _exchange(
         self, method: str, path: str, body: bytes | None, timeout: httpx2.Timeout
@@ -146,10 +146,10 @@ class HttpConnection:
             self._socket = facts["return_value"].get_extra_info("socket")
 
     def cut(self) -> None:
-        """Break off a request that another thread is waiting for; harmless when there is none."""
+        """Interrupt a request of another thread; no effect if there is none."""
         if self._socket is not None:
             with suppress(OSError):
-                # not that of an SSLSocket, which would leave the other thread without its TLS
+                # not that of SSLSocket, which would remove the TLS state used by the other thread
                 socket.socket.shutdown(self._socket, socket.SHUT_RDWR)
 
     def close(self) -> None:

@@ -1,5 +1,5 @@
 """All servers of one model: each request goes to the ready one with the least load, and to another
-when that fails.
+one if that fails.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from rn_runtime_sglang.wire import Generated, MalformedReply
 from roboneuron import NotReadyError, RoboNeuronError
 
 Check = Callable[[], None]
-"""Raises when nobody wants the answer any more."""
+"""Raises if the answer is no longer needed."""
 _WAIT_S = 0.1
 
 
@@ -29,19 +29,18 @@ class ServerPool:
 
     @property
     def servers(self) -> tuple[SglangServer, ...]:
-        """In the order of the configuration."""
+        """The servers in the order of the configuration."""
         return self._servers
 
     def start(self, timeout_s: float, check: Check) -> None:
-        """Watch all servers and wait until one is ready and each has had the time of one poll.
+        """Monitor all servers, and wait until one is ready and each has had the time of one poll.
 
         Args:
-            timeout_s: how long to wait for the first one.
+            timeout_s: longest wait for the first one.
             check: called while waiting; may raise.
 
         Raises:
-            RoboNeuronError: what is wrong with a server that may not be used (each of them is an
-                error at the start).
+            RoboNeuronError: the refusal of a server (at the start every refusal is an error).
             NotReadyError: none became ready.
         """
         for server in self._servers:
@@ -78,13 +77,13 @@ class ServerPool:
         vocabulary: int,
         check: Check,
     ) -> Generated:
-        """Have one request answered.
+        """Send one request and return its answer.
 
         Args:
             body: from `encode_body`.
-            deadline_s: `time.monotonic()` after which nobody wants the answer.
-            attempts: how often it may be sent.
-            count, vocabulary: what the reply must hold.
+            deadline_s: `time.monotonic()` after which the answer is useless.
+            attempts: largest number of attempts.
+            count, vocabulary: required number and range of the reply's tokens.
             check: called after a failure; may raise.
 
         Raises:
@@ -123,7 +122,7 @@ class ServerPool:
         usable = [server for server in self._servers if server.refusal is None]
         if not usable:
             raise self._no_server()
-        # A server that is not ready is still asked when no other is left: it may be back before the
+        # A server that is not ready is still used if no other is left: it may be back before the
         # next poll.
         return min(usable, key=lambda server: (server in failed, not server.is_ready, server.load))
 
@@ -131,7 +130,7 @@ class ServerPool:
         return NotReadyError(f"No server may be used. {self._problems()}")
 
     def abort(self) -> None:
-        """Give up the request in progress, here and on its server; returns at once."""
+        """Abort the request in progress, here and on its server; returns at once."""
         current = self._current
         if current is not None:
             server, rid = current
@@ -140,8 +139,8 @@ class ServerPool:
             server.cut()
 
     def metrics(self) -> Mapping[str, float]:
-        """Counters since the start, servers that are ready, and what the servers say of themselves,
-        summed up.
+        """Counters since the start, the number of ready servers, and the sums of the servers' own
+        metrics.
         """
         counted = {
             f"served.{word}": float(self._counts[word])
@@ -154,7 +153,7 @@ class ServerPool:
         return {**counted, "served.servers_ready": float(ready), **summed}
 
     def close(self) -> None:
-        """Give up what runs and stop watching."""
+        """Abort the request in progress and stop monitoring."""
         self.abort()
         for server in self._servers:
             server.close()

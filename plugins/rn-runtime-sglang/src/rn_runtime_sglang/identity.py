@@ -1,6 +1,4 @@
-"""Is it the right model, in a release that was tried? Asked before the first request and after
-every return.
-"""
+"""Check of a server's model and release, before the first request and after every reconnection."""
 
 from __future__ import annotations
 
@@ -18,11 +16,11 @@ ARCHITECTURE = "OpenVLAForActionPrediction"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Expectation:
-    """What a server must say of its model.
+    """Expected identity of a server's model.
 
     Attributes:
-        name: of the checkpoint's directory.
-        served: "<name>@<fingerprint>", as servers of this package call it.
+        name: name of the checkpoint's directory.
+        served: "<name>@<fingerprint>", the name given by servers of this package.
     """
 
     name: str
@@ -30,9 +28,7 @@ class Expectation:
 
     @classmethod
     def of(cls, checkpoint: Path) -> Expectation:
-        """Read what identifies the checkpoint. Raises CheckpointError when its files cannot be
-        read.
-        """
+        """Read the identity of a checkpoint. Raises CheckpointError if its files cannot be read."""
         path = checkpoint.resolve()
         try:
             return cls(name=path.name, served=served_name(path))
@@ -40,20 +36,20 @@ class Expectation:
             raise CheckpointError(f"{path} cannot be read: {error}") from error
 
     def check(self, connection: HttpConnection, url: str, deadline_s: float) -> None:
-        """Ask one server.
+        """Query one server and compare.
 
         Raises:
             ConfigurationError: it does not accept the API key.
             MissingDependencyError: its release is not supported.
-            CheckpointError: it serves something else.
-            NotReadyError: it cannot be asked, or its answers make no sense.
+            CheckpointError: it serves another model.
+            NotReadyError: it does not answer, or its answers are malformed.
         """
         version = str(self._ask(connection, url, "/server_info", deadline_s).get("version"))
         if not is_supported(version):
             first, end = (".".join(map(str, numbers)) for numbers in SUPPORTED)
             raise MissingDependencyError(
                 f"{url} runs SGLang {version}, supported is >={first},<{end}.",
-                hint=f'Install it there: pip install "sglang>={first},<{end}".',
+                hint=f'Install a supported release: pip install "sglang>={first},<{end}".',
             )
         self._check_model(self._ask(connection, url, "/model_info", deadline_s), url)
 

@@ -1,4 +1,4 @@
-"""What this package offers: the runtime `sglang`."""
+"""Descriptors of this package: the runtime `sglang`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from roboneuron import RuntimeSpec, hookimpl
 
 FAMILIES = ("openvla",)
-"""Model families whose requests it answers; why not OpenVLA-OFT and pi0 is said in docs/sglang.md.
-"""
+"""Supported model families; docs/sglang.md explains why OpenVLA-OFT and pi0 are not among them."""
 CAPABILITIES = ("token-decode",)
-"""Kinds of request it answers. It has no hook to drop visual tokens: see docs/sglang.md."""
+"""Supported kinds of request. It has no hook to drop visual tokens: see docs/sglang.md."""
 
 
 @hookimpl
 def roboneuron_runtimes() -> Sequence[RuntimeSpec]:
-    """The served runtime."""
+    """Register the served runtime."""
     return (
         RuntimeSpec(
             name="sglang",

@@ -1,5 +1,5 @@
-"""Managed mode: a server of our own in its own virtual environment, process group and log, ended
-with this process.
+"""Managed mode: a server in its own virtual environment, process group and log, which ends with
+this process.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from roboneuron import ConfigurationError, MissingDependencyError, NotReadyError
 KEY_VARIABLE = "ROBONEURON_SGLANG_KEY"
 LAST_LINES = 15
 _STOP_S = 1.5
-"""Between asking the server to end and ending its whole group."""
+"""Time between SIGTERM to the server and SIGKILL to its whole group."""
 _PROBE_S = 60.0
 OURS = ("rn-runtime-sglang", "rn-vla", "roboneuron-core")
 NEEDED = ("lazy-loader", "simplejpeg")
-"""What the served half of OURS imports and SGLang does not bring. OURS are installed without their
-requirements, which would bring ROS and MCP.
+"""Modules that the served half of OURS imports and SGLang does not install. OURS are installed
+without their requirements, which would install ROS and MCP packages.
 """
 _PROBE = """
 import importlib.metadata as m, json, sys
@@ -40,7 +40,9 @@ print(json.dumps({n: v(n) for n in sys.argv[1:]}))
 
 
 class ManagedServer:
-    """Made pure, started once; `failure`, `stop` from any thread."""
+    """Process of a managed server. The constructor has no side effects; `start` is called once,
+    `failure` and `stop` from any thread.
+    """
 
     def __init__(self, config: SglangRuntimeConfig, checkpoint: Path, key: str) -> None:
         assert config.python is not None
@@ -61,8 +63,8 @@ class ManagedServer:
         """Check the environment, launch the server and return its URL; it is not ready yet.
 
         Raises:
-            MissingDependencyError: SGLang or this package is not installed there, or in another
-                release.
+            MissingDependencyError: SGLang or this package is missing in that environment, or of
+                another release.
             ConfigurationError: the interpreter cannot be run, or the port is taken.
         """
         check_environment(self._python, self._environment())
@@ -80,7 +82,7 @@ class ManagedServer:
         return f"http://127.0.0.1:{port}"
 
     def failure(self) -> str:
-        """How the server ended and its last lines, or nothing while it runs."""
+        """Exit status and last lines of an ended server; empty while it runs."""
         if self._stopping or not self._ended.is_set() or self._child is None:
             return ""
         status = self._child.returncode
@@ -92,13 +94,13 @@ class ManagedServer:
         return f"The SGLang server (process {self._child.pid}) {how}. {self.last_lines()}"
 
     def check(self) -> None:
-        """Raise NotReadyError with the last lines when the server has ended by itself."""
+        """Raise NotReadyError with the last lines if the server has ended by itself."""
         failure = self.failure()
         if failure:
             raise NotReadyError(failure, hint="Stop and start inference to launch it again.")
 
     def stop(self) -> None:
-        """End the server and everything it has started; idempotent."""
+        """End the server and all its processes; idempotent."""
         failed = bool(self.failure())
         self._stopping = True
         self._signal(signal.SIGTERM)
@@ -112,7 +114,7 @@ class ManagedServer:
                     self._log.unlink()
 
     def _environment(self) -> dict[str, str]:
-        # This process's own Python and library paths belong to another environment.
+        # This process's Python and library paths belong to another environment.
         inherited = {
             name: value
             for name, value in os.environ.items()
@@ -145,14 +147,14 @@ class ManagedServer:
             return Path(name)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.touch(mode=0o600)  # SGLang prints its arguments, the key among them
+            path.touch(mode=0o600)  # SGLang prints its arguments, including the key
         except OSError as error:
             raise ConfigurationError(f"The log {path} cannot be written: {error}") from error
         return path
 
     def _watch(self, port: int) -> None:
-        """Spawn and reap on one thread: the kernel's death signal follows the thread that
-        spawned.
+        """Start and reap the process on one thread: the kernel's death signal follows the thread
+        that started it.
         """
         try:
             with self._log.open("wb") as output:
@@ -173,7 +175,7 @@ class ManagedServer:
         pid = self._child.pid
         os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
         with self._reaping:
-            # Until it is reaped its number is not given away: its group can be ended safely.
+            # Its number is not reused before it is reaped, so its group can be killed safely.
             _kill_group(pid, signal.SIGKILL)
             self._child.wait()
         self._ended.set()
@@ -184,7 +186,7 @@ class ManagedServer:
                 _kill_group(self._child.pid, number)
 
     def last_lines(self) -> str:
-        """The end of its output, without the key."""
+        """The end of its output, with the key removed."""
         try:
             with self._log.open("rb") as file:
                 file.seek(max(0, self._log.stat().st_size - 16384))
@@ -201,9 +203,7 @@ def _kill_group(group: int, number: signal.Signals) -> None:
 
 
 def free_port(wanted: int | None) -> int:
-    """`wanted` if nobody listens there, or any free port of this machine. Raises
-    ConfigurationError.
-    """
+    """`wanted` if it is free, or any free port of this machine. Raises ConfigurationError."""
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -217,9 +217,7 @@ def free_port(wanted: int | None) -> int:
 
 
 def check_environment(python: Path, environment: dict[str, str]) -> None:
-    """Raise unless `python` runs and has a supported SGLang, this package and what it needs
-    there.
-    """
+    """Raise unless `python` runs, and has a supported SGLang, this package and its requirements."""
     first, end = (".".join(map(str, numbers)) for numbers in SUPPORTED)
     pip = f"{python} -m pip install"
     started_s = time.monotonic()

@@ -1,4 +1,4 @@
-"""The runtime `sglang`: takes a model that a server holds, and has its requests answered there."""
+"""The runtime `sglang`: forwards requests to a server that holds the model."""
 
 from __future__ import annotations
 
@@ -24,11 +24,13 @@ from roboneuron import ConfigurationError, InvalidInputError, NotReadyError, Sta
 log = logging.getLogger(__name__)
 _WARM_PROMPT_TOKENS = 16
 _WARM_S = 120.0
-"""The first request of an engine may compile kernels."""
+"""Time limit of an engine's first request, which may compile kernels."""
 
 
 class SglangRuntime:
-    """Follows `rn_vla.decoding.TokenRuntime`; `run` is called from one thread, `abort` from any."""
+    """Implements `rn_vla.decoding.TokenRuntime`; `run` is called from one thread, `abort` from
+    any.
+    """
 
     def __init__(self, config: SglangRuntimeConfig) -> None:
         self._config = config
@@ -38,16 +40,16 @@ class SglangRuntime:
         self._aborted = threading.Event()
 
     def load(self, model: PolicyModel, acceleration: LlamaAcceleration | None = None) -> None:
-        """Launch or reach the servers, check what they serve, and have one example answered.
+        """Launch or connect to the servers, check their models, and run one example.
 
         Raises:
-            InvalidInputError: not a model of a family it knows.
-            MissingDependencyError: SGLang is not installed where `python` says, or a server runs
-                another release.
+            InvalidInputError: not a model of a supported family.
+            MissingDependencyError: SGLang is not installed for `python`, or a server runs another
+                release.
             CheckpointError: a server serves another model.
             ConfigurationError: an option does not fit, or the API key is refused.
-            NotReadyError: no server is ready in time, or the launched one ended; with its last
-                lines.
+            NotReadyError: no server is ready in time, or the launched one ended; the message has
+                its last lines.
         """
         if not isinstance(model, PolicyModel) or model.family not in FAMILIES:
             raise InvalidInputError(
@@ -85,7 +87,7 @@ class SglangRuntime:
         self._model = model
 
     def _launch(self, model: PolicyModel) -> list[Access]:
-        # never begins with "-", which an argument parser takes for an option
+        # must not begin with "-", which an argument parser takes for an option
         key = secrets.token_hex(24)
         self._managed = ManagedServer(self._config, model.checkpoint.resolve(), key)
         url = self._managed.start()
@@ -118,19 +120,19 @@ class SglangRuntime:
                 log.warning(
                     "%s is not encrypted: images, instructions%s and the actions that move the "
                     "robot can be read and "
-                    "changed on the way. Use https or an encrypted tunnel.",
+                    "changed on the network path. Use https or an encrypted tunnel.",
                     access.url,
                     ", the API key" if key else "",
                 )
         return accesses
 
     def run(self, request: TokenRequest) -> TokenReply:
-        """Have one request answered.
+        """Answer one request.
 
         Raises:
-            InvalidInputError: not a request that can be served.
-            NotReadyError: no answer in time, no server, or `abort` was called; nothing comes of a
-                late answer.
+            InvalidInputError: not a request that a server supports.
+            NotReadyError: no answer in time, no server, or `abort` was called; a late answer is
+                dropped.
             UnsafeError: the model produced NaN or infinity.
         """
         fleet, model = self._fleet, self._model
@@ -149,7 +151,7 @@ class SglangRuntime:
 
     @staticmethod
     def _check_request(request: TokenRequest, model: PolicyModel) -> None:
-        """The limits an in-process runtime has, so that both refuse the same."""
+        """Check the limits of an in-process runtime, so that both refuse the same requests."""
         count = request.prompt.ids.size
         if count > model.max_prompt_tokens:
             raise InvalidInputError(
@@ -178,7 +180,7 @@ class SglangRuntime:
                 check=self._check,
             )
         except NotReadyError:
-            self._check()  # the reason, when it is one of ours
+            self._check()  # raises the cause if it is local
             raise
         self._check()
         ended_s = time.monotonic()
@@ -194,7 +196,7 @@ class SglangRuntime:
 
     def _check(self) -> None:
         if self._aborted.is_set():
-            raise NotReadyError("The inference was given up: abort was called.")
+            raise NotReadyError("The inference was aborted: abort was called.")
         self._check_process()
 
     def _check_process(self) -> None:
@@ -202,14 +204,14 @@ class SglangRuntime:
             self._managed.check()
 
     def abort(self) -> None:
-        """Give up the `run` in progress at once, and have its server give it up."""
+        """Abort the `run` in progress at once, also on its server."""
         self._aborted.set()
         fleet = self._fleet
         if fleet is not None:
             fleet.abort()
 
     def close(self) -> None:
-        """Hang up, and end the server that was launched."""
+        """Disconnect, and end the launched server."""
         self._aborted.set()
         fleet, self._fleet = self._fleet, None
         managed, self._managed = self._managed, None

@@ -1,5 +1,5 @@
-"""One server: a thread of its own watches readiness, identity and load and carries out aborts;
-`generate` asks it.
+"""Connection to one server: a thread monitors readiness, identity and load and sends aborts;
+`generate` sends requests.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from roboneuron import ConfigurationError, InvalidInputError, NotReadyError, Rob
 
 log = logging.getLogger(__name__)
 _POLL_LIMIT_S = 1.0
-"""A server that does not answer the poll by then is not ready."""
+"""Time limit of the poll; a server that does not answer within it is not ready."""
 _IDENTITY_LIMIT_S = 10.0
 _ABORT_LIMIT_S = 1.0
 _WANTED = {
@@ -52,47 +52,49 @@ class SglangServer:
         self._ready = False
         self._checked = False
         self._refusal: RoboNeuronError | None = None
-        self._problem = f"{access.url} has not been asked yet."
+        self._problem = f"{access.url} has not been queried yet."
         self._metrics: Mapping[str, float] = {}
 
     @property
     def is_ready(self) -> bool:
-        """It said so at the last poll, serves the right model, and no request has failed since."""
+        """True if the last poll succeeded, the model is the right one, and no request has failed
+        since.
+        """
         return self._ready
 
     @property
     def refusal(self) -> RoboNeuronError | None:
-        """Why it may not be used although it answers: another model, release or key."""
+        """Reason why it must not be used although it answers: another model, release or key."""
         return self._refusal
 
     @property
     def problem(self) -> str:
-        """Why it is not ready, in one sentence; empty when it is."""
+        """Reason why it is not ready, in one sentence; empty if it is."""
         return self._problem
 
     @property
     def metrics(self) -> Mapping[str, float]:
-        """What `/metrics` said at the last poll; empty when the server offers none."""
+        """Values of `/metrics` at the last poll; empty if the server has none."""
         return self._metrics
 
     @property
     def load(self) -> float:
-        """Requests that it runs or holds in its queue, of all its clients."""
+        """Number of running and queued requests, of all its clients."""
         return self._metrics.get("served.running", 0.0) + self._metrics.get("served.queued", 0.0)
 
     def start(self) -> None:
-        """Begin to watch."""
+        """Start monitoring."""
         self._thread = threading.Thread(
             target=self._observe, name=f"sglang {self.url}", daemon=True
         )
         self._thread.start()
 
     def wait_settled(self, timeout_s: float) -> bool:
-        """Whether it became ready, or was found to be the wrong one, within `timeout_s`."""
+        """Wait until it is ready or refused; False if neither happens within `timeout_s`."""
         return self._settled.wait(timeout_s)
 
     def close(self) -> None:
-        """Stop watching and hang up."""
+        """Stop monitoring and disconnect."""
         self._orders.put(_STOP)
         self._work.cut()
         self._watch.cut()
@@ -109,9 +111,9 @@ class SglangServer:
 
         Raises:
             ServerLost, MalformedReply: another server may be tried.
-            AnswerTooLate: the deadline passed; the request has been ordered to be aborted.
-            InvalidInputError: the server does not take the request.
-            ConfigurationError: it does not take the key.
+            AnswerTooLate: the deadline passed; an abort of the request is queued.
+            InvalidInputError: the server refuses the request.
+            ConfigurationError: it refuses the key.
         """
         try:
             answer = self._work.request("POST", "/generate", deadline_s, with_id(rid, body))
@@ -134,15 +136,15 @@ class SglangServer:
             raise
 
     def abort(self, rid: str) -> None:
-        """Have the server give up a request; returns at once."""
+        """Queue the abort of a request on the server; returns at once."""
         self._orders.put(rid)
 
     def cut(self) -> None:
-        """Break off the request that `generate` waits for."""
+        """Interrupt the request that `generate` waits for."""
         self._work.cut()
 
     def _mistrust(self, problem: str, *, check_again: bool) -> None:
-        """Others first, until the next poll succeeds, which is now."""
+        """Prefer other servers until the next poll, which starts now, succeeds."""
         self._ready = False
         self._problem = problem
         if check_again:

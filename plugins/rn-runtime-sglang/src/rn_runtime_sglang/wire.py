@@ -1,6 +1,4 @@
-"""What travels: a request as SGLang's `/generate` takes it, and its reply, checked field by
-field.
-"""
+"""Encoding of requests to SGLang's `/generate`, and checked decoding of its replies."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ from roboneuron import InvalidInputError, NotReadyError, UnsafeError
 
 I64 = NDArray[np.int64]
 UNUSABLE_TOKEN = 0
-"""What the served model decodes where its logits are not finite."""
+"""Token that the served model decodes for non-finite logits."""
 _TIMES = {
     "e2e_latency": "served.model_ms",
     "first_token_latency": "served.first_token_ms",
@@ -29,22 +27,22 @@ _COUNTS = {"prompt_tokens": "served.prompt_tokens", "cached_tokens": "served.cac
 
 
 class MalformedReply(NotReadyError):
-    """A server answered something else than was agreed; another one may do better."""
+    """A server's reply violates the protocol; another server may answer correctly."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Generated:
-    """A usable reply: int64 tokens and numbers worth watching."""
+    """A valid reply: int64 tokens and metrics."""
 
     tokens: I64
     metrics: Mapping[str, float]
 
 
 def encode_body(request: TokenRequest, image_format: str) -> bytes:
-    """Everything of a request but its id: JSON without the opening brace, see `with_id`.
+    """Encode a request without its id: JSON without the opening brace, see `with_id`.
 
     Raises:
-        InvalidInputError: not exactly one image, no prompt, or logits are asked for.
+        InvalidInputError: not exactly one image, no prompt, or logits are requested.
     """
     prompt = request.prompt
     if request.with_logits:
@@ -76,8 +74,8 @@ def encode_body(request: TokenRequest, image_format: str) -> bytes:
 
 
 def with_id(rid: str, body: bytes) -> bytes:
-    """The whole JSON of one attempt; each has an id of its own, so that one can be aborted without
-    another.
+    """The complete JSON of one attempt; each has its own id, so that it can be aborted
+    separately.
     """
     return b'{"rid":"' + rid.encode("ascii") + b'",' + body
 
@@ -94,7 +92,7 @@ def parse_object(raw: bytes, where: str) -> dict[str, object]:
 
 
 def error_text(raw: bytes) -> str:
-    """What the server says of an error, in whichever of its three forms."""
+    """The server's error message, in any of its three forms."""
     try:
         value = json.loads(raw)
     except ValueError:
@@ -109,7 +107,7 @@ def parse_reply(raw: bytes, where: str, *, rid: str, count: int, vocabulary: int
     """Check a reply of `/generate`.
 
     Raises:
-        MalformedReply: a field is absent or of the wrong type, number or range; or it answers
+        MalformedReply: a field is missing or of the wrong type, number or range; or it answers
             another request.
         NotReadyError: the server aborted the request.
         UnsafeError: the model's logits were not finite.
@@ -150,12 +148,12 @@ def parse_reply(raw: bytes, where: str, *, rid: str, count: int, vocabulary: int
 
 
 def parse_metrics(text: str, names: Mapping[str, str]) -> dict[str, float]:
-    """Sums over all labels of the wanted lines in Prometheus' text format; lines that cannot be
-    read are passed over.
+    """Sums over all labels of the wanted metrics in Prometheus' text format; unreadable lines are
+    skipped.
 
     Args:
         text: body of `/metrics`.
-        names: our name by SGLang's.
+        names: name in RoboNeuron by SGLang's name.
     """
     found: dict[str, float] = {}
     for line in text.splitlines():

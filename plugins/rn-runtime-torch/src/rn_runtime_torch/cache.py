@@ -11,7 +11,7 @@ from rn_vla.decoding import DecoderShape
 
 
 class KeyValueCache:
-    """Keys and values of one sequence; the tensors never move, so that CUDA graphs may refer to
+    """Keys and values of one sequence; the tensors never move, because CUDA graphs refer to
     them.
     """
 
@@ -24,8 +24,8 @@ class KeyValueCache:
         self._used = [0] * shape.layers
 
     def start(self, layer: int, key: Tensor, value: Tensor) -> tuple[Tensor, Tensor]:
-        """Replace the contents of `layer` by (1, key-value heads, n, head width); return them as
-        they are kept.
+        """Replace the contents of `layer` by (1, key-value heads, n, head width); return views of
+        the cache.
         """
         count = key.shape[2]
         self._keys[layer, :, :, :count] = key

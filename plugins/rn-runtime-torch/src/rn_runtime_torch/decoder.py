@@ -20,7 +20,7 @@ from rn_vla.pruning import AttentionView, TokenSelection
 from roboneuron import ConfigurationError, PluginError
 
 MATRICES = ("qkv", "out", "gate_up", "down")
-"""Parameters of a layer that rows are multiplied with."""
+"""Weight matrices of a layer."""
 
 
 class DecoderLayer(nn.Module):
@@ -44,18 +44,18 @@ class DecoderLayer(nn.Module):
         self.int8: dict[str, Int8Weight] = {}
 
     def quantize(self) -> None:
-        """Hold int8 copies of the matrices; steps use them from now on."""
+        """Create int8 copies of the matrices, which later decoding steps use."""
         self.int8 = {name: Int8Weight(getattr(self, name)) for name in MATRICES}
 
     def project(
         self, hidden: Tensor, cos: Tensor, sin: Tensor, scratch: Scratch, stepping: bool = False
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Hidden (b, n, hidden) -> query (b, heads, n, width), key and value (b, key-value heads,
-        n, width).
+        """Project hidden (b, n, hidden) to query (b, heads, n, width), key and value (b, key-value
+        heads, n, width).
 
-        `cos` and `sin` are (n, width) or (b, 1, n, width); `stepping` says that this is the one row
-        of a decoded token. Query and key of one sequence are contiguous: attention on the CPU loses
-        up to a quarter of its speed to other layouts.
+        `cos` and `sin` are (n, width) or (b, 1, n, width); `stepping` is True for the single row of
+        a decoded token. Query and key of one sequence are contiguous: attention on the CPU loses up
+        to a quarter of its speed to other layouts.
         """
         batch, count, width = *hidden.shape[:2], self.head_width
         normed = functional.rms_norm(hidden, self.norm_in.shape, self.norm_in, self.epsilon)
@@ -74,8 +74,8 @@ class DecoderLayer(nn.Module):
     def attend(
         self, query: Tensor, key: Tensor, value: Tensor, causal: bool, seen: Tensor | None = None
     ) -> Tensor:
-        """Scaled dot-product attention -> (b, heads, n, width), to the positions that are `seen`
-        (b, 1, 1, n).
+        """Scaled dot-product attention (b, heads, n, width), restricted to the positions `seen` (b,
+        1, 1, n).
         """
         return functional.scaled_dot_product_attention(
             query,
@@ -100,7 +100,7 @@ class DecoderLayer(nn.Module):
         return hidden
 
     def _times(self, rows: Tensor, name: str, scratch: Scratch, stepping: bool) -> Tensor:
-        """Rows (n, inputs) times a matrix -> (n, outputs)."""
+        """Multiply rows (n, inputs) by a matrix; returns (n, outputs)."""
         if self.int8 and stepping:
             return self.int8[name].times(rows)
         weight: Tensor = getattr(self, name)
@@ -109,7 +109,7 @@ class DecoderLayer(nn.Module):
         )
 
     def _add(self, to: Tensor, rows: Tensor, name: str, stepping: bool) -> None:
-        """Add rows (n, inputs) times a matrix to (n, outputs)."""
+        """Multiply rows (n, inputs) by a matrix, and add them to (n, outputs)."""
         if self.int8 and stepping:
             to.add_(self.int8[name].times(rows))
         else:
@@ -117,8 +117,8 @@ class DecoderLayer(nn.Module):
 
 
 def rotate(heads: Tensor, cos: Tensor, sin: Tensor, out: Tensor) -> None:
-    """Rotary positions of (b, heads, n, width), halves paired, into `out`: one read of each half,
-    no temporaries.
+    """Apply rotary positions to (b, heads, n, width), halves paired, and write `out`: one read of
+    each half, no temporaries.
 
     Source: Su et al. 2021, in the layout of the Hugging Face Llama.
     """
@@ -126,7 +126,7 @@ def rotate(heads: Tensor, cos: Tensor, sin: Tensor, out: Tensor) -> None:
     cos, sin = cos[..., :half], sin[..., :half]
     first, second = torch.split(heads, half, dim=-1)
     out_first, out_second = torch.split(out, half, dim=-1)
-    # fuses by itself, and knows no `out` that is a part of a tensor
+    # is fused by the compiler, which does not support `out` as a part of a tensor
     if torch.compiler.is_compiling():
         out.copy_(torch.cat((first * cos - second * sin, second * cos + first * sin), dim=-1))
         return
@@ -139,7 +139,7 @@ class Decoder(nn.Module):
 
     Attributes:
         visual_kept: after a pass, the number of visual positions that reached the last layer.
-        selection: which visual positions go on; None for all.
+        selection: selects the visual positions to keep; None keeps all.
     """
 
     cos: Tensor
@@ -158,7 +158,9 @@ class Decoder(nn.Module):
         self.head = nn.Parameter(torch.empty(shape.vocabulary, shape.hidden))
 
     def prepare_positions(self, device: torch.device, dtype: torch.dtype) -> None:
-        """Compute the rotary tables (positions, head width) in float32, keep them in `dtype`."""
+        """Compute the rotary tables (positions, head width) in float32, and store them in
+        `dtype`.
+        """
         width = self.shape.head_width
         powers = torch.arange(0, width, 2, dtype=torch.float32, device=device) / width
         steps = torch.arange(self.shape.max_positions, dtype=torch.float32, device=device)
@@ -179,12 +181,11 @@ class Decoder(nn.Module):
     def try_selection(
         self, positions: int, *, causal: bool, rows: tuple[int, int] | None = None
     ) -> None:
-        """Ask the selection once, about attention to nothing in particular in a sequence of so many
-        positions.
+        """Call the selection once, with zero attention in a sequence of `positions` positions.
 
         Raises:
-            PluginError: its answer cannot be used.
-            RoboNeuronError: what the selection itself says.
+            PluginError: its answer is invalid.
+            RoboNeuronError: the selection's own error.
         """
         if self.selection is None:
             return
@@ -211,14 +212,14 @@ class Decoder(nn.Module):
 
     def quantize(self) -> None:
         """Decode with int8 copies of the layers' matrices from now on; prompts still use the
-        matrices themselves.
+        original matrices.
         """
         for layer in self.layers:
             assert isinstance(layer, DecoderLayer)
             layer.quantize()
 
     def embed(self, ids: Tensor) -> Tensor:
-        """Ids (...) -> embeddings (..., hidden)."""
+        """Embed ids (...) as (..., hidden)."""
         return functional.embedding(ids, self.embedding)
 
     def forward(
@@ -231,18 +232,17 @@ class Decoder(nn.Module):
         last: int | None = None,
         fillings: Fillings | None = None,
     ) -> Tensor:
-        """Run all layers and the final norm on a whole sequence, or on several that see every
-        position.
+        """Run all layers and the final norm on a whole sequence, or on several without a causal
+        mask.
 
         Args:
-            hidden: embeddings (b, n, hidden); visual tokens stand at positions 1 .. visual_tokens.
-            causal: False lets every position see every other.
-            cache: keys and values are kept there from its start when given.
-            rows: positions read afterwards, for a selection that looks at them.
-            last: how many positions at the end are read afterwards; the last layer computes no
-                others. None for all.
-            fillings: which positions of several sequences stand for nothing; None for a single
-                sequence.
+            hidden: embeddings (b, n, hidden); visual tokens are at positions 1 .. visual_tokens.
+            causal: False lets every position attend to all others.
+            cache: if given, keys and values are stored there from its start.
+            rows: positions read afterwards, for a selection that uses them.
+            last: number of positions at the end that are read afterwards; the last layer computes
+                only these. None for all.
+            fillings: padding positions of several sequences; None for a single sequence.
 
         Returns:
             (b, last, hidden), or (b, n', hidden): n' is less than n by the visual tokens that the
@@ -299,14 +299,14 @@ class Decoder(nn.Module):
         last: int,
         seen: Tensor | None,
     ) -> Tensor:
-        """Attention of the last positions; the very last one sees everything, causal or not."""
+        """Attention of the last positions; the very last one attends to all, causal or not."""
         if causal and last > 1:
             return layer.attend(query, key, value, causal)[:, :, -last:]
         return layer.attend(query[:, :, -last:], key, value, False, seen)
 
     def step(self, hidden: Tensor, position: int, cache: KeyValueCache) -> Tensor:
-        """Run one more token (1, 1, hidden) at `position` of the unpruned sequence; grows the cache
-        by one.
+        """Run one more token (1, 1, hidden) at `position` of the unpruned sequence; extends the
+        cache by one.
 
         `hidden` is overwritten.
         """
@@ -321,14 +321,14 @@ class Decoder(nn.Module):
         return functional.rms_norm(hidden, self.norm.shape, self.norm, self.shape.norm_epsilon)
 
     def logits(self, hidden: Tensor) -> Tensor:
-        """Hidden (b, n, hidden) after the final norm -> float32 (b, n, vocabulary)."""
-        # Rows as a plain matrix: a slice of three dimensions makes torch copy the whole weight for
-        # a batched product.
+        """Logits float32 (b, n, vocabulary) of hidden (b, n, hidden) after the final norm."""
+        # Rows as a plain matrix: for a three-dimensional slice torch copies the whole weight for a
+        # batched product.
         return torch.mm(hidden.flatten(0, 1), self.head.t()).view(*hidden.shape[:2], -1).float()
 
     def slots(self) -> Mapping[str, Tensor]:
-        """Where each tensor of the Hugging Face Llama layout goes: views on the fused parameters,
-        by its name.
+        """Destination of each tensor of the Hugging Face Llama layout: views of the fused
+        parameters, by name.
         """
         slots: dict[str, Tensor] = {
             "model.embed_tokens.weight": self.embedding.data,

@@ -1,4 +1,4 @@
-"""Which device and number type, whether the model fits there, and what is said when it does not."""
+"""Choice of device and number type, check of the memory, and errors if it is insufficient."""
 
 from __future__ import annotations
 
@@ -24,16 +24,14 @@ _DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16, "float16": torc
 
 
 def choose_device(config: TorchRuntimeConfig) -> torch.device:
-    """The configured device. Raises ConfigurationError when it is a CUDA device that is not
-    there.
-    """
+    """The configured device. Raises ConfigurationError for a CUDA device that does not exist."""
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if config.device == "auto":
         return torch.device("cuda:0" if count else "cpu")
     device = torch.device(config.device)
     if device.type == "cuda" and (device.index or 0) >= count:
         raise ConfigurationError(
-            f"Runtime 'torch' is to use {config.device!r}, but torch {torch.__version__} sees "
+            f"Runtime 'torch' should use {config.device!r}, but torch {torch.__version__} has "
             f"{count} CUDA devices.",
             hint='Set device = "auto" or "cpu", or install a CUDA build of torch.',
         )
@@ -41,15 +39,15 @@ def choose_device(config: TorchRuntimeConfig) -> torch.device:
 
 
 def choose_dtype(config: TorchRuntimeConfig, device: torch.device) -> torch.dtype:
-    """The configured number type, or the device's usual one."""
+    """The configured number type, or the device's default."""
     if config.dtype == "auto":
         return torch.bfloat16 if device.type == "cuda" or has_matrix_tiles() else torch.float32
     return _DTYPES[config.dtype]
 
 
 def has_matrix_tiles() -> bool:
-    """Whether products of bfloat16 matrices run in the processor's tile unit (Intel AMX), as oneDNN
-    uses it.
+    """True if products of bfloat16 matrices run in the processor's tile unit (Intel AMX), as used
+    by oneDNN.
 
     Without it bfloat16 is slower than float32 on most processors.
     """
@@ -57,7 +55,7 @@ def has_matrix_tiles() -> bool:
 
 
 def free_bytes(device: torch.device) -> int:
-    """Memory that can still be had on `device`. Source: MemAvailable of proc(5); cudaMemGetInfo."""
+    """Available memory of `device` in bytes. Source: MemAvailable of proc(5); cudaMemGetInfo."""
     if device.type == "cuda":
         return int(torch.cuda.mem_get_info(device)[0])
     for line in Path("/proc/meminfo").read_text().splitlines():
@@ -71,9 +69,9 @@ class Needs:
     """Memory that a model needs, in bytes.
 
     Attributes:
-        weights: of all parts, int8 copies included.
+        weights: weights of all parts, int8 copies included.
         cache: keys and values of the longest sequence.
-        activations: the most that lives at once during the longest request.
+        activations: peak of simultaneous tensors during the longest request.
         recordings: number of CUDA graphs; 0 for none.
     """
 
@@ -83,15 +81,15 @@ class Needs:
     recordings: int = 0
 
     def working(self, device: torch.device) -> int:
-        """All that is neither weights nor cache."""
+        """Memory besides weights and cache."""
         if device.type != "cuda":
             return self.activations
-        # graphs share a pool of their own beside the ordinary memory
+        # graphs have their own pool besides the ordinary memory
         passes = 2 if self.recordings else 1
         return passes * (self.activations + _STREAM_BYTES) + self.recordings * _GRAPH_BYTES
 
     def total(self, device: torch.device) -> int:
-        """Everything."""
+        """Total memory."""
         return self.weights + self.cache + self.working(device)
 
 
@@ -113,7 +111,7 @@ def check_fits(needs: Needs, device: torch.device, dtype: torch.dtype) -> None:
 
 @contextmanager
 def memory_errors(device: torch.device) -> Iterator[None]:
-    """Within the block, raise ConfigurationError where torch finds no memory on `device`."""
+    """Convert torch's out-of-memory errors within the block to ConfigurationError."""
     try:
         yield
     except RuntimeError as error:
@@ -126,6 +124,6 @@ def memory_errors(device: torch.device) -> Iterator[None]:
 
 
 def release_memory() -> None:
-    """Give cached device memory back once an engine is gone."""
+    """Return cached device memory after an engine was deleted."""
     if torch.cuda.is_available():
         torch.cuda.empty_cache()

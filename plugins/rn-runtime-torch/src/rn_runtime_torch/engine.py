@@ -1,4 +1,4 @@
-"""A loaded model: front, decoder and back on one device, and how requests run through them."""
+"""A loaded model: front, decoder and back on one device, and the execution of requests."""
 
 from __future__ import annotations
 
@@ -42,21 +42,21 @@ from rn_vla.pruning import TokenSelection
 from roboneuron import ConfigurationError, InvalidInputError, UnsafeError
 
 Key = tuple[TokenSelection | None, Kind, tuple[tuple[str, tuple[int, ...]], ...]]
-"""Of a recording: the preset's selection, what was asked, shapes by input."""
+"""Key of a recording: the preset's selection, the kind of request, shapes by input."""
 _BATCH_SHARE = 0.5
-"""Of the memory that is free after loading: a pass takes no more requests than fit there."""
+"""Fraction of the memory free after loading; a pass takes only as many requests as fit into it."""
 _TRIAL_TOKENS = 8
-"""Prompt of the sequence that a new selection is tried with: words stand before and behind the
+"""Prompt length of the test sequence for a new selection: text tokens before and after the
 image.
 """
 
 
 class Engine:
-    """Built once per model; every method runs on the caller's thread.
+    """Created once per model; every method runs on the caller's thread.
 
-    Raises, when built:
-        CheckpointError: files that are damaged or are not this model's.
-        ConfigurationError: the device is not there, the model does not fit, or the preset does not.
+    Raises, when created:
+        CheckpointError: files are damaged or belong to another model.
+        ConfigurationError: the device does not exist, or the model or the preset does not fit.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Engine:
             raise ConfigurationError(
                 f"Prompts of {model.max_prompt_tokens} tokens make sequences of {length} "
                 "positions, "
-                f"but the checkpoint knows {model.decoder.max_positions}."
+                f"but the checkpoint supports {model.decoder.max_positions}."
             )
         with torch.device("meta"):
             front: nn.Module = model.build_front()
@@ -134,7 +134,7 @@ class Engine:
             decoder.quantize()
 
     def _place_state(self, length: int, device: torch.device) -> None:
-        """Rotary tables and cache on `device`."""
+        """Create rotary tables and cache on `device`."""
         shape = self._model.decoder
         self._decoder.prepare_positions(device, self._dtype)
         self._cache = (
@@ -145,8 +145,8 @@ class Engine:
         self._passes = Passes(self._model, self._front, self._decoder, self._back, self._cache)
 
     def _needs(self, config: TorchRuntimeConfig, parts: list[nn.Module], quantized: bool) -> Needs:
-        """Memory for the longest request, found by running it on the parts while they are on the
-        device "meta".
+        """Memory of the longest request, determined by running it on the parts while they are on
+        the device "meta".
         """
         model, dtype = self._model, self._dtype
         parameters = [parameter for part in parts for parameter in part.parameters()]
@@ -173,7 +173,7 @@ class Engine:
         )
 
     def _added_tokens(self) -> int:
-        """Ids that the family adds to each prompt."""
+        """Number of ids that the family adds to each prompt."""
         return int(self._model.example(1).prompt.ids.size) - 1
 
     def _warm_lengths(self, config: TorchRuntimeConfig) -> range:
@@ -186,22 +186,20 @@ class Engine:
         return range(first, (first if self._graphs is None else last) + 1)
 
     def set_acceleration(self, acceleration: LlamaAcceleration | None) -> None:
-        """Answer later requests with another preset; weights, cache and recordings stay where they
-        are.
+        """Answer later requests with another preset; weights, cache and recordings are kept.
 
         On CUDA the shape of the latest request is recorded with the new preset, unless the options
-        say otherwise: about three predictions, once, so that those of the instruction in progress
-        are replayed. Other shapes under this preset run unrecorded; recordings of former presets
-        are replayed when theirs is in force again.
+        disable it. This takes about three predictions, once; later ones with the current
+        instruction are replayed. Other shapes under this preset run unrecorded; recordings of
+        earlier presets are replayed when these are active again.
 
         Raises:
-            ConfigurationError: the preset does not fit this model, or layers are compiled for
-                shapes of their own.
-            PluginError: the preset keeps positions that it must not, or leaves out others.
+            ConfigurationError: the preset does not fit this model, or layers are compiled.
+            PluginError: the preset keeps invalid positions, or drops required ones.
         """
         if self._is_compiled:
             raise ConfigurationError(
-                "Compiled layers would be compiled again for each preset, which takes longer than "
+                "Compiled layers would be recompiled for each preset, which takes longer than "
                 "the robot can wait.",
                 hint='Leave out compile = true, or switch with mode = "cold".',
             )
@@ -218,8 +216,8 @@ class Engine:
             raise
 
     def _record_latest(self) -> None:
-        """Record what was asked last with the selection in force, unless it is or there are as many
-        as there may be.
+        """Record the latest request with the current selection, unless it is recorded already or
+        the limit of recordings is reached.
         """
         if self._graphs is None or self._latest is None or not self._records_at_change:
             return
@@ -232,8 +230,8 @@ class Engine:
             self._recording = False
 
     def _try_selection(self) -> None:
-        """Let the selection answer once, so that one which does not fit is refused here and not by
-        the next request.
+        """Call the selection once, so that an invalid one is refused now and not by the next
+        request.
         """
         model = self._model
         request = model.example(min(_TRIAL_TOKENS, model.max_prompt_tokens - self._added_tokens()))
@@ -245,10 +243,10 @@ class Engine:
             self._decoder.try_selection(count, causal=False, rows=(end - request.rows, end))
 
     def answer(self, request: Request, check: Check) -> Reply:
-        """Run one request; `check` is called between steps where there are any.
+        """Run one request; `check` is called between decoding steps.
 
         Raises:
-            InvalidInputError: the prompt or the number of tokens is more than the model was loaded
+            InvalidInputError: the prompt or the number of tokens exceeds what the model was loaded
                 for.
             UnsafeError: the model produced NaN or infinity.
         """
@@ -263,7 +261,7 @@ class Engine:
             outputs, kept = self._execute(*self._passes.of(request, check), inputs)
             if not bool(outputs["finite"]):
                 raise UnsafeError(
-                    "The model produced NaN or infinite values; no action was made of them."
+                    "The model produced NaN or infinite values; no action was created."
                 )
             metrics, note = {"tokens_kept": float(kept)}, ""
             if self._graphs is not None:
@@ -284,8 +282,8 @@ class Engine:
             return RowsReply(values=outputs["values"][0].cpu().numpy(), metrics=metrics, note=note)
 
     def _explain_eager(self, ids: int) -> str:
-        """Why a prompt of so many ids was not replayed from a recorded CUDA graph; tokens as the
-        options count.
+        """Reason why a prompt with this number of ids was not replayed from a CUDA graph; token
+        numbers as in the options.
         """
         assert self._graphs is not None
         added = self._added_tokens()
@@ -297,16 +295,16 @@ class Engine:
             if name == "ids"
         )
         if not recorded:
-            return "CUDA graph: eager, none is recorded for the preset in force."
+            return "CUDA graph: eager, none is recorded for the current preset."
         span = f"{recorded[0]} to {recorded[-1]}" if len(recorded) > 1 else f"{recorded[0]} only"
         return f"CUDA graph: eager, prompt of {ids - added} tokens (recorded: {span})."
 
     def answer_batch(self, requests: Sequence[RowsRequest], check: Check) -> list[RowsReply]:
-        """Answer requests that read alike in one pass, or in as few as memory allows; `check` is
-        called between them.
+        """Answer requests that read the same rows in one pass, or in as few as memory allows;
+        `check` is called between them.
 
-        On CUDA such passes run unrecorded, and say so. Raises as `answer`, for all when it is so
-        for one.
+        On CUDA such passes run unrecorded, which their note states. Raises as `answer`; an error of
+        one request is raised for all.
         """
         for request in requests:
             self._check_prompt(request.prompt.ids)
@@ -330,9 +328,7 @@ class Engine:
         start = 1 + self._model.visual_tokens + self._model.extra_tokens
         outputs = self._passes.rows(requests[0], Fillings(start, counts))[1](inputs)
         if not bool(outputs["finite"]):
-            raise UnsafeError(
-                "The model produced NaN or infinite values; no action was made of them."
-            )
+            raise UnsafeError("The model produced NaN or infinite values; no action was created.")
         metrics, note = (
             {"tokens_kept": float(self._decoder.visual_kept), "batch": float(len(requests))},
             "",
@@ -367,8 +363,8 @@ class Engine:
 
 
 def _check_ids(ids: NDArray[np.int64], vocabulary: int) -> None:
-    """Raise InvalidInputError for an id without an embedding: on a GPU the look-up would break the
-    whole context.
+    """Raise InvalidInputError for an id without an embedding: on a GPU the look-up would corrupt
+    the whole CUDA context.
     """
     if not ids.size or ids.min() < 0 or ids.max() >= vocabulary:
         span = f"{ids.min()} to {ids.max()}" if ids.size else "none"
@@ -378,7 +374,7 @@ def _check_ids(ids: NDArray[np.int64], vocabulary: int) -> None:
 
 
 def _compile(decoder: Decoder) -> None:
-    """Compile what surrounds attention in each layer; layers are alike, so one compilation serves
+    """Compile the parts around attention in each layer; layers are alike, so one compilation serves
     all.
     """
     for layer in decoder.layers:

@@ -1,5 +1,5 @@
-"""Several sequences in one pass: what fills up the shorter ones is seen by no other position and
-shifts none.
+"""Padding of several sequences in one pass: no other position attends to it, and it shifts no
+positions.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from rn_vla.pruning import AttentionView, TokenSelection
 from roboneuron import PluginError
 
 State = tuple[Tensor, Tensor, Tensor, Tensor | None]
-"""Between two layers: hidden (b, n, hidden), rotary tables (n, width) or (b, 1, n, width), seen (b,
-1, 1, n).
+"""State between two layers: hidden (b, n, hidden), rotary tables (n, width) or (b, 1, n, width),
+seen (b, 1, 1, n).
 """
 
 
 def fill_up(prompts: Sequence[NDArray[np.int64]]) -> tuple[NDArray[np.int64], tuple[int, ...]]:
-    """Ids (b, longest), each prompt filled up behind its first id, and how many ids each was
-    given.
+    """Pad prompts after their first id; returns ids (b, longest) and the number of padding ids of
+    each.
     """
     longest = max(ids.size for ids in prompts)
     counts = tuple(longest - ids.size for ids in prompts)
@@ -35,20 +35,20 @@ def fill_up(prompts: Sequence[NDArray[np.int64]]) -> tuple[NDArray[np.int64], tu
 
 @dataclass(frozen=True, slots=True)
 class Fillings:
-    """Positions that stand for nothing: behind the image, so that it, words and read rows are where
-    all have them.
+    """Padding positions: after the image, so that the image, the words and the read rows are
+    aligned in all sequences.
 
     Attributes:
-        start: the first of them.
-        counts: how many each sequence has.
+        start: first padding position.
+        counts: number of padding positions of each sequence.
     """
 
     start: int
     counts: tuple[int, ...]
 
     def tables(self, cos: Tensor, sin: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Of sequences of `count` positions: rotary tables, and which are seen; None when all
-        are.
+        """Rotary tables of sequences with `count` positions, and a mask of the visible ones; None
+        if all are visible.
         """
         if not any(self.counts):
             return cos[:count], sin[:count], None
@@ -59,8 +59,8 @@ class Fillings:
         return cos[own][:, None], sin[own][:, None], ~is_filling[:, None, None]
 
     def prune(self, selection: TokenSelection, view: AttentionView, state: State) -> State:
-        """Ask the selection about each sequence as if it were alone, and keep what it keeps, and
-        the filling.
+        """Apply the selection to each sequence as if it were alone, and keep the selected positions
+        and the padding.
 
         Raises:
             PluginError: it drops more positions from one sequence than from another.
@@ -84,7 +84,7 @@ class Fillings:
         return hidden[rows, index], turned[0][:, None], turned[1][:, None], seen
 
     def _kept(self, selection: TokenSelection, view: AttentionView, row: int) -> Tensor:
-        """Positions (n',) of one sequence that go on, its filling among them."""
+        """Positions (n',) of one sequence to keep, including its padding."""
         count, fill = view.key.shape[2], self.counts[row]
         real = torch.arange(count - fill, device=view.key.device)
         real = real + fill * (real >= self.start)
@@ -95,7 +95,7 @@ class Fillings:
         kept = selection.select(replace(view, query=query, key=key, rows=rows))
         if kept is None:
             kept = torch.arange(count - fill, device=view.key.device)
-        # only visual positions are dropped, and those stand before
+        # only visual positions are dropped, which come before
         before = self.start - (count - fill - kept.numel())
         filling = torch.arange(self.start, self.start + fill, device=kept.device)
         return torch.cat((kept[:before], filling, kept[before:] + fill))

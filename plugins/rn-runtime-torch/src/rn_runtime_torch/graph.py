@@ -1,5 +1,5 @@
-"""CUDA graphs: a computation of fixed shapes is recorded once and replayed without Python or launch
-cost.
+"""CUDA graphs: a computation with fixed shapes is recorded once, and replayed without Python and
+launch overhead.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from torch import Tensor
 Computation = Callable[[dict[str, Tensor]], dict[str, Tensor]]
 
 _WARM_RUNS = 2
-"""Runs on a side stream before capture: libraries allocate their workspaces and choose kernels in
-them.
+"""Runs on a side stream before capture, in which libraries allocate workspaces and choose
+kernels.
 """
 
 
@@ -51,7 +51,7 @@ class GraphCache:
         return key in self._recorded
 
     def keys(self) -> tuple[Hashable, ...]:
-        """What was recorded."""
+        """Keys of the recordings."""
         return tuple(self._recorded)
 
     def record(
@@ -64,16 +64,16 @@ class GraphCache:
         """Record the computation for `key`.
 
         Args:
-            key: everything that changes shapes or control flow.
-            compute: pure up to buffers that never move; run only while recording.
-            inputs: tensors on the device, of the shapes that belong to `key`.
-            note: a number known after `compute` ran in Python; kept with the recording.
+            key: everything that affects shapes or control flow.
+            compute: pure except for buffers that never move; runs only while recording.
+            inputs: tensors on the device, with the shapes of `key`.
+            note: returns a number known after `compute` ran in Python; stored with the recording.
         """
         with torch.cuda.device(self._device):
             self._recorded[key] = self._record(compute, inputs, note)
 
     def run(self, key: Hashable, inputs: dict[str, Tensor]) -> tuple[dict[str, Tensor], int] | None:
-        """Replay what was recorded for `key`; None when nothing was.
+        """Replay the recording of `key`; None if there is none.
 
         Returns:
             Outputs, valid until the next call, and the note.
@@ -96,7 +96,7 @@ class GraphCache:
             for _ in range(_WARM_RUNS):
                 compute(held)
         graph = torch.cuda.CUDAGraph()
-        # On the stream of the warm runs: there the workspaces exist and stay outside the graphs'
+        # On the stream of the warm runs, where the workspaces exist and stay outside the graphs'
         # pool.
         with torch.cuda.graph(
             graph, pool=self._pool, stream=self._side, capture_error_mode="thread_local"

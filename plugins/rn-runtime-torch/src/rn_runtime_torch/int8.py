@@ -1,5 +1,5 @@
-"""Weights as int8 with one scale for each output, for products with a single row: decoding reads
-half of bfloat16.
+"""Int8 weights with one scale per output, for products with a single row: decoding reads half the
+bytes of bfloat16.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from torch import Tensor
 from roboneuron import ConfigurationError
 
 _ROWS = 1024
-"""Rows quantised at once: bounds the float32 copy."""
+"""Number of rows quantised at a time, which bounds the float32 copy."""
 
 
 class Int8Weight:
@@ -24,13 +24,13 @@ class Int8Weight:
             scale = (part.abs().amax(dim=1) / 127.0).clamp_min(torch.finfo(torch.float32).tiny)
             self.values[start : start + _ROWS] = (part / scale[:, None]).round().to(torch.int8)
             scales[start : start + _ROWS] = scale
-        # torch's CPU kernel is fast for bfloat16 rows alone: in float32 it is slower than a float32
+        # torch's CPU kernel is fast only for bfloat16 rows: in float32 it is slower than a float32
         # product.
         self.scales = scales.to(torch.bfloat16)
 
     def times(self, row: Tensor) -> Tensor:
-        """Row (1, inputs) -> (1, outputs), in the row's type; computed in bfloat16 with float32
-        sums.
+        """Multiply row (1, inputs); returns (1, outputs) in the row's type, computed in bfloat16
+        with float32 sums.
         """
         product = torch._weight_int8pack_mm(
             row.to(torch.bfloat16).contiguous(), self.values, self.scales
@@ -39,7 +39,7 @@ class Int8Weight:
 
 
 def check_int8(device: torch.device) -> None:
-    """Raise ConfigurationError when there is no kernel for int8 weights on `device`."""
+    """Raise ConfigurationError if `device` has no kernel for int8 weights."""
     if device.type != "cpu" or not hasattr(torch, "_weight_int8pack_mm"):
         raise ConfigurationError(
             f'decode_weights = "int8" has no kernel on {device} with torch {torch.__version__}.',

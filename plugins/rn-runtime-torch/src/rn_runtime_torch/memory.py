@@ -1,4 +1,4 @@
-"""How much memory a request needs at its worst, found by running it without data."""
+"""Peak memory of a request, measured by running it without data."""
 
 from __future__ import annotations
 
@@ -12,15 +12,14 @@ from torch.utils._pytree import tree_leaves
 
 
 class PeakBytes(TorchDispatchMode):  # type: ignore[no-untyped-call]
-    """While entered, adds up the storages that operators allocate; `peak` is the most that lived at
-    once.
+    """While entered, counts the storages that operators allocate; `peak` is their largest total.
 
-    Meta tensors count as what they stand for. They take attention's plain form, whose scores fused
-    kernels do not hold, so the peak is an upper bound.
+    Meta tensors count with the size of real ones. They use the unfused attention, which stores
+    scores that fused kernels do not, so the peak is an upper bound.
     """
 
     def __init__(self, held: Iterable[Tensor]) -> None:
-        """`held` lived before and is not counted."""
+        """Tensors in `held` exist already and are not counted."""
         super().__init__()  # type: ignore[no-untyped-call]
         self.peak = 0
         self._live = 0

@@ -1,6 +1,4 @@
-"""The pass of a request through the parts of a loaded model: what is computed for tokens, and for
-rows.
-"""
+"""Execution of a request by the parts of a loaded model, for tokens and for rows."""
 
 from __future__ import annotations
 
@@ -19,17 +17,17 @@ from roboneuron import InvalidInputError
 
 Kind = tuple[str | int, ...]
 Check = Callable[[], None]
-"""Raises when nobody wants the answer any more."""
+"""Raises if the answer is no longer needed."""
 
 
 class Front(Protocol):
-    """What `PolicyModel.build_front` returns, besides being a torch module."""
+    """Return type of `PolicyModel.build_front`, besides being a torch module."""
 
     def __call__(
         self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]
     ) -> Tensor:
-        """Arrays (b, ...), ids (b, n) and the embedding look-up -> decoder input (b, positions,
-        hidden).
+        """Decoder input (b, positions, hidden) from arrays (b, ...), ids (b, n) and the embedding
+        look-up.
         """
         ...
 
@@ -38,9 +36,9 @@ class Passes:
     """Computations on the parts of one model.
 
     Args:
-        model: what was loaded.
+        model: description of the loaded model.
         front, decoder, back: its parts, on one device.
-        cache: for tokens; None for a model that gives none.
+        cache: for tokens; None for a model that decodes none.
     """
 
     def __init__(
@@ -55,10 +53,11 @@ class Passes:
         self._front, self._decoder, self._back, self._cache = front, decoder, back, cache
 
     def of(self, request: Request, check: Check) -> tuple[Kind, Computation]:
-        """What answers a request, and what of the request decides its shapes besides the inputs.
+        """The computation for a request, and the part of the request, besides the inputs, that
+        determines its shapes.
 
         Raises:
-            InvalidInputError: more tokens are asked for than the model was loaded for.
+            InvalidInputError: the request asks for more tokens than the model was loaded for.
         """
         if isinstance(request, TokenRequest):
             return self._tokens(request, check)
@@ -93,8 +92,8 @@ class Passes:
     def rows(
         self, request: RowsRequest, fillings: Fillings | None = None
     ) -> tuple[Kind, Computation]:
-        """One pass that reads rows of the last hidden states; `fillings` tell what is no prompt
-        where requests of several lengths are answered together.
+        """The computation that reads rows of the last hidden states in one pass; `fillings` gives
+        the padding if requests of different lengths are answered together.
         """
         decoder, back = self._decoder, self._back
 

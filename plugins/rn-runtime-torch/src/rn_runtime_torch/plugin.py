@@ -1,4 +1,4 @@
-"""What this package offers: the runtime `torch`."""
+"""Descriptors of this package: the runtime `torch`."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from roboneuron import Requirement, RuntimeSpec, hookimpl
 
 FAMILIES = ("openvla", "openvla-oft")
-"""Model families whose requests it answers."""
+"""Supported model families."""
 CAPABILITIES = ("token-decode", "bidirectional-hidden", "visual-token-pruning")
-"""Kinds of request (see `rn_vla.decoding`) and hooks it has."""
+"""Supported kinds of request (see `rn_vla.decoding`) and hooks."""
 
 
 @hookimpl
 def roboneuron_runtimes() -> Sequence[RuntimeSpec]:
-    """The in-process runtime."""
+    """Register the in-process runtime."""
     return (
         RuntimeSpec(
             name="torch",

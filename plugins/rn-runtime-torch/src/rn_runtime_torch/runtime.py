@@ -1,4 +1,4 @@
-"""The runtime `torch`: takes a model and answers its requests, in this process."""
+"""The runtime `torch`: loads a model and answers its requests in this process."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ if TYPE_CHECKING:
 
 
 class TorchRuntime:
-    """Follows `rn_vla.decoding.LlamaRuntime`; `run` is called from one thread, `abort` from any."""
+    """Implements `rn_vla.decoding.LlamaRuntime`; `run` is called from one thread, `abort` from
+    any.
+    """
 
     def __init__(self, config: TorchRuntimeConfig | None = None) -> None:
         self._config = config or TorchRuntimeConfig()
@@ -36,13 +38,12 @@ class TorchRuntime:
         self._aborted = threading.Event()
 
     def load(self, model: PolicyModel, acceleration: LlamaAcceleration | None = None) -> None:
-        """Check the files, put the weights on the device, install the preset, warm up.
+        """Check the files, load the weights to the device, install the preset, warm up.
 
         Raises:
-            InvalidInputError: not a model of a family it knows.
-            CheckpointError: files that are damaged or are not this model's.
-            ConfigurationError: the device is not there, the model does not fit, or the preset does
-                not.
+            InvalidInputError: not a model of a supported family.
+            CheckpointError: files are damaged or belong to another model.
+            ConfigurationError: the device does not exist, or the model or the preset does not fit.
         """
         if not isinstance(model, PolicyModel) or model.family not in FAMILIES:
             raise InvalidInputError(
@@ -55,10 +56,10 @@ class TorchRuntime:
         self._engine = Engine(model, self._config, acceleration)
 
     def set_acceleration(self, acceleration: LlamaAcceleration | None) -> None:
-        """Change the preset, or install none; on the thread that calls `run`.
+        """Replace the preset, None for none; on the thread that calls `run`.
 
         Raises:
-            ConfigurationError, PluginError: why it does not fit; the former one stays in force.
+            ConfigurationError, PluginError: it does not fit; the previous one stays active.
         """
         if self._engine is None:
             raise StateError("Runtime 'torch' holds no model; load one first.")
@@ -68,7 +69,7 @@ class TorchRuntime:
         """Answer one request.
 
         Raises:
-            InvalidInputError: not a request, or more than the model was loaded for.
+            InvalidInputError: not a request, or one that exceeds what the model was loaded for.
             NotReadyError: the deadline passed or `abort` was called.
             UnsafeError: the model produced NaN or infinity.
         """
@@ -82,14 +83,14 @@ class TorchRuntime:
         return self._timed((request,), lambda check: [engine.answer(request, check)])[0]
 
     def run_batch(self, requests: Sequence[RowsRequest]) -> list[Reply]:
-        """Answer several requests that read alike in one pass, each within 1e-5 of what `run`
-        answers in float32.
+        """Answer several requests that read the same rows in one pass, each within 1e-5 of the
+        result of `run` in float32.
 
-        Prompts may differ in length. What is wrong with one is raised for all. One alone is
+        Prompts may differ in length. An error of one request is raised for all. A single request is
         answered by `run`.
 
         Raises:
-            InvalidInputError: they are none, or do not read alike, or as `run`.
+            InvalidInputError: there are none, or they read different rows, or as `run`.
             NotReadyError, UnsafeError: as `run`.
         """
         if self._engine is None:
@@ -106,18 +107,16 @@ class TorchRuntime:
     def _timed(
         self, requests: Sequence[Request], answer: Callable[[Callable[[], None]], Sequence[Reply]]
     ) -> list[Reply]:
-        """What `answer` returns, with its time; given up at the earliest deadline, or when
-        aborted.
-        """
+        """Call `answer` and add its time; aborts at the earliest deadline, or on `abort`."""
         self._aborted.clear()
         started = time.perf_counter()
         deadline_s = min((r.deadline_s for r in requests if r.deadline_s is not None), default=None)
 
         def check() -> None:
             if self._aborted.is_set():
-                raise NotReadyError("The inference was given up: abort was called.")
+                raise NotReadyError("The inference was aborted: abort was called.")
             if deadline_s is not None and time.monotonic() > deadline_s:
-                raise NotReadyError("The inference was given up: its deadline passed.")
+                raise NotReadyError("The inference was aborted: its deadline passed.")
 
         check()
         replies = answer(check)
@@ -128,13 +127,11 @@ class TorchRuntime:
         ]
 
     def abort(self) -> None:
-        """Give up the `run` in progress before its next token; a recorded CUDA graph runs to its
-        end first.
-        """
+        """Abort the `run` in progress before its next token; a CUDA graph runs to its end first."""
         self._aborted.set()
 
     def close(self) -> None:
-        """Drop the model and its memory."""
+        """Release the model and its memory."""
         if self._engine is not None:
             self._engine = None
             from rn_runtime_torch.device import release_memory  # heavy: torch

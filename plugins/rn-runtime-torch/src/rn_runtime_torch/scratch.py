@@ -1,4 +1,4 @@
-"""Memory for the large intermediates of a pass, kept from one pass to the next."""
+"""Memory for the large intermediates of a pass, reused by later passes."""
 
 from __future__ import annotations
 
@@ -8,21 +8,20 @@ from torch import Tensor
 
 
 class Scratch:
-    """Named buffers that grow to the largest size asked for.
+    """Named buffers that grow to the largest requested size.
 
-    A fresh temporary of megabytes costs the CPU a page fault for each 4 kB of it, every time. On
-    CUDA the allocator keeps memory anyway, and a recorded graph must not refer to a buffer that
-    grows later: there, nothing is kept.
+    On the CPU a new temporary costs a page fault for each 4 kB. On CUDA the allocator reuses memory
+    anyway, and a recorded graph must not refer to a buffer that grows later, so nothing is kept.
     """
 
     def __init__(self, keep: bool = False) -> None:
-        """`keep` False makes a new tensor every time."""
+        """`keep` False creates a new tensor every time."""
         self._keep = keep
         self._held: dict[str, Tensor] = {}
 
     def empty(self, name: str, like: Tensor, *shape: int) -> Tensor:
-        """An uninitialised contiguous tensor, typed and placed as `like`, valid until `name` is
-        asked for again.
+        """An uninitialised contiguous tensor with the type and device of `like`, valid until `name`
+        is requested again.
         """
         if not self._keep:
             return like.new_empty(shape)

@@ -1,7 +1,7 @@
-"""Files of `torch.save`: what they say of their tensors, read before torch allocates or executes
-anything.
+"""Headers of `torch.save` files: names and shapes of their tensors, read before torch allocates or
+executes anything.
 
-Source: the archive that torch.save writes since 1.6: a zip of uncompressed records, `data.pkl` with
+Source: the archive format of torch.save since 1.6: a zip of uncompressed records, `data.pkl` with
 the names and shapes, `data/<key>` with the bytes of one storage each.
 """
 
@@ -38,23 +38,24 @@ _HINT = "Use the file as it was published; only dictionaries of plain tensors ar
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SavedTensor:
-    """One tensor: shape, and the storage's kind of number ("Float", "BFloat16", "Long" ...)."""
+    """One tensor: its shape, and the number type of its storage ("Float", "BFloat16", "Long"
+    ...).
+    """
 
     shape: tuple[int, ...]
     kind: str
 
 
 class _Kind(str):
-    """Stands for a storage class such as torch.FloatStorage."""
+    """Placeholder of a storage class such as torch.FloatStorage."""
 
 
 def read_header(path: Path) -> Mapping[str, SavedTensor]:
-    """Every tensor of a state dictionary by its name; nothing of it is executed and no storage is
-    read.
+    """Every tensor of a state dictionary by its name; no code is executed and no storage is read.
 
     Raises:
-        CheckpointError: not such an archive, compressed or damaged, or it holds something else than
-            named tensors.
+        CheckpointError: not such an archive, compressed or damaged, or it holds something other
+            than named tensors.
     """
     size = check_file(path)
     try:
@@ -118,8 +119,8 @@ def read_header(path: Path) -> Mapping[str, SavedTensor]:
     return content
 
 
-class _HeaderReader(pickle._Unpickler):  # the one in C allocates what an index in the file asks for
-    """Reads names, shapes and kinds; finds no class but those named here."""
+class _HeaderReader(pickle._Unpickler):  # the unpickler in C would allocate by an index in the file
+    """Reads names, shapes and number types; allows only the classes named in it."""
 
     def __init__(self, data: bytes, sizes: Mapping[str, int]) -> None:
         super().__init__(io.BytesIO(data))

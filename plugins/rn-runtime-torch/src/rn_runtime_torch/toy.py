@@ -1,5 +1,5 @@
-"""The smallest policy that exercises the runtime: written to disk on the spot, for tests and the
-contract kit.
+"""The smallest policy that exercises the runtime: created at run time, for tests and the contract
+kit.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ class ToyPolicy:
     """A random policy in a directory.
 
     Attributes:
-        path: where its shards are.
-        shape: of the decoder.
-        visual_tokens: of each prompt.
+        path: folder of its shards.
+        shape: shape of the decoder.
+        visual_tokens: visual tokens of each prompt.
         shards: number of weight files.
     """
 
@@ -105,8 +105,8 @@ class ToyPolicy:
         )
 
     def model(self, family: str = "openvla") -> PolicyModel:
-        """What `Runtime.load` takes; the family "openvla" decodes up to seven tokens, the other one
-        none.
+        """The argument of `Runtime.load`; the family "openvla" decodes up to seven tokens, the
+        other one none.
         """
         decodes = family == "openvla"
         return PolicyModel(
@@ -160,5 +160,5 @@ class EveryOtherToken:
             view.key.shape[2],
         )
         parts = ((0, start, 1), (start, end, 2), (end, count, 1))
-        # Made on the device: a list of the host cannot be copied while a CUDA graph is recorded.
+        # Created on the device: a host list cannot be copied while a CUDA graph is recorded.
         return torch.cat([torch.arange(*part, device=view.key.device) for part in parts])

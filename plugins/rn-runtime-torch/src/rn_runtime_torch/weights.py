@@ -1,4 +1,4 @@
-"""Weights from disk to the device, one tensor at a time: the host never holds more than the model
+"""Loading of weights to the device, one tensor at a time: the host never holds more than the model
 and one shard.
 """
 
@@ -20,7 +20,7 @@ from rn_vla.decoding import Shard
 from roboneuron import CheckpointError
 
 _REAL_NUMBERS = {"F64", "F32", "F16", "BF16", "Double", "Float", "Half", "BFloat16"}
-"""Number types of weights, in the words of safetensors and of torch.save."""
+"""Number types of weights, as named by safetensors and torch.save."""
 
 
 class _OpenShard(Protocol):
@@ -84,7 +84,7 @@ def _opened(path: Path) -> Iterator[_OpenShard]:
 
 
 def check_shards(shards: tuple[Shard, ...]) -> None:
-    """Compare names and shapes on disk with what is expected, before any tensor is read.
+    """Compare names and shapes on disk with the expected ones, before any tensor is read.
 
     Raises:
         CheckpointError: lists every missing, unexpected and misshaped tensor, or names the damaged
@@ -127,8 +127,8 @@ def load_shards(shards: tuple[Shard, ...], slots: Mapping[str, Tensor]) -> None:
     """Copy every tensor that has a target into its slot, converting type and device, shard by
     shard.
 
-    Tensors without one, of parts that inference never runs, are read too: a file that is damaged
-    there is damaged.
+    Tensors without a target, of parts that inference never runs, are read too, so that any damage
+    of a file is found.
 
     Raises:
         CheckpointError: a tensor holds NaN or infinity, a file is damaged, or a slot stayed empty.
@@ -143,7 +143,7 @@ def load_shards(shards: tuple[Shard, ...], slots: Mapping[str, Tensor]) -> None:
                     slot = slots[weight.target]
                     slot.copy_(tensor)
                     filled.add(weight.target)
-                    tensor = slot  # in the type of the runtime, which may overflow
+                    tensor = slot  # checked in the type of the runtime, which may overflow
                 finite[name] = torch.isfinite(tensor).all()
         bad = [name for name, flag in finite.items() if not bool(flag)]
         if bad:

@@ -1,8 +1,8 @@
-"""What packages of VLA models share: backends, runtimes and accelerations agree here, without
+"""Common interfaces of VLA packages: backends, runtimes and accelerations use them, without
 importing each other.
 
-`decoding` is what a backend gives a runtime, `pruning` what an acceleration gets of one,
-`checkpoint_files` reads files that nobody vouches for, `rotation` converts the rotations of
-training data, `openvla` is OpenVLA's network and files, `testing` what contract tests of runtimes
-use.
+`decoding` is the interface between backend and runtime, `pruning` that between runtime and
+acceleration. `checkpoint_files` reads untrusted files, `rotation` converts the rotations of
+training data, `openvla` is OpenVLA's network and files, `testing` is for contract tests of
+runtimes.
 """

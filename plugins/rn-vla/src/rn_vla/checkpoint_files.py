@@ -1,8 +1,7 @@
-"""Read the files of a model checkpoint: regular files of bounded size, one schema for each, one
+"""Reading of a model checkpoint's files: regular files of bounded size, one schema for each, one
 error class.
 
-For model plugins. A checkpoint may come from anywhere, so nothing here trusts a size, a type or a
-name in it.
+For model plugins. A checkpoint may come from anywhere, so no size, type or name in it is trusted.
 """
 
 from __future__ import annotations
@@ -22,10 +21,9 @@ T = TypeVar("T")
 M = TypeVar("M", bound=BaseModel)
 
 MAX_JSON_BYTES = 8 * 2**20
-"""Largest JSON file that describes a model; parsed, JSON takes up to 20 times its size in memory.
-"""
+"""Largest JSON file that describes a model; parsed JSON takes up to 20 times its size in memory."""
 MAX_TOKENIZER_BYTES = 64 * 2**20
-"""Largest tokenizer.json (PaliGemma's has 34 MB)."""
+"""Largest tokenizer.json (PaliGemma's is 34 MB)."""
 MAX_HEADER_BYTES = 32 * 2**20
 """Longest header of a safetensors file."""
 FAMILIES = {
@@ -41,13 +39,15 @@ _AGAIN = "Check that the checkpoint is complete, or download it again."
 
 
 def clip(text: object, length: int = 120) -> str:
-    """`text` in at most `length` characters: names and values in messages come from the file."""
+    """`text` in at most `length` characters, because names and values in messages come from the
+    file.
+    """
     words = str(text)
     return words if len(words) <= length else f"{words[: length - 4]} ..."
 
 
 def list_names(names: Iterable[str]) -> str:
-    """The first names, clipped, and how many more there are."""
+    """The first names, clipped, and the number of further ones."""
     known = list(names)
     more = len(known) - _LISTED
     return ", ".join(clip(name, 240) for name in known[:_LISTED]) + (
@@ -56,7 +56,7 @@ def list_names(names: Iterable[str]) -> str:
 
 
 def explain_families(family: object) -> str:
-    """What to do with a checkpoint of that family, which the backend in use does not run."""
+    """Hint for a checkpoint of a family that the backend in use does not run."""
     if isinstance(family, str) and family in FAMILIES:
         return f"Choose a backend that runs it: {FAMILIES[family]}."
     known = "; ".join(f"{name!r}: {backends}" for name, backends in FAMILIES.items())
@@ -67,7 +67,7 @@ def check_file(path: Path, max_bytes: int | None = None) -> int:
     """The size of `path` [bytes].
 
     Raises:
-        CheckpointError: it is absent, larger than `max_bytes`, or not a regular file (reading a
+        CheckpointError: it is missing, larger than `max_bytes`, or not a regular file (reading a
             pipe would not end).
     """
     try:
@@ -85,8 +85,8 @@ def check_file(path: Path, max_bytes: int | None = None) -> int:
 
 
 def check_safetensors(path: Path) -> None:
-    """Raise CheckpointError when a safetensors file is absent, not a regular file, or its header is
-    too long.
+    """Raise CheckpointError if a safetensors file is missing, not a regular file, or has too long a
+    header.
     """
     size = check_file(path)
     with reading(path, "safetensors"), path.open("rb") as file:
@@ -101,7 +101,7 @@ def check_safetensors(path: Path) -> None:
 
 @contextmanager
 def reading(path: Path, what: str) -> Iterator[None]:
-    """Turn whatever a parser raises about `path` into one CheckpointError; the cause is kept.
+    """Convert any exception of a parser of `path` to one CheckpointError; the cause is kept.
 
     Parsers written in Rust panic on some damaged files: an exception that is no `Exception`.
     """
@@ -126,7 +126,7 @@ def reading(path: Path, what: str) -> Iterator[None]:
 
 
 def read_json(path: Path, max_bytes: int = MAX_JSON_BYTES) -> object:
-    """The parsed file. Raises CheckpointError when it is absent, too large, not a regular file or
+    """Parse a JSON file. Raises CheckpointError if it is missing, too large, not a regular file or
     not JSON.
     """
     check_file(path, max_bytes)
@@ -135,13 +135,13 @@ def read_json(path: Path, max_bytes: int = MAX_JSON_BYTES) -> object:
 
 
 def read_schema(path: Path, model: type[M], max_bytes: int = MAX_JSON_BYTES) -> M:
-    """The parsed and checked file. Raises CheckpointError with the first thing that is wrong."""
+    """Parse and check a JSON file. Raises CheckpointError for the first error."""
     return check_schema(read_json(path, max_bytes), TypeAdapter(model), path)
 
 
 def check_schema(raw: object, schema: TypeAdapter[T], source: Path) -> T:
-    """`raw`, which came from `source`, as the schema has it. Raises CheckpointError with the first
-    thing wrong.
+    """Check `raw`, which came from `source`, against the schema. Raises CheckpointError for the
+    first error.
     """
     if not isinstance(raw, dict):
         raise CheckpointError(
@@ -158,6 +158,6 @@ def check_schema(raw: object, schema: TypeAdapter[T], source: Path) -> T:
             else f" (got {clip(repr(first['input']), 60)})"
         )
         raise CheckpointError(
-            f"{source} does not say what is needed: {where}: {clip(first['msg'], 300)}{given}.",
+            f"{source} lacks needed content: {where}: {clip(first['msg'], 300)}{given}.",
             hint=_AGAIN,
         ) from error

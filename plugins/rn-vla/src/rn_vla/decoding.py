@@ -1,12 +1,12 @@
-"""What a backend built on a language model asks of a runtime: the model at `load`, one request at
+"""Interface between a language-model backend and a runtime: the model at `load`, one request at
 `run`.
 
 numpy only, so that a backend, an in-process runtime and a served one agree without sharing an
-engine. Nothing here names a model family; which kinds of request a runtime answers for which
-families is said by its descriptor.
+engine. It is independent of model families; a runtime's descriptor lists the families and kinds of
+request that it supports.
 
-A runtime reads what it can use: in process, the weights, the ids and the prepared arrays; served,
-the text and the images. Both give the same reply.
+An in-process runtime uses the weights, the ids and the prepared arrays, a served one the text and
+the images. Both give the same reply.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class DecoderShape:
         hidden, intermediate: widths of the residual stream and of the gated layer.
         layers, heads, key_value_heads: counts; `heads` is a multiple of `key_value_heads`.
         vocabulary: rows of the embedding and of the output head.
-        norm_epsilon, rope_theta: of RMSNorm and of the rotary positions.
+        norm_epsilon, rope_theta: constants of RMSNorm and of the rotary positions.
         max_positions: longest sequence.
     """
 
@@ -60,10 +60,10 @@ class Weight:
     """One tensor of a checkpoint file.
 
     Attributes:
-        shape: as the file must hold it.
-        target: where an in-process runtime puts it: "decoder.<name in the Hugging Face Llama
-            layout>", "front.<parameter>" or "back.<parameter>"; empty for a tensor that is on disk
-            and never computed with.
+        shape: shape in the file.
+        target: its destination in an in-process runtime: "decoder.<name in the Hugging Face Llama
+            layout>", "front.<parameter>" or "back.<parameter>"; empty for a tensor on disk that is
+            never used.
     """
 
     shape: tuple[int, ...]
@@ -85,13 +85,13 @@ class Shard:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class DecodingPrompt:
-    """What the model is shown, in both forms. Neither side writes to its arrays.
+    """Input of the model, in both forms. Neither side writes to its arrays.
 
     Attributes:
-        text: the whole prompt, as a served engine gets it.
+        text: the whole prompt, for a served engine.
         ids: int64 (n,), the same as token ids, first and last special ids included.
-        images: uint8 (H, W, 3) RGB, one per camera in the model's order, as the model's own
-            processor would get them.
+        images: uint8 (H, W, 3) RGB, one per camera in the model's order, as for the model's own
+            processor.
         arrays: float32 inputs of the front by name ("pixel_values" ...), without batch dimension.
     """
 
@@ -106,10 +106,10 @@ class TokenRequest:
     """Decode greedily after the prompt, causally. Capability word: "token-decode".
 
     Attributes:
-        prompt: what the model is shown.
-        max_new_tokens: exactly so many are decoded; there is no end token.
-        deadline_s: `time.monotonic()` after which nobody wants the answer; None for no deadline.
-        with_logits: also return the logits behind the first token (a served runtime may refuse).
+        prompt: input of the model.
+        max_new_tokens: exact number of decoded tokens; there is no end token.
+        deadline_s: `time.monotonic()` after which the answer is useless; None for no deadline.
+        with_logits: also return the logits of the first token (a served runtime may refuse).
     """
 
     prompt: DecodingPrompt
@@ -124,9 +124,9 @@ class TokenReply:
 
     Attributes:
         tokens: int64 (max_new_tokens,).
-        logits: float32 (vocabulary,) at the last prompt position, or None when not asked for.
-        metrics: numbers worth watching, in milliseconds or tokens.
-        note: one short sentence where the answer took another way than the fast one; else empty.
+        logits: float32 (vocabulary,) at the last prompt position, or None if not requested.
+        metrics: in milliseconds or tokens.
+        note: one short sentence if the fast path was not used; otherwise empty.
     """
 
     tokens: I64
@@ -141,11 +141,11 @@ class TokenReply:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class RowsRequest:
-    """One pass in which every position sees every other; read some rows near the end.
+    """One pass in which every position attends to all others; read some rows near the end.
     Capability word: "bidirectional-hidden".
 
     Attributes:
-        prompt: what the model is shown; its ids hold the placeholders too.
+        prompt: input of the model; its ids include the placeholders.
         rows: number of rows to read.
         tail: number of rows after them.
         read: "output" the back module's result, "hidden" the rows after the final norm, "tokens"
@@ -178,34 +178,35 @@ class RowsReply:
 
 
 Request: TypeAlias = TokenRequest | RowsRequest
-"""What `Runtime.run` takes for the families of language-model policies."""
+"""Requests of `Runtime.run` for the families of language-model policies."""
 Reply: TypeAlias = TokenReply | RowsReply
-"""What it returns for them."""
+"""Replies to them."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PolicyModel:
-    """A language-model policy, as a backend hands it to `Runtime.load`.
+    """A language-model policy, passed by a backend to `Runtime.load`.
 
     Attributes:
-        family: as in the descriptors.
-        checkpoint: its directory; a served runtime compares the name with what the server says it
-            serves.
+        family: family name in the descriptors.
+        checkpoint: its directory; a served runtime compares the name with the server's.
         decoder: shape of the language model.
-        shards: every weight file; an in-process runtime reads one after the other.
-        visual_tokens: how many positions after the first one hold image patches.
+        shards: every weight file; an in-process runtime reads them one by one.
+        visual_tokens: number of positions after the first one that hold image patches.
         max_prompt_tokens: longest `DecodingPrompt.ids`.
         min_prompt_tokens: shortest prompt in the count of `example`: the template around an
             instruction of one word.
-        max_new_tokens: most tokens any request decodes; 0 for families that decode none.
-        extra_tokens: positions beyond `DecodingPrompt.ids` and `visual_tokens` that the front
-            adds, right behind the latter.
-        example: a request with so many prompt ids, to warm up with.
-        build_front: heavy; returns a torch module called as `front(arrays, ids, embed)` that gives
-            the decoder's input (b, positions, hidden); `embed` looks ids up. Its parameters are the
-            targets "front.*". Among several prompts, the ids of shorter ones are filled up behind
-            the first one.
-        build_back: likewise for what follows the read rows (b, rows, hidden); None for nothing.
+        max_new_tokens: largest number of tokens decoded by any request; 0 for families that decode
+            none.
+        extra_tokens: positions beyond `DecodingPrompt.ids` and `visual_tokens` that the front adds,
+            directly after the latter.
+        example: returns a request with that number of prompt ids, for warming up.
+        build_front: heavy; returns a torch module called as `front(arrays, ids, embed)` that
+            returns the decoder's input (b, positions, hidden); `embed` looks ids up. Its parameters
+            are the targets "front.*". Among several prompts, the ids of shorter ones are padded
+            after the first id.
+        build_back: likewise, for the module applied to the read rows (b, rows, hidden); None for
+            none.
     """
 
     family: str
@@ -225,21 +226,20 @@ class PolicyModel:
 LlamaRuntime: TypeAlias = Runtime[PolicyModel, Request, Reply, PrunableDecoder]
 """A runtime of Llama-shaped decoders that answers both kinds of request."""
 TokenRuntime: TypeAlias = Runtime[PolicyModel, TokenRequest, Reply, PrunableDecoder]
-"""One that answers at least `TokenRequest`: what a backend of the family "openvla" is built with.
-"""
+"""A runtime that answers at least `TokenRequest`, as needed by backends of the family "openvla"."""
 RowsRuntime: TypeAlias = Runtime[PolicyModel, RowsRequest, Reply, PrunableDecoder]
-"""One that answers at least `RowsRequest`: what a backend of the family "openvla-oft" is built
-with.
+"""A runtime that answers at least `RowsRequest`, as needed by backends of the family
+"openvla-oft".
 """
 
 
 @runtime_checkable
 class BatchRuntime(Protocol):
-    """What a runtime may offer beside `run`."""
+    """Optional method of a runtime, besides `run`."""
 
     def run_batch(self, requests: Sequence[RowsRequest]) -> Sequence[Reply]:
-        """One reply for each request, in their order, from one pass; raises what `run` raises, for
-        all of them.
+        """One reply for each request, in their order, from one pass; raises the errors of `run`,
+        for all of them.
         """
         ...
 
@@ -249,12 +249,10 @@ LlamaAcceleration: TypeAlias = Acceleration[PrunableDecoder]
 
 
 class LlamaAccelerationChanger(Protocol):
-    """A runtime of Llama-shaped decoders whose acceleration changes while the model stays
-    loaded.
-    """
+    """A runtime of Llama-shaped decoders that can change the acceleration of a loaded model."""
 
     def set_acceleration(self, acceleration: LlamaAcceleration | None) -> None:
-        """Execute every later `run` with this preset, or with none; between two of them, in
+        """Execute later calls of `run` with this preset, or with none; between two of them, in
         milliseconds.
         """
         ...

@@ -1,6 +1,4 @@
-"""Rows of policies that act on joints: joints and gripper of each arm in turn, by the robot's
-names.
-"""
+"""Rows of joint policies: joints and gripper of each arm in turn, by the robot's names."""
 
 from __future__ import annotations
 
@@ -29,11 +27,11 @@ JointKind = Literal["joint_position", "joint_velocity"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class PlatformJoints:
-    """What one platform's states and actions consist of.
+    """Layout of one platform's states and actions.
 
     Attributes:
         kind: "joint_position" [rad] or "joint_velocity" [rad/s].
-        joints: per arm, from the base to the tip.
+        joints: number of joints per arm, from the base to the tip.
         rate_hz: rows per second that the policy was trained for.
         gripper: 0..1 "open_fraction" 0 closed, "closed_fraction" 0 open; absolute in every kind.
         arms: names of the arms; one empty name for a robot with one arm.
@@ -47,7 +45,7 @@ class PlatformJoints:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """What each value is, in order: "joint" or "gripper"."""
+        """Kind of each value, in order: "joint" or "gripper"."""
         return (*("joint",) * self.joints, "gripper") * len(self.arms)
 
     @property
@@ -61,10 +59,11 @@ class PlatformJoints:
         return np.array([column == "gripper" for column in self.columns])
 
     def space(self, names: Sequence[str]) -> ControlSpace:
-        """What the rows are, for a robot whose joints have these names, in the policy's order.
+        """Control space of the rows, for a robot whose joints have these names, in the policy's
+        order.
 
         Raises:
-            ConfigurationError: another number of joints, or one of an arm twice.
+            ConfigurationError: another number of joints, or a joint repeated within an arm.
         """
         unit = "rad" if self.kind == "joint_position" else "rad/s"
         channels: list[Channel] = []
@@ -76,7 +75,8 @@ class PlatformJoints:
     def read_state(self, observation: Observation, names: Sequence[str]) -> F64:
         """Measured joints [rad] and gripper of each arm, float64 (width,).
 
-        Joints are taken by name, grippers by arm; these are counted as the policy does (`gripper`).
+        Joints are read by name, grippers by arm; gripper values follow the policy's convention
+        (`gripper`).
 
         Raises:
             ConfigurationError: as `space`.
@@ -101,7 +101,7 @@ class PlatformJoints:
             raise UngroundedError(
                 f"The state needs {', '.join(absent)}; the joints that are measured are "
                 f"{', '.join(measured) or 'none'}.",
-                hint="Correct the option 'joints', or see to it that the robot's joint_states hold "
+                hint="Correct the option 'joints', or make sure that the robot's joint_states hold "
                 "them.",
             )
         state = np.array(values)
@@ -110,14 +110,16 @@ class PlatformJoints:
         return state
 
     def to_contract(self, actions: F64) -> F64:
-        """Un-normalised actions (H, width) -> rows of `space`; openings are cut to 0..1."""
+        """Convert un-normalised actions (H, width) to rows of `space`; openings are clipped to
+        0..1.
+        """
         rows = actions.copy()
         at = self.grippers
         rows[:, at] = np.clip(self.to_opening(actions[:, at]), 0.0, 1.0)
         return rows
 
     def to_opening(self, values: F64) -> F64:
-        """The policy's gripper values -> openings 0 closed..1 open, and back: it is its own
+        """Convert the policy's gripper values to openings 0 closed..1 open, and back: it is its own
         inverse.
         """
         return 1.0 - values if self.gripper == "closed_fraction" else values
@@ -142,13 +144,13 @@ def declare_joints(
     """The space of a policy whose joints the option `joints` names, for `BackendSpec.space`.
 
     Args:
-        rows: of the policy.
-        options: of the backend.
-        profile: of the robot.
-        policy: what messages call it, as the subject of a sentence.
+        rows: layout of the policy.
+        options: options of the backend.
+        profile: profile of the robot.
+        policy: name of the policy in messages, as the subject of a sentence.
 
     Raises:
-        ConfigurationError: the option is missing, or does not fit the policy or the robot.
+        ConfigurationError: the option is missing, or does not match the policy or the robot.
     """
     joints = options.get("joints")
     robots = ", ".join(f'"{joint}"' for joint in profile.arm_joints)
@@ -170,7 +172,7 @@ def declare_joints(
 
 
 def _opening(observation: Observation, arm: str) -> float | None:
-    """Measured opening of an arm's gripper; None where it is not measured."""
+    """Measured opening of an arm's gripper; None if it is not measured."""
     if not arm:
         return observation.gripper_open
     state = observation.arms.get(arm)

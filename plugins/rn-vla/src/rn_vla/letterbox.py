@@ -1,4 +1,4 @@
-"""Pictures fitted into what a policy takes: turned, aspect kept, black bars around."""
+"""Images fitted to a policy's input: rotated, with the same aspect ratio and black bars."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ Flip = Literal["none", "rotate-180", "mirror"]
 
 
 def flip_image(image: U8, flip: Flip) -> U8:
-    """Turn an upright image (H, W, 3) into what the checkpoint was trained on ("mirror" swaps left
-    and right).
+    """Convert an upright image (H, W, 3) to the orientation of the training data ("mirror" swaps
+    left and right).
     """
     if flip == "rotate-180":
         return image[::-1, ::-1]
@@ -22,8 +22,7 @@ def flip_image(image: U8, flip: Flip) -> U8:
 
 
 def fitted(height: int, width: int, into: tuple[int, int]) -> tuple[int, int, int, int]:
-    """Height and width inside the target, and the top and left margin. Source: openpi and LeRobot
-    alike.
+    """Height and width inside the target, and the top and left margin. Source: openpi and LeRobot.
 
     Args:
         height, width: of the picture [px].
@@ -35,8 +34,8 @@ def fitted(height: int, width: int, into: tuple[int, int]) -> tuple[int, int, in
 
 
 def fit_antialiased(image: U8, into: tuple[int, int]) -> U8:
-    """uint8 (H, W, 3) -> uint8 (*into, 3), bilinear with antialiasing when shrinking, centred on
-    black.
+    """Resize uint8 (H, W, 3) to uint8 (*into, 3), bilinear with antialiasing when shrinking,
+    centred on black.
 
     Args:
         into: height and width [px].

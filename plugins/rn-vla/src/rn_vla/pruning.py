@@ -11,17 +11,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class AttentionView:
-    """What a selection may look at: queries and keys of the layer just run, rotary positions
-    applied.
+    """Input of a selection: queries and keys of the layer just run, with rotary positions applied.
 
-    Of several sequences in one pass, each is shown alone.
+    With several sequences in one pass, each one is passed separately.
 
     Attributes:
         query: (1, heads, positions, head width).
         key: (1, key-value heads, positions, head width).
         visual_start, visual_count: the span of positions that hold image patches.
         rows: positions that a `RowsRequest` reads; None for token decoding.
-        causal: whether a position sees only earlier ones.
+        causal: True if a position attends only to earlier ones.
     """
 
     query: Tensor
@@ -33,29 +32,31 @@ class AttentionView:
 
 
 class TokenSelection(Protocol):
-    """Chooses which positions go on. Shapes of what it returns must follow from shapes alone (CUDA
+    """Selects the positions to keep. The shapes of its results must depend only on shapes (CUDA
     graphs).
 
-    Hashable; equal ones choose alike, so that recordings of one serve the other.
+    Hashable; equal selections choose the same positions, so that they share recordings.
     """
 
     @property
     def layer(self) -> int:
-        """Index of the first layer that runs on the selected positions only, at least 1."""
+        """Index of the first layer that runs only on the selected positions, at least 1."""
         ...
 
     def select(self, view: AttentionView) -> Tensor | None:
-        """Return the positions to keep, int64, ascending; None keeps all. Only visual ones may be
-        dropped.
+        """Return the positions to keep, int64, ascending; None keeps all. Only visual positions may
+        be dropped.
         """
         ...
 
 
 class PrunableDecoder(Protocol):
-    """What an acceleration gets from a runtime with the capability "visual-token-pruning"."""
+    """Interface that an acceleration gets from a runtime with the capability
+    "visual-token-pruning".
+    """
 
     def install_selection(self, selection: TokenSelection) -> None:
-        """Use `selection` in every later pass. Raises ConfigurationError when its layer is not one
-        of the decoder's.
+        """Use `selection` in every later pass. Raises ConfigurationError if the decoder has no such
+        layer.
         """
         ...

@@ -1,5 +1,5 @@
-"""Rotations as training data of VLA models write them: roll-pitch-yaw, and branches near a gripper
-that points down.
+"""Rotations in training data of VLA models: roll-pitch-yaw, and branches near a gripper that points
+down.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ of the gripper.
 
 
 def nearer_rotvec(rotvec_rad: F64, near_rad: F64) -> F64:
-    """Of the two rotation vectors of one rotation, each up to 2 pi long, the one nearer to
-    `near_rad`; (3,) [rad].
+    """The nearer one to `near_rad` of a rotation's two rotation vectors, each up to 2 pi long; (3,)
+    [rad].
     """
     angle = float(np.linalg.norm(rotvec_rad))
     if angle < _SMALL_ANGLE_RAD:
@@ -30,8 +30,8 @@ def nearer_rotvec(rotvec_rad: F64, near_rad: F64) -> F64:
 
 
 def matrix_from_rpy(rpy_rad: F64) -> F64:
-    """Roll, pitch, yaw (3,) [rad] about fixed x, y, z -> rotation matrix (3, 3), Rz(yaw) Ry(pitch)
-    Rx(roll).
+    """Rotation matrix (3, 3), Rz(yaw) Ry(pitch) Rx(roll), of roll, pitch, yaw (3,) [rad] about
+    fixed x, y, z.
     """
     x, y, z = (
         matrix_from_rotvec(axis * angle) for axis, angle in zip(np.eye(3), rpy_rad, strict=True)
@@ -41,8 +41,8 @@ def matrix_from_rpy(rpy_rad: F64) -> F64:
 
 
 def rpy_from_matrix(matrix: F64) -> F64:
-    """Rotation matrix (3, 3) -> roll, pitch, yaw (3,) [rad]; pitch in [-pi/2, pi/2], roll 0 where
-    it is ambiguous.
+    """Roll, pitch, yaw (3,) [rad] of a rotation matrix (3, 3); pitch in [-pi/2, pi/2], roll 0 if
+    ambiguous.
     """
     cosine = np.hypot(matrix[0, 0], matrix[1, 0])
     pitch = np.arctan2(-matrix[2, 0], cosine)
@@ -54,11 +54,11 @@ def rpy_from_matrix(matrix: F64) -> F64:
 
 
 def rotvec_by_down(matrix: F64) -> F64:
-    """TCP rotation (3, 3) -> rotation vector (3,) [rad] in the branch of a gripper that points
+    """Rotation vector (3,) [rad] of a TCP rotation (3, 3), in the branch of a gripper that points
     down, up to 2 pi long.
 
-    It is continuous through pi, where `rotvec_from_matrix` changes sign. Source: LIBERO's robot
-    state is robosuite's quat2axisangle of MuJoCo's body quaternion, whose sign is not normalised
+    It is continuous at pi, where `rotvec_from_matrix` changes sign. Source: LIBERO's robot state is
+    robosuite's quat2axisangle of MuJoCo's body quaternion, whose sign is not normalised
     (openvla-oft experiments/robot/libero, openpi examples/libero); its x component lies around pi
     in the data sets.
     """
@@ -66,11 +66,10 @@ def rotvec_by_down(matrix: F64) -> F64:
 
 
 def rotvec_by_quaternion(quaternion_xyzw: F64) -> F64:
-    """Unit quaternion (4,) -> rotation vector (3,) [rad], 0 .. 2 pi long: q and -q give different
+    """Rotation vector (3,) [rad] of a unit quaternion (4,), 0 .. 2 pi long: q and -q give different
     ones.
 
-    Source: robosuite's quat2axisangle, which the LIBERO evaluation of OpenVLA-OFT and openpi
-    copies.
+    Source: robosuite's quat2axisangle, copied by the LIBERO evaluations of OpenVLA-OFT and openpi.
     """
     w = float(np.clip(quaternion_xyzw[3], -1.0, 1.0))
     sine = np.sqrt(1.0 - w * w)
@@ -81,13 +80,12 @@ def rotvec_by_quaternion(quaternion_xyzw: F64) -> F64:
 
 
 def rpy_by_down(matrix: F64) -> F64:
-    """TCP rotation (3, 3) -> roll, pitch, yaw (3,) [rad] against a gripper that points down, for
-    which they are 0.
+    """Roll, pitch, yaw (3,) [rad] of a TCP rotation (3, 3), relative to a gripper that points down,
+    for which they are 0.
 
-    Source: BridgeData states are taken against a top-down pose: bridge_data_robot,
-    widowx_controller, DEFAULT_ROTATION [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]; SimplerEnv and
-    open-pi-zero undo it likewise (R @ DEFAULT_ROTATION.T). That R is of the WidowX link, whose x
-    axis points out of the gripper. With the TCP's z axis out of the gripper, the same pose is R @
-    diag(1, -1, -1).
+    Source: BridgeData states are relative to a top-down pose: bridge_data_robot, widowx_controller,
+    DEFAULT_ROTATION [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]; SimplerEnv and open-pi-zero undo it
+    likewise (R @ DEFAULT_ROTATION.T). That R is of the WidowX link, whose x axis points out of the
+    gripper. With the TCP's z axis out of the gripper, the same pose is R @ diag(1, -1, -1).
     """
     return rpy_from_matrix(matrix @ matrix_from_rotvec(np.array(DOWN_ROTVEC_RAD)).T)

@@ -1,4 +1,4 @@
-"""What a checkpoint's action values mean, and the conversion to and from the contract's
+"""Meaning of a checkpoint's action values, and the conversion to and from the contract's
 7-vector.
 """
 
@@ -33,15 +33,15 @@ class ActionLayout:
     convention.
 
     Attributes:
-        meaning: "delta" moves the TCP by the values; "absolute" says where it should be.
+        meaning: "delta" moves the TCP by the values; "absolute" gives its target pose.
         frame: axes of a delta: the robot's base, or the TCP at the start of the step.
         rotation: "rotvec", or "rpy" (fixed axes x, y, z).
-        translation_scale_m: metres of one unit.
-        rotation_scale_rad: radians of one unit.
+        translation_scale_m: metres per unit.
+        rotation_scale_rad: radians per unit.
         limit: the first six values are clipped to -limit..limit before scaling, as the training
             environment does; 0 for no clipping.
         adds_state: the first six values are relative to the first six of the state, which is added
-            before all else.
+            first.
         gripper: "open_fraction" 0 closed..1 open, "closed_fraction", "signed_close" -1 open..1
             closed, "signed_open".
         step_s: time between two actions [s].
@@ -58,14 +58,14 @@ class ActionLayout:
     adds_state: bool = False
 
     def to_contract(self, raw: F64, *, state: F64, pose: Pose | None, base_position_m: F64) -> F64:
-        """The checkpoint's actions (H, 7) -> the contract's (H, 7): base-frame deltas [m, rad] and
-        opening 0..1.
+        """Convert the checkpoint's actions (H, 7) to the contract's (H, 7): base-frame deltas [m,
+        rad] and opening 0..1.
 
         Args:
             raw: float64 (H, 7), un-normalised.
             state: the state of the same observation, in the training data's units.
             pose: measured TCP pose; needed for "absolute" and for frame "tcp".
-            base_position_m: float64 (3,), where the base stands in the frame of absolute positions.
+            base_position_m: float64 (3,), position of the base in the frame of absolute positions.
 
         Raises:
             UnsafeError: a value is not finite.
@@ -91,8 +91,8 @@ class ActionLayout:
     def from_contract(
         self, actions: F64, *, state: F64, pose: Pose | None, base_position_m: F64
     ) -> F64:
-        """The inverse of `to_contract`, for values inside `limit`: contract (H, 7) -> the
-        checkpoint's (H, 7).
+        """The inverse of `to_contract`, for values inside `limit`: converts contract actions (H, 7)
+        to the checkpoint's (H, 7).
         """
         raw = np.empty((len(actions), ACTION_SIZE))
         position, rotation = np.zeros(3), np.eye(3)
@@ -118,8 +118,8 @@ class ActionLayout:
         return raw
 
     def _rotation_vectors(self, rotations: F64) -> F64:
-        """(H, 3) as the checkpoint writes them -> (H, 3) rotation vectors; those up to pi long stay
-        as they are.
+        """Rotation vectors (H, 3) of the checkpoint's rotations (H, 3); rotation vectors up to pi
+        long stay unchanged.
         """
         if self.rotation == "rotvec" and (np.linalg.norm(rotations, axis=1) <= np.pi).all():
             return rotations
@@ -128,8 +128,8 @@ class ActionLayout:
     def _follow(
         self, out: F64, translations: F64, rotations: F64, pose: Pose, base_position_m: F64
     ) -> None:
-        """Write base-frame deltas into `out`, each from where the one before it leads, starting at
-        `pose`.
+        """Write base-frame deltas into `out`; each starts at the target of the one before it, the
+        first at `pose`.
         """
         position, orientation = pose.position_m, matrix_from_quaternion(pose.quaternion_xyzw)
         for row, translation, rotation in zip(out, translations, rotations, strict=True):
@@ -183,7 +183,7 @@ def _check_raw(raw: F64) -> None:
     if raw.ndim != 2 or raw.shape[0] < 1 or raw.shape[1] != ACTION_SIZE:
         raise ConfigurationError(
             f"The model yields actions of shape {raw.shape}, expected (H >= 1, {ACTION_SIZE}).",
-            hint="Joint-space and two-armed checkpoints cannot be turned into TCP motion here.",
+            hint="Joint-space and two-arm checkpoints cannot be converted to TCP motion.",
         )
     finite = np.isfinite(raw)
     if not finite.all():

@@ -1,5 +1,5 @@
-"""Named conventions of public policies that move the TCP: what state they take, what their actions
-mean; and the options that describe others.
+"""Named conventions of public policies that move the TCP, for their state and actions; and the
+options that define others.
 """
 
 from __future__ import annotations
@@ -72,19 +72,19 @@ PROFILES: Mapping[str, Profile] = MappingProxyType(
 """Profile by name.
 
 "libero": actions are inputs of robosuite's OSC_POSE controller, clipped to -1..1, 0.05 m and 0.5
-rad a unit, applied on the left in world axes at 20 Hz; gripper -1 open, 1 closed. State: TCP
+rad per unit, applied from the left in world axes at 20 Hz; gripper -1 open, 1 closed. State: TCP
 position, rotation vector (gripper down is near (pi, 0, 0)), two finger joints. Source: robosuite
 controllers/osc.py, LIBERO env_wrapper.py (control_freq 20), openpi examples/libero.
 "libero-openpi": the same, but the network's output is relative to the state. Source: openpi
 training/config.py, extra_delta_transform of pi0_libero. openpi's policy server adds the state
 itself, so the remote backend uses "libero". "bridge": metres and radians at 5 Hz, rotation as roll,
-pitch, yaw, gripper 1 open; the rotation of the state is taken against a gripper that points down.
+pitch, yaw, gripper 1 open; the rotation of the state is relative to a gripper that points down.
 Source: see `rn_vla.rotation.rpy_by_down`.
 """
 
 
 class OptionSection(BaseModel):
-    """Options without unknown keys, infinities and changes."""
+    """Base class of options: no unknown keys, no infinities, immutable."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
@@ -99,7 +99,7 @@ class StateOptions(OptionSection):
         default=(), description="joints of the term 'joints', in order"
     )
     rotvec_near_rad: Vector = Field(
-        default=(0.0, 0.0, 0.0), description="which of two rotation vectors is written [rad]"
+        default=(0.0, 0.0, 0.0), description="choose the rotation vector nearer to this [rad]"
     )
     finger_travel_m: float = Field(
         default=0.04, gt=0, description="position of one finger joint when open [m]"
@@ -115,13 +115,13 @@ class StateOptions(OptionSection):
 class ActionOptions(OptionSection):
     """The action values of an own profile."""
 
-    meaning: Meaning = Field(description="'delta' moves by, 'absolute' moves to")
+    meaning: Meaning = Field(description="'delta' is relative, 'absolute' is a target pose")
     frame: FrameName = Field(description="axes of a delta: 'base' or 'tcp'")
     rotation: Rotation = Field(description="'rotvec', or 'rpy' about fixed axes")
     gripper: Gripper = Field(description="meaning of the last value")
     step_s: float = Field(gt=0, le=10, description="time between two actions [s]")
-    translation_scale_m: float = Field(default=1.0, gt=0, description="metres of one unit")
-    rotation_scale_rad: float = Field(default=1.0, gt=0, description="radians of one unit")
+    translation_scale_m: float = Field(default=1.0, gt=0, description="metres per unit")
+    rotation_scale_rad: float = Field(default=1.0, gt=0, description="radians per unit")
     limit: float = Field(
         default=0.0, ge=0, description="clip the first six values to +-limit; 0 for no clipping"
     )
@@ -131,12 +131,12 @@ class ActionOptions(OptionSection):
 
 
 def own_profile(state: StateOptions, action: ActionOptions) -> Profile:
-    """The profile that a user describes."""
+    """The profile defined by options."""
     return Profile(state=own_state(state), action=ActionLayout(**action.model_dump()))
 
 
 def own_state(state: StateOptions) -> StateLayout:
-    """The state vector that a user describes."""
+    """The state vector defined by options."""
     return StateLayout(
         terms=state.terms,
         joint_names=state.joint_names,

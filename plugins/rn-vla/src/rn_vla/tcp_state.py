@@ -1,5 +1,5 @@
-"""Proprioception: the state vector a checkpoint was trained on, from what the robot measures.
-Nothing is made up.
+"""Proprioception: conversion of the robot's measurements to the state vector of the training data.
+No value is invented.
 """
 
 from __future__ import annotations
@@ -43,18 +43,18 @@ def _zeros() -> F64:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class StateLayout:
-    """What a state vector consists of, in order.
+    """Parts of a state vector, in order.
 
     Attributes:
-        terms: "position" [m], "rotvec" [rad], "rpy" [rad], "rpy_by_down" [rad] (against a gripper
-            that points down), "quaternion" (x y z w, w >= 0) of the TCP; "joints" [rad, m] by
-            `joint_names`; "gripper_open" 0..1, "gripper_closed" 1 - open; "fingers" two finger
-            joints +q, -q [m]; "padding" one column that is 0 in the training data itself.
+        terms: "position" [m], "rotvec" [rad], "rpy" [rad], "rpy_by_down" [rad] (relative to a
+            gripper that points down), "quaternion" (x y z w, w >= 0) of the TCP; "joints" [rad, m]
+            by `joint_names`; "gripper_open" 0..1, "gripper_closed" 1 - open; "fingers" two finger
+            joints +q, -q [m]; "padding" one column that is 0 in the training data.
         joint_names: joints of the term "joints", in order.
-        base_position_m: float64 (3,), where the robot's base stands in the frame of the training
+        base_position_m: float64 (3,), position of the robot's base in the frame of the training
             data's positions.
         rotvec_near_rad: float64 (3,); a rotation has two rotation vectors (r and r (|r| - 2 pi) /
-            |r|), and the one nearer to this is written, so that a gripper pointing down does not
+            |r|), and the one nearer to this is used, so that a gripper pointing down does not
                 flip between them.
         finger_travel_m: joint position of one finger when open.
     """
@@ -72,16 +72,16 @@ class StateLayout:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """The term that each value belongs to."""
+        """The term of each value."""
         counts = {"joints": len(self.joint_names), **_WIDTHS}
         return tuple(term for term in self.terms for _ in range(counts.get(term, 1)))
 
     def build(self, observation: Observation) -> F64:
-        """float64 (width,) in the training data's units.
+        """The state vector, float64 (width,), in the training data's units.
 
         Raises:
-            UngroundedError: the observation lacks something a term needs; says which and who
-                provides it.
+            UngroundedError: the observation lacks an input of a term; the message names it and its
+                source.
             UnsafeError: a measured value is not finite.
         """
         state = np.concatenate([self._term(term, observation) for term in self.terms])

@@ -1,4 +1,4 @@
-"""What the contract cases of runtimes of Llama-shaped decoders give to the rules."""
+"""Parts of contract cases for runtimes of Llama-shaped decoders."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ from rn_vla.decoding import PolicyModel, Reply, TokenReply, TokenRequest
 
 
 def late(request: TokenRequest) -> TokenRequest:
-    """The same request with a deadline that is over: `RuntimeCase.late_request`."""
+    """The same request with a deadline in the past: `RuntimeCase.late_request`."""
     return replace(request, deadline_s=time.monotonic() - 1.0)
 
 
 def check_token_answer(model: PolicyModel, request: TokenRequest, answer: Reply) -> None:
-    """Raise Violation unless the answer holds the tokens that were asked for:
-    `RuntimeCase.check_answer`.
-    """
+    """Raise Violation unless the answer holds the requested tokens: `RuntimeCase.check_answer`."""
     if not isinstance(answer, TokenReply):
         raise Violation(
             f"run of a TokenRequest returned {type(answer).__name__}, expected a TokenReply"

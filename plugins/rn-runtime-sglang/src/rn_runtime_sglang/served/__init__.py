@@ -1,6 +1,5 @@
-"""What runs inside the SGLang process: the OpenVLA model, its image processor and their
+"""Code that runs inside the SGLang process: the OpenVLA model, its image processor and their
 registration.
 
-Nothing here is imported by a robot's own processes except `fingerprint` and `versions`, which are
-light.
+A robot's own processes import only `fingerprint` and `versions`, which are light.
 """

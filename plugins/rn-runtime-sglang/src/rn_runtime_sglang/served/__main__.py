@@ -1,9 +1,9 @@
 """`python -m rn_runtime_sglang.served --model-path DIRECTORY`: an SGLang server for an OpenVLA
 checkpoint.
 
-Run it with the interpreter of the environment that SGLang is installed in. What it does not know
-itself is passed on to SGLang (`--tp`, `--dp`, `--mem-fraction-static` ...). The API key is read
-from the environment variable ROBONEURON_SGLANG_KEY, so that no process list shows it.
+Run it with the interpreter of SGLang's environment. Unknown options are passed on to SGLang
+(`--tp`, `--dp`, `--mem-fraction-static` ...). The API key is read from the environment variable
+ROBONEURON_SGLANG_KEY, so that no process list shows it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rn_runtime_sglang.served.versions import SUPPORTED, is_supported
 
 KEY_VARIABLE = "ROBONEURON_SGLANG_KEY"
 REFUSED = ("--enable-custom-logit-processor", "--trust-remote-code")
-"""Options of SGLang that would run code out of requests (unpickled) or out of the checkpoint's
+"""Options of SGLang that would run code from requests (unpickled) or from the checkpoint's
 directory.
 """
 _PR_SET_PDEATHSIG = 1
@@ -44,7 +44,7 @@ _CPU_FLAGS = ("--disable-overlap-schedule", "--sleep-on-idle")
 
 
 def main() -> None:
-    """Check, say what is served, and become the SGLang server."""
+    """Check the environment, print what is served, and become the SGLang server."""
     parser = argparse.ArgumentParser(
         prog=f"python -m {_PACKAGE}", description=__doc__, allow_abbrev=False
     )
@@ -57,7 +57,7 @@ def main() -> None:
     parser.add_argument("--port", type=int, default=30000)
     parser.add_argument("--device", choices=("auto", "cpu", "cuda"), default="auto")
     parser.add_argument("--dtype", default="auto", help="auto, float32, bfloat16 or float16")
-    parser.add_argument("--parent", type=int, help="process to end with")
+    parser.add_argument("--parent", type=int, help="id of the process with which to end")
     options, others = parser.parse_known_args()
     if options.parent is not None:
         end_with(options.parent)
@@ -86,7 +86,7 @@ def main() -> None:
 def to_arguments(
     options: argparse.Namespace, checkpoint: Path, key: str, others: list[str]
 ) -> list[str]:
-    """SGLang's own command line; what the user gives (`others`) comes last and wins."""
+    """SGLang's own command line; the user's options (`others`) come last and take precedence."""
     named = {
         "--model-path": str(checkpoint),
         "--served-model-name": served_name(checkpoint),
@@ -110,7 +110,7 @@ def to_arguments(
 
 
 def check_version() -> None:
-    """Leave with one sentence unless a supported SGLang is installed here."""
+    """Exit with one sentence unless a supported SGLang is installed."""
     first, end = (".".join(map(str, numbers)) for numbers in SUPPORTED)
     wanted = f'pip install "sglang>={first},<{end}"'
     try:
@@ -125,14 +125,14 @@ def check_version() -> None:
 
 
 def end_with(parent: int) -> None:
-    """Ask the kernel for SIGKILL at the parent's death; SGLang's own children do the same with this
-    process.
+    """Request SIGKILL from the kernel at the parent's death; SGLang's own children do the same with
+    this process.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG) failed")
     if os.getppid() != parent:
-        sys.exit("The process this server belongs to is gone.")
+        sys.exit("The parent process of this server has ended.")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""The configuration and tokenizer classes that SGLang asks transformers for, made from the public
-checkpoint files.
+"""The configuration and tokenizer classes that SGLang requests from transformers, created from the
+public checkpoint files.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ ARCHITECTURE = "OpenVLAForActionPrediction"
 
 
 class OpenVlaServedConfig(PretrainedConfig):  # type: ignore[misc, no-untyped-call, unused-ignore]
-    """config.json of an OpenVLA checkpoint; the decoder's part is completed from the defaults it
-    was saved against.
+    """config.json of an OpenVLA checkpoint; the decoder's part is completed with the defaults of
+    its release.
     """
 
     model_type = MODEL_TYPE
@@ -50,21 +50,21 @@ def _llama(raw: dict[str, object]) -> LlamaConfig:
 
 
 class OpenVlaTokenizer(PreTrainedTokenizerFast):  # type: ignore[misc, unused-ignore]
-    """tokenizer.json as it is. SGLang insists on a tokenizer; requests bring token ids, so it is
-    never asked.
+    """tokenizer.json unchanged. SGLang requires a tokenizer, but never uses it, because requests
+    contain token ids.
     """
 
 
 class OpenVlaFiles:
-    """Stands where SGLang expects a Hugging Face processor."""
+    """Replaces the Hugging Face processor that SGLang expects."""
 
     def __init__(self, tokenizer: OpenVlaTokenizer) -> None:
         self.tokenizer = tokenizer
 
     @classmethod
     def from_pretrained(cls, name: str, *arguments: object, **options: object) -> OpenVlaFiles:
-        """Read tokenizer.json of the checkpoint directory `name`; the other arguments are about
-        other formats.
+        """Read tokenizer.json of the checkpoint directory `name`; the other arguments are for other
+        formats.
         """
         tokenizer = OpenVlaTokenizer(  # type: ignore[no-untyped-call, unused-ignore]
             tokenizer_file=str(Path(name) / "tokenizer.json"),

@@ -1,4 +1,4 @@
-"""A short name for the very files of a checkpoint, the same on every host that holds a copy."""
+"""A short identifier of a checkpoint's files, equal on every host with a copy."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ _SAMPLE_BYTES = 16384
 
 
 def fingerprint(checkpoint: Path) -> str:
-    """Twelve hexadecimal digits over config.json and samples spread over each weight file;
+    """Twelve hexadecimal digits over config.json and samples spread over each weight file; takes
     milliseconds even for 15 GB.
 
     Raises:
-        CheckpointError: a file is absent, not a regular file, or the configuration is too large to
+        CheckpointError: a file is missing, not a regular file, or the configuration is too large to
             be one.
         OSError: a file cannot be read.
     """
@@ -33,5 +33,7 @@ def fingerprint(checkpoint: Path) -> str:
 
 
 def served_name(checkpoint: Path) -> str:
-    """What a server of this package says it serves: "<directory>@<fingerprint>"."""
+    """Name under which a server of this package serves a checkpoint:
+    "<directory>@<fingerprint>".
+    """
     return f"{checkpoint.name}@{fingerprint(checkpoint)}"

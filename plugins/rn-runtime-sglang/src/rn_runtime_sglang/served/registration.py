@@ -6,7 +6,7 @@ from __future__ import annotations
 
 
 def register() -> None:
-    """Make the model type `openvla` known; code in a checkpoint's directory is never run for it."""
+    """Register the model type `openvla`; code in a checkpoint's directory is never run for it."""
     # heavy
     from sglang.srt.multimodal.customized_mm_processor_utils import register_customized_processor
     from transformers import AutoConfig

@@ -1,3 +1,3 @@
-"""A server that speaks like SGLang 0.5.23 and computes nothing: for tests and the contract kit,
-without SGLang.
+"""A server with the interface of SGLang 0.5.23 that computes nothing: for tests and the contract
+kit, without SGLang.
 """

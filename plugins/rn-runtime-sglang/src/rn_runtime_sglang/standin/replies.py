@@ -1,4 +1,4 @@
-"""What the stand-in says: shapes and texts as recorded from SGLang 0.5.23 with this package's
+"""Replies of the stand-in: shapes and texts as recorded from SGLang 0.5.23 with this package's
 model.
 """
 
@@ -29,14 +29,14 @@ Fault = Literal[
 
 @dataclass
 class Behaviour:
-    """How a stand-in answers; may be changed while it runs.
+    """Behaviour of a stand-in; may be changed while it runs.
 
     Attributes:
-        served_name, model_path, architecture, version: what it says of itself.
+        served_name, model_path, architecture, version: its identity.
         key: API key; empty for none.
         ready: answer of `/ready`.
-        delay_s: before each reply of `/generate`.
-        fault: what is wrong with the replies of `/generate`.
+        delay_s: delay of each reply of `/generate` [s].
+        fault: fault of the replies of `/generate`.
         running, queued: load that `/metrics` reports; None for a server without metrics.
     """
 
@@ -53,13 +53,13 @@ class Behaviour:
 
 
 def expected_tokens(ids: list[int], image: bytes, count: int) -> list[int]:
-    """Tokens that depend on everything a model would look at."""
+    """Tokens that depend on all inputs of a model."""
     seed = hashlib.sha256(json.dumps(ids).encode() + image).digest()
     return [ACTION_TOKENS[seed[index % len(seed)]] for index in range(count)]
 
 
 def request_problem(body: dict[str, object]) -> str:
-    """What SGLang and the served processor refuse, or nothing."""
+    """Reason why SGLang and the served processor would refuse the request; empty for none."""
     ids, image = body.get("input_ids"), body.get("image_data")
     if not isinstance(ids, list):
         return "The engine initialized with skip_tokenizer_init=True cannot accept text prompts."

@@ -1,6 +1,4 @@
-"""The stand-in: requests are checked and replies are shaped as SGLang's were when they were
-recorded.
-"""
+"""The stand-in server: checks requests like SGLang, and sends replies with the recorded shapes."""
 
 from __future__ import annotations
 
@@ -28,9 +26,7 @@ from rn_runtime_sglang.standin.replies import (
 
 @dataclass
 class ReceivedRequests:
-    """What reached the server: ids of the requests for tokens and of the aborts, and the last
-    body.
-    """
+    """Received requests: ids of the requests for tokens and of the aborts, and the last body."""
 
     generated: list[str] = field(default_factory=list)
     aborted: list[str] = field(default_factory=list)
@@ -52,7 +48,7 @@ class StandInServer:
 
     @property
     def port(self) -> int:
-        """Where it listens, once started."""
+        """Port that it listens on, once started."""
         return self._port
 
     @property
@@ -61,7 +57,7 @@ class StandInServer:
         return f"http://127.0.0.1:{self._port}"
 
     def start(self) -> StandInServer:
-        """Listen; the same port again after a `stop`."""
+        """Start listening; on the same port again after a `stop`."""
         self.released.clear()
         self._http = _Http(("127.0.0.1", self._port), _StandInHandler)
         self._http.owner = self
@@ -73,7 +69,7 @@ class StandInServer:
         return self
 
     def stop(self) -> None:
-        """Hang up on everybody, at once, as a killed process does."""
+        """Close all connections at once, like a killed process."""
         self.released.set()
         if self._http is not None:
             self._http.shutdown()
@@ -85,14 +81,12 @@ class StandInServer:
             self._thread = None
 
     def serve(self) -> None:
-        """Listen on this thread until the process ends."""
+        """Serve on this thread until the process ends."""
         self.start()
         threading.Event().wait()
 
     def wait(self, rid: str, seconds: float) -> bool:
-        """Whether the request was aborted within so many seconds; also ends when the server
-        stops.
-        """
+        """True if the request was aborted within `seconds`; also returns when the server stops."""
         event = self._aborts.setdefault(rid, threading.Event())
         deadline_s = time.monotonic() + seconds
         while not self.released.is_set():
@@ -104,7 +98,7 @@ class StandInServer:
         return False
 
     def abort(self, rid: str) -> None:
-        """As `/abort_request`: unknown ids are fine."""
+        """Handle `/abort_request`; unknown ids are accepted."""
         self.seen.aborted.append(rid)
         self._aborts.setdefault(rid, threading.Event()).set()
 
@@ -133,7 +127,7 @@ class _Http(ThreadingHTTPServer):
             self.shutdown_request(request)
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Clients may hang up; nothing is printed."""
+        """Print nothing: clients may disconnect at any time."""
 
 
 class _StandInHandler(BaseHTTPRequestHandler):
@@ -141,7 +135,7 @@ class _StandInHandler(BaseHTTPRequestHandler):
     server: _Http
 
     def log_message(self, *arguments: object) -> None:
-        """Nothing is printed."""
+        """Print nothing."""
 
     @property
     def _behaviour(self) -> Behaviour:
@@ -204,7 +198,7 @@ class _StandInHandler(BaseHTTPRequestHandler):
             owner.wait(rid, 60.0)
             return
         aborted = owner.wait(rid, told.delay_s) if told.delay_s else False
-        if owner.released.is_set():  # A killed server answers nobody, not even those it made wait.
+        if owner.released.is_set():  # A killed server answers nobody, not even waiting requests.
             self.close_connection = True
             return
         tokens = expected_tokens(body["input_ids"], base64.b64decode(body["image_data"]), count)

@@ -1,5 +1,5 @@
-"""A directory that looks like an installed SGLang: put on a Python path, `python -m
-sglang.launch_server` is ours.
+"""A directory that looks like an installed SGLang: on the Python path, it replaces `python -m
+sglang.launch_server`.
 """
 
 from __future__ import annotations

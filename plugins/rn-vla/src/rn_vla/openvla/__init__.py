@@ -1,3 +1,3 @@
-"""OpenVLA's public layout: files, network, prompt, pixels and action values; OpenVLA-OFT has the
+"""OpenVLA's public layout: files, network, prompt, pixels and action values; OpenVLA-OFT uses the
 same base.
 """

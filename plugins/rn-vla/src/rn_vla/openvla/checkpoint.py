@@ -1,5 +1,5 @@
-"""A checkpoint directory in the public layout: what its small files say, checked before any weight
-is read.
+"""A checkpoint directory in the public layout: contents of its small files, checked before any
+weight is read.
 """
 
 from __future__ import annotations
@@ -58,18 +58,18 @@ BACKBONES: Mapping[str, tuple[TowerShape, ...]] = MappingProxyType(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OpenvlaCheckpoint:
-    """What the small files of a checkpoint say.
+    """Contents of a checkpoint's small files.
 
     Attributes:
         path: its directory.
         decoder, vision: shapes.
         action_bins: bins per action value.
-        token_vocabulary: ids before padding; action tokens stand at its end.
-        is_vicuna: the first release (v01), with another prompt.
+        token_vocabulary: ids before padding; action tokens are at its end.
+        is_vicuna: True for the first release (v01), with another prompt.
         towers: pixel normalisation, one per vision tower.
         statistics: data sets by key.
         statistics_source: the file they come from.
-        shards: weight files with what each must hold.
+        shards: weight files with the tensors of each.
     """
 
     path: Path
@@ -89,7 +89,7 @@ class OpenvlaCheckpoint:
         weights.
 
         Raises:
-            CheckpointError: a file is absent or damaged, or the checkpoint is of another family.
+            CheckpointError: a file is missing or damaged, or the checkpoint is of another family.
         """
         if not path.is_dir():
             raise CheckpointError(
@@ -125,8 +125,8 @@ class OpenvlaCheckpoint:
 
 
 def _check_resizing(path: Path, config: OpenvlaConfig, processor: ProcessorConfig) -> None:
-    """Raise CheckpointError for resizing that keeps the aspect, whichever of the two files asks for
-    it.
+    """Raise CheckpointError if either of the two files requires resizing that keeps the aspect
+    ratio.
     """
     for file, strategy in (("config.json", config), ("preprocessor_config.json", processor)):
         if strategy.image_resize_strategy != "resize-naive":
@@ -206,7 +206,9 @@ def _towers(config: OpenvlaConfig, path: Path) -> tuple[TowerShape, ...]:
 def _read_statistics(
     path: Path, config: OpenvlaConfig
 ) -> tuple[Mapping[str, DatasetStatistics], str]:
-    """Fine-tuned checkpoints ship a file of their own, which replaces what config.json says."""
+    """Statistics and their source; the file of a fine-tuned checkpoint replaces those of
+    config.json.
+    """
     own = path / "dataset_statistics.json"
     if not _is_there(own):
         return config.norm_stats, str(path / "config.json")
@@ -215,8 +217,8 @@ def _read_statistics(
 
 
 def _is_there(path: Path) -> bool:
-    """Whether an optional file is listed; a link to nothing counts, so that it is an error and not
-    left out.
+    """True if an optional file exists; a broken link counts, so that it causes an error instead of
+    being ignored.
     """
     return path.is_symlink() or path.exists()
 

@@ -1,5 +1,5 @@
-"""The command that a package of OpenVLA checkpoints brings: `make-tiny`, a checkpoint to try its
-backend with.
+"""The command of a package for OpenVLA checkpoints: `make-tiny`, which creates a checkpoint to try
+its backend with.
 """
 
 from __future__ import annotations
@@ -27,12 +27,13 @@ class TinyCommand:
     """One package's command.
 
     Attributes:
-        program: its name.
-        model: what the checkpoint is of, as people call it.
-        options: what to use it with; "{}" stands for the platform.
-        load: imports and returns what writes it, for one of `platforms`; called once the arguments
-            are parsed, so that `--help` is quick.
-        platforms: what `--constants` may name, the default first; none without such an option.
+        program: name of the command.
+        model: name of the model for people.
+        options: options to use it with; "{}" stands for the platform.
+        load: imports and returns the writer for one of `platforms`; called after the arguments are
+            parsed, so that `--help` is fast.
+        platforms: values of `--constants`, the default first; a single empty name without this
+            option.
     """
 
     program: str
@@ -42,9 +43,7 @@ class TinyCommand:
     platforms: tuple[str, ...] = ("",)
 
     def run(self, arguments: Sequence[str] | None = None) -> int:
-        """Parse the arguments (those of the process when None) and do it; returns the exit
-        status.
-        """
+        """Run the command with these arguments (sys.argv if None); returns the exit status."""
         description = f"`{self.program}`: tiny checkpoints to try the backend with."
         parser = argparse.ArgumentParser(prog=self.program, description=description)
         commands = parser.add_subparsers(dest="command", required=True)
@@ -52,7 +51,9 @@ class TinyCommand:
             "make-tiny", help=f"write a tiny random {self.model} checkpoint in the public layout"
         )
         make.add_argument("directory", type=Path, help="new or empty directory")
-        make.add_argument("--seed", type=int, default=0, help="of the random weights (default 0)")
+        make.add_argument(
+            "--seed", type=int, default=0, help="seed of the random weights (default 0)"
+        )
         if len(self.platforms) > 1:
             make.add_argument(
                 "--constants",

@@ -1,4 +1,4 @@
-"""Everything before the decoder: pixels and ids to the sequence of embeddings."""
+"""The part before the decoder: converts pixels and ids to the sequence of embeddings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from rn_vla.openvla.vision import Tower, gelu_in_place
 
 
 class Projector(nn.Module):
-    """Features (..., features) -> language-model width, exact GELU between its layers."""
+    """Projects features (..., features) to the language model's width, with exact GELU between
+    layers.
+    """
 
     def __init__(self, widths: tuple[int, ...]) -> None:
         super().__init__()
@@ -39,7 +41,7 @@ class OpenVlaFront(nn.Module):
         self.projector = Projector(shape.projector)
 
     def patches(self, pixels: Tensor) -> Tensor:
-        """Pixels (b, cameras * 3 * towers, side, side) -> embedded patches (b, cameras * patches,
+        """Embed pixels (b, cameras * 3 * towers, side, side) as patches (b, cameras * patches,
         hidden).
         """
         side = pixels.shape[-1]
@@ -54,6 +56,6 @@ class OpenVlaFront(nn.Module):
     def forward(
         self, arrays: dict[str, Tensor], ids: Tensor, embed: Callable[[Tensor], Tensor]
     ) -> Tensor:
-        """Arrays {"pixel_values"} and ids (b, n) -> (b, patches + n, hidden)."""
+        """Embed arrays {"pixel_values"} and ids (b, n) as (b, patches + n, hidden)."""
         words = embed(ids)
         return torch.cat((words[:, :1], self.patches(arrays["pixel_values"]), words[:, 1:]), dim=1)

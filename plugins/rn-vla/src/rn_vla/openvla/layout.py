@@ -1,6 +1,4 @@
-"""Which tensors a public OpenVLA checkpoint holds, in which shapes, and which of them are computed
-with.
-"""
+"""Tensors of a public OpenVLA checkpoint with their shapes, and which of them inference uses."""
 
 from __future__ import annotations
 
@@ -17,10 +15,11 @@ class TowerShape:
     """One vision transformer.
 
     Attributes:
-        width, depth, heads, intermediate: of its blocks, as on disk; the last block is never run.
+        width, depth, heads, intermediate: dimensions of its blocks on disk; the last block is never
+            run.
         prefix_tokens: class and register tokens before the patches.
-        layer_scale: blocks scale their branches.
-        pooled: the file also holds an attention-pooling head.
+        layer_scale: True if blocks scale their branches.
+        pooled: True if the file also holds an attention-pooling head.
         patch, image: side of a patch and of the image [px].
     """
 
@@ -42,7 +41,7 @@ class TowerShape:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VisionShape:
-    """The vision side: towers in the order of their pixel channels, and the projector's width.
+    """The vision part: towers in the order of their pixel channels, and the projector's width.
 
     Attributes:
         towers: DINOv2 then SigLIP, or SigLIP alone.
@@ -66,7 +65,7 @@ class VisionShape:
 
 
 TOWER_NAMES = ("featurizer", "fused_featurizer")
-"""What the towers are called on disk and in the front module."""
+"""Names of the towers on disk and in the front module."""
 
 
 def expected_weights(vision: VisionShape, decoder: DecoderShape) -> Mapping[str, Weight]:

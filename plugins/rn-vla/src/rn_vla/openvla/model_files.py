@@ -1,8 +1,8 @@
 """The JSON files of a checkpoint as typed models with bounds; keys that inference does not need are
 ignored.
 
-The bounds hold every model of the family with room to spare. They keep a damaged number from
-costing memory or time before it is compared with the tensors it describes.
+The bounds leave ample margin for every model of the family. They prevent a damaged number from
+costing memory or time before it is compared with the tensors.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class TinyVision(BaseModel):
 
 
 class OpenvlaConfig(BaseModel):
-    """What is used of config.json."""
+    """The keys used of config.json."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 
@@ -105,7 +105,7 @@ class OpenvlaConfig(BaseModel):
 class Normalize(BaseModel):
     """Pixel normalisation of one tower, on values from 0 to 1.
 
-    Trusted over the keys `means` and `stds`, which training did not use.
+    Takes precedence over the keys `means` and `stds`, which training did not use.
     """
 
     model_config = ConfigDict(extra="ignore", frozen=True)
@@ -115,7 +115,7 @@ class Normalize(BaseModel):
 
 
 class ProcessorConfig(BaseModel):
-    """What is used of preprocessor_config.json."""
+    """The keys used of preprocessor_config.json."""
 
     model_config = ConfigDict(extra="ignore", frozen=True)
 

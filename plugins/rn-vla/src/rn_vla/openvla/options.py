@@ -1,4 +1,4 @@
-"""Options that every backend of OpenVLA checkpoints has."""
+"""Options common to all backends of OpenVLA checkpoints."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 
 class OwnProfile(BaseModel):
-    """What a checkpoint's actions mean, said field by field: `profile = "own"`."""
+    """Meaning of a checkpoint's actions, given field by field: `profile = "own"`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     metres_per_unit: Positive
-    """What 1.0 in the first three values means, after un-normalisation."""
+    """Metres per unit of the first three un-normalised values."""
     radians_per_unit: Positive
-    """What 1.0 in the next three values means."""
+    """Radians per unit of the next three values."""
     rotation: RotationUnit
     """`rotvec`, or `rpy` (roll, pitch, yaw about fixed axes)."""
     frame: Literal["base", "tcp"] = "base"
-    """Axes the deltas are expressed in."""
+    """Axes of the deltas."""
     gripper: GripperSign
-    """What the last value says and which end is open."""
+    """Meaning of the last value."""
     gripper_threshold: bool = True
     """Round the opening to fully open or fully closed at the middle."""
     clip_units: bool = False
@@ -38,30 +38,28 @@ class OwnProfile(BaseModel):
 
 
 class OpenVlaModelOptions(BaseModel):
-    """What every backend of the family is told."""
+    """Options of every backend of the family."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
     checkpoint: Annotated[Path, ConfigurationOnly()]
     """Directory with config.json, the weights, the processor and the tokenizer."""
     unnorm_key: Annotated[str | None, AgentMaySet()] = None
-    """Data set whose statistics turn model values into actions; may be left out when there is only
-    one.
-    """
+    """Data set whose statistics un-normalise the model's values; optional if there is only one."""
     profile: Literal["libero", "bridge", "own"]
-    """What the actions mean, in which units and frame; never guessed."""
+    """Meaning, units and frame of the actions; never guessed."""
     own_profile: OwnProfile | None = None
     """The fields of `profile = "own"`."""
     image_steps: tuple[ImageStep, ...] = ()
-    """What the training pipeline did to camera images before the processor, in order."""
+    """Steps that the training pipeline applied to camera images before the processor, in order."""
     max_prompt_tokens: Annotated[int, Field(ge=16, le=1024)] = 128
-    """Longest prompt; memory for its keys and values is set aside."""
+    """Longest prompt in tokens; memory for its keys and values is reserved."""
     timeout_s: Positive | None = None
-    """An inference that takes longer is given up; None waits."""
+    """Time after which an inference is aborted; None for no limit."""
 
     max_outside_share: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 0.15
-    """Share of decoded tokens that may be no action tokens (they count as full-scale moves); more
-    is refused.
+    """Largest accepted fraction of decoded tokens that are not action tokens (they count as
+    full-scale moves).
     """
 
     @model_validator(mode="after")
@@ -71,7 +69,7 @@ class OpenVlaModelOptions(BaseModel):
         return self
 
     def action_profile(self) -> ActionProfile:
-        """The chosen profile, whole."""
+        """The chosen profile with all fields."""
         if self.own_profile is None:
             return PROFILES[self.profile]
         return ActionProfile(**self.own_profile.model_dump())

@@ -1,4 +1,4 @@
-"""From a checkpoint to what a runtime loads, and from an observation to what it runs; no units, no
+"""Converts a checkpoint to a runtime's model, and an observation to its request; without units and
 robot.
 """
 
@@ -21,7 +21,7 @@ I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
 
 FAMILY = "openvla"
-"""Name of the family in descriptors."""
+"""Name of the model family in descriptors."""
 
 
 def policy_model(
@@ -31,7 +31,7 @@ def policy_model(
     max_prompt_tokens: int,
     min_prompt_tokens: int = 12,
 ) -> PolicyModel:
-    """The checkpoint as any runtime of the family takes it."""
+    """The checkpoint in the form that runtimes of the family load."""
     return PolicyModel(
         family=FAMILY,
         checkpoint=checkpoint.path,
@@ -55,15 +55,15 @@ def token_request(
     action_width: int,
     timeout_s: float | None = None,
 ) -> TokenRequest:
-    """One request for one action.
+    """Create the request for one action.
 
     Args:
         text: the whole prompt.
-        ids: int64 (n,), ended by FINAL_ID.
-        image: uint8 (H, W, 3), what the pixels were made of.
+        ids: int64 (n,), ending with FINAL_ID.
+        image: uint8 (H, W, 3), the image of the pixels.
         pixel_values: float32 (channels, side, side).
         action_width: values per action.
-        timeout_s: time from now after which the answer is of no use.
+        timeout_s: time from now after which the answer is useless.
     """
     return TokenRequest(
         prompt=DecodingPrompt(
@@ -80,7 +80,7 @@ def action_bins(checkpoint: OpenvlaCheckpoint) -> ActionBins:
 
 
 def prompt_encoder(checkpoint: OpenvlaCheckpoint, template: str) -> PromptEncoder:
-    """The checkpoint's tokenizer, compared with its configuration. Raises CheckpointError."""
+    """The checkpoint's tokenizer, checked against its configuration. Raises CheckpointError."""
     return PromptEncoder(
         checkpoint.path / "tokenizer.json",
         template,
@@ -90,7 +90,7 @@ def prompt_encoder(checkpoint: OpenvlaCheckpoint, template: str) -> PromptEncode
 
 
 def example_ids(count: int) -> I64:
-    """Ids of a prompt of `count` tokens that says nothing."""
+    """Ids of a meaningless prompt with `count` tokens."""
     return np.array([BOS_ID] + [FINAL_ID] * (count - 1), dtype=np.int64)
 
 

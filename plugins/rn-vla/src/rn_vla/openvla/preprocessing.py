@@ -1,5 +1,5 @@
-"""From a camera image to the model's pixels, without torchvision: PIL resizes, a table per channel
-normalises.
+"""Conversion of a camera image to the model's pixels, without torchvision: PIL resizes, a table per
+channel normalises.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _LANCZOS_RADIUS = 3.0
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TowerPixels:
-    """How one vision tower wants its pixels: mean and standard deviation of R, G, B, on values in
+    """Pixel normalisation of one vision tower: mean and standard deviation of R, G, B, on values in
     [0, 1].
     """
 
@@ -35,7 +35,9 @@ class TowerPixels:
 
 
 class Preprocessor:
-    """Image (H, W, 3) -> float32 (3 * towers, size, size), as the checkpoint's processor would."""
+    """Converts an image (H, W, 3) to float32 (3 * towers, size, size), like the checkpoint's
+    processor.
+    """
 
     def __init__(
         self, *, size: int, towers: tuple[TowerPixels, ...], steps: tuple[ImageStep, ...] = ()
@@ -50,16 +52,16 @@ class Preprocessor:
         ]
 
     def to_model_image(self, image: U8) -> U8:
-        """Apply the configured image steps: what a served engine's own processor is to start
-        from.
+        """Apply the configured image steps; the result is the input of a served engine's own
+        processor.
         """
         for step in self._steps:
             image = step(image, self._size)
         return np.ascontiguousarray(image)
 
     def to_pixels(self, image: U8) -> F32:
-        """Resize to the square without keeping the aspect (bicubic, antialiased), scale, normalise
-        per tower.
+        """Resize to the square without keeping the aspect ratio (bicubic, antialiased), scale,
+        normalise per tower.
         """
         if image.shape[:2] != (self._size, self._size):
             image = np.asarray(
@@ -78,10 +80,10 @@ def _rotate_180(image: U8, size: int) -> U8:
 
 
 def _jpeg_95(image: U8, size: int) -> U8:
-    """Encode as JPEG and decode again, bit for bit as tf.image.encode_jpeg and tf.io.decode_image
-    do.
+    """Encode as JPEG and decode again, bit-identical with tf.image.encode_jpeg and
+    tf.io.decode_image.
 
-    TensorFlow decodes with the fast integer transform where PIL takes the accurate one: 64 % of the
+    TensorFlow decodes with the fast integer transform, PIL with the accurate one: 64 % of the
     values of a LIBERO image differ, by 1 on average and by up to 17.
     """
     buffer = io.BytesIO()
@@ -93,7 +95,7 @@ def _jpeg_95(image: U8, size: int) -> U8:
 
 
 def _resize_lanczos(image: U8, size: int) -> U8:
-    """Resize in float32 and round once, where PIL rounds after each direction.
+    """Resize in float32 and round once, while PIL rounds after each direction.
 
     Source: tf.image.resize(method="lanczos3", antialias=True), then tf.round, clip and cast.
     """
@@ -124,9 +126,9 @@ def _lanczos(given: int, wanted: int) -> F32:
 
 
 def _center_crop_90(image: U8, size: int) -> U8:
-    """The middle 90 % of the area, bilinear at aligned corners, back to `size`.
+    """Crop the middle 90 % of the area, and resize it to `size`, bilinear with aligned corners.
 
-    Source: tf.image.crop_and_resize and convert_image_dtype, as the LIBERO evaluation uses them.
+    Source: tf.image.crop_and_resize and convert_image_dtype, as used in the LIBERO evaluation.
     """
     side = np.sqrt(np.float32(_CROP_AREA))
     first, last = (1 - side) / 2, (1 + side) / 2

@@ -1,4 +1,5 @@
-"""What a checkpoint's action values mean, and their conversion to the contract's 7-vector and back.
+"""Meaning of a checkpoint's action values, and their conversion to the contract's 7-vector and
+back.
 
 The table of all profiles is in docs/vla.md; this module is its only implementation.
 """
@@ -62,13 +63,13 @@ class ActionProfile:
     step_s: float
 
     def to_contract(self, native: F64, tcp: Pose | None = None) -> F64:
-        """Model values (H, 7) -> contract actions (H, 7): metres, rotation vector [rad] in base
-        axes, opening 0..1.
+        """Convert model values (H, 7) to contract actions (H, 7): metres, rotation vector [rad] in
+        base axes, opening 0..1.
 
         Args:
             native: un-normalised model values.
-            tcp: TCP pose in the base frame at the first action; needed for frame "tcp". Later
-                actions of a chunk turn with the actions before them.
+            tcp: TCP pose in the base frame at the first action; needed for frame "tcp". The frames
+                of later actions in a chunk follow from the actions before them.
 
         Raises:
             InvalidInputError: frame "tcp" without a pose.
@@ -93,7 +94,7 @@ class ActionProfile:
         return contract
 
     def to_native(self, contract: F64, tcp: Pose | None = None) -> F64:
-        """Contract actions (H, 7) -> model values (H, 7); the inverse of `to_contract` where
+        """Convert contract actions (H, 7) to model values (H, 7); the inverse of `to_contract` if
         nothing was clipped.
 
         Raises:

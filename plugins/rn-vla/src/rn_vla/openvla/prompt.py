@@ -1,4 +1,4 @@
-"""The words the model was trained with, as text and as token ids."""
+"""The prompt used in training, as text and as token ids."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ I64 = NDArray[np.int64]
 BOS_ID = 1
 """First id of every prompt."""
 FINAL_ID = 29871
-"""The lone word boundary that every prompt ends with; the tokenizer alone does not always give it.
+"""The single word boundary that ends every prompt; the tokenizer alone does not always produce
+it.
 """
 
 _ORIGINAL = "Copy tokenizer.json of the original checkpoint there."
@@ -36,7 +37,7 @@ _TEMPLATES: Mapping[str, str] = MappingProxyType(
 
 
 class PromptEncoder:
-    """Instruction -> prompt text and ids, with the checkpoint's own tokenizer."""
+    """Encodes an instruction as prompt text and ids, with the checkpoint's own tokenizer."""
 
     def __init__(self, tokenizer_file: Path, template: str, *, base: int, embeddings: int) -> None:
         """Read the tokenizer.
@@ -44,18 +45,18 @@ class PromptEncoder:
         Args:
             tokenizer_file: tokenizer.json.
             template: "v02" or "v01".
-            base: ids without added ones, as the checkpoint's configuration says; action tokens end
-                there.
+            base: number of ids without added ones, from the checkpoint's configuration; action
+                tokens end there.
             embeddings: rows of the model's embedding; an id beyond them has no meaning and would
-                break a GPU's context.
+                corrupt a GPU's context.
 
         Raises:
-            CheckpointError: the file is absent, damaged, of another model, or adds no first id.
+            CheckpointError: the file is missing, damaged, of another model, or adds no first id.
         """
         check_file(tokenizer_file, MAX_TOKENIZER_BYTES)
         with reading(tokenizer_file, "a tokenizer"):
             self._tokenizer = Tokenizer.from_str(tokenizer_file.read_bytes().decode("utf-8"))
-            # What the file says about both would cut or lengthen the instruction without a word.
+            # Settings of the file would truncate or pad the instruction silently.
             self._tokenizer.no_truncation()
             self._tokenizer.no_padding()
             self._template = _TEMPLATES[template]
@@ -86,14 +87,16 @@ class PromptEncoder:
         return self._template.format(instruction=instruction.lower())
 
     def shortest(self) -> int:
-        """Tokens of the template around an instruction of one letter. Raises CheckpointError."""
+        """Number of tokens of the template with an instruction of one letter. Raises
+        CheckpointError.
+        """
         return int(self.to_ids(self.to_text("a")).size)
 
     def to_ids(self, text: str) -> I64:
         """Token ids int64 (n,), beginning with BOS_ID and ending with FINAL_ID.
 
         Raises:
-            CheckpointError: the tokenizer gives an id that the model does not know.
+            CheckpointError: the tokenizer produces an id that the model does not have.
         """
         with reading(self._source, "a tokenizer"):
             ids = end_prompt(np.array(self._tokenizer.encode(text).ids, dtype=np.int64))

@@ -1,5 +1,5 @@
-"""Data-set statistics of a checkpoint: which data set, and from model values in [-1, 1] to its
-units and back.
+"""Data-set statistics of a checkpoint: choice of the data set, and conversion between model values
+in [-1, 1] and its units.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from roboneuron import CheckpointError, ConfigurationError
 F64 = NDArray[np.float64]
 Bounds = Literal["q99", "minmax"]
 _NO_NOOPS = "_no_noops"
-"""LIBERO data sets without idle steps. Source: run_libero_eval.py of OpenVLA and OFT looks for this
-name too.
+"""Suffix of LIBERO data sets without idle steps. Source: run_libero_eval.py of OpenVLA and OFT,
+which also tries this name.
 """
 Key = Annotated[str, Field(max_length=200)]
 """Name of a data set."""
@@ -29,7 +29,7 @@ Values = Annotated[
 
 
 class VectorStatistics(BaseModel):
-    """Ranges of one vector ("action" or "proprio"); `mask` is False where values pass through
+    """Ranges of one vector ("action" or "proprio"); `mask` is False for values that pass through
     unchanged.
     """
 
@@ -55,8 +55,8 @@ class VectorStatistics(BaseModel):
         return self
 
     def check_order(self, what: str) -> None:
-        """Raise CheckpointError unless min <= q01 <= q99 <= max, but for rounding, for every value
-        that is scaled.
+        """Raise CheckpointError unless min <= q01 <= q99 <= max, apart from rounding, for every
+        scaled value.
         """
         low, q01, q99, high = (np.array(v) for v in (self.min, self.q01, self.q99, self.max))
         slack = 1e-3 * (high - low)
@@ -88,7 +88,7 @@ class Scaling:
     """Linear map between [-1, 1] and a data set's range.
 
     Attributes:
-        low, high: float64 (n,), what -1 and +1 stand for.
+        low, high: float64 (n,), values that -1 and +1 represent.
         mask: bool (n,), False passes a value through (`to_normalized` clips it).
         epsilon: added to the range; OpenVLA uses 0, OpenVLA-OFT 1e-8.
     """
@@ -117,15 +117,15 @@ class Scaling:
         return len(self.low)
 
     def to_units(self, normalized: F64) -> F64:
-        """Model values (..., n) in [-1, 1] -> the data set's units. Source: OpenVLA,
+        """Convert model values (..., n) in [-1, 1] to the data set's units. Source: OpenVLA,
         un-normalisation of actions.
         """
         span = self.high - self.low + self.epsilon
         return np.where(self.mask, 0.5 * (normalized + 1.0) * span + self.low, normalized)
 
     def to_normalized(self, values: F64) -> F64:
-        """The data set's units (..., n) -> [-1, 1]; values that the mask passes through are clipped
-        too.
+        """Convert values (..., n) in the data set's units to [-1, 1]; values that the mask passes
+        through are clipped too.
 
         Source: OpenVLA-OFT, `normalize_proprio`.
         """
@@ -138,12 +138,12 @@ class Scaling:
 def choose_statistics(
     known: Mapping[str, DatasetStatistics], key: str | None, source: str
 ) -> tuple[str, DatasetStatistics]:
-    """The statistics of data set `key` (or of `key` with "_no_noops"), or of the only one when
-    `key` is None.
+    """The statistics of data set `key` (or of `key` with "_no_noops"), or of the only one if `key`
+    is None.
 
     Raises:
-        ConfigurationError: no such data set, or several and none named; lists the choices.
-        CheckpointError: there is none at all, or the limits of its actions are out of order.
+        ConfigurationError: no such data set, or several and no `key`; lists the choices.
+        CheckpointError: there are no statistics, or the limits of the actions are out of order.
     """
     if not known:
         raise CheckpointError(

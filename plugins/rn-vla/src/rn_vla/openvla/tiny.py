@@ -1,8 +1,7 @@
-"""Tiny random checkpoints in the public layout: a few megabytes that load and run like the real
-ones.
+"""Tiny random checkpoints in the public layout: a few megabytes that load and run like real ones.
 
-Nothing is downloaded; the tokenizer is made on the spot. Their actions mean nothing, but depend on
-image and prompt.
+Nothing is downloaded; the tokenizer is created locally. Their actions are meaningless, but depend
+on image and prompt.
 """
 
 from __future__ import annotations
@@ -34,8 +33,8 @@ def make_tiny(path: Path, *, seed: int = 0, proprio_width: int = 8) -> None:
     """Write a checkpoint of two shards into the new or empty directory `path`.
 
     Args:
-        path: where to.
-        seed: of the random weights.
+        path: destination.
+        seed: seed of the random weights.
         proprio_width: values of proprioception in the statistics.
 
     Raises:
@@ -120,7 +119,7 @@ def _processor() -> Mapping[str, object]:
 
 
 def write_tokenizer(path: Path) -> None:
-    """Write a Llama-like tokenizer: 32000 ids, bytes for what it does not know, the same special
+    """Write a Llama-like tokenizer: 32000 ids, bytes for unknown characters, the same special
     ids.
     """
     from tokenizers import Tokenizer, models, normalizers, processors
@@ -182,7 +181,7 @@ def _write_weights(path: Path, seed: int) -> None:
 def random_values(
     name: str, weight: Weight, generator: np.random.Generator
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
-    """Random float32 values of a size at which signals neither die nor grow; only action tokens are
+    """Random float32 values scaled so that signals neither vanish nor grow; only action tokens are
     ever likely.
     """
     values = generator.standard_normal(weight.shape).astype(np.float32)

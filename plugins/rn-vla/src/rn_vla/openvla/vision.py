@@ -1,4 +1,4 @@
-"""The vision towers: plain pre-norm vision transformers, read at their last but one block."""
+"""The vision towers: plain pre-norm vision transformers, read at their second to last block."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ _EPSILON = 1e-6
 
 
 def gelu_in_place(x: Tensor) -> Tensor:
-    """Exact GELU, overwriting `x`: a fresh temporary of megabytes costs the CPU a page fault for
-    each 4 kB of it.
+    """Exact GELU, overwriting `x`, because a new temporary costs a page fault on the CPU for each 4
+    kB.
     """
     result: Tensor = torch.ops.aten.gelu_(x)
     return result
@@ -55,7 +55,7 @@ class _Scale(nn.Module):
 
 
 class _Block(nn.Module):
-    """Adds its branches to its input, in place."""
+    """A transformer block that adds its branches to its input, in place."""
 
     def __init__(self, shape: TowerShape) -> None:
         super().__init__()
@@ -82,10 +82,10 @@ class _PatchEmbedding(nn.Module):
 
 
 class Tower(nn.Module):
-    """Pixels (images, 3, side, side) -> patch features (images, patches, width).
+    """Encodes pixels (images, 3, side, side) as patch features (images, patches, width).
 
-    Features are the output of the last but one block without the final norm; the last block, which
-    nothing reads, is neither held nor run. Source: Karamcheti et al. 2024 (Prismatic VLMs).
+    Features are the output of the second to last block without the final norm; the last block is
+    not used and neither held nor run. Source: Karamcheti et al. 2024 (Prismatic VLMs).
     """
 
     def __init__(self, shape: TowerShape) -> None:

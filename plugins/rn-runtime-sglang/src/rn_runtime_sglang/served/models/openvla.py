@@ -1,4 +1,4 @@
-"""OpenVLA for SGLang: the backend package's vision side in front of SGLang's own Llama."""
+"""OpenVLA for SGLang: the backend package's vision part in front of SGLang's own Llama."""
 
 from __future__ import annotations
 
@@ -19,13 +19,11 @@ from rn_vla.openvla.checkpoint import OpenvlaCheckpoint
 from rn_vla.openvla.front import OpenVlaFront
 
 UNUSABLE_TOKEN = 0
-"""Decoded (the id of <unk>) where the logits are not finite; the runtime refuses a reply that holds
-it.
-"""
+"""Token (the id of <unk>) for non-finite logits; the runtime refuses a reply that contains it."""
 
 
 class OpenVLAForActionPrediction(nn.Module):
-    """Named as checkpoints name it, which is how SGLang finds it."""
+    """Named as in checkpoints, because SGLang finds it by this name."""
 
     def __init__(
         self, config: OpenVlaServedConfig, quant_config: object = None, prefix: str = ""
@@ -53,7 +51,7 @@ class OpenVLAForActionPrediction(nn.Module):
         )
 
     def get_image_feature(self, items: list[MultimodalDataItem]) -> Tensor:
-        """Pixels of each item (1, channels, side, side) -> embedded patches (items * patches,
+        """Embed the pixels of each item (1, channels, side, side) as patches (items * patches,
         hidden).
         """
         parameter = next(self.front.parameters())
@@ -74,14 +72,15 @@ class OpenVLAForActionPrediction(nn.Module):
         )
         logits = getattr(output, "next_token_logits", None)
         if logits is not None:
-            # On the device and without waiting for it: an argmax over NaN would pass for an action.
+            # On the device and without synchronisation: an argmax over NaN would look like an
+            # action.
             unusable = ~torch.isfinite(logits).all(dim=-1, keepdim=True)
             logits.masked_fill_(unusable, 0.0)
             logits[:, UNUSABLE_TOKEN : UNUSABLE_TOKEN + 1].masked_fill_(unusable, 1.0)
         return output
 
     def load_weights(self, weights: Iterable[tuple[str, Tensor]]) -> None:
-        """Put every tensor of the checkpoint where the backend's table says.
+        """Load every tensor of the checkpoint to its place in the backend's table.
 
         Raises:
             ValueError: a tensor is missing, unknown, of another shape, of integers, or not finite.

@@ -1,5 +1,5 @@
-"""From a request's image and token ids to what the model takes, with the backend package's own
-preprocessing.
+"""Conversion of a request's image and token ids to the model's input, with the backend package's
+own preprocessing.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from rn_vla.openvla.preprocessing import Preprocessor
 from rn_vla.openvla.prompt import BOS_ID, FINAL_ID
 
 FORMATS = ("PNG", "BMP")
-"""Lossless and quick; a lossy picture would give other tokens than in process."""
+"""Lossless and fast formats; a lossy image would give other tokens than in process."""
 
 
 class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ignore]
-    """One image in the request itself, and the prompt as token ids."""
+    """Processor for one image in the request itself, and the prompt as token ids."""
 
     models = (OpenVLAForActionPrediction,)
 
@@ -59,7 +59,7 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
         request_obj: object = None,
         **others: object,
     ) -> MultimodalProcessorOutput:
-        """The prompt with the patches' places behind its first id, and the pixels.
+        """The prompt with placeholders of the patches after its first id, and the pixels.
 
         Raises:
             ValueError: answered as status 400 with the text.
@@ -82,10 +82,9 @@ class OpenVlaProcessor(BaseMultimodalProcessor):  # type: ignore[misc, unused-ig
 
 
 def check_ids(ids: object, embeddings: int) -> list[int]:
-    """Return the prompt's ids; raises ValueError unless they begin and end as the model was trained
-    with.
+    """Return the prompt's ids; raises ValueError unless they begin and end as in training.
 
-    An id without an embedding would break the GPU's context, and with it the server.
+    An id without an embedding would corrupt the GPU's context, and so crash the server.
     """
     if not isinstance(ids, list) or not all(type(value) is int for value in ids):
         raise ValueError("the prompt must be token ids (`input_ids`), not text")
@@ -101,7 +100,7 @@ def check_ids(ids: object, embeddings: int) -> list[int]:
 
 
 def decode_image(data: object) -> NDArray[np.uint8]:
-    """Base64 of a PNG or BMP -> uint8 (H, W, 3) RGB. Nothing is fetched: neither URLs nor files are
+    """Decode base64 of a PNG or BMP to uint8 (H, W, 3) RGB. URLs and file names are never
     followed.
     """
     text = getattr(data, "url", data)
