@@ -1,4 +1,4 @@
-"""Options a user may set for a simulated base."""
+"""User options of a simulated base."""
 
 from __future__ import annotations
 
