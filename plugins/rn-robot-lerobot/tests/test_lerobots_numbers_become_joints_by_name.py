@@ -116,7 +116,7 @@ def test_values_that_fit_no_motor_are_refused_by_name(change: dict[str, float], 
 def test_a_lacking_value_and_one_that_is_no_number_are_refused_by_name() -> None:
     motors = motors_of(so101_profile())
     whole = dict.fromkeys(motors.keys, 0.0)
-    with pytest.raises(InvalidInputError, match=r"'elbow_flex.pos' lacks"):
+    with pytest.raises(InvalidInputError, match=r"'elbow_flex.pos' is missing"):
         motors.positions({k: v for k, v in whole.items() if k != "elbow_flex.pos"})
     with pytest.raises(UnsafeError, match=r"wrist_roll.pos is nan"):
         motors.positions(whole | {"wrist_roll.pos": math.nan})
@@ -125,7 +125,7 @@ def test_a_lacking_value_and_one_that_is_no_number_are_refused_by_name() -> None
 
 
 def test_two_motors_of_one_joint_and_a_scale_of_nought_are_refused() -> None:
-    with pytest.raises(InvalidInputError, match="comes twice"):
+    with pytest.raises(InvalidInputError, match="is repeated"):
         MotorMap([degrees("a", "j"), degrees("b", "j")])
     with pytest.raises(InvalidInputError, match="no finite scale"):
         MotorMap([percent("a", "j", 0.3, 0.3)])

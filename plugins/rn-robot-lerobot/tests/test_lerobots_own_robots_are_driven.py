@@ -117,7 +117,7 @@ def test_a_hold_brakes_the_arm_and_a_closed_driver_leaves_it_at_rest(cell: Cell)
     ("faults", "words"),
     [
         (BusFaults(silent=True), "is silent: "),
-        (BusFaults(wrong={"elbow_flex": 700}), "motor 'elbow_flex' tells"),
+        (BusFaults(wrong={"elbow_flex": 700}), "motor 'elbow_flex' reports"),
     ],
     ids=["silent", "wrong"],
 )
@@ -261,7 +261,7 @@ def test_a_joint_that_a_third_partys_robot_lacks_is_named(tmp_path: Path, driver
 
 @pytest.mark.parametrize(
     ("forgets", "words"),
-    [("", "the arm was unplugged"), ("j3.pos", "The robot does not tell j3.pos.")],
+    [("", "the arm was unplugged"), ("j3.pos", "The robot does not report j3.pos.")],
     ids=["fails", "forgets"],
 )
 def test_a_third_partys_robot_that_fails_is_a_silent_bus(

@@ -127,7 +127,7 @@ def test_a_hold_brakes_the_arm_and_keeps_the_grasp(driver: LerobotDriver, arm: S
     ("faults", "words"),
     [
         (BusFaults(silent=True), "the motor bus so101_follower is silent: There is no status"),
-        (BusFaults(wrong={"elbow_flex": 700}), "motor 'elbow_flex' tells"),
+        (BusFaults(wrong={"elbow_flex": 700}), "motor 'elbow_flex' reports"),
     ],
     ids=["silent", "wrong"],
 )
@@ -273,8 +273,8 @@ def test_a_lacking_calibration_is_refused_before_the_bus_is_opened(
         ({"tail": MotorOption()}, "motors names 'tail'"),
         ({"elbow_flex": MotorOption(joint="elbow")}, "moves the joint 'elbow', which robot"),
         ({"elbow_flex": MotorOption(unit="range")}, "in degrees, the driver expects range"),
-        ({"elbow_flex": MotorOption(joint="wrist_flex")}, "joint comes twice"),
-        ({"elbow_flex": MotorOption(joint="gripper", unit="degrees")}, "joint comes twice"),
+        ({"elbow_flex": MotorOption(joint="wrist_flex")}, "joint is repeated"),
+        ({"elbow_flex": MotorOption(joint="gripper", unit="degrees")}, "joint is repeated"),
     ],
 )
 def test_motors_that_fit_no_joint_are_refused_by_name(
