@@ -1,7 +1,7 @@
 """Writes docs/reference/hooks.md from the docstrings of hooks, descriptors and protocols.
 
-    python tools/hook_reference.py            # write the page
-    python tools/hook_reference.py --check    # exit status 1 if the page is not current
+python tools/hook_reference.py            # write the page
+python tools/hook_reference.py --check    # exit status 1 if the page is not current
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Writes docs/tools.md: every tool of the server, from the same data that agents read.
 
-    python tools/tool_reference.py            # write the page
-    python tools/tool_reference.py --check    # exit status 1 if the page is not current
+python tools/tool_reference.py            # write the page
+python tools/tool_reference.py --check    # exit status 1 if the page is not current
 """
 
 from __future__ import annotations
