@@ -1,5 +1,5 @@
-"""Degrees, percent and shares of a range to radians and back, and LeRobot's own scaling of raw
-numbers as the calibration file describes it.
+"""Conversion of degrees, percent and range shares to radians and back, and LeRobot's own scaling of
+raw numbers by the calibration file.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STEP_RAD = 2.0 * math.pi / STEPS
 
 
 def true_position(name: str, raw: int) -> float:
-    """Where a joint is when its motor tells `raw` with the reference calibration [rad]."""
+    """Joint position for the raw value `raw` with the reference calibration [rad]."""
     encoder = raw + ASSEMBLED_SO101.calibration()[name].homing_offset
     return (encoder - ASSEMBLED_SO101.encoder_zeros[name]) * STEP_RAD
 
@@ -38,7 +38,7 @@ def test_lerobots_degrees_are_the_joints_of_the_arm(row: dict[str, object]) -> N
         return
     unit = degrees(name, name)
     position = unit.scale * float(str(row["value"])) + unit.offset
-    # LeRobot counts 4095 steps to a turn, and takes the middle of a range of whole steps
+    # LeRobot counts 4095 steps per turn, and rounds the middle of a range to whole steps
     assert position == pytest.approx(true_position(name, raw), abs=2 * STEP_RAD)
 
 

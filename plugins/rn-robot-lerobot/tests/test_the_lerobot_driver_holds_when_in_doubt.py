@@ -72,7 +72,7 @@ def turn(driver: LerobotDriver, target: float = 1.2, seconds: float = 4.0) -> Jo
 
 
 def turning(driver: LerobotDriver, arm: SerialArm) -> float:
-    """A long turn is under way; the time now [monotonic s]."""
+    """Start a long rotation; return the current time [monotonic s]."""
     turn(driver)
     wait_until(lambda: arm.position[0] > 0.15, 15.0, "the arm to turn")
     return time.monotonic()
@@ -98,7 +98,7 @@ def test_it_reads_the_joints_and_moves_them_where_it_is_sent(
     expected = [0.4, *SO101.home_rad[1:4], -0.5, 0.6]
     wait_until(lambda: np.abs(arm.position - expected).max() < 0.01, 10.0)
     assert arm.motors.broken_rules == []
-    # a step of the encoder is 1.5 mrad, and LeRobot cuts off what is less
+    # an encoder step is 1.5 mrad, and LeRobot truncates smaller changes
     wait_until(lambda: np.abs(driver.read().joints.position - expected).max() < 0.01, 5.0)
 
 
