@@ -1,7 +1,8 @@
-"""Lanes beyond the commands of the README: what needs another environment, a lot of time, or root.
+"""Sessions beyond the commands of the README, which need another environment, a lot of time, or
+root.
 
-`make NAME ARGS="..."` sets this project's environment up and runs the session NAME in it. Packages
-that must not be in it have an environment of their own, `.venv-NAME`. All is in tools/lanes.
+`make NAME ARGS="..."` sets up this project's environment and runs the session NAME in it. Packages
+that conflict with it get their own environment, `.venv-NAME`. The code is in tools/lanes.
 """
 
 from __future__ import annotations

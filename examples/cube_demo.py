@@ -1,4 +1,4 @@
-"""What the demonstrations with cubes share: their options, a server of their own, and the film."""
+"""Shared parts of the demonstrations with cubes: options, a server, and the film."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from rn_standard.demo.film import DemoFilm
 from roboneuron import RoboNeuronError
 
 Play = Callable[[DemoAgent, str, DemoFilm], Awaitable[bool]]
-"""Acts on the cube of a colour with everything but inference started; whether it succeeded."""
+"""Acts on the cube of a colour with everything but inference started; returns whether it
+succeeded.
+"""
 
 
 async def run_demo(
@@ -24,10 +26,10 @@ async def run_demo(
 
     Args:
         description: for `--help`.
-        robot: whose section of the configuration has the option `seed`.
-        config: the configuration without it; the output goes to out/demo-<its name>.
-        task: what is done with the cube, such as "pick up the {colour} cube".
-        colours: of the cubes; the first is the default.
+        robot: name of the plugin section with the option `seed`.
+        config: the configuration without the seed; the output goes to out/demo-<its name>.
+        task: the task, such as "pick up the {colour} cube".
+        colours: colours of the cubes; the first is the default.
         play: the demonstration.
 
     Returns:
@@ -53,7 +55,7 @@ async def run_demo(
                 print(f"  {tool}", flush=True)
             succeeded = await play(agent, chosen.colour, film)
         finally:
-            with suppress(RoboNeuronError):  # the server ends next and takes what is left along
+            with suppress(RoboNeuronError):  # the server ends next, with everything that still runs
                 await agent.call("stop_all")
     strip, gif = film.save(chosen.output)
     print(f"  film strip  {strip}\n  film  {gif}")

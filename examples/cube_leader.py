@@ -1,8 +1,7 @@
-"""A leader arm that is a program: it demonstrates how the simulated FR3 picks up a red cube, and
-puts the cube elsewhere between two demonstrations. `record_lerobot.py` has `lerobot-record` follow
-it.
+"""A scripted leader arm: it demonstrates how the simulated FR3 picks up a red cube, and puts the
+cube elsewhere between two demonstrations. With `record_lerobot.py`, `lerobot-record` follows it.
 
-Where the cube lies it knows from the simulator. Motions are planned once, when they begin, by the
+It gets the cube's position from the simulator. Motions are planned once, at their start, by the
 teacher of the cubes policy, as rows of joint positions.
 """
 
@@ -28,38 +27,38 @@ from roboneuron.command import RosLink, messages, qos
 F64 = NDArray[np.float64]
 
 ROW_S = 0.16
-"""Time of one row of a motion [s]: 0.19 m/s at most."""
+"""Duration of one row of a motion [s]; limits the speed to 0.19 m/s."""
 _LEASH_RAD = 0.12
-"""The leader waits for an arm that is farther behind: control refuses a step of 0.1 m."""
+"""The leader waits for an arm that lags more than this, because control refuses a step of 0.1 m."""
 _PLANNED_S = 0.1
-"""What the teacher takes a row for [s]."""
+"""Duration of a row for the teacher [s]."""
 DEMONSTRATION_ROWS = 70
 LIFTED_M = 0.10
-"""From this height on a cube counts as picked up."""
+"""Height at which a cube counts as picked up."""
 _TELL_S = 0.02
 _REACHED = 0.93
-"""As of the teacher: its actions move the arm by this share."""
+"""As in the teacher: its actions move the arm by this share."""
 _FINGERS_PER_ROW = 0.13
 _STEP_M, _TURN_RAD, _JOINT_RAD = 0.03, 0.15, 0.09
-"""Longest move and turn of the TCP, and of a joint on its way home, in a row."""
+"""Largest displacement and rotation of the TCP per row, and of a joint on its way home."""
 _PLACE_M, _ABOVE_M = 0.024, 0.15
-"""TCP heights when the cube is let go, and before and after."""
+"""TCP height for releasing the cube, and before and after."""
 _KICKED_SHARE, _KICK_M, _KICK_RAD = 0.6, 0.016, 0.08
-"""Share of the demonstrations that are pushed off their way, and how far in a row: the policy is to
-see how one comes back.
+"""Share of the demonstrations that are pushed off their path, and the push per row, so that the
+policy learns to return.
 """
 _KICK_HEIGHT_M, _LONGEST_M = 0.14, 0.045
-"""Lowest TCP that is pushed, and how far it goes at most in a row then."""
+"""Lowest TCP height for a push, and the largest displacement per row with it."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CubePlace:
-    """Where the cube is.
+    """Pose of the cube.
 
     Attributes:
-        position_m: of its centre in the base frame, float64 (3,).
-        yaw_rad: of any of its side faces.
-        edge_m: length of its edges.
+        position_m: centre in the base frame, float64 (3,).
+        yaw_rad: yaw of any of its side faces.
+        edge_m: edge length.
     """
 
     position_m: F64
@@ -68,11 +67,11 @@ class CubePlace:
 
 
 class LeaderArm:
-    """The joints that the leader shows, moved by TCP deltas."""
+    """Joint positions of the leader, moved by TCP deltas."""
 
     def __init__(self, joints: Mapping[str, float], *, holds: bool = False) -> None:
-        """Begin at measured positions [rad, m]; `holds` closes the gripper, because where the
-        fingers are measured they would not press.
+        """Start at measured positions [rad, m]; `holds` closes the gripper, because at their
+        measured position the fingers would not press.
         """
         robot = profile()
         assert robot.gripper is not None  # the FR3 has one
@@ -88,7 +87,7 @@ class LeaderArm:
 
     @property
     def opening(self) -> float:
-        """Of the gripper, 0 closed .. 1 open."""
+        """Opening of the gripper, 0 closed .. 1 open."""
         return self._open
 
     def tcp(self) -> tuple[F64, F64]:
@@ -97,13 +96,13 @@ class LeaderArm:
         return pose.position_m, matrix_from_quaternion(pose.quaternion_xyzw)
 
     def move(self, delta: F64, gripper_open: float) -> None:
-        """One row: the TCP by `delta` (6,) [m, rad], the fingers towards an opening.
+        """Add a row: move the TCP by `delta` (6,) [m, rad], and the fingers towards an opening.
 
         Raises:
             NotReadyError: the arm cannot go there.
         """
         change = np.clip(gripper_open - self._open, -_FINGERS_PER_ROW, _FINGERS_PER_ROW)
-        # a grasp presses: the commanded opening is that of the hand, not of the cube
+        # a grasp must press, so the commanded opening is that of the hand, not of the cube
         self._open = float(self._open + change)
         action = Action.from_vector(np.append(delta, self._open))
         command = self._controller.compute(action, self._sample(), _PLANNED_S)
@@ -113,13 +112,13 @@ class LeaderArm:
         self._keep(np.array([by_name[name] for name in self.names]))
 
     def go_home(self) -> None:
-        """Rows that end at home with an open gripper."""
+        """Add rows that end at home with an open gripper."""
         home = np.append(HOME_RAD, self._gripper.to_position(1.0))
         way = home - self._positions
         count = max(1, math.ceil(float(np.abs(way).max()) / _JOINT_RAD))
         start = self._positions.copy()
         for share in np.linspace(0.0, 1.0, count + 1)[1:]:
-            # without a jerk at either end
+            # smooth at both ends
             self._keep(start + way * (0.5 - 0.5 * math.cos(math.pi * share)))
 
     def _keep(self, positions: F64) -> None:
@@ -131,7 +130,9 @@ class LeaderArm:
 
 
 def demonstrate(joints: Mapping[str, float], cube: CubePlace, random: np.random.Generator) -> F64:
-    """Rows (n, 8) of joint positions, in the order of `LeaderArm.names`, that pick up the cube."""
+    """Plan rows (n, 8) of joint positions, in the order of `LeaderArm.names`, that pick up the
+    cube.
+    """
     arm = LeaderArm(joints)
     position, rotation = arm.tcp()
     now = Situations(
@@ -162,7 +163,9 @@ def demonstrate(joints: Mapping[str, float], cube: CubePlace, random: np.random.
 
 
 def put_elsewhere(joints: Mapping[str, float], random: np.random.Generator) -> F64:
-    """Rows as of `demonstrate` that put a held cube to a random place, and end at home."""
+    """Plan rows as `demonstrate` does that put a held cube at a random position, and end at
+    home.
+    """
     arm = LeaderArm(joints, holds=True)
     place = np.array([random.uniform(*REGION_X_M), random.uniform(*REGION_Y_M)])
     turn_rad = float(random.uniform(-math.pi / 4.0, math.pi / 4.0))
@@ -176,7 +179,7 @@ def put_elsewhere(joints: Mapping[str, float], random: np.random.Generator) -> F
 
 
 def _go(arm: LeaderArm, goal_m: F64, turn_rad: float, gripper_open: float) -> float:
-    """Move straight to a place, and turn; returns what is left of the turn, nothing."""
+    """Move straight to a position while turning; return the remaining rotation, zero."""
     while True:
         position, _ = arm.tcp()
         way = goal_m - position
@@ -190,12 +193,12 @@ def _go(arm: LeaderArm, goal_m: F64, turn_rad: float, gripper_open: float) -> fl
 
 
 class CubeLeader:
-    """Publishes the leader's joints, 50 times a second, from `open` to `close`."""
+    """Publishes the leader's joint states at 50 Hz, from `open` to `close`."""
 
     def __init__(self, seed: int, topic: str = "/leader/joint_states") -> None:
         """Args:
-        seed: of the places and of what pushes the leader off its way.
-        topic: where its joints go, sensor_msgs/JointState.
+        seed: seed of the positions and of the pushes.
+        topic: topic of its joint states, sensor_msgs/JointState.
         """
         self._random = np.random.default_rng([seed, 0x6C65])
         self._topic = topic
@@ -229,7 +232,7 @@ class CubeLeader:
         self._link.close()
 
     def cube(self) -> CubePlace:
-        """Where the simulator says that it is. Raises NotReadyError before it has said so."""
+        """Pose of the cube from the simulator. Raises NotReadyError before the first one."""
         with self._lock:
             cube = self._cube
         if cube is None:
@@ -237,11 +240,11 @@ class CubeLeader:
         return cube
 
     def demonstrate(self) -> None:
-        """Begin to pick up the cube."""
+        """Start to pick up the cube."""
         self._play(demonstrate(self._measured(), self.cube(), self._random))
 
     def put_elsewhere(self) -> None:
-        """Begin to put it to another place; a cube that is not held stays where it is."""
+        """Start to put it at another position; a cube that is not held stays where it is."""
         self._play(put_elsewhere(self._measured(), self._random))
 
     def _measured(self) -> dict[str, float]:
@@ -290,7 +293,7 @@ class CubeLeader:
 
 
 def _between(rows: F64, at: float) -> F64:
-    """Row number `at`, between two rows or the last one."""
+    """Interpolated row at the index `at`; the last row at the end."""
     below = min(int(at), len(rows) - 1)
     above = min(below + 1, len(rows) - 1)
     return np.asarray(rows[below] + min(at - below, 1.0) * (rows[above] - rows[below]))

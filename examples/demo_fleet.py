@@ -1,15 +1,15 @@
-"""One agent, one server, three robots at once: two FR3s pick up different cubes while a mobile base
-drives a square.
+"""One agent, one server, three robots: two FR3s pick up different cubes while a mobile base drives
+a square.
 
-    make demo-fleet      or      python examples/demo_fleet.py [--seed 7] [--left red] [--right
-    blue]
+    make demo-fleet
 
-Each robot is a cell of `demo_fleet.toml` with its own processes, gate, limits and emergency stop.
-The agent is an ordinary MCP client: `start_all` for each robot, `run_task` for each arm,
-`publish_velocity_sequence` for the base, all at the same time. Each robot's own simulator is the
-judge: the named cube is 10 cm up and has been held for a second; the base stands where its path
-ends and has driven all of it. Exit status 0 means that every judge says yes and that all three were
-at work at once. Film strip, GIF and the server's log go to `out/demo-fleet/`.
+or `python examples/demo_fleet.py [--seed 7] [--left red] [--right blue]`. Each robot is a cell of
+`demo_fleet.toml` with its own processes, gate, limits and emergency stop. The agent is an ordinary
+MCP client: `start_all` for each robot, `run_task` for each arm, `publish_velocity_sequence` for the
+base, all at the same time. Each robot's own simulator is the judge: the named cube is 10 cm up and
+has been held for a second; the base stands at the end of its path and has driven all of it. Exit
+status 0 means that every judge says yes and that all three worked at the same time. Film strip, GIF
+and the server's log go to `out/demo-fleet/`.
 """
 
 from __future__ import annotations
@@ -49,38 +49,40 @@ PATH = PATHS[BASE_KIND]
 PLANNED = planned_track(PLATFORMS[BASE_KIND], PATH.segments)
 COLOURS = ("red", "green", "blue", "yellow")
 LOOK_S = 0.5
-"""Period of the agent's looks, which also make the film."""
+"""Period of the agent's status requests, which also provide the film's frames."""
 ATTEMPT_S, ATTEMPTS = 50.0, 3
 REST_S, HELD_S = 1.5, 5.0
-"""The base slows down at its own acceleration; a cube that was lifted a moment ago is soon held for
+"""Waiting times: the base slows down at its own acceleration, and a cube just lifted must be held
 long enough.
 """
 LEAST_LENGTH = 0.9
-"""Share of the path's length that the base must have driven: the path ends where it began."""
+"""Minimum share of the path's length that the base must have driven, because the path ends at its
+start.
+"""
 WHOLE_S = 540.0
 
 
 @dataclass(kw_only=True)
 class Work:
-    """What became of one robot's work."""
+    """Result of one robot's work."""
 
     robot: str
     task: str
     begun_s: float = math.inf
     ended_s: float = -math.inf
     told: str = ""
-    """What the tool answered."""
+    """Answer of the tool."""
     truth: str = ""
-    """What the simulator says."""
+    """Statement of the simulator."""
     is_done: bool = False
     status: dict[str, Any] = field(default_factory=dict)
-    """The newest answer of get_status."""
+    """Newest answer of get_status."""
     busy: dict[str, Any] = field(default_factory=dict)
-    """The newest one while it worked."""
+    """Newest answer during the work."""
 
 
 def lifted(colour: str) -> dict[str, Any]:
-    """The predicate of run_task: the gripper holds something, and the cube has been seen lifted for
+    """The predicate of run_task: the gripper holds an object, and the cube has been seen lifted for
     a second.
     """
     seen = {
@@ -93,8 +95,8 @@ def lifted(colour: str) -> dict[str, Any]:
 
 
 def judge_arm(work: Work, colour: str) -> None:
-    """By the simulator of the arm: the cube is up and has been held; the tool must not say anything
-    else.
+    """Judge by the arm's simulator: the cube is lifted and has been held; the tool's answer must
+    agree.
     """
     thing = next((t for t in simulated_objects(work.status) if t.name == colour), None)
     if thing is None:
@@ -105,7 +107,7 @@ def judge_arm(work: Work, colour: str) -> None:
 
 
 def true_pose(status: Mapping[str, Any]) -> PlanarPose | None:
-    """Where the simulator of the base has it; None before it is known."""
+    """Pose of the base from its simulator; None before it is known."""
     found = json.loads(
         (module_status(status, "robot").get("detail") or {}).get("true_pose", "null")
     )
@@ -113,8 +115,8 @@ def true_pose(status: Mapping[str, Any]) -> PlanarPose | None:
 
 
 def judge_base(work: Work, track: Sequence[PlanarPose]) -> None:
-    """By the simulator of the base: it stands at the end of its path, and has driven the length of
-    it.
+    """Judge by the base's simulator: it stands at the end of its path, and has driven its
+    length.
     """
     if not track:
         work.truth, work.is_done = "no answer", False
@@ -131,12 +133,12 @@ def judge_base(work: Work, track: Sequence[PlanarPose]) -> None:
 
 
 def together_s(works: Sequence[Work]) -> float:
-    """For how long all of them were at work at once; negative when they never were."""
+    """Time for which all of them worked at once; negative if they never did."""
     return min(work.ended_s for work in works) - max(work.begun_s for work in works)
 
 
 def write_configuration(output: Path, seed: int) -> Path:
-    """The configuration, with a scene for each arm."""
+    """Write the configuration, with a scene for each arm."""
     text = (HERE / "demo_fleet.toml").read_text(encoding="utf-8")
     for number, robot in enumerate(("left", "right")):
         text += f"\n[robots.{robot}.plugins.fr3]\nseed = {seed + number}\nstate_rate_hz = 15.0\n"
@@ -163,13 +165,13 @@ class Demo:
         self.works[BASE] = Work(robot=BASE, task=f"drive a {PATH.name} of {PATH.length_m:.0f} m")
 
     async def start(self) -> None:
-        """All modules of all robots, at once."""
+        """Start all modules of all robots at once."""
         async with anyio.create_task_group() as tasks:
             for robot in self.works:
                 tasks.start_soon(self._agent.call, "start_all", {"robot": robot})
 
     async def work(self) -> None:
-        """All three at once; the agent looks at each meanwhile."""
+        """Run all three at once, with status requests meanwhile."""
         self._begun_s = time.monotonic()
         await self._look_at_all()
         over = anyio.Event()
@@ -192,7 +194,7 @@ class Demo:
         judge_base(self.works[BASE], self.track)
 
     async def stop(self) -> None:
-        """All modules of all robots; the server ends next and takes along what is left."""
+        """Stop all modules of all robots; the server ends next, with everything that still runs."""
 
         async def stop_one(robot: str) -> None:
             with suppress(RoboNeuronError):
@@ -274,7 +276,7 @@ class Demo:
             captions[robot] = f"{robot}: {work.task}" + (
                 f", {up_m * 100:.0f} cm up" if up_m > 0.01 else ""
             )
-            with suppress(RoboNeuronError):  # a film with a missing frame is still a film
+            with suppress(RoboNeuronError):  # a film may lack a frame
                 encoded = await self._agent.image("front", robot)
                 images[robot] = Image.open(io.BytesIO(encoded)).convert("RGB")
 
@@ -291,7 +293,7 @@ class Demo:
 
 
 def print_tables(console: Console, works: Sequence[Work]) -> None:
-    """How the modules were while they worked, and what the judges say."""
+    """Print the modules' state during the work, and the judges' verdicts."""
     rates = Table(
         title="While they worked", title_style="bold", title_justify="left", header_style="dim"
     )
@@ -330,7 +332,7 @@ def print_tables(console: Console, works: Sequence[Work]) -> None:
 
 
 async def play(seed: int, colours: Mapping[str, str], output: Path, console: Console) -> bool:
-    """The whole story; whether every judge says yes."""
+    """Run the demo; return whether every judge says yes."""
     output.mkdir(parents=True, exist_ok=True)
     screen = DemoScreen(console)
     tasks = " · ".join(f"{robot}: pick up the {colour} cube" for robot, colour in colours.items())
@@ -365,7 +367,7 @@ async def play(seed: int, colours: Mapping[str, str], output: Path, console: Con
 
 
 def main() -> int:
-    """Parse the options, play, say whether it worked."""
+    """Parse the options, run the demo, report success."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument(
         "--seed",

@@ -16,11 +16,13 @@ from rn_robot_fr3.fci.simulator import FrankaSim
 
 CONFIG = Path(__file__).with_name("fr3_fci.toml")
 PLACE = "127.0.0.1"
-"""In the configuration; each demo has an address of its own, so that several run on one machine."""
+"""Address in the configuration; each demo replaces it by its own, so that several run on one
+machine.
+"""
 
 
 def main() -> int:
-    """Start the simulator, play the demo; 0 when the cube was lifted."""
+    """Start the simulator and run the demo; return 0 if the cube was lifted."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--python", type=Path, default=Path(".venv-fr3sim/bin/python"), help="has franka-sim"

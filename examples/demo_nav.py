@@ -1,15 +1,15 @@
-"""An agent drives a simulated base to the table by nav2's NavigateToPose, then a simulated FR3
+"""An agent lets nav2's NavigateToPose drive a simulated base to the table, then a simulated FR3
 picks up a cube.
 
     make demo-nav      or      python examples/demo_nav.py [--seed 7] [--colour red]
 
 The agent is an ordinary MCP client of one server (`demo_nav.toml`). The base's navigator is a
-stand-in (`nav_standin.py`), a process of its own that speaks the public definition of the action.
-The agent first asks for a place in a zone, which has to be refused, then for the table; only when
-the base is there does the arm begin. Base and arm are two simulations: the base does not carry the
-arm. Each simulator is the judge: the base stands within 10 cm and 0.15 rad of the place at the
-table, and the cube is 10 cm up and has been held for a second. Exit status 0 means that both say
-yes and that the zone was refused.
+stand-in (`nav_standin.py`), a separate process with the public definition of the action. The agent
+first requests a place in a zone, which must be refused, then the table; the arm starts only after
+the base has arrived. Base and arm are two simulations: the base does not carry the arm. Each
+simulator is the judge: the base stands within 10 cm and 0.15 rad of the place at the table, and the
+cube is 10 cm up and has been held for a second. Exit status 0 means that both say yes and that the
+zone was refused.
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ HERE = Path(__file__).parent
 ARM, BASE = "arm", "base"
 COLOURS = ("red", "green", "blue", "yellow")
 TABLE = PlanarPose(x_m=1.2, y_m=0.5, yaw_rad=math.pi / 2)
-"""Where the base is to stand."""
+"""Goal of the base."""
 STAIRS_M = (0.0, 1.2)
-"""In the zone."""
+"""A place in the zone."""
 NEAR_M, NEAR_RAD = 0.1, 0.15
 ATTEMPT_S, ATTEMPTS, HELD_S, REST_S = 60.0, 3, 5.0, 1.5
 WHOLE_S = 420.0
 
 
 def pose_goal(x_m: float, y_m: float, yaw_rad: float) -> dict[str, object]:
-    """Arguments of the goal for a pose on the map."""
+    """Goal arguments for a pose on the map."""
     rotation = {"z": math.sin(yaw_rad / 2), "w": math.cos(yaw_rad / 2)}
     pose = {"position": {"x": x_m, "y": y_m}, "orientation": rotation}
     return {"pose": {"header": {"frame_id": "map"}, "pose": pose}}
 
 
 def is_at_table(pose: PlanarPose | None) -> bool:
-    """The simulator has the base at the table."""
+    """True if the base is at the table, according to the simulator."""
     if pose is None:
         return False
     off_rad = abs(math.remainder(pose.yaw_rad - TABLE.yaw_rad, 2 * math.pi))
@@ -66,8 +66,8 @@ def is_at_table(pose: PlanarPose | None) -> bool:
 
 @contextmanager
 def navigator(output: Path) -> Iterator[None]:
-    """The stand-in for nav2, as long as the context lasts; the type of its action is learnt into a
-    store below `output`.
+    """Run the stand-in for nav2 within the context; the type of its action is learnt into a store
+    below `output`.
 
     Raises:
         NotReadyError: the type cannot be learnt, or the stand-in does not start.
@@ -106,7 +106,7 @@ class Demo:
         self.arm = Work(robot=ARM, task=f"pick up the {colour} cube")
 
     async def start_base(self) -> str:
-        """The base alone."""
+        """Start the base alone."""
         await self._agent.call("start_all", {"robot": BASE})
         return ""
 
@@ -117,7 +117,7 @@ class Demo:
         return "the base is parked"
 
     async def ask_for_the_zone(self) -> str:
-        """Ask for a place in the zone; what the gate says."""
+        """Request a place in the zone; return the gate's answer."""
         try:
             await self._drive(*STAIRS_M, 0.0)
         except NotReadyError as refusal:
@@ -126,7 +126,7 @@ class Demo:
         return "it was driven there"
 
     async def drive_to_table(self) -> str:
-        """Navigate the base; how far the simulator has it from the table."""
+        """Navigate the base; return its distance from the table according to the simulator."""
         await self._drive(TABLE.x_m, TABLE.y_m, TABLE.yaw_rad)
         await anyio.sleep(REST_S)
         self.base = true_pose(await self._agent.call("get_status", {"robot": BASE}))
@@ -141,7 +141,7 @@ class Demo:
         await self._agent.call("send_drive_to_goal", arguments)
 
     async def pick(self) -> str:
-        """One task of the arm; how it ended."""
+        """Run one task of the arm; return its end."""
         arguments = {"robot": ARM, "instruction": self.arm.task, "until": lifted(self._colour)}
         limits = {"max_s": ATTEMPT_S, "max_attempts": ATTEMPTS, "on_end": "hold"}
         end = await self._agent.call("run_task", {**arguments, **limits})
@@ -160,7 +160,7 @@ class Demo:
         )
 
     def print_verdicts(self, console: Console) -> bool:
-        """What the judges say; whether all say yes."""
+        """Print the judges' verdicts; return whether all say yes."""
         verdicts = {
             "the zone was refused": self.is_zone_refused,
             f"base at the table: {self.base}": is_at_table(self.base),
@@ -174,7 +174,7 @@ class Demo:
 
 
 async def play(seed: int, colour: str, output: Path, console: Console) -> bool:
-    """The whole story; whether every judge says yes."""
+    """Run the demo; return whether every judge says yes."""
     screen = DemoScreen(console)
     text = (HERE / "demo_nav.toml").read_text(encoding="utf-8")
     path = output / "roboneuron.toml"
@@ -201,7 +201,7 @@ async def play(seed: int, colour: str, output: Path, console: Console) -> bool:
 
 
 def main() -> int:
-    """Parse the options, play, say whether it worked."""
+    """Parse the options, run the demo, report success."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--seed", type=int, default=7, help="scene of the arm")
     parser.add_argument("--colour", choices=COLOURS, default="red", help="of the cube")

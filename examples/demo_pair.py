@@ -2,9 +2,9 @@
 
     make demo-pair      or      python examples/demo_pair.py [--seed 7] [--colour blue]
 
-An MCP client starts the modules and calls `run_task`, whose predicate is what the simulator says:
-the cube has been held by the other arm alone for a second, and has been in the air all the time.
-Exit status 0 means that it says yes. Film strip, GIF and the server's log go to `out/demo-pair/`.
+An MCP client starts the modules and calls `run_task`, whose predicate uses the simulator's ground
+truth: the cube has been held by the other arm alone for a second, and was in the air throughout.
+Exit status 0 means that it holds. Film strip, GIF and the server's log go to `out/demo-pair/`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ATTEMPT_S, ATTEMPTS, LOOK_S = 90.0, 2, 0.3
 
 
 async def play(agent: DemoAgent, colour: str, film: DemoFilm) -> bool:
-    """Have the cube handed over; whether run_task says that it was."""
+    """Run the handover; return whether run_task reports success."""
     answer: dict[str, object] = {}
     begun_s = time.monotonic()
     async with anyio.create_task_group() as group:
@@ -44,7 +44,7 @@ async def play(agent: DemoAgent, colour: str, film: DemoFilm) -> bool:
         async def watch() -> None:
             note = ""
             while True:
-                with suppress(NotReadyError):  # a film with a missing frame is still a film
+                with suppress(NotReadyError):  # a film may lack a frame
                     status = await agent.status()
                     now = str(module_status(status, "inference").get("note") or "")
                     if now and now != note:

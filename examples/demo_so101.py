@@ -29,7 +29,7 @@ HELD_S, TIMEOUT_S, LOOK_S = 1.0, 90.0, 0.25
 
 
 async def play(agent: DemoAgent, colour: str, film: DemoFilm) -> bool:
-    """Have the cube picked up; whether the simulator says that it is held."""
+    """Run the task; return whether the cube is held according to the simulator."""
     film.add(0.0, "before", await agent.image("front"))
     await agent.call("start_inference", {"instruction": f"pick up the {colour} cube"})
     begun_s, told, cube = time.monotonic(), "", dict[str, Any]()
@@ -40,7 +40,7 @@ async def play(agent: DemoAgent, colour: str, film: DemoFilm) -> bool:
         if note and note != told:
             told = note
             print(f"  {since_s:5.1f} s  {note}", flush=True)
-        with suppress(NotReadyError):  # a film with a missing frame is still a film
+        with suppress(NotReadyError):  # a film may lack a frame
             film.add(since_s, note, await agent.image("front"))
         detail = module_status(status, "robot").get("detail") or {}
         cube = json.loads(detail.get("cubes", "{}")).get(colour, {})

@@ -1,12 +1,12 @@
-"""An MCP client drives three mobile bases at the same time, each along its own path; odometry is
-the judge.
+"""An MCP client drives three mobile bases at the same time, each along its own path, judged by
+odometry.
 
     make demo-bases      or      python examples/drive_bases.py [--output out/demo-bases]
 
-Everything happens over MCP, with one server for all: the paths are sequences of velocities that
-`publish_velocity_sequence` plays, and `read_odometry` says where each base came to. A base that is
-asked for what it cannot do refuses with a reason. Exit status 0 means that every base ended within
-the tolerance of its path, and that all three were on their way at once.
+Everything happens over MCP, with one server for all: the paths are velocity sequences for
+`publish_velocity_sequence`, and `read_odometry` returns where each base ended. A base refuses an
+impossible velocity with a reason. Exit status 0 means that every base ended within the tolerance of
+its path, and that all three drove at the same time.
 """
 
 from __future__ import annotations
@@ -42,20 +42,20 @@ IMPOSSIBLE = {
     "husky": {"linear": {"x": 5.0}},
     "racecar": {"angular": {"z": 0.5}},
 }
-"""What each cannot do: move sideways, drive at 5 m/s, turn on the spot."""
+"""Impossible commands: move sideways, drive at 5 m/s, turn on the spot."""
 
 
 async def call(
     client: Client, tool: str, arguments: Mapping[str, Any]
 ) -> tuple[bool, dict[str, Any], str]:
-    """Call a tool; whether it succeeded, its structured answer, and its text."""
+    """Call a tool; return whether it succeeded, its structured answer, and its text."""
     result = await client.call_tool(tool, dict(arguments), read_timeout_seconds=180)
     text = " ".join(part.text for part in result.content if isinstance(part, TextContent))
     return not result.is_error, dict(result.structured_content or {}), text
 
 
 async def must(client: Client, tool: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Call a tool that has to succeed."""
+    """Call a tool that must succeed."""
     succeeded, answer, text = await call(client, tool, arguments)
     if not succeeded:
         sys.exit(f"{tool}: {text}")
@@ -73,21 +73,21 @@ def pose_of(odometry: Mapping[str, Any]) -> PlanarPose:
 
 
 async def locate(client: Client, robot: str) -> PlanarPose:
-    """Where the base is by its odometry."""
+    """Pose of the base from its odometry."""
     answer = await must(client, "read_odometry", {"robot": robot})
     return pose_of(answer["messages"][-1])
 
 
 def to_step(segment: Segment) -> dict[str, Any]:
-    """A segment as one step of `publish_velocity_sequence`."""
+    """Convert a segment to a step of `publish_velocity_sequence`."""
     message = {"linear": {"x": segment.linear_m_s}, "angular": {"z": segment.angular_rad_s}}
     return {"message": message, "duration_s": segment.duration_s}
 
 
 @dataclass
 class Drive:
-    """What became of one base: its track by odometry, its row for the table, and when it drove
-    (monotonic time).
+    """Result of one base: its track by odometry, its row of the table, and when it drove (monotonic
+    time).
     """
 
     succeeded: bool = False
@@ -98,7 +98,7 @@ class Drive:
 
 
 async def check_refusal(client: Client, robot: str, console: Console) -> None:
-    """A base refuses what it cannot do, for a reason."""
+    """Check that a base refuses an impossible command with a reason."""
     succeeded, _, reason = await call(
         client, "publish_velocity", {"robot": robot, "message": IMPOSSIBLE[robot]}
     )
@@ -110,7 +110,7 @@ async def check_refusal(client: Client, robot: str, console: Console) -> None:
 
 
 async def drive(client: Client, robot: str, made: Drive) -> None:
-    """One base along its path."""
+    """Drive one base along its path."""
     path = PATHS[robot]
     track = made.track
     track.append(await locate(client, robot))
@@ -145,7 +145,7 @@ async def drive(client: Client, robot: str, made: Drive) -> None:
 
 
 async def play(output: Path, console: Console) -> bool:
-    """All three bases at once, on one server."""
+    """Drive all three bases at once, with one server."""
     output.mkdir(parents=True, exist_ok=True)
     server = StdioServerParameters(
         command=sys.executable,
@@ -186,7 +186,7 @@ async def play(output: Path, console: Console) -> bool:
 
 
 def main() -> int:
-    """Parse the options, drive, say whether it worked."""
+    """Parse the options, drive, report success."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--output", type=Path, default=Path("out/demo-bases"))
     arguments = parser.parse_args()

@@ -1,5 +1,5 @@
-"""The film of several robots: their pictures side by side, as an animated GIF and as a sheet of six
-moments.
+"""Film of several robots: their images side by side, as an animated GIF and as a sheet of six
+frames.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ SMOOTHING = 2
 
 @dataclass(kw_only=True)
 class FleetFilm:
-    """Collects frames; nothing is written before `save`.
+    """Collects frames; writes nothing before `save`.
 
     Attributes:
-        frames: (seconds since the beginning, picture by robot, caption by robot) in order of time.
+        frames: (time since the start [s], image by robot, caption by robot) in order of time.
     """
 
     frames: list[tuple[float, dict[str, Image.Image], dict[str, str]]] = field(default_factory=list)
@@ -36,7 +36,7 @@ class FleetFilm:
     def add(
         self, at_s: float, images: Mapping[str, Image.Image | None], captions: Mapping[str, str]
     ) -> None:
-        """Add a moment; a robot without a picture keeps the one before, or a grey one."""
+        """Add a frame; a robot without an image keeps its previous one, or a grey one."""
         before = self.frames[-1][1] if self.frames else {}
         shown = {
             name: (
@@ -47,8 +47,8 @@ class FleetFilm:
         self.frames.append((at_s, shown, dict(captions)))
 
     def save(self, directory: Path) -> tuple[Path, Path]:
-        """Write `film-strip.png` and `film.gif`; returns their paths. There must be at least one
-        frame.
+        """Write `film-strip.png` and `film.gif`; return their paths. At least one frame is
+        required.
         """
         strip, gif = directory / "film-strip.png", directory / "film.gif"
         sheet = self._strip()
@@ -91,11 +91,10 @@ class FleetFilm:
         return sheet
 
     def _strip(self) -> Image.Image:
-        """A row for each robot, a column for each moment."""
+        """One row per robot, one column per frame."""
         count = min(STRIP_COLUMNS, len(self.frames))
         last = len(self.frames) - 1
-        # The arms have done most of their work in the first half: moments lie closer together
-        # there.
+        # The arms do most of their work in the first half, so more frames are taken there.
         chosen = [self.frames[round(last * (i / max(1, count - 1)) ** 1.5)] for i in range(count)]
         names = list(chosen[0][1])
         step = THUMB_PX + MARGIN_PX
@@ -118,7 +117,7 @@ class FleetFilm:
 def draw_from_above(
     planned: Sequence[PlanarPose], track: Sequence[PlanarPose], size_px: int = PANEL_PX
 ) -> Image.Image:
-    """The floor from above with a grid of 0.5 m: the path as planned, as driven, and the base at
+    """The floor from above with a grid of 0.5 m: the planned path, the driven one, and the base at
     its end.
     """
     size = size_px * SMOOTHING
@@ -154,7 +153,7 @@ def _turned(pose: PlanarPose, forwards_m: float, left_m: float) -> tuple[float, 
 
 
 def _end_of(captions: Mapping[str, str], name: str) -> str:
-    """What changes in a caption: behind the comma."""
+    """The variable part of a caption, after the comma."""
     return captions.get(name, "").partition(", ")[2]
 
 

@@ -4,11 +4,11 @@
     roboneuron ros learn examples/ros      # once: MoveGroup, ExecuteTrajectory
     python examples/moveit_standin.py --namespace fr3
 
-It plans a straight line of the joints from where the arm is measured, at the shares of the joints'
-limits that a goal names, and knows no obstacles. Goals that cannot be planned or executed are
-aborted with the error code of the definition; a cancelled one holds the arm; while one runs, others
-are rejected. A scaling factor outside of 0 .. 1 counts as 1, and a start state is ignored unless a
-goal is only planned. Source: the definitions of moveit_msgs 2.6 and MoveIt's documentation.
+It plans a straight line in joint space from the measured position, with the goal's scaling factors
+of the joint limits, and without obstacles. Goals that cannot be planned or executed are aborted
+with the error code of the definition; cancelling one holds the arm; while one runs, others are
+rejected. A scaling factor outside of 0 .. 1 counts as 1, and a start state is ignored unless the
+goal is to plan only. Source: the definitions of moveit_msgs 2.6 and MoveIt's documentation.
 """
 
 from __future__ import annotations
@@ -50,14 +50,14 @@ F64 = NDArray[np.float64]
 GROUP = "fr3_arm"
 PERIOD_S, ROW_S, HOLD_S = 0.02, 0.1, 0.1
 SILENCE_S, FIRST_S = 1.0, 15.0
-"""Joint states older than this are stale; the arm may not have been discovered yet."""
+"""Age at which joint states are stale, and time for the arm to be discovered."""
 START_TOLERANCE_RAD, GOAL_TOLERANCE_RAD = 0.01, 0.02
 SLACK, SLACK_S = 1.5, 2.0
-"""An execution may last so many times its time, and so much more."""
+"""Factor and margin for the duration of an execution."""
 
 
 class Failure(Exception):
-    """What MoveIt cannot do, with the name of an error code."""
+    """A failure of MoveIt, with the name of an error code."""
 
     def __init__(self, code: str, text: str) -> None:
         super().__init__(text)
@@ -66,10 +66,10 @@ class Failure(Exception):
 
 @dataclass(kw_only=True, slots=True)
 class Run:
-    """One goal on its way; times are monotonic [s].
+    """One running goal; times are monotonic [s].
 
     Attributes:
-        target: where the arm has to be in the end, float64 (7,); None until it is executed.
+        target: final joint positions, float64 (7,); None until the execution starts.
         done: gets the name of an error code and a sentence.
     """
 
@@ -83,11 +83,12 @@ class Run:
 
 
 def line(start: F64, goal: F64, velocity: float, acceleration: float) -> JointTrajectory:
-    """The straight line from rest to rest as a cubic in time, at shares of the joints' limits."""
+    """Plan a straight line from rest to rest, cubic in time, at shares of the joints' limits."""
     way = np.abs(goal - start)
     at_most_v = np.array(VELOCITY_RAD_S) * velocity
     at_most_a = np.array(ACCELERATION_RAD_S2) * acceleration
-    # of a cubic the highest velocity is 1.5 way / time, the highest acceleration 6 way / time^2
+    # for a cubic the peak velocity is 1.5 distance / time, the peak acceleration 6 distance /
+    # time^2
     lasts_s = max(ROW_S, (1.5 * way / at_most_v).max(), math.sqrt((6.0 * way / at_most_a).max()))
     made = JointTrajectory(joint_names=list(ARM_JOINTS))
     rows = math.ceil(lasts_s / ROW_S)
@@ -110,7 +111,7 @@ class MoveGroupStandIn(Node):
     """Two action servers, one arm."""
 
     def __init__(self, options: argparse.Namespace) -> None:
-        """Offer the actions; the arm moves when a goal comes."""
+        """Offer the actions; the arm moves on a goal."""
         super().__init__("move_group", namespace=options.namespace)
         self._options = options
         self._profile = profile()
@@ -180,7 +181,7 @@ class MoveGroupStandIn(Node):
         run.done.set_result((code, text))
 
     def _cycle(self) -> None:
-        """Plan the goal that has come, or watch the one that is executed."""
+        """Plan a new goal, or supervise the running one."""
         run, now_s = self._run, time.monotonic()
         if run is None:
             return
@@ -199,7 +200,7 @@ class MoveGroupStandIn(Node):
             self._finish(failure.code, failure.text)
 
     def _here(self, run: Run, now_s: float) -> F64 | None:
-        """Where the arm is measured; None as long as that may still come."""
+        """Measured joint positions; None while they may still arrive."""
         heard_s, here = self._measured or (run.begun_s, None)
         bound_s = FIRST_S if here is None else SILENCE_S
         if now_s - max(heard_s, run.begun_s) > bound_s:
@@ -226,7 +227,7 @@ class MoveGroupStandIn(Node):
         later = [p for p in trajectory.points if _seconds(p.time_from_start) > 0.0]
         if not later:
             raise Failure("SUCCESS", "")
-        # the arm begins where it is: its driver takes no row for that
+        # without the first row, because the driver accepts no row for the current position
         self._command.publish(JointTrajectory(joint_names=trajectory.joint_names, points=later))
         self._tell(run, "MONITOR")
         order = [trajectory.joint_names.index(name) for name in ARM_JOINTS]
@@ -255,7 +256,7 @@ class MoveGroupStandIn(Node):
         return line(start, goal, *scaling)
 
     def _target(self, goal: Constraints, start: F64) -> F64:
-        """The posture that the first of the constraints asks for."""
+        """Joint positions for the first of the constraints."""
         if goal.joint_constraints:
             target = start.copy()
             for joint in goal.joint_constraints:
@@ -307,7 +308,7 @@ class MoveGroupStandIn(Node):
         self._tell(run, "MONITOR")
 
     def _hold(self) -> None:
-        """The arm stays where it is measured, unless it has not been told to move."""
+        """Hold the arm at its measured position, unless it was not commanded."""
         if self._run is None or self._run.target is None or self._measured is None:
             return
         point = JointTrajectoryPoint(
@@ -317,7 +318,7 @@ class MoveGroupStandIn(Node):
 
 
 def _start_of(request: MotionPlanRequest, here: F64) -> F64:
-    """Where a plan that is not executed begins: the start state over what is measured."""
+    """Start of a plan that is not executed: the start state, completed by measured positions."""
     state, start = request.start_state.joint_state, here.copy()
     for name, position in zip(state.name, state.position, strict=True):
         if name not in ARM_JOINTS:

@@ -4,11 +4,11 @@
     roboneuron ros learn examples/ros      # once: the type NavigateToPose
     python examples/nav_standin.py --namespace diffdrive
 
-It drives straight to the goal on an empty map whose frame is that of the odometry, and keeps the
-rules of the action: an inactive navigator rejects goals, a new goal preempts the running one, a
-cancelled one stops the base; a frame that cannot be transformed, a behaviour tree that does not
-exist, a place that cannot be reached and a base that does not move are aborted with the error code
-of the definition, the latter two after recoveries. Source: the definition of
+It drives straight to the goal on an empty map whose frame is that of the odometry, and follows the
+rules of the action: an inactive navigator rejects goals, a new goal preempts the running one,
+cancelling one stops the base; a frame that cannot be transformed, a missing behaviour tree, an
+unreachable place and a base that does not move lead to an abort with the error code of the
+definition, the latter two after recoveries. Source: the definition of
 nav2_msgs/action/NavigateToPose (ros-navigation/navigation2 at 06ac5d9) and nav2's documentation.
 """
 
@@ -38,9 +38,9 @@ PERIOD_S, TELL_S = 0.05, 0.1
 SPEED_M_S, TURN_RAD_S = 0.4, 1.0
 THERE_M, THERE_RAD = 0.03, 0.05
 TURN_FIRST_RAD = 0.3
-"""With a greater error of heading it turns on the spot."""
+"""Heading error above which it turns on the spot."""
 SILENCE_S, FIRST_S = 1.0, 15.0
-"""Odometry older than this is no pose; the base may not have been discovered yet."""
+"""Age at which odometry is stale, and time for the base to be discovered."""
 MOST_RECOVERIES = 2
 
 
@@ -54,7 +54,7 @@ class Planar:
 
 
 def to_planar(message: PoseStamped | Odometry) -> Planar:
-    """The pose of a message, seen from above."""
+    """Planar pose of a message."""
     pose = message.pose if isinstance(message, PoseStamped) else message.pose.pose
     q = pose.orientation
     yaw_rad = math.atan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y * q.y + q.z * q.z))
@@ -67,18 +67,18 @@ def wrapped(angle_rad: float) -> float:
 
 
 def has_moved(before: Planar, now: Planar) -> bool:
-    """The base has driven or turned more than its odometry trembles."""
+    """True if the base has driven or turned more than its odometry's noise."""
     way_m = math.dist((before.x_m, before.y_m), (now.x_m, now.y_m))
     return way_m > 0.02 or abs(wrapped(now.yaw_rad - before.yaw_rad)) > 0.05
 
 
 def has_stopped(speed: tuple[float, float]) -> bool:
-    """The base neither drives [m/s] nor turns [rad/s]."""
+    """True if the base neither drives [m/s] nor turns [rad/s]."""
     return abs(speed[0]) < 0.01 and abs(speed[1]) < 0.02
 
 
 def steer(here: Planar, goal: Planar) -> tuple[float, float] | None:
-    """Speed [m/s] and turning rate [rad/s] towards a goal; None when the base is there."""
+    """Speed [m/s] and turning rate [rad/s] towards a goal; None at the goal."""
     dx, dy = goal.x_m - here.x_m, goal.y_m - here.y_m
     distance_m = math.hypot(dx, dy)
     if distance_m > THERE_M:
@@ -93,10 +93,10 @@ def steer(here: Planar, goal: Planar) -> tuple[float, float] | None:
 
 @dataclass(kw_only=True, slots=True)
 class Run:
-    """One goal on its way; times are monotonic [s].
+    """One running goal; times are monotonic [s].
 
     Attributes:
-        last: where the base was when it was last seen to move.
+        last: pose of the base at its last motion.
         done: gets the error code and a sentence.
     """
 
@@ -114,7 +114,7 @@ class Navigator(Node):
     """One action server, one base."""
 
     def __init__(self, options: argparse.Namespace) -> None:
-        """Offer the action; it drives when a goal comes."""
+        """Offer the action; the base drives on a goal."""
         super().__init__("bt_navigator", namespace=options.namespace)
         self._options = options
         self._odometry: tuple[float, Planar] | None = None
@@ -163,14 +163,14 @@ class Navigator(Node):
         return NavigateToPose.Result(error_code=code, error_msg=text)
 
     def _finish(self, code: int, text: str = "") -> None:
-        """End the running goal, if there is one, with the base at rest."""
+        """End the running goal, if any, with the base at rest."""
         run, self._run = self._run, None
         if run is not None:
             self._velocity.publish(Twist())
             run.done.set_result((code, text))
 
     def _check(self, request: NavigateToPose.Goal) -> None:
-        """End a goal that cannot be driven to at all."""
+        """End a goal that is impossible from the start."""
         codes, frame_id = NavigateToPose.Result, request.pose.header.frame_id
         if request.behavior_tree:
             self._finish(
@@ -183,7 +183,7 @@ class Navigator(Node):
             )
 
     def _cycle(self) -> None:
-        """Drive on towards the running goal."""
+        """Continue towards the running goal."""
         run, now_s, codes = self._run, time.monotonic(), NavigateToPose.Result
         if run is None:
             return
@@ -196,7 +196,7 @@ class Navigator(Node):
             self._finish(codes.TF_ERROR, "There is no odometry: the pose of the base is not known.")
             return
         if here is None or now_s - heard_s > SILENCE_S:
-            return  # since the goal came it has not been silent for long
+            return  # not silent for long since the goal arrived
         if run.last is None or has_moved(run.last, here):
             run.last, run.moved_s = here, now_s
         if now_s - run.moved_s > self._options.patience:
@@ -209,7 +209,7 @@ class Navigator(Node):
             self._finish(codes.NONE)
             return
         if velocity is None or self._is_blocked(run.goal):
-            # it comes to rest and is judged once more; or there is no path, only a recovery
+            # it comes to rest and is checked again; or there is no path, only a recovery
             velocity = 0.0, 0.0
         twist = Twist()
         twist.linear.x, twist.angular.z = velocity
@@ -219,7 +219,7 @@ class Navigator(Node):
             self._tell(run, here, now_s)
 
     def _is_blocked(self, goal: Planar) -> bool:
-        """The goal is in the box that no path leads into."""
+        """True if the goal is in the blocked box."""
         if self._options.blocked is None:
             return False
         x0, y0, x1, y1 = self._options.blocked

@@ -1,13 +1,12 @@
-"""Teach the backbone of an ACT where a cube lies, before it learns to act: part of
-`make train-act`.
+"""Pretrain the backbone of an ACT to locate a cube: part of `make train-act`.
 
-ACT's ResNet begins with ImageNet's weights, as a rule, and its batch normalisation is frozen. Where
-those weights cannot be fetched, a random ResNet without normalisation learns slowly. So a ResNet-18
-first learns from pictures of the simulated cell, which the simulator labels, where the cube lies.
-Its weights then replace the backbone's in a checkpoint of `lerobot-train`.
+ACT's ResNet usually starts with ImageNet's weights, with frozen batch normalisation. If those
+weights cannot be downloaded, a random ResNet without normalisation learns slowly. So a ResNet-18 is
+first trained on images of the simulated cell, labelled by the simulator, to locate the cube. Its
+weights then replace the backbone's in a checkpoint of `lerobot-train`.
 
-The poses of the arm are those of the demonstrations, changed at random; the places of the cube are
-new, and no action is learnt here.
+The arm poses are those of the demonstrations with random changes; the cube positions are new, and
+no action is learnt.
 """
 
 from __future__ import annotations
@@ -36,18 +35,18 @@ U8 = NDArray[np.uint8]
 CAMERAS = ("front", "wrist")
 SIDE_PX = 96
 FIRST_SEED = 40_000
-"""Of the scenes: those of the demonstrations and of the evaluation are below."""
+"""First seed of the scenes; those of the demonstrations and of the evaluation are below."""
 PER_SCENE = 32
-"""Pictures of one size of cube."""
+"""Number of images with one size of cube."""
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
-"""ImageNet's, with which lerobot normalises images."""
+"""ImageNet's normalisation, which lerobot applies to images."""
 BACKBONE = "model.backbone."
-"""What the names of the backbone's weights begin with in a checkpoint of ACT."""
+"""Prefix of the backbone's weights in a checkpoint of ACT."""
 LABELS = 8
 TOLD_BY = {"front": range(3), "wrist": range(3, 8)}
-"""Which labels a camera can tell: where it stands in the cell is fixed, or on the hand."""
+"""Labels that a camera can predict: it is mounted in the cell, or on the hand."""
 LEAST_PX = 3
-"""Red pixels of a cube that counts as seen."""
+"""Minimum number of red pixels of a visible cube."""
 BATCH, LEARNING_RATE, HELD_OUT = 32, 1e-3, 512
 
 
@@ -61,7 +60,7 @@ def arm_poses(data: Path) -> F64:
 
 
 def take_pictures(poses: F64, count: int, random: np.random.Generator) -> tuple[U8, F32]:
-    """Draw `count` scenes: pictures uint8 (count, cameras, 3, side, side), labels (count, 8)."""
+    """Render `count` scenes: images uint8 (count, cameras, 3, side, side), labels (count, 8)."""
     pictures = np.zeros((count, len(CAMERAS), 3, SIDE_PX, SIDE_PX), dtype=np.uint8)
     labels = np.zeros((count, LABELS), dtype=np.float32)
     for first in range(0, count, PER_SCENE):
@@ -77,11 +76,11 @@ def take_pictures(poses: F64, count: int, random: np.random.Generator) -> tuple[
 
 
 def _arrange(simulation: ArmSimulation, poses: F64, random: np.random.Generator) -> F32:
-    """Put arm and cube somewhere.
+    """Set random poses of arm and cube.
 
     Returns:
-        Place of the cube in the base frame and in that of the TCP [m], and cosine and sine of four
-        times its turn between both fingers, float32 (8,).
+        Position of the cube in the base frame and in the TCP frame [m], and cosine and sine of four
+        times its rotation relative to the fingers, float32 (8,).
     """
     gripper = profile().gripper
     assert gripper is not None
@@ -117,7 +116,7 @@ def _arrange(simulation: ArmSimulation, poses: F64, random: np.random.Generator)
 
 
 def seen_labels(pictures: U8) -> F32:
-    """1 for each label that a picture can tell, else 0, float32 (n, cameras, 8)."""
+    """1 for each label that an image can predict, else 0, float32 (n, cameras, 8)."""
     red, green, blue = np.moveaxis(pictures.astype(np.int16), 2, 0)
     cube = (red > 80) & (red > 2 * green) & (red > 2 * blue)
     is_seen = cube.sum(axis=(2, 3)) >= LEAST_PX
@@ -128,7 +127,7 @@ def seen_labels(pictures: U8) -> F32:
 
 
 class Sight(nn.Module):
-    """One ResNet-18 for every camera, and a head for each that tells the labels."""
+    """One ResNet-18 for all cameras, with a head per camera that predicts the labels."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -146,9 +145,9 @@ class Sight(nn.Module):
         self._std = torch.tensor(STD)[:, None, None]
 
     def forward(self, pictures: Tensor) -> Tensor:
-        """Labels that each camera tells, (n, cameras, 8), of pictures (n, cameras, 3, h, w)."""
+        """Predicted labels per camera, (n, cameras, 8), for images (n, cameras, 3, h, w)."""
         images = (pictures.float() / 255.0 - self._mean) / self._std
-        # all cameras in one batch: ACT freezes what batch normalisation has learnt of them together
+        # all cameras in one batch, because ACT freezes the batch statistics of all of them together
         together = images.flatten(0, 1).contiguous(memory_format=torch.channels_last)
         features = self.backbone(together).unflatten(0, (-1, len(CAMERAS)))
         told = [head(features[:, camera]) for camera, head in enumerate(self.heads)]
@@ -156,9 +155,9 @@ class Sight(nn.Module):
 
 
 def learn(pictures: U8, labels: F32, epochs: int) -> Sight:
-    """A `Sight` that has seen the pictures `epochs` times; the last ones are held out."""
+    """Train a `Sight` for `epochs` on the images; the last ones are held out."""
     counts = seen_labels(pictures)
-    # scaled by those that are seen: a cube that the hand does not see may be far from it
+    # scaled by the visible ones, because a cube that the hand does not see may be far away
     unseen = counts.sum(axis=1) == 0.0
     told_labels = np.ma.masked_array(labels, unseen)
     centre, spread = told_labels.mean(axis=0).filled(), told_labels.std(axis=0).filled()
@@ -192,7 +191,7 @@ def learn(pictures: U8, labels: F32, epochs: int) -> Sight:
 
 
 def _report(wrong: F32, counts: NDArray[np.bool_], when: str) -> None:
-    """Print the median errors on pictures that were not learnt; both arrays (n, cameras, 8)."""
+    """Print the median errors on held-out images; both arrays (n, cameras, 8)."""
     for camera, name in enumerate(CAMERAS):
         place = TOLD_BY[name][:3]
         off_m = np.linalg.norm(wrong[counts[:, camera, place[0]], camera][:, place], axis=1)
@@ -200,14 +199,14 @@ def _report(wrong: F32, counts: NDArray[np.bool_], when: str) -> None:
 
 
 def put_into(checkpoint: Path, sight: Sight) -> None:
-    """Replace the backbone of an ACT's checkpoint.
+    """Replace the backbone in an ACT checkpoint.
 
     Raises:
         KeyError: the checkpoint has another backbone.
     """
     file = checkpoint / "model.safetensors"
     weights = load_file(file)
-    # frozen batch normalisation does not count what it has seen
+    # frozen batch normalisation has no counter of batches
     learnt = {
         f"{BACKBONE}{name}": value.contiguous()
         for name, value in sight.backbone.state_dict().items()

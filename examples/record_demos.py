@@ -1,9 +1,9 @@
 """Record demonstrations of the classical policy in simulation as a LeRobotDataset: `make
 record-demos`.
 
-Episodes are played by rn-eval on the clock of the simulation, so 50 take minutes. Each becomes a
-run of its own: images, joint states, TCP poses, predictions and actions on the topics of a real
-robot, stamped with simulated time.
+rn-eval runs the episodes on the simulation's clock, so 50 take minutes. Each becomes a separate
+run: images, joint states, TCP poses, predictions and actions on the topics of a real robot, stamped
+with simulated time.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from roboneuron.plugins.discovery import discover
 from roboneuron.ros.environment import prepare_environment
 
 START_NS = 1_000_000_000
-"""Simulated time begins here, as in rn-eval."""
+"""Start of simulated time, as in rn-eval."""
 NAMESPACE = "/fr3"
 
 
 class Tape:
-    """The run that is being written: one file of messages as ROS would carry them."""
+    """The run being written: one file of messages as on ROS."""
 
     def __init__(self, store: RunStore, about: dict[str, str]) -> None:
         self._store, self._about = store, about
@@ -48,7 +48,7 @@ class Tape:
         self._now_ns = START_NS
 
     def begin(self, episode: Episode) -> None:
-        """A new run."""
+        """Start a new run."""
         self.run = f"demo-{episode.seed:05d}"
         self._instruction = episode.instruction
         folder = self._store.recordings / self.run
@@ -59,7 +59,7 @@ class Tape:
         )
 
     def end(self, outcome: str, reason: str) -> None:
-        """Finish it."""
+        """Finish the run."""
         assert self._file is not None
         end = {"what": "episode_end", "at_ns": self._now_ns, "outcome": outcome, "reason": reason}
         self._add(
@@ -76,7 +76,7 @@ class Tape:
         self._file = None
 
     def observed(self, observation: Observation) -> None:
-        """Images and state."""
+        """Record images and state."""
         from roboneuron.ros.messages import to_image, to_joint_state, to_pose_stamped
 
         for frame in observation.frames.values():
@@ -94,14 +94,14 @@ class Tape:
     def predicted(
         self, observation: Observation, resets: bool, answer: ActionChunk | Exception
     ) -> None:
-        """What the policy was asked and answered."""
+        """Record a prediction: the policy's input and answer."""
         text = prediction_record(observation, "sequential", resets, answer)
         self._add(
             f"{NAMESPACE}/predictions", "std_msgs/msg/String", observation.stamp_ns, to_string(text)
         )
 
     def acted(self, vector: NDArray[np.float64], now_s: float) -> None:
-        """An action that was sent."""
+        """Record a sent action."""
         from roboneuron.ros.messages import to_action_message
 
         self._message(
@@ -127,7 +127,7 @@ class Tape:
 
 
 class TapedScene:
-    """A scene whose observations and actions go to the tape."""
+    """A scene that records its observations and actions."""
 
     def __init__(self, scene: Scene, tape: Tape) -> None:
         self._scene, self._tape = scene, tape
@@ -157,7 +157,7 @@ class TapedScene:
 
 
 class TapedSuite:
-    """A suite whose scenes are taped, with state also for a policy that reads none."""
+    """A suite that records its scenes, including the state for a policy that reads none."""
 
     def __init__(self, suite: Suite, tape: Tape) -> None:
         self._suite, self._tape = suite, tape
@@ -173,7 +173,7 @@ class TapedSuite:
 
 
 class TapedPolicy:
-    """A policy whose answers go to the tape."""
+    """A policy that records its answers."""
 
     def __init__(self, policy: EpisodePolicy, tape: Tape) -> None:
         self._policy, self._tape = policy, tape
@@ -198,7 +198,7 @@ class TapedPolicy:
 
 
 class TapedRunner(Runner):
-    """Plays episodes with tape."""
+    """Runs episodes with a recording."""
 
     def __init__(self, plan: EvalPlan, tape: Tape) -> None:
         super().__init__(
@@ -208,7 +208,7 @@ class TapedRunner(Runner):
 
 
 def main() -> int:
-    """Record and export; status 1 when fewer episodes than wanted succeeded."""
+    """Record and export; status 1 if fewer episodes than requested succeeded."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-n", type=int, default=50, help="episodes (default: 50)")
     parser.add_argument("--seed", type=int, default=0, help="of the first (default: 0)")

@@ -1,10 +1,10 @@
 """Record demonstrations with `lerobot-record` through ROS: `make record-lerobot`.
 
-A server simulates the FR3; `lerobot-record` drives it by the robot and the teleoperator
-`roboneuron` of lerobot_robot_roboneuron, in its own interpreter; a program leads
-(`cube_leader.py`). Recorded in blocks of some episodes: each has its own server, size of cube and
-data set, and one that was not finished is recorded again. Episodes in which the cube was not picked
-up are deleted, and lerobot merges the rest.
+A server simulates the FR3; `lerobot-record` drives it with the robot and the teleoperator
+`roboneuron` of lerobot_robot_roboneuron, in its own interpreter, following a scripted leader
+(`cube_leader.py`). It records in blocks of some episodes: each has its own server, cube size and
+data set, and an unfinished one is recorded again. Episodes in which the cube was not picked up are
+deleted, and lerobot merges the rest.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ from roboneuron.command import environment
 CONFIG = Path(__file__).with_name("lerobot_act.toml")
 FPS, EPISODE_S, RESET_S = 10, 7.0, 10.0
 SIDE_PX = 96
-"""Of the images, as in `CONFIG`."""
+"""Size of the images, as in `CONFIG`."""
 TASK = "pick up the red cube"
 LATE_S = 2.0
-"""How late states, images and the leader may be on a busy machine."""
+"""Maximum age of states, images and the leader's joints, for a busy machine."""
 MOST_FAILURES = 3
-"""Blocks without a good episode, before it gives up."""
+"""Number of blocks without a good episode after which it gives up."""
 FIRST_SEED = 20_000
-"""Of the scenes; those below are for evaluation."""
+"""First seed of the scenes; lower ones are for evaluation."""
 _BEGINS, _RESETS, _ENDS = "Recording episode", "Reset the environment", "Stop recording"
 
 
 class Recording:
-    """One run of `lerobot-record`, which a leader accompanies."""
+    """One run of `lerobot-record` with a leader."""
 
     def __init__(self, lerobot: Path, folder: Path, count: int, log: Path) -> None:
         """Args:
         lerobot: folder with lerobot's commands.
-        folder: of the data set; must not be there.
-        count: of episodes.
-        log: file for what lerobot prints.
+        folder: folder of the data set; must not exist.
+        count: number of episodes.
+        log: file for lerobot's output.
         """
         self._command = [
             str(lerobot / "lerobot-record"),
@@ -79,10 +79,10 @@ class Recording:
         self.lifted: list[bool] = []
 
     def run(self, leader: CubeLeader) -> None:
-        """Return when it has ended; `lifted` then says of each episode whether the cube was up.
+        """Run until its end; `lifted` then tells for each episode whether the cube was lifted.
 
         Raises:
-            NotReadyError: it failed; its last words.
+            NotReadyError: it failed; contains its last output.
         """
         variables = {**os.environ, "HF_HUB_OFFLINE": "1", "PYTHONWARNINGS": "ignore"}
         with (
@@ -108,7 +108,7 @@ class Recording:
             raise NotReadyError(f"lerobot-record failed: {last}", hint=f"See {self._log}.")
 
     def _follow(self, line: str, leader: CubeLeader) -> None:
-        """What the leader does at a line of lerobot's log."""
+        """Control the leader by a line of lerobot's log."""
         if _BEGINS in line:
             self._lying_m = leader.cube().position_m[2]
             leader.demonstrate()
@@ -122,7 +122,7 @@ class Recording:
 
 
 async def record_block(folder: Path, count: int, seed: int, lerobot: Path) -> Sequence[bool]:
-    """Record one block; returns whether each of its cubes was picked up, nothing when lerobot or a
+    """Record one block; return whether each of its cubes was picked up, empty if lerobot or a
     module failed, which is printed.
     """
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -146,7 +146,7 @@ async def record_block(folder: Path, count: int, seed: int, lerobot: Path) -> Se
             return []
         finally:
             leader.close()
-            with suppress(RoboNeuronError):  # the server ends next and takes what is left along
+            with suppress(RoboNeuronError):  # the server ends next, with everything that still runs
                 await agent.call("stop_all")
     return recording.lifted
 
@@ -158,7 +158,7 @@ def edit(lerobot: Path, *options: str) -> None:
 
 
 def merge(blocks: Sequence[Path], folder: Path, lerobot: Path) -> None:
-    """One data set of all blocks, by lerobot. Raises CalledProcessError."""
+    """Merge all blocks into one data set with lerobot. Raises CalledProcessError."""
     merged = folder.with_suffix(".merged")
     shutil.rmtree(merged, ignore_errors=True)
     roots = ", ".join(f"'{block}'" for block in blocks)
@@ -176,7 +176,7 @@ def merge(blocks: Sequence[Path], folder: Path, lerobot: Path) -> None:
 
 
 def episodes_in(folder: Path) -> int:
-    """Of a data set; 0 where there is none."""
+    """Number of episodes in a data set; 0 if it does not exist."""
     facts = folder / "meta" / "info.json"
     if not facts.exists():
         return 0
@@ -184,10 +184,10 @@ def episodes_in(folder: Path) -> int:
 
 
 def finish_block(block: Path, lifted: Sequence[bool], lerobot: Path) -> None:
-    """Delete the episodes without a lifted cube, and note how many are left.
+    """Delete the episodes without a lifted cube, and store the number of the remaining ones.
 
     Raises:
-        CalledProcessError: lerobot could not.
+        CalledProcessError: lerobot failed.
     """
     failed = [number for number, was_lifted in enumerate(lifted) if not was_lifted]
     if failed:
@@ -207,12 +207,12 @@ def finish_block(block: Path, lifted: Sequence[bool], lerobot: Path) -> None:
 
 
 def note_of(block: Path) -> Path:
-    """The file that says how many good episodes a finished block has."""
+    """The file with the number of good episodes of a finished block."""
     return block.with_suffix(".json")
 
 
 def main() -> int:
-    """Record what lacks, and merge."""
+    """Record the missing blocks, and merge."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-n", type=int, default=50, help="episodes (default: 50)")
     parser.add_argument("--block", type=int, default=10, help="most of a block (default: 10)")

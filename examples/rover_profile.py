@@ -1,5 +1,5 @@
-"""Profile of a rover: a base that drives and turns, a lift, one joint and a gripper. The velocities
-of all of them are channels of one control space: docs/action-spaces.md.
+"""Profile of a rover: a base that drives and turns, a lift, one joint and a gripper. Their
+velocities are channels of one control space: docs/action-spaces.md.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ import numpy as np
 
 from roboneuron import GripperProfile, JointLimits, RobotProfile
 
-LINKS = {  # joint: type, axis, greatest position, velocity, acceleration
+LINKS = {  # joint: type, axis, largest position, velocity, acceleration
     "base_x": ("prismatic", "1 0 0", 50.0, 0.6, 0.8),
     "base_y": ("prismatic", "0 1 0", 50.0, 0.6, 0.8),
     "base_yaw": ("revolute", "0 0 1", 1e3, 1.0, 2.0),
@@ -18,7 +18,7 @@ LINKS = {  # joint: type, axis, greatest position, velocity, acceleration
 
 
 def rover() -> RobotProfile:
-    """Facts of the rover, base first."""
+    """Profile of the rover, base first."""
     urdf, parent = '<robot name="rover"><link name="world"/>', "world"
     for name, (kind, axis, end, fastest, _) in LINKS.items():
         urdf += f'<link name="{name}_link"/><joint name="{name}" type="{kind}">'

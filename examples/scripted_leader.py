@@ -1,9 +1,9 @@
-"""A leader arm that is a program: publishes joint states for `lerobot-record` and `-teleoperate`.
+"""A scripted leader arm: publishes joint states for `lerobot-record` and `-teleoperate`.
 
     python examples/scripted_leader.py --robot so101
 
-It begins where the robot is measured and sways about there: what a person with a leader arm does,
-the same every time. Ctrl-C ends it.
+It starts at the robot's measured position and oscillates around it, reproducibly, instead of a
+person with a leader arm. Ctrl-C ends it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from roboneuron.command import RosLink, discover, environment, load_profile
 
 PERIOD_S, STEP_S = 4.0, 1.0 / 50.0
 SWAY_RAD = (0.25, 0.08, -0.08, 0.0, 0.3, 0.1, 0.2)
-"""How far each joint sways."""
+"""Amplitude of each joint."""
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""How the stand-ins for MoveIt and nav2 run: one node, one thread, until SIGINT or SIGTERM."""
+"""Runs the stand-ins for MoveIt and nav2: one node, one thread, until SIGINT or SIGTERM."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def run_node(make_node: Callable[[], Node], offered: str) -> None:
     """Run a node until SIGINT or SIGTERM.
 
     Args:
-        make_node: makes it, in a context that is initialised.
-        offered: printed when its actions are offered.
+        make_node: creates the node; the context is initialised.
+        offered: text printed once its actions are available.
     """
     rclpy.init()
     executor = SingleThreadedExecutor()
@@ -27,12 +27,12 @@ def run_node(make_node: Callable[[], Node], offered: str) -> None:
         with suppress(KeyboardInterrupt, ExternalShutdownException):
             executor.spin()
     except RCLError:
-        if rclpy.ok():  # else SIGTERM came between two waits
+        if rclpy.ok():  # otherwise SIGTERM came between two waits
             raise
     rclpy.try_shutdown()
 
 
 def to_duration(seconds: float) -> Duration:
-    """A message of `seconds`, to the nanosecond."""
+    """Convert seconds to a message, to the nanosecond."""
     whole, part = divmod(round(seconds * 1e9), 1_000_000_000)
     return Duration(sec=whole, nanosec=part)

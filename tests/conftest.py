@@ -1,6 +1,4 @@
-"""Fixtures for tests that cross packages: every test runs on a ROS graph and with a state directory
-of its own.
-"""
+"""Fixtures for tests that cross packages: every test has its own ROS graph and state directory."""
 
 from __future__ import annotations
 
@@ -18,8 +16,8 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.fixture(autouse=True, scope="session")
 def _one_thread() -> None:
-    """Compute models on one thread: each worker of pytest-xdist would use all cores."""
-    torch = sys.modules.get("torch")  # what needs it imports it when it is collected
+    """Compute models on one thread, because each worker of pytest-xdist would use all cores."""
+    torch = sys.modules.get("torch")  # modules that need it import it at collection
     if torch is not None:
         torch.set_num_threads(1)
 
@@ -40,9 +38,10 @@ def environment(tmp_path: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="session")
 def learnt(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
-    """Variables of a user who has learnt the interface types of the examples, once for all tests.
+    """Environment variables of a user who has learnt the interface types of the examples, once for
+    all tests.
 
-    Workers of pytest-xdist share what is made of the types, which is named by what it is made of.
+    Workers of pytest-xdist share the generated files, which are named by their content.
     """
     from rn_interfaces.finder import PREFIXES
     from rn_interfaces.learning import learn
@@ -61,7 +60,7 @@ def learnt(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, str]:
 
 @pytest.fixture(scope="module")
 def learnt_types(learnt: Mapping[str, str]) -> Iterator[None]:
-    """This process knows the interface types of the examples."""
+    """Make the interface types of the examples known to this process."""
     from rn_interfaces.finder import PREFIXES, install
 
     with pytest.MonkeyPatch.context() as patch:
@@ -80,5 +79,5 @@ def learnt_environment(learnt: Mapping[str, str]) -> dict[str, str]:
 
 @pytest.fixture
 def root() -> Path:
-    """Top of the repository."""
+    """Root of the repository."""
     return ROOT

@@ -1,4 +1,4 @@
-"""Runs the contract tests of a package that a page of the documentation makes."""
+"""Runs the contract tests of a package created by a documentation page."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def contract_run(
     """Run the tests of `case` in `project` as its author would, with further options of pytest.
 
     Returns:
-        What pytest printed.
+        The output of pytest.
     """
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", case, *options],

@@ -1,4 +1,4 @@
-"""Where the core and the plugins are, and what a file imports: for tests of the import rules."""
+"""Locations of the core and the plugins, and imports of a file: for tests of the import rules."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ ROOT = Path(__file__).parents[1]
 CORE = ROOT / "roboneuron-core" / "src" / "roboneuron"
 PLUGINS = ROOT / "plugins"
 STANDARD = PLUGINS / "rn-standard" / "src" / "rn_standard"
-"""Packages of its own, each a plugin, in one distribution."""
+"""Packages that are each a plugin, in one distribution."""
 SENDING_PACKAGE = STANDARD / "direct_path"
-"""The one that sends for agents."""
+"""The package that sends for agents."""
 
 
 @functools.cache
 def imports_of(path: Path) -> list[tuple[str, int]]:
-    """Names that a file imports, with lines; many tests ask for those of every file."""
+    """Names that a file imports, with lines; cached, because many tests use them."""
     found: list[tuple[str, int]] = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):

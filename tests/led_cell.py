@@ -37,7 +37,7 @@ STILL = [0.0] * 6
 
 
 class Cell:
-    """A server with its page, and a node that looks at the robot."""
+    """A server with its page, and a node that observes the robot."""
 
     def __init__(
         self, environment: dict[str, str], tmp_path: Path, stack: ExitStack, more: str = ""
@@ -65,7 +65,7 @@ class Cell:
         return dict(answer.structured_content or {})
 
     def refusal(self, tool: str, **arguments: Any) -> str:
-        """Why a tool refuses."""
+        """Text of a tool's refusal."""
         answer = self._portal.call(self._client.call_tool, tool, arguments)
         assert answer.is_error
         return str(answer.content)
@@ -76,7 +76,7 @@ class Cell:
         return dict(found[0])
 
     def speed_m_s(self, since_s: float) -> float:
-        """Greatest speed of the TCP since a monotonic time."""
+        """Maximum speed of the TCP since a monotonic time."""
         seen = [pose for pose in list(self.poses) if pose[0] >= since_s]
         steps = pairwise(seen)
         return max(float(np.linalg.norm(b[1] - a[1])) / (b[0] - a[0]) for a, b in steps)

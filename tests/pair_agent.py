@@ -1,4 +1,4 @@
-"""A served fr3-pair with the plugin of pair_policies.py, as an agent sees it; for tests."""
+"""A served fr3-pair with the plugin of pair_policies.py, from an agent's view; for tests."""
 
 from __future__ import annotations
 
@@ -29,9 +29,7 @@ PATIENCE_S = 30.0
 
 @contextmanager
 def configured(folder: Path) -> Iterator[tuple[Path, Path]]:
-    """Below `folder` a configuration that names the plugin, and the folder where that is
-    installed.
-    """
+    """A configuration below `folder` that uses the plugin, and the plugin's installation folder."""
     config = folder / "roboneuron.toml"
     config.write_text(CONFIG)
     with plugin_site(folder / "site") as site:
@@ -46,7 +44,7 @@ async def positions(agent: DemoAgent) -> dict[str, float]:
 
 
 async def moved_rad(agent: DemoAgent, pause_s: float) -> dict[str, float]:
-    """How far each arm's farthest joint gets in that time [rad]."""
+    """Displacement of each arm's fastest joint in that time [rad]."""
     before = await positions(agent)
     await anyio.sleep(pause_s)
     after = await positions(agent)

@@ -1,5 +1,5 @@
-"""A plugin for tests: a cheap camera, a policy of joint velocities of two arms whose instruction
-says what is wrong with its answers, and one of joint positions that moves them likewise.
+"""A plugin for tests: a cheap camera, a policy of joint velocities for two arms whose instruction
+selects a fault of its answers, and one of joint positions with the same motion.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ SPEED_RAD_S = 0.15
 
 
 class NumberedCamera:
-    """Follows the protocol `PerceptionSource`: images that differ, at `RATE_HZ`."""
+    """Follows the protocol `PerceptionSource`: distinguishable images, at `RATE_HZ`."""
 
     def __init__(self, config: None, topics: Topics, cameras: tuple[CameraProfile, ...]) -> None:
         self._topics, self._camera, self._number = topics, cameras[0], 0
 
     def open(self) -> None:
-        """The first image is due now."""
+        """Make the first image due now."""
         self._start_s = time.monotonic()
 
     def read(self, timeout_s: float) -> Frame:
@@ -55,7 +55,7 @@ class NumberedCamera:
         )
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing."""
 
 
 def waving_space(options: Mapping[str, object], profile: RobotProfile) -> ControlSpace:
@@ -66,23 +66,23 @@ def waving_space(options: Mapping[str, object], profile: RobotProfile) -> Contro
 
 
 class Waving:
-    """Follows the protocol `Backend`: moves every joint to and fro, until it answers wrongly."""
+    """Follows the protocol `Backend`: oscillates every joint, until it answers wrongly."""
 
     def __init__(self, config: None, runtime: Any = None, acceleration: Any = None) -> None:
         self._number = 0
 
     def load(self) -> None:
-        """Nothing to load."""
+        """Do nothing."""
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Restart."""
         self._number = 0
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing."""
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """Two rows; from the eighth answer on those that the instruction names."""
+        """Two rows; from the eighth answer on the faulty ones selected by the instruction."""
         import numpy as np
 
         from rn_robot_fr3.profile import pair_profile
@@ -120,7 +120,7 @@ def placing_space(options: Mapping[str, object], profile: RobotProfile) -> Contr
 
 
 class Placing(Waving):
-    """Follows the protocol `Backend`: moves every joint to and fro from where it is measured."""
+    """Follows the protocol `Backend`: oscillates every joint around its measured position."""
 
     def predict(self, observation: Observation) -> ActionChunk:
         """Two rows."""

@@ -1,4 +1,4 @@
-"""Goals of MoveIt for an FR3, and the limits that they are judged by."""
+"""MoveIt goals for an FR3, and the limits that they are checked against."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ LIMITS = {"velocity_fraction": 0.5, "acceleration_fraction": 0.4, "zones": [CUP]
 
 
 def joint_goal(**changed: float) -> dict[str, Any]:
-    """Constraints of every joint, from home."""
+    """Constraints for every joint, relative to home."""
     at = dict(zip(ARM_JOINTS, HOME_RAD, strict=True)) | changed
     tolerances = {"tolerance_above": 0.001, "tolerance_below": 0.001}
     return {
@@ -39,7 +39,7 @@ def joint_goal(**changed: float) -> dict[str, Any]:
 
 
 def place_goal(x: float, y: float, z: float, radius_m: float = 0.005) -> dict[str, Any]:
-    """Constraints that have the TCP in a ball, with the hand straight down."""
+    """Constraints for the TCP in a ball, with the hand straight down."""
     header = {"frame_id": BASE}
     region = {
         "primitives": [{"type": 2, "dimensions": [radius_m]}],
@@ -57,7 +57,7 @@ def place_goal(x: float, y: float, z: float, radius_m: float = 0.005) -> dict[st
 
 
 def goal_of(*constraints: dict[str, Any]) -> dict[str, Any]:
-    """A goal of MoveGroup that nothing is wrong with."""
+    """A valid goal of MoveGroup."""
     return {
         "request": {
             "group_name": "fr3_arm",
@@ -79,7 +79,7 @@ def endpoint(type_name: str = MOVE, **changes: Any) -> Endpoint:
 
 
 def trajectory(*rows: tuple[float, float]) -> dict[str, Any]:
-    """The last joint goes so far from home, at these times [s]."""
+    """Displacements of the last joint from home, at these times [s]."""
     points = [
         {
             "positions": [*HOME_RAD[:6], HOME_RAD[6] + step],
@@ -91,7 +91,7 @@ def trajectory(*rows: tuple[float, float]) -> dict[str, Any]:
 
 
 def limiter_of_fr3() -> PathLimiter:
-    """Judge paths of an FR3 by LIMITS."""
+    """A limiter for paths of an FR3 with LIMITS."""
     facts = profile()
     controller = UrdfController(None, facts)
     controller.load()

@@ -1,5 +1,5 @@
-"""What a robot with a detector publishes: transforms, detections and its battery. It prints the
-places that it is sent to.
+"""Publishes the topics of a robot with a detector: transforms, detections and its battery. It
+prints the goals that it receives.
 
     python tests/sensor_talker.py NAMESPACE
 """
@@ -33,12 +33,12 @@ PERIOD_S = 0.05
 
 
 class SensorTalker(Node):
-    """The frames are map, odom, base and camera; `stray` is in a tree of its own."""
+    """The frames are map, odom, base and camera; `stray` is in a separate tree."""
 
     def __init__(self, namespace: str) -> None:
         super().__init__("sensor_talker", namespace=namespace)
         kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-        # two nodes keep a transform each
+        # each of two nodes holds a transform
         self._kept = [self.create_publisher(TFMessage, "/tf_static", kept) for _ in range(2)]
         self._kept[0].publish(TFMessage(transforms=[self._transform("base", CAMERA, x=0.5)]))
         self._kept[1].publish(TFMessage(transforms=[self._transform("map", "odom", y=1.0)]))

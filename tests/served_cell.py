@@ -1,4 +1,4 @@
-"""A served gantry with two clients, for tests of what clients do to it."""
+"""A served gantry with two clients, for tests of client behaviour."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Caller:
 
 
 class Cell:
-    """A server in a process of its own, two clients, and the gantry's true joints."""
+    """A server in a separate process, two clients, and the gantry's true joints."""
 
     def __init__(
         self, process: subprocess.Popen[bytes], folder: Path, url: str, witness: JointWitness
@@ -97,21 +97,21 @@ class Cell:
             self._beats.join(10.0)
 
     def _beat(self) -> None:
-        """The operator shows that she lives, as long as she does; a refusal is an answer too."""
+        """Renew the operator's lease; a refusal is an answer too."""
         while not self._end.wait(0.8):
             if self.alive.is_set():
                 self.operator.answer("heartbeat")
 
     def start_loop(self) -> None:
-        """Ann starts what does not run."""
+        """Start the missing modules as Ann."""
         for kind in ("robot", "perception", "control"):
             if self.ann.module(kind)["phase"] != "running":
                 self.ann.do(f"start_{kind}")
         if self.ann.module("inference")["phase"] != "running":
             self.ann.do("start_inference", instruction="move on")
         if not holds_within(self.witness.moves, 3.0):
-            # a stop that a busy machine has earned, such as a silence of the server or a lapsed
-            # lease: who goes on says so
+            # a busy machine may cause a justified stop, such as silence of the server or an expired
+            # lease; the log shows it
             print("the arm stands:", [self.ann.module(kind) for kind in ("robot", "inference")])
             self.ann.do("set_instruction", instruction="move on")
         wait_until(self.witness.moves, 10.0, "the arm moves")

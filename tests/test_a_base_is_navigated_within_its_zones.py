@@ -1,5 +1,5 @@
-"""An agent drives a simulated base by nav2's action `NavigateToPose`, through the tool that is made
-of its definition: to a goal, not into a zone, and to rest when it is cancelled or fails.
+"""An agent drives a simulated base with nav2's action `NavigateToPose`, through the tool generated
+from its definition: to a goal, not into a zone, and to rest after a cancellation or failure.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ def goal(x_m: float, y_m: float, frame: str = "map", **more: Any) -> dict[str, A
 
 
 class Bench:
-    """The environment of a server and of the navigator beside it."""
+    """The environment of a server and of the navigator."""
 
     def __init__(self, folder: Path, environment: dict[str, str]) -> None:
         self._folder, self._environment = folder, environment
         self._processes: list[subprocess.Popen[str]] = []
 
     def navigator(self, *options: str) -> None:
-        """Start the stand-in; it offers its action in the end."""
+        """Start the stand-in; return when it offers its action."""
         command = [sys.executable, str(EXAMPLES / "nav_standin.py"), "--namespace", "diffdrive"]
         process = subprocess.Popen(
             [*command, *options], env=self._environment, stdout=subprocess.PIPE, text=True
@@ -65,7 +65,7 @@ class Bench:
 
     @asynccontextmanager
     async def agent(self) -> AsyncIterator[BaseAgent]:
-        """A client of a server whose base is started."""
+        """A client of a server with a started base."""
         config = self._folder / "roboneuron.toml"
         config.write_text(CONFIG.format(state=self._folder / "state"))
         async with client_of(config, self._environment) as client:
@@ -83,11 +83,11 @@ class BaseAgent(Agent):
     """Drives a base."""
 
     async def drive(self, to: dict[str, Any], **more: Any) -> tuple[bool, dict[str, Any], str]:
-        """Send a goal; the first one waits for the discovery of the server."""
+        """Send a goal; the first one waits for the discovery of the action server."""
         return await self.call("send_drive_to_goal", goal=to, server_timeout_s=30.0, **more)
 
     async def place(self) -> tuple[float, float]:
-        """Where the simulator has the base, and at rest."""
+        """Pose of the base from the simulator, at rest."""
         before = (math.inf, math.inf)
         while True:
             _, status, _ = await self.call("get_status")
@@ -126,7 +126,7 @@ def test_a_base_drives_to_a_goal_and_into_no_zone(bench: Bench) -> None:
             assert answer["result"]["error_code"] in (0, "NONE")
             assert any("distance_remaining" in told for told in agent.told)
             assert math.dist(await agent.place(), (0.4, 0.6)) < 0.08
-            # straight to the other side of the zone: the navigator has no map of it
+            # straight across the zone, which is not on the navigator's map
             succeeded, _, text = await agent.drive(goal(1.3, -0.5))
             assert not succeeded
             assert "has come into the zone 'stairs'" in text

@@ -1,4 +1,4 @@
-"""No two classes of the source have the same name, so that a name tells which one is meant."""
+"""No two classes in the sources have the same name, so that a name is unambiguous."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 
 
 def classes_by_name(folders: list[Path]) -> dict[str, list[str]]:
-    """Where each class is defined, nested ones too, by its name."""
+    """Definitions of each class by name, including nested ones."""
     found = defaultdict(list)
     for path in sorted(path for folder in folders for path in folder.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -17,9 +17,9 @@ from roboneuron import matrix_from_quaternion
 
 LEADER = Path(__file__).parents[1] / "examples" / "cube_leader.py"
 TICKS = 38
-"""Of the simulation in one row, 0.16 s."""
+"""Simulation ticks per row, 0.16 s."""
 RESET_ROWS = 62
-"""What `lerobot-record` leaves time for between two episodes: 10 s."""
+"""Rows within the 10 s that `lerobot-record` leaves between two episodes."""
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def test_it_picks_a_cube_up_and_puts_it_within_reach_again_and_again(
             )
             places.append(cube.position_m[:2])
             rows = leader["demonstrate"](joints_of(simulation), cube, random)
-            # within what control lets an arm go in a row: 0.1 m is about 0.17 rad
+            # within control's limit for a row: 0.1 m is about 0.17 rad
             assert np.abs(np.diff(rows[:, :7], axis=0)).max() < 0.2
             play(simulation, leader, rows)
             assert simulation.cubes()["red"].lifted_m > leader["LIFTED_M"]

@@ -1,5 +1,5 @@
 """A scripted person on the page's websocket leads a simulated FR3, takes over from its policy, and
-is lost.
+gets disconnected.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ pytestmark = [
 ]
 AHEAD, LEFT = [0.1, 0, 0, 0, 0, 0], [0, 0.1, 0.05, 0, 0, 0]
 LIMITS = (2.62, 10.0)
-"""Of the FR3's slower joints [rad/s, rad/s^2]."""
+"""Limits of the FR3's slower joints [rad/s, rad/s^2]."""
 SPACING_S = 0.02
 REST_M_S = 0.005
 REST_S = 0.2
-"""From the last sample of a person who is lost to the rest of the arm."""
+"""Time from the last sample of a disconnected person to the arm at rest."""
 OBSERVED_S = 0.06
-"""More for what an onlooker sees late: poses come every 25 ms, on a machine that others use too."""
+"""Additional delay of an observer: poses come every 25 ms, on a shared machine."""
 
 
 @pytest.fixture
@@ -114,15 +114,15 @@ def test_a_person_takes_over_corrects_and_hands_back(cell: Cell) -> None:
             assert cell.module("inference")["instruction"] == INSTRUCTION
             velocity, acceleration = greatest(cell.joints[before[0] :])
             assert velocity < LIMITS[0]
-            # second differences of positions: the policy alone shows as much
+            # second differences of positions; the policy alone causes as much
             assert acceleration < 2.0 * max(usual, 3.0 * LIMITS[1])
     assert cell.module("control")["dropped_by"]["taken_over"] > 0
 
 
 def follow(cell: Cell, page: LeadPage) -> np.ndarray:
-    """How far the arm has gone while it was pushed ahead for a second [m].
+    """Distance of the arm after pushing it forwards for a second [m].
 
-    On a busy machine samples may come so late that the lead brakes, and the switch is needed anew.
+    On a busy machine samples may come so late that the lead brakes, and the switch is needed again.
     """
     for _ in range(8):
         page.press()
@@ -136,12 +136,12 @@ def follow(cell: Cell, page: LeadPage) -> np.ndarray:
 
 
 def greatest(joints: list[tuple[float, np.ndarray]]) -> tuple[float, float]:
-    """Greatest velocity [rad/s] and acceleration [rad/s^2] of measured joints."""
+    """Maximum velocity [rad/s] and acceleration [rad/s^2] of measured joints."""
     apart = joints[:1]
     for (
         at,
         place,
-    ) in joints:  # stamps that are close together make large differences of small errors
+    ) in joints:  # close stamps amplify small errors
         if at - apart[-1][0] >= SPACING_S:
             apart.append((at, place))
     times, places = np.array([at for at, _ in apart]), np.array([place for _, place in apart])

@@ -1,5 +1,5 @@
-"""A policy of joint velocities at 15 Hz moves the FR3 along a known path of the joints, through the
-real processes; judged at the TCP.
+"""A policy of joint velocities at 15 Hz moves the FR3 along a known joint path, through the real
+processes; judged by the TCP.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ from roboneuron.supervisor.supervisor import Supervisor
 
 F64 = np.ndarray
 BESIDE_M = 5e-3
-"""How far the TCP may be beside the path."""
+"""Tolerated distance of the TCP from the path."""
 END_RAD = 4e-3
-"""How far a joint may end from the end of the path: a row that is lost is up to 8 mrad."""
+"""Tolerated distance of a joint from the end of the path; a lost row is up to 8 mrad."""
 CONFIG = """
 [robot]
 name = "fr3"
@@ -64,7 +64,7 @@ PATH_S = PATH_ROWS / PATH_HZ
 
 
 def tcp_m(joints: F64) -> F64:
-    """Places of the TCP (k, 3) for joints (k, 7), by pinocchio on the robot's description."""
+    """TCP positions (k, 3) for joints (k, 7), by pinocchio on the robot's description."""
     facts = profile()
     model = pinocchio.buildModelFromXML(facts.urdf)
     data, tcp = model.createData(), model.getFrameId(facts.tcp_link)
@@ -76,14 +76,14 @@ def tcp_m(joints: F64) -> F64:
 
 
 def beside_m(joints: F64) -> F64:
-    """How far the TCP is from the nearest point of the path, at each of the postures (k, 7)."""
+    """Distance of the TCP from the nearest point of the path, for each of the postures (k, 7)."""
     path = tcp_m(np.array([path_rad(row) for row in np.linspace(0, PATH_ROWS, 10 * PATH_ROWS)]))
     found: F64 = np.linalg.norm(tcp_m(joints)[:, None] - path[None], axis=2).min(axis=1)
     return found
 
 
 def check_path(joints: F64) -> None:
-    """The whole path was followed, and nothing else."""
+    """Check that the whole path was followed, and nothing else."""
     print(f"beside the path: {beside_m(joints).max() * 1e3:.2f} mm at most")
     print(f"at its end: {np.abs(joints[-1] - path_rad(PATH_ROWS)).max() * 1e3:.2f} mrad")
     assert beside_m(joints).max() <= BESIDE_M
@@ -94,24 +94,24 @@ def check_path(joints: F64) -> None:
 
 @dataclass
 class Witness:
-    """What was seen so far, with monotonic times.
+    """Observations so far, with monotonic times.
 
     Attributes:
         joints: measured joints of the arm.
-        labels: of the actions.
+        labels: labels of the actions.
     """
 
     joints: list[tuple[float, ...]] = field(default_factory=list)
     labels: list[tuple[float, str]] = field(default_factory=list)
 
     def note_action(self, message: Any) -> None:
-        """An action was sent."""
+        """Record a sent action."""
         self.labels.append((time.monotonic(), message.layout.dim[0].label))
 
 
 @contextmanager
 def listening() -> Iterator[Witness]:
-    """A node of its own that sees what moves the arm, and where it is."""
+    """A separate node that observes actions and joint states."""
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64MultiArray
 
@@ -129,7 +129,7 @@ def listening() -> Iterator[Witness]:
         yield seen
 
 
-# Rows that come late because others use the processor are lost: nothing may run beside this.
+# Rows that come late because of other load are lost, so nothing may run at the same time.
 @pytest.mark.ros
 @pytest.mark.timing
 @pytest.mark.parametrize("engine", [engine for engine in ENGINES if is_importable(engine)])
@@ -159,7 +159,7 @@ def test_the_simulated_fr3_follows_the_path(tmp_path: Path, engine: str) -> None
 
 
 def at_the_end(supervisor: Supervisor) -> bool:
-    """Whether a second of rows after the path was sent."""
+    """True if a second of rows after the path was sent."""
     report = supervisor.view("inference").report
     row = 0 if report is None else int(report.metrics.get("chunk_row", "0"))
     return report is not None and report.note == "at the end" and row > PATH_HZ
@@ -169,7 +169,7 @@ def at_the_end(supervisor: Supervisor) -> bool:
 @pytest.mark.timing
 @pytest.mark.timeout(150)
 def test_it_replaces_a_policy_of_tcp_deltas_while_the_arm_moves(tmp_path: Path) -> None:
-    """And that replaces it again; each time at the border of a row."""
+    """Then in the other direction; each time at a row boundary."""
 
     async def scenario(application: Application, seen: Witness) -> None:
         async with Client(application.server) as client:

@@ -1,5 +1,5 @@
-"""The learned policy behind `roboneuron openpi-server`: episodes in simulation are those of the
-same policy in the worker's own process, action by action and to the bit.
+"""The learned policy behind `roboneuron openpi-server`: episodes in simulation equal those of the
+same policy in the worker's own process, action by action and bit for bit.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def run(*arguments: object) -> None:
 
 
 def episodes(folder: Path) -> list[dict[str, object]]:
-    """Status and digest (every action and the simulator's last state) of each episode."""
+    """Status and digest (of every action and the simulator's last state) of each episode."""
     lines = (folder / "episodes.jsonl").read_text().splitlines()
     outcomes = [json.loads(line)["outcome"] for line in lines]
     return [{key: outcome[key] for key in ("status", "digest", "rows")} for outcome in outcomes]

@@ -1,5 +1,5 @@
 """`switch_inference` from the champion of the cubes policy to a promoted checkpoint while the arm
-works, and back by one call.
+works, and back with one call.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from roboneuron.command import RosLink, qos, topics
 from roboneuron.ros.environment import prepare_environment
 
 torch = pytest.importorskip("torch")
-# timing: whether a period is missed depends on what else the machine does
+# timing: missed periods depend on the machine's load
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(300)]
 INSTRUCTION = "pick up the red cube"
 ARM = 7
 NOISE = 0.002
-"""Of a weight of the action head, as a share of that weight: another policy, though hardly."""
+"""Noise of a weight of the action head, relative to the weight: a barely different policy."""
 MOVED_RAD = 0.02
 LARGEST_STEP_RAD = 0.1
-"""Between two measurements, 10 ms and more apart: an arm that jumps goes farther."""
+"""Limit between two measurements, at least 10 ms apart; an arm that jumps exceeds it."""
 
 
 @pytest.fixture
 def policies(tmp_path: Path) -> tuple[Path, Path]:
-    """Folders of the shipped policy and of one that differs from it a little."""
+    """Folders of the shipped policy and of a slightly different one."""
     shipped = Packed.read(shipped_weights())
     noise = torch.Generator().manual_seed(1)
 
@@ -56,7 +56,7 @@ def policies(tmp_path: Path) -> tuple[Path, Path]:
 
 @pytest.fixture
 def graph(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """This process and the server's meet on a graph of their own."""
+    """A separate ROS graph for this process and the server."""
     for name in ("ROS_DOMAIN_ID", "XDG_STATE_HOME"):
         monkeypatch.setenv(name, environment[name])
     prepare_environment(tmp_path / "log")
@@ -64,7 +64,7 @@ def graph(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path
 
 @contextmanager
 def measured() -> Iterator[list[tuple[float, np.ndarray]]]:
-    """Positions of the arm [rad] as they come, with the time of arrival [monotonic s]."""
+    """Measured positions of the arm [rad], with the arrival time [monotonic s]."""
     from sensor_msgs.msg import JointState
 
     seen, link = list[tuple[float, np.ndarray]](), RosLink("onlooker")
@@ -111,7 +111,7 @@ async def play(config: Path, challenger: Path, log: Path) -> None:
             switched = await agent.call("switch_inference", {"checkpoint": str(challenger)})
             await moves(time.monotonic())
             back = await agent.call("switch_inference", {"rollback": True})
-            # a lifted cube is held: another one is work again
+            # a lifted cube is held, so another one is needed for new motion
             await agent.call("set_instruction", {"instruction": "pick up the blue cube"})
             await moves(time.monotonic())
             status = await agent.status()
@@ -132,5 +132,5 @@ async def play(config: Path, challenger: Path, log: Path) -> None:
 
 
 def told(switch: dict[str, Any]) -> dict[str, Any]:
-    """What a switch measured."""
+    """Measurements of a switch."""
     return {key: switch.get(key) for key in ("gap_s", "period_s", "missed", "difference")}

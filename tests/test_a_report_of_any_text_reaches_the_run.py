@@ -1,4 +1,4 @@
-"""One log line that pytest-xdist cannot send must not end the run of all tests."""
+"""A log line that pytest-xdist cannot send must not end the whole test run."""
 
 from __future__ import annotations
 

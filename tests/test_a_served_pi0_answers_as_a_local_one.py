@@ -1,5 +1,5 @@
-"""A network on another machine: `roboneuron openpi-server` with a tiny pi0, asked by the backend
-`openpi`, answers what the same pi0 answers in this process.
+"""A network on another machine: `roboneuron openpi-server` with a tiny pi0, called by the backend
+`openpi`, answers like the same pi0 in this process.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def seen() -> Observation:
 
 @pytest.fixture(scope="module")
 def local(checkpoint: Path, seen: Observation) -> ActionChunk:
-    """What the network answers in this process."""
+    """The network's answer in this process."""
     options = Pi0Options(
         checkpoint=checkpoint, joints=tuple(JOINTS), device="cpu", cpu_threads=1, noise="fixed"
     )
@@ -85,7 +85,7 @@ def local(checkpoint: Path, seen: Observation) -> ActionChunk:
 
 @contextmanager
 def served(folder: Path, checkpoint: Path, openpi: str) -> Iterator[str]:
-    """The command in a process of its own; yields its URL."""
+    """The command in a separate process; yields its URL."""
     path = folder / "gpu.toml"
     text = CONFIG.format(checkpoint=checkpoint, joints=json.dumps(JOINTS), openpi=openpi)
     path.write_text(text, encoding="utf-8")
@@ -128,6 +128,6 @@ def test_droids_own_keys_and_units_lead_to_the_same_rows(
     openpi = f'profile = "droid"\njoints = {json.dumps(JOINTS)}\nimage_size_px = "raw"'
     with served(tmp_path, checkpoint, openpi) as url:
         chunk = asked(url, raw, seen)
-    # the state passes 1 - (1 - opening), which a float32 network sees as the same
+    # the state is transformed by 1 - (1 - opening), which is equal for a float32 network
     np.testing.assert_allclose(chunk.actions, local.actions, atol=1e-6)
     assert chunk.space == local.space

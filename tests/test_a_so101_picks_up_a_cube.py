@@ -1,5 +1,5 @@
-"""`make demo-so101`: over ROS and MCP the simulated SO-101 picks up a cube, and the simulator says
-so; and the tools that move an arm move this one.
+"""`make demo-so101`: the simulated SO-101 picks up a cube over ROS and MCP, as judged by the
+simulator; and the arm tools move this arm.
 """
 
 from __future__ import annotations

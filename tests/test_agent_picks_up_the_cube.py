@@ -1,6 +1,4 @@
-"""The whole slice, as `make demo` runs it: MCP client -> server -> four ROS processes ->
-simulator.
-"""
+"""The whole system, as in `make demo`: MCP client -> server -> four ROS processes -> simulator."""
 
 from __future__ import annotations
 

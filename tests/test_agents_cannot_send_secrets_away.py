@@ -1,5 +1,5 @@
-"""An agent's options cannot make a module send an environment secret to a listener of the agent's
-choice.
+"""An agent's options cannot make a module send an environment secret to a listener chosen by the
+agent.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ state_directory = "{state}"
 
 
 class Listener:
-    """Accepts connections on loopback and keeps what they send first."""
+    """Accepts connections on loopback and stores the first data."""
 
     def __init__(self) -> None:
         self.received: list[bytes] = []
@@ -76,7 +76,7 @@ def start(
     selection: str = "",
     more: str = "",
 ) -> types.CallToolResult:
-    """The answer of a stdio server to start_inference with the backend openpi."""
+    """Answer of a stdio server to start_inference with the backend openpi."""
     path = folder / "roboneuron.toml"
     path.write_text(CONFIG.format(selection=selection, state=folder / "state", more=more))
     parameters = StdioServerParameters(

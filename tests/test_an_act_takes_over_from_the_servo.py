@@ -1,5 +1,5 @@
 """`switch_inference` from visual servoing to an ACT of LeRobot while the arm works: the policy of
-`make train-act` where that is there, otherwise a tiny random one.
+`make train-act` if it exists, otherwise a tiny random one.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ ARM = tuple(f"fr3_joint{number}" for number in range(1, 8))
 INSTRUCTION = "pick up the red cube"
 MOVED_RAD = 0.02
 LONGEST_GAP_S = 1.5
-"""Between two actions at the handover. Measured: one period; a busy machine takes longer, and
-control then holds the arm meanwhile.
+"""Maximum time between two actions at the handover. Measured: one period; a busy machine takes
+longer, and control then holds the arm meanwhile.
 """
 
 
 @dataclass
 class Seen:
-    """What came, with the time of arrival [monotonic s].
+    """Received data, with the arrival time [monotonic s].
 
     Attributes:
         actions: labels of the rows.
@@ -64,12 +64,12 @@ class Seen:
         self.joints.append((time.monotonic(), np.array([named[joint] for joint in ARM])))
 
     def moved_rad(self, since_s: float) -> float:
-        """Farthest way of a joint since then."""
+        """Largest displacement of a joint since this time."""
         rows = [row for at_s, row in self.joints if at_s >= since_s]
         return float(np.ptp(np.array(rows), axis=0).max()) if rows else 0.0
 
     def gap_s(self) -> float:
-        """Between the last action of the first policy and the first one of the other."""
+        """Time between the last action of the first policy and the first one of the other."""
         labels = [label.partition(":")[0] for _, label in self.actions]
         first = next(n for n, label in enumerate(labels) if label.startswith("joint_position"))
         return self.actions[first][0] - self.actions[first - 1][0]
@@ -93,7 +93,7 @@ def looking() -> Iterator[Seen]:
 
 @pytest.fixture
 def graph(environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """This process and the server's meet on a graph of their own."""
+    """A separate ROS graph for this process and the server."""
     for name in ("ROS_DOMAIN_ID", "XDG_STATE_HOME"):
         monkeypatch.setenv(name, environment[name])
     monkeypatch.chdir(ROOT)

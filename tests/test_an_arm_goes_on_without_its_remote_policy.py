@@ -1,4 +1,4 @@
-"""The server of a policy freezes, is killed, and comes back: the arm goes on by its fallback,
+"""The server of a policy freezes, is killed, and comes back: the arm continues with its fallback,
 without a hold and without a jump.
 """
 
@@ -34,11 +34,11 @@ directory = "{folder}/servers"
 timeout_s = 1.0
 """
 PEAK_M = 0.003
-"""Longest step of the policy is 2 mm; what the limits let it catch up with."""
+"""The policy's longest step is 2 mm; the rest is what the limits let it catch up."""
 
 
 class Cell:
-    """A gantry that follows a policy in a process of its own, or its fallback."""
+    """A gantry that follows a policy in a separate process, or its fallback."""
 
     def __init__(self, loop: ClosedLoop, witness: JointWitness, folder: Path) -> None:
         self.loop, self.witness, self._folder = loop, witness, folder
@@ -62,7 +62,7 @@ class Cell:
         raise AssertionError("no server of this cell runs")
 
     def watch(self, until: Callable[[], bool], most_s: float) -> None:
-        """Wait for something, while the arm never stands."""
+        """Wait for a condition while the arm never stands."""
         end_s = time.monotonic() + most_s
         while not until():
             assert time.monotonic() < end_s, self.status("inference").metrics

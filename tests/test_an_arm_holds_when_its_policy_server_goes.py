@@ -1,5 +1,5 @@
 """The real processes with a policy of joint velocities behind openpi's websocket: the arm moves,
-comes to rest when the server goes, and moves on when it is there again.
+comes to rest when the server ends, and moves on when it is back.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ image_keys = {{ primary = "observation/exterior_image_1_left" }}
 
 
 class Turning(Reflex):
-    """Turns the last joint to and fro, slowly."""
+    """Turns the last joint slowly to and fro."""
 
     def __init__(self) -> None:
         super().__init__(SPACE, 1 / 15)
@@ -74,24 +74,24 @@ class Turning(Reflex):
 
 @dataclass
 class Witness:
-    """What was seen.
+    """Observations.
 
     Attributes:
-        labels: of actions.
-        angles: of the last joint [rad], with monotonic times.
+        labels: labels of actions.
+        angles: angles of the last joint [rad], with monotonic times.
     """
 
     labels: list[str] = field(default_factory=list)
     angles: list[tuple[float, float]] = field(default_factory=list)
 
     def is_moving(self) -> bool:
-        """Whether the joint turned within the last half second."""
+        """True if the joint turned within the last half second."""
         now_s = time.monotonic()
         recent = [angle for at_s, angle in self.angles[-200:] if now_s - at_s < 0.5]
         return len(recent) > 10 and max(recent) - min(recent) > 0.2 * SPEED_RAD_S * 0.5
 
     def is_at_rest(self) -> bool:
-        """Whether it was measured and did not turn in that time."""
+        """True if the joint was measured and did not turn within the last half second."""
         now_s = time.monotonic()
         recent = [angle for at_s, angle in self.angles[-200:] if now_s - at_s < 0.5]
         return len(recent) > 10 and max(recent) - min(recent) < 1e-3
@@ -99,7 +99,7 @@ class Witness:
 
 @contextmanager
 def listening() -> Iterator[Witness]:
-    """A node of its own that sees what moves the arm, and where it is."""
+    """A separate node that observes actions and joint states."""
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64MultiArray
@@ -145,7 +145,7 @@ def test_the_arm_rests_while_there_is_no_server_and_moves_on_with_the_next(tmp_p
             wait_until(seen.is_at_rest, 10.0, "the arm rests without its server")
             count = len(seen.labels)
             assert not holds_within(seen.is_moving, 2.0)
-            # what was under way when the server went may still have been sent
+            # a row in transit when the server ended may still have been sent
             assert len(seen.labels) <= count + 1
             inference = supervisor.view("inference").report
             assert inference is not None

@@ -1,5 +1,5 @@
-"""An agent moves a simulated FR3 by MoveIt's actions, through the tools that are made of their
-definitions: to a place, by a plan, never where the limits forbid it, and to rest when it stops.
+"""An agent moves a simulated FR3 with MoveIt's actions, through the tools generated from their
+definitions: to a position, by a plan, never where the limits forbid it, and to rest when it stops.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def goal(
 
 
 def joints(**to: float) -> dict[str, Any]:
-    """Constraints of every joint, from home."""
+    """Constraints for every joint, relative to home."""
     at = dict(zip(ARM_JOINTS, map(float, HOME_RAD), strict=True)) | to
     return {
         "joint_constraints": [
@@ -106,28 +106,28 @@ class ArmAgent(Agent):
     """Moves an arm."""
 
     async def move(self, to: dict[str, Any], **more: Any) -> tuple[bool, dict[str, Any], str]:
-        """Send a goal; the first one waits for the discovery of the server."""
+        """Send a goal; the first one waits for the discovery of the action server."""
         return await self.call("send_arm_goal", goal=to, server_timeout_s=30.0, **more)
 
     async def refused(self, to: dict[str, Any], told: str) -> None:
-        """A goal has to end in an error that tells this."""
+        """Check that a goal ends in an error with this text."""
         succeeded, _, text = await self.move(to)
         assert not succeeded
         assert told in text, text
 
     async def joints(self) -> dict[str, float]:
-        """Where they are measured."""
+        """Measured joint positions."""
         succeeded, read, text = await self.call("read_joint_states", timeout_s=30.0)
         assert succeeded, text
         message = read["messages"][0]
         return dict(zip(message["name"], message["position"], strict=True))
 
     async def turn(self) -> float:
-        """Where the first joint is measured."""
+        """Measured position of the first joint."""
         return (await self.joints())[ARM_JOINTS[0]]
 
     async def rest(self) -> float:
-        """Where the first joint has come to rest."""
+        """Position of the first joint at rest."""
         before = await self.turn()
         with anyio.fail_after(30.0):
             while True:
@@ -138,7 +138,7 @@ class ArmAgent(Agent):
                 before = now
 
     async def tcp(self) -> list[float]:
-        """Where the TCP is, by the measured joints [m]."""
+        """TCP position from the measured joints [m]."""
         measured = await self.joints()
         names, positions = tuple(measured), np.array(list(measured.values()))
         kinematics = UrdfController(None, profile())
@@ -148,7 +148,7 @@ class ArmAgent(Agent):
 
 
 class Cell:
-    """A planner, and the environment of a server beside it."""
+    """A planner, and the environment of a server."""
 
     def __init__(self, folder: Path, environment: dict[str, str]) -> None:
         self._folder, self._environment = folder, environment
@@ -161,7 +161,7 @@ class Cell:
 
     @asynccontextmanager
     async def agent(self) -> AsyncIterator[ArmAgent]:
-        """A client of a server whose arm is started."""
+        """A client of a server with a started arm."""
         config = self._folder / "roboneuron.toml"
         config.write_text(CONFIG.format(state=self._folder / "state"))
         async with client_of(config, self._environment) as client:
@@ -195,10 +195,10 @@ def test_an_arm_goes_where_it_may_by_goals_and_by_plans(cell: Cell) -> None:
             assert answer["result"]["error_code"]["val"] == "SUCCESS"
             assert any("MONITOR" in told for told in agent.told)
             assert await agent.tcp() == pytest.approx([0.4, -0.1, 0.3], abs=0.01)
-            # what the planner cannot do is an error with its code
+            # a failure of the planner is an error with its code
             await agent.refused(goal(joints(), group="left"), "INVALID_GROUP_NAME")
             await agent.refused(goal(place(0.74, 0.44, 0.74)), "NO_IK_SOLUTION")
-            # planned only: nothing moves, and the plan is judged again when it is to be executed
+            # planned only: nothing moves, and the plan is checked again before its execution
             succeeded, answer, text = await agent.move(goal(joints(), plan_only=True))
             assert succeeded, text
             assert await agent.tcp() == pytest.approx([0.4, -0.1, 0.3], abs=0.01)
@@ -219,7 +219,7 @@ def test_an_arm_goes_where_it_may_by_goals_and_by_plans(cell: Cell) -> None:
 def test_an_arm_stops_where_it_may_not_be_and_when_it_is_told_to(cell: Cell) -> None:
     async def scenario() -> None:
         async with cell.agent() as agent:
-            # on the other side of the zone: the planner does not know it
+            # on the other side of the zone, which the planner does not know
             succeeded, _, text = await agent.move(goal(joints(fr3_joint1=0.74), speed=0.1))
             assert not succeeded
             assert "has left its limits" in text

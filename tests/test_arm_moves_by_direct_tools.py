@@ -35,7 +35,7 @@ obstacles = [
 state_directory = "{state}"
 """
 REACHED_M = 0.004
-"""The move ends within 2 mm; the rest is what an arm drifts until it is measured again."""
+"""The move ends within 2 mm; the rest is drift of the arm until it is measured again."""
 
 
 def test_joints_trajectory_and_end_effector(tmp_path: Path, environment: dict[str, str]) -> None:

@@ -1,5 +1,5 @@
-"""What reaches a lead that no person means, or no longer: numbers that are not finite, a flood, a
-device that is unplugged, a disk that is full.
+"""Invalid or unintended input to a lead: numbers that are not finite, a flood, an unplugged device,
+a full disk.
 """
 
 from __future__ import annotations
@@ -54,14 +54,16 @@ def served(environment: dict[str, str], tmp_path: Path, more: str = "") -> Itera
 
 
 def check_rests(cell: Cell, since_s: float) -> None:
-    """The arm rests in time, and until a new start."""
+    """Check that the arm comes to rest in time, until a new start."""
     wait_until(lambda: cell.poses[-1][0] > since_s + 1.2, 10.0, poll_s=0.05)
     assert cell.speed_m_s(since_s + REST_S + OBSERVED_S) < REST_M_S
     assert "the lead was lost" in cell.module("control")["needs_start"]
 
 
 def pushed(cell: Cell, push: Callable[[], object]) -> None:
-    """Push until the arm has moved: on a busy machine samples may come so late that it brakes."""
+    """Push until the arm has moved, because on a busy machine samples may come so late that it
+    brakes.
+    """
     wait_until(lambda: bool(cell.poses), 10.0)
     for _ in range(8):
         start = cell.poses[-1][1]
@@ -142,7 +144,7 @@ def test_a_device_that_is_unplugged_leaves_the_arm_at_rest(
                 time.sleep(0.01)
 
         pushed(cell, push)
-        os.close(plug)  # nobody else has it open for writing: its reader sees the end
+        os.close(plug)  # no other process has it open for writing, so its reader gets the end
         check_rests(cell, time.monotonic())
         assert "Nobody leads" in cell.refusal("hand_back")
 
@@ -180,7 +182,7 @@ def test_a_disk_that_is_full_ends_neither_the_lead_nor_the_switch(
 
 
 def fill_disk(directory: Path) -> None:
-    """Let the recorder's files grow no more, as on a disk that is full."""
+    """Prevent the recorder's files from growing, as on a full disk."""
     for process in psutil.Process().children(recursive=True):
         with suppress(psutil.Error):
             opened = [file.path for file in process.open_files()]

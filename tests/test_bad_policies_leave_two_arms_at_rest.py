@@ -1,5 +1,5 @@
-"""Over MCP: a policy that begins to answer wrongly for two arms is told in one clear error, both
-arms come to rest, and the next instruction moves them again. Wrong calls name the arms.
+"""Over MCP: if a policy for two arms starts to answer wrongly, one clear error is reported, both
+arms come to rest, and the next instruction moves them again. Errors of wrong calls name the arms.
 """
 
 from __future__ import annotations

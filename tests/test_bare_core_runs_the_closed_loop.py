@@ -1,5 +1,5 @@
-"""Core with a robot, a controller, a backend and the features that are parts of the closed loop
-runs it over stdio; every other feature is left out.
+"""Core with a robot, a controller, a backend and the features of the closed loop runs it over
+stdio; every other feature is left out.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ LOOP_FEATURES = {
     "rn-serve-stdio",
     "rn-tools-loop",
 }
-"""They bring three of the modules, the transport, and the tools that start."""
+"""They provide three of the modules, the transport, and the start tools."""
 CLOSED_LOOP = ("start_robot", "start_perception", "start_control")
 
 
 def without_features(distribution: str = "") -> str:
-    """The embedded default with every plugin disabled that offers a feature or a command and no
-    device, model or part of the loop.
+    """The embedded default without plugins that only offer a feature or a command, and no device,
+    model or part of the loop.
 
     Args:
-        distribution: only plugins of this one are disabled; empty for all that are installed.
+        distribution: only its plugins are disabled; empty for all installed ones.
     """
     by_kind = {
         kind: {o.plugin for o in discover().offers(kind) if distribution in ("", o.distribution)}
@@ -63,7 +63,9 @@ def without_features(distribution: str = "") -> str:
 
 
 async def run_loop(python: str, config: Path, environment: dict[str, str]) -> set[str]:
-    """Start everything and pick up the cube's first seconds; returns the names of the tools."""
+    """Start everything and run the first seconds of picking up the cube; return the names of the
+    tools.
+    """
     words = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), "--log-level", "error"]
     server = StdioServerParameters(command=python, args=words, env=environment)
 
@@ -108,7 +110,7 @@ def test_the_closed_loop_runs_without_any_other_feature(tmp_path: Path) -> None:
 @pytest.mark.ros
 @pytest.mark.timeout(900)
 def test_an_environment_with_nothing_but_these_distributions_runs_it_too(tmp_path: Path) -> None:
-    """Installs from the package index; `make test-all` runs it."""
+    """Installs from the package index; run by `make test-all`."""
     venv = tmp_path / "venv"
     subprocess.run([sys.executable, "-m", "venv", str(venv)], check=True)
     python = str(venv / "bin" / "python")

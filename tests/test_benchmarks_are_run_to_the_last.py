@@ -1,5 +1,5 @@
-"""`make bench` goes on whatever becomes of a benchmark, and tells at its end what went wrong and
-what was missed.
+"""`make bench` continues after any failure of a benchmark, and finally reports failures and missed
+goals.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def test_each_benchmark_is_there_and_knows_its_options(all_of_them):
 
 
 def test_what_is_no_failure_is_told_in_the_words_that_are_collected(all_of_them):
-    """A script with a limit of time prints `missed: ...` at the beginning of a line."""
+    """A script with a time limit prints `missed: ...` at the start of a line."""
     for script in ("bench_plugins_list", "bench_ik", "bench_view", "bench_faults"):
         text = (FOLDER / f"{script}.py").read_text(encoding="utf-8")
         assert re.search(rf'print\(\s*f"{all_of_them["MISSED"]}', text), script

@@ -1,6 +1,4 @@
-"""Every wait in benchmarks/ has a bound: what never comes is an error, not a benchmark that never
-ends.
-"""
+"""Every wait in benchmarks/ has a bound: a missing event is an error, not an endless benchmark."""
 
 from __future__ import annotations
 
@@ -13,17 +11,17 @@ import pytest
 FOLDER = Path(__file__).parents[1] / "benchmarks"
 SCRIPTS = sorted(FOLDER.glob("*.py"))
 PARTS_THAT_HANG = {"fault_parts.py", "fault_plugin.py", "switch_plugin.py"}
-"""They run in modules and hang on purpose; those who wait for them have the bound."""
+"""Parts that run in modules and hang on purpose; whoever waits for them has the bound."""
 WAITS = {"wait", "result", "join", "communicate", "wait_for_service", "get", "acquire"}
-"""Without an argument they wait for ever."""
+"""Calls that wait forever without an argument."""
 PROCESSES = {"run", "call", "check_call", "check_output"}
 ONE_ARGUMENT = {"wait_for": 2}
-"""Positional arguments of calls whose bound stands after what is waited for."""
+"""Number of positional arguments of calls whose bound comes after the condition."""
 POOLS = {"imap", "imap_unordered", "map", "starmap"}
-"""Of a pool of processes: they wait for a worker that has died."""
+"""Methods of process pools that wait for a dead worker."""
 WATCHDOGS = ("threading.Timer(", "daemon=True")
-"""A script that reads another process's output line by line has one of these: a pipe alone has no
-bound.
+"""A script that reads another process's output line by line must have one of these, because a pipe
+has no bound.
 """
 BOUNDS = ("deadline", "end_s", "timeout", "duration_s", "fail_after", "cancelled", "_stop")
 
@@ -62,7 +60,7 @@ def _has_no_bound(call: ast.Call) -> bool:
     name, owner = call.func.attr, ast.unparse(call.func.value)
     if owner == "subprocess":
         return name in PROCESSES
-    # of a ROS client; those of agents are bounded by `Client(read_timeout_seconds=...)`
+    # of a ROS client; agents' calls are bounded by `Client(read_timeout_seconds=...)`
     if name == "call":
         return not owner.endswith(("portal", "agent"))
     if name in POOLS:

@@ -1,4 +1,4 @@
-"""What a person does while leading a running policy is recorded, exported and can be trained on."""
+"""A person's corrections of a running policy are recorded, exported, and usable for training."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ pytestmark = [
 ASIDE, TURNED = [0, 0.1, 0.05, 0, 0, 0], [0.05, 0, 0, 0, 0, 0.4]
 PERSON = WHO.index("person")
 LEADS, RESTS = 3, 3
-"""How often a person takes over; rows at the end of a lead in which the arm comes to rest."""
+"""Number of takeovers; rows at the end of a lead in which the arm comes to rest."""
 WITHIN_M, WITHIN_RAD = 0.01, 0.05
-"""What the arm, held when it comes to rest, has not reached of what it was sent to: a tenth of a
-second at these speeds.
+"""Tolerance for an arm that is held before it has reached its target: a tenth of a second at these
+speeds.
 """
 
 
@@ -61,7 +61,7 @@ def test_what_a_person_did_is_the_action_of_the_rows(
                 page.push(STILL, 1.0, held=False)
                 assert page.ask({"back": 1}) == ""
                 wait_until(lambda: cell.acting[-1].who == "policy", 20.0, poll_s=0.02)
-        cell.call("take_over")  # the page operates the robot for a while after it was closed
+        cell.call("take_over")  # the page remains the operator for a while after it was closed
         run = cell.call("stop_recording", outcome="success")
         cell.call("stop_all")
     store = RunStore(Path(run["files"][0]).parents[2])
@@ -86,11 +86,11 @@ def test_what_a_person_did_is_the_action_of_the_rows(
 
 
 def contiguous(chosen: np.ndarray) -> list[np.ndarray]:
-    """Numbers of the chosen rows, one array for each span."""
+    """Split row numbers into contiguous spans, one array each."""
     numbers = np.flatnonzero(chosen)
     return np.split(numbers, np.flatnonzero(np.diff(numbers) > 1) + 1)
 
 
 def pose_of(values: list[float]) -> Pose:
-    """A pose of seven values."""
+    """Pose from seven values."""
     return Pose(position_m=np.array(values[:3]), quaternion_xyzw=np.array(values[3:]), stamp_ns=0)

@@ -31,17 +31,19 @@ sys.path.pop(0)
 pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(150)]
 MEMORY_LIMIT_MB = 400
 HOLD_S = 0.5 + 0.5 + 0.5
-"""max_image_age_s, then action_timeout_s, then what a busy machine adds."""
+"""max_image_age_s, then action_timeout_s, then a margin for a busy machine."""
 SERVER_TIMEOUT = "server_timeout_s = 20.0"
-"""A process that a test freezes has not heard the server meanwhile: by the default of 2 s, which a
-busy machine reaches, it would rightly wait for a new start.
+"""A process frozen by a test has not heard the server meanwhile: with the default of 2 s, which a
+busy machine reaches, it would rightly require a new start.
 """
 STATE_HOLD_S = 0.25 + 0.1 + 0.5
-"""state_timeout_s, seen within a fifth of action_timeout_s, then what a busy machine adds."""
+"""state_timeout_s, detected within a fifth of action_timeout_s, then a margin for a busy
+machine.
+"""
 
 
 class Cell:
-    """A gantry that follows a policy, and files that say what is wrong with its parts."""
+    """A gantry that follows a policy, and files that control faults of its parts."""
 
     def __init__(self, loop: ClosedLoop, witness: JointWitness, folder: Path) -> None:
         self.loop, self.witness, self._folder = loop, witness, folder
@@ -52,7 +54,7 @@ class Cell:
         fail(self._folder, part, mode)
 
     def status(self, kind: str) -> ModuleStatus:
-        """As get_status tells it."""
+        """Status from get_status."""
         return ModuleStatus.of(self.loop.modules.view(kind))  # type: ignore[arg-type]
 
     def health(self, kind: str) -> str:
@@ -79,7 +81,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cell]:
 
 @pytest.fixture
 def cell(built: Cell) -> Iterator[Cell]:
-    """The loop, moving; what was made to fail is mended afterwards, and the arm moves again."""
+    """The moving loop; faults are cleared afterwards, and the arm moves again."""
     wait_until(built.moves, 10.0, "the arm moves")
     yield built
     for part in PARTS:
@@ -101,7 +103,7 @@ def test_backend_that_hangs_makes_the_arm_stand_and_counts_as_stalled(cell: Cell
     wait_until(lambda: cell.health("inference") == "stalled", 2.0, "the hang is in the status")
     wait_until(cell.stands, HOLD_S + 0.4, "the arm stands")
     sent = cell.witness.actions()
-    time.sleep(0.3)  # what is looked for is that nothing happens
+    time.sleep(0.3)  # to show that nothing happens
     assert cell.witness.actions() == sent
 
 
@@ -113,7 +115,7 @@ def test_backend_that_answers_after_250_ms_goes_on(cell: Cell) -> None:
 
 
 def test_backend_that_answers_after_two_seconds_does_not_move_the_arm(cell: Cell) -> None:
-    """By then its image is older than max_image_age_s: what it saw is not what there is."""
+    """By then its image is older than max_image_age_s and no longer valid."""
     cell.fail("backend", "2000")
     wait_until(cell.stands, HOLD_S + 0.4, "the arm stands")
     sent = cell.witness.actions()
@@ -146,7 +148,9 @@ def test_camera_that_changes_its_size_is_an_error_and_the_arm_stands(cell: Cell)
 
 
 def test_black_images_are_the_backends_to_judge(cell: Cell) -> None:
-    """Black is a valid image (a lens cap, a dark room): the loop goes on, nothing else fails."""
+    """Black is a valid image (a lens cap, a dark room): the loop continues, and nothing else
+    fails.
+    """
     cell.fail("camera", "black")
     wait_until(lambda: cell.witness.newest_image == 0, 5.0, "the backend sees it")
     assert cell.health("perception") == "ok"
@@ -177,8 +181,8 @@ def test_joint_states_that_cannot_be_true_make_the_arm_stand(cell: Cell, fault: 
 
 
 def test_joint_states_out_of_order_do_not_bring_an_old_posture_back(cell: Cell) -> None:
-    """Every second one is older by 0.1 s and lies 50 mm away: those are counted, and the arm moves
-    on by the others.
+    """Every second one is 0.1 s older and 50 mm away: those are counted, and the arm moves on with
+    the others.
     """
     before, since_s = cell.dropped("control", "bad_joint_state"), time.monotonic()
     cell.fail("gantry", "reordered")
@@ -197,7 +201,7 @@ def test_robot_whose_stamps_jump_a_little_stops_for_one_timeout_only(
 ) -> None:
     since_s = time.monotonic()
     cell.fail("gantry", f"stamps{jump_s}")
-    time.sleep(STATE_HOLD_S)  # what is looked for is what comes after
+    time.sleep(STATE_HOLD_S)  # to show what comes after it
     wait_until(cell.moves, 2.0, "the arm moves again")
     assert cell.witness.largest_step_m(since_s) < 0.02
 
@@ -232,7 +236,7 @@ def test_robot_process_that_is_frozen_is_noticed_and_goes_on_without_a_jump(cell
     try:
         assert wait_until(lambda: cell.health("robot") == "silent", 2.0, "the status says so") < 0.5
         wait_until(lambda: cell.hold_code() == "stale_joint_state", 2.0, "control sends nothing")
-        time.sleep(1.0)  # what the policy asks for meanwhile must not come all at once
+        time.sleep(1.0)  # the policy's requests of this time must not all be executed at once
     finally:
         os.kill(process.pid, signal.SIGCONT)
     wait_until(cell.moves, 5.0, "the arm moves again")
@@ -264,7 +268,7 @@ def test_plugin_that_eats_memory_is_ended_and_the_arm_stands(cell: Cell) -> None
 
 
 def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell) -> None:
-    """What a process leaves behind that is killed in the middle of a message (see
+    """The remains of a process that is killed in the middle of a message (see
     `rn_standard.fastdds.lost_ports`).
     """
     cell.loop.stop("perception")
@@ -275,7 +279,7 @@ def test_module_whose_port_has_lost_its_file_hears_its_new_neighbour(cell: Cell)
         (SHARED_MEMORY / name).unlink()
     cell.loop.start("perception")
     wait_until(lambda: cell.health("inference") != "failing", 10.0, "inference hears it")
-    # a module that was stopped ended what was asked for
+    # stopping a module ended the request
     give_instruction(cell.loop, "move on", 10.0)
     wait_until(cell.moves, 10.0, "the arm moves")
     wait_until(

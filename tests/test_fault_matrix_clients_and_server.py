@@ -52,9 +52,10 @@ anyio.run(main)
 
 
 async def flood(port: int, token: str, tool: str, at_once: int) -> Counter[str]:
-    """What became of 1,000 calls, so many at once, each over a connection of its own.
+    """Results of 1,000 calls, with this concurrency, each over its own connection.
 
-    Written by hand, so that clients cost no time. "served", the code of an error, or "HTTP 503".
+    Hand-written HTTP, so that clients take no time. A result is "served", the code of an error, or
+    "HTTP 503".
     """
     meta = {
         "io.modelcontextprotocol/protocolVersion": "2026-07-28",
@@ -185,12 +186,12 @@ def test_a_thousand_calls_at_once_are_answered_or_refused_and_the_arm_goes_on(ce
 
     before, started_s = threads(), time.monotonic()
     port = int(cell.url.split(":")[2].split("/")[0])
-    # a client has a share of the calls, and of the connections
+    # a client has a share of the calls and of the connections
     words = {"served", "not_ready", "HTTP 503"}
     for at_once in (200, 1000):
         begun_s = time.monotonic()
         if at_once == 1000:
-            cell.alive.clear()  # a door that is full is closed to everybody
+            cell.alive.clear()  # an exhausted server refuses every client
         answers = anyio.run(flood, port, "the-token-of-test-bob", "heartbeat", at_once)
         print(
             f"1000 calls, {at_once} at once, took {time.monotonic() - begun_s:.1f} s: "
@@ -202,7 +203,7 @@ def test_a_thousand_calls_at_once_are_answered_or_refused_and_the_arm_goes_on(ce
     cell.ann.do("heartbeat")
     cell.alive.set()
     pauses = [b - a for (a, _), (b, _) in itertools.pairwise(cell.witness.changes(started_s))]
-    # it may hold when the machine has no time left for it
+    # it may hold when the machine is overloaded
     print(f"longest pause of the arm: {max(pauses):.2f} s")
     wait_until(cell.witness.moves, 5.0, "the arm moves on")
     assert cell.ann.module("control")["health"] == "ok"
@@ -222,10 +223,10 @@ def test_a_server_that_is_frozen_makes_the_arm_stand_until_somebody_asks_for_mot
     finally:
         cell.process.send_signal(signal.SIGCONT)
         cell.alive.set()
-    time.sleep(1.0)  # what is looked for is that nothing happens
+    time.sleep(1.0)  # to show that nothing happens
     assert cell.witness.stands(), "a server that lives again starts nothing"
     wait_until(lambda: "sign of life" in str(cell.ann.do("get_status")), 3.0, "the status says why")
-    # A module may tell of the silence only now: "There was a stop meanwhile. Ask again."
+    # A module may report the silence only now: "There was a stop meanwhile. Ask again."
     wait_until(
         lambda: not cell.ann.answer("set_instruction", instruction="swing").is_error,
         5.0,
@@ -255,7 +256,7 @@ def test_without_an_audit_nothing_is_sent_directly_and_the_stop_still_works(
         assert "audit" in cell.ann.fail("reset_emergency_stop")
         audit.unlink()
         assert "give an instruction" in cell.ann.do("reset_emergency_stop")["note"]
-        time.sleep(1.0)  # what is looked for is that nothing happens
+        time.sleep(1.0)  # to show that nothing happens
         assert cell.witness.stands(), "a release starts nothing"
         cell.ann.do("set_instruction", instruction="swing")
         wait_until(cell.witness.moves, 3.0, "the arm moves again")
@@ -280,7 +281,7 @@ def test_without_an_audit_nothing_is_sent_directly_and_the_stop_still_works(
 
 
 def move_from(x_m: float, steps: int) -> list[dict[str, Any]]:
-    """Steps of 3 mm each in 0.1 s along the first joint."""
+    """Steps of 3 mm in 0.1 s each along the first joint."""
     return [
         {
             "message": {

@@ -29,8 +29,8 @@ Order = tuple[str, ...]
 
 
 def covering_orders(size: int) -> list[Order]:
-    """Few orders of all kinds among which any `size` of them stand in each order; chosen one by
-    one, the best first.
+    """A small set of orders that contains every permutation of any `size` elements; chosen
+    greedily.
     """
     missing = set(itertools.permutations(KINDS, size))
     chosen: list[Order] = []
@@ -44,7 +44,7 @@ def covering_orders(size: int) -> list[Order]:
 
 
 def parts(order: Order, size: int) -> set[Order]:
-    """Every `size` of the order, as they follow each other."""
+    """Every subsequence of `size` elements."""
     return set(itertools.combinations(order, size))
 
 
@@ -57,7 +57,7 @@ def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ClosedLoop,
 def check(
     loop: ClosedLoop, witness: JointWitness, starts: Sequence[str], stops: Sequence[str]
 ) -> None:
-    """Start in one order, none waiting for another; stop in another one."""
+    """Start in one order without waiting; stop in another one."""
     work: dict[str, Callable[[], object]] = {
         "robot": lambda: loop.start("robot"),
         "perception": lambda: loop.start("perception"),

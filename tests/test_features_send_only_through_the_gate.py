@@ -1,4 +1,4 @@
-"""In the server, nothing but the core and the feature of the gate can send, start or stop."""
+"""In the server, only the core and the gate's feature can send, start or stop."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ SENDING = (
     *("roboneuron.ros.link", "roboneuron.feature.RosLink", "roboneuron.command.RosLink"),
     *("rn_standard.direct_path.writer", "rn_standard.direct_path.traffic"),
 )
-"""What could send a message past the gate."""
+"""Names with which a message could be sent around the gate."""
 
 
 def _reaches_ros(path: Path) -> Iterator[str]:
-    """What only the core and the direct path do in the server's process: publishing, making nodes
-    and clients.
+    """Operations that only the core and the direct path may do in the server's process: publishing,
+    creating nodes and clients.
     """
     for name, line in imports_of(path):
         if name.split(".")[0] == "rclpy" or name.startswith(SENDING):
@@ -44,16 +44,16 @@ def _reaches_ros(path: Path) -> Iterator[str]:
 
 
 def test_features_send_only_through_the_gate():
-    """No publisher, client or node beside `host.gate`; a command is a process of its own and may
-    join the graph.
+    """No publisher, client or node except through `host.gate`; a command is a separate process and
+    may join the graph.
     """
     breaches = []
     looked_at = set()
     for plugin in sorted(PLUGINS.glob("*/src/**/plugin.py")):
         text = plugin.read_text(encoding="utf-8")
         if "FeatureSpec" in text and plugin.parent != SENDING_PACKAGE:
-            # A robot's package has drivers too, which run in a module and are lent topics: there
-            # only what runs here.
+            # A robot's package also has drivers, which run in a module with lent topics; only code
+            # of the server counts.
             names = sorted(set(re.findall(r'target="[\w.]+\.(\w+):\w+Feature"', text)))
             paths = (
                 [plugin.parent / f"{n}.py" for n in names]
@@ -76,14 +76,16 @@ IN_MODULES = {
     STANDARD / "inference" / "polled.py",
     STANDARD / "teleoperation" / "in_control.py",
 }
-"""What a class of modules uses beside its own file, and nothing in the server does."""
+"""Names that a module class uses from other files, and that nothing in the server uses."""
 
 
 SUPERVISOR = {"supervisor", "_supervisor", "Supervisor"}
 
 
 def _uses_of_the_supervisor(path: Path) -> Iterator[str]:
-    """Where a file names the supervisor; `[supervisor]` is a section of the configuration too."""
+    """Lines of a file that name the supervisor; `[supervisor]` is also a section of the
+    configuration.
+    """
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         match node:
             case ast.Attribute(attr=name, value=owner) if name in SUPERVISOR:
@@ -127,7 +129,7 @@ def test_a_use_of_the_supervisor_is_seen(tmp_path, line, is_seen):
 
 
 def test_the_node_is_lent_to_the_feature_of_the_gate_alone():
-    """`Host.link` asks who wants it."""
+    """`Host.link` checks who requests it."""
     from roboneuron.errors import StateError
     from roboneuron.server.feature import Feature
     from roboneuron.server.host import Host

@@ -1,4 +1,4 @@
-"""What an agent may ask a motion planner for: goals of MoveIt against the limits of an FR3."""
+"""Goals that an agent may send to a motion planner: MoveIt goals against the limits of an FR3."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def limiter() -> PathLimiter:
 
 @pytest.fixture
 def ask(latch: Any, audit: Any, clock: Any, limiter: PathLimiter) -> Callable[..., None]:
-    """Have a gate judge a goal; raises RefusedError."""
+    """Let a gate check a goal; raises RefusedError."""
     facts = profile()
 
     def make(
@@ -241,7 +241,9 @@ def in_camera(constraints: dict[str, Any]) -> dict[str, Any]:
 
 
 def find_camera(target: str, source: str) -> Transform:
-    """The camera is 0.4 m in front of the base, 0.3 m above it, turned by half a turn about z."""
+    """The camera is 0.4 m in front of the base and 0.3 m above it, rotated by half a turn about
+    z.
+    """
     if (target, source) != (BASE, "camera"):
         raise NotReadyError(f"The frame {source!r} is unknown.")
     return Transform(rotation=np.diag([-1.0, -1.0, 1.0]), translation_m=np.array([0.4, 0.0, 0.3]))

@@ -1,4 +1,4 @@
-"""Imports in the core point one way, errors <- contract <- ... <- cli, and it names no plugin."""
+"""Imports in the core go in one direction, errors <- contract <- ... <- cli, and name no plugin."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ ALLOWED: dict[str, set[str]] = {
     "estop.server": BELOW_GATE | {"gate", "estop", "ros", "modules", "supervisor"},
     "server": BELOW_GATE | {"gate", "estop", "ros", "modules", "supervisor", "estop.server"},
 }
-"""Rooms of the core by the rooms they may import (and `log_files`, all of them); `cli` may import
-all.
+"""Packages of the core by the packages that they may import (and `log_files`, all of them); `cli`
+may import all.
 """
 ROOMS_OF_FILES = {
     "estop.emergency": "estop.server",
     "estop.motion_starts": "estop.server",
     "estop.command": "cli",
 }
-"""Files that belong to another room than the folder they lie in."""
+"""Files that count as part of another package than their folder's."""
 ROS_ROOMS = {"ros", "modules"}
-"""Where rclpy may be imported."""
+"""Packages that may import rclpy."""
 CONTRACT_LIBRARIES = {"numpy"}
 PLUGIN_LIBRARIES = {"pluggy", "pydantic"}
 
@@ -110,7 +110,7 @@ def test_light_rooms_use_few_libraries(room, libraries):
 
 
 def test_the_core_names_no_installed_plugin_in_code():
-    """A distribution's name in a message to people is help; in anything else it would be a
+    """A distribution's name is allowed in a message to people; elsewhere it would be a
     dependency.
     """
     packages = {
@@ -167,7 +167,7 @@ def test_light_modules_import_nothing_heavy(module):
 
 
 def test_no_client_waits_for_ros_before_it_is_answered(tmp_path: Path) -> None:
-    """A server is put together, with every plugin, before it joins ROS in the background."""
+    """A server is assembled, with every plugin, before it joins ROS in the background."""
     script = (
         "import sys\n"
         "from pathlib import Path\n"

@@ -1,4 +1,4 @@
-"""Plugins import what is public of the core, and of each other what is published."""
+"""Plugins only import public names of the core, and published ones of each other."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from rn_testing.distribution import LISTS, imported_modules
 from rn_testing.rules.package_imports import KIT, is_public, lists_for
 
 PROGRAMS = ("lerobot_robot_roboneuron", "lerobot_teleoperator_roboneuron")
-"""Packages that run in a program that a person starts, as commands do: they join the graph
-themselves, and what they send passes control's limits and stops.
+"""Packages that run in a program started by a person, like commands: they join the graph
+themselves, and their messages pass control's limits and stops.
 """
 COMMANDS_APART = {"doctor": "ops", "limits": "tools_arm"}
-"""Packages of rn_standard without a plugin module, by the plugin that their command belongs to."""
+"""Packages of rn_standard without a plugin module, by the plugin of their command."""
 NEEDS = {
     "console": {"selection"},
     "demo": {"console"},
@@ -40,7 +40,7 @@ NEEDS = {
     "tools_loop": {"inference"},
     "tools_ros": {"direct_path"},
 }
-"""Packages of rn_standard by those beside them that they may import."""
+"""Packages of rn_standard by the other ones that they may import."""
 PUBLISHED = {
     "console": "chosen_plugins client diagnostics plugin_options status",
     "control": "module planning",
@@ -62,8 +62,8 @@ PUBLISHED = {
 
 
 def _plugins() -> Iterator[tuple[str, tuple[Path, ...]]]:
-    """Each plugin or library by name, with its packages: all of a distribution, in rn-standard each
-    by itself.
+    """Each plugin or library by name, with its packages: all of a distribution; in rn-standard each
+    separately.
     """
     for sources in sorted(PLUGINS.glob("*/src")):
         if sources != STANDARD.parent:
@@ -86,7 +86,9 @@ def _offers(packages: Iterable[Path]) -> str:
 
 
 def _private_imports(packages: Iterable[Path]) -> Iterator[str]:
-    """What a plugin imports of the core beside `roboneuron` and the lists for what it offers."""
+    """Names that a plugin imports from the core outside `roboneuron` and the lists for its
+    offers.
+    """
     packages = tuple(packages)
     offers = _offers(packages)
     lists = lists_for(
@@ -105,13 +107,13 @@ def test_plugins_import_only_what_is_public_of_the_core():
 
 
 MOST_NAMES = {"roboneuron.feature": 69, "roboneuron.command": 67, "roboneuron.node": 34}
-"""For code in the server, for commands and for code in modules; these only go down, unless code of
-the core becomes a feature.
+"""Maximum numbers for code in the server, for commands and for modules; they only decrease, unless
+code of the core becomes a feature.
 """
 
 
 def _offered(of: str) -> set[str]:
-    """Single names, and each name of a module: a module counts as all that may be used of it."""
+    """Single names, and each name of a module, because a module counts as all its usable names."""
     groups = LISTS[of].GROUPS
     return (set(LISTS[of].__all__) - groups.keys()) | {
         f"{group}.{name}" for group, names in groups.items() for name in names
@@ -165,7 +167,7 @@ def test_an_import_of_what_is_private_is_seen(tmp_path, monkeypatch, offers, lin
 
 
 def _breaches_among_features(path: Path) -> Iterator[str]:
-    """What a file imports of another package of rn_standard than its own, and may not."""
+    """Forbidden imports of a file from another package of rn_standard."""
     inside = path.relative_to(PLUGINS).parts
     own = inside[3] if path.is_relative_to(STANDARD) else ""
     for name, line in imports_of(path):
@@ -200,7 +202,7 @@ def test_a_feature_that_reaches_into_another_is_seen(tmp_path, monkeypatch):
     bad = tmp_path / "rn-standard" / "src" / "rn_standard" / "tasks" / "bad.py"
     bad.parent.mkdir(parents=True)
     bad.write_text(
-        "from rn_standard.selection.requests import x\n"  # as it should be
+        "from rn_standard.selection.requests import x\n"  # allowed
         "from rn_standard.selection.permission import x\nfrom rn_standard.ops.restarts import x\n"
         "import rn_standard.http\n"
     )
@@ -241,7 +243,7 @@ def test_plugins_import_the_contract_kit_only_where_their_descriptors_name_a_cas
             for p in sources
             if any(name.split(".")[0] == "rn_testing" for name, _ in imports_of(p))
         }
-        hooks = plugin.with_name("hooks.py")  # a kind of its own names its rules there
+        hooks = plugin.with_name("hooks.py")  # another kind names its rules there
         named = "".join(p.read_text(encoding="utf-8") for p in (plugin, hooks) if p.exists())
         breaches += [
             f"{path.relative_to(PLUGINS)} imports rn_testing and is no `case`"

@@ -1,5 +1,5 @@
-"""Packages are on no index: hints and pages name what can be installed as written; the table of
-packages is true.
+"""Packages are on no index: hints and pages name installable things as written; the table of
+packages is correct.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from roboneuron.plugins.specs import BackendSpec, FeatureSpec
 ROOT = Path(__file__).parents[1]
 closure = runpy.run_path(str(ROOT / "tools" / "requirements.py"))["closure"]
 PROJECTS = sorted(ROOT.glob("plugins/rn-*/pyproject.toml"))
-"""Those that RoboNeuron finds; lerobot's plugin is found and installed beside lerobot."""
+"""Plugins that RoboNeuron discovers; lerobot's plugin is discovered and installed with lerobot."""
 COMMON = {
     "roboneuron",
     *closure(tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]),
 }
-"""What requirements.txt installs."""
+"""Packages of requirements.txt."""
 
 
 def needs(path: Path) -> set[str]:
-    """The project's own plugins that one depends on."""
+    """The project's own plugins that a package requires."""
     names = re.findall(
         r'"(rn-[a-z0-9-]+)',
         str(tomllib.loads(path.read_text())["project"]["dependencies"]).replace("'", '"'),
@@ -39,7 +39,7 @@ def needs(path: Path) -> set[str]:
 
 
 MOST_PATHS = 4
-"""Folders of packages in one hint, or on one page."""
+"""Maximum number of package folders in one hint or on one page."""
 
 
 def test_every_offer_of_the_project_is_in_the_table() -> None:

@@ -1,5 +1,5 @@
 """Installs from a checkout never ask an index for packages of the project, whose names anybody
-could claim there.
+could register there.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ bypass-selection = true
 
 @pytest.fixture
 def index() -> Iterator[tuple[str, list[str]]]:
-    """An index on loopback that has nothing, and the paths that it was asked for."""
+    """An empty index on loopback, and the paths requested from it."""
     asked: list[str] = []
 
     class Nothing(BaseHTTPRequestHandler):
@@ -37,7 +37,7 @@ def index() -> Iterator[tuple[str, list[str]]]:
             self.send_error(404)
 
         def log_message(self, format: str, *args: object) -> None:
-            """Say nothing."""
+            """Log nothing."""
 
     server = ThreadingHTTPServer(("127.0.0.1", 0), Nothing)
     thread = threading.Thread(target=server.serve_forever)
@@ -52,8 +52,8 @@ ROOT = Path(__file__).parents[1]
 
 
 def install(folder: Path, index: str, *names: str) -> str:
-    """What pip says to the folders or files of requirements `names`, when it may ask nobody but
-    `index`.
+    """Output of pip for the folders or requirements files `names`, with `index` as its only
+    index.
     """
     words = [
         sys.executable,
@@ -77,7 +77,7 @@ def install(folder: Path, index: str, *names: str) -> str:
 
 
 def words_of(names: Iterable[str]) -> list[str]:
-    """As arguments of pip: files of requirements with `-r`."""
+    """Arguments for pip: requirements files with `-r`."""
     return [
         word
         for name in names
@@ -87,9 +87,7 @@ def words_of(names: Iterable[str]) -> list[str]:
 
 @pytest.mark.release
 def test_a_package_that_is_named_by_its_folder_is_not_looked_for(tmp_path, index) -> None:
-    """What the install lines of README and docs rely on, and that the index would have been asked
-    otherwise.
-    """
+    """The install lines of README and docs rely on this; otherwise the index would be asked."""
     url, asked = index
     for name, needs in (
         ("rn-one-of-ours", '["rn-two-of-ours>=0.1,<0.2"]'),
@@ -104,7 +102,7 @@ def test_a_package_that_is_named_by_its_folder_is_not_looked_for(tmp_path, index
 
 
 def test_files_of_requirements_name_every_package_by_its_folder(tmp_path, index) -> None:
-    """The shape of requirements.txt: its constraints lie beside it, its folders below the working
+    """The form of requirements.txt: constraints next to it, folders relative to the working
     directory.
     """
     url, asked = index
@@ -124,7 +122,7 @@ def test_files_of_requirements_name_every_package_by_its_folder(tmp_path, index)
 
 @pytest.mark.release
 def test_a_package_beside_those_that_are_installed_is_not_looked_for(tmp_path, index) -> None:
-    """What `pip install -r requirements.txt` and then one more folder rely on."""
+    """`pip install -r requirements.txt` followed by another folder relies on this."""
     url, asked = index
     (tmp_path / "rn-one-of-ours").mkdir()
     needs = '["roboneuron-core>=0.1,<0.2", "rn-standard>=0.1,<0.2"]'

@@ -1,4 +1,4 @@
-"""Control holds some time after its last action; a joint motion that begins before that is not
+"""Control holds some time after its last action; a joint motion that starts before that is not
 ended by the hold.
 """
 

@@ -1,4 +1,4 @@
-"""tools/mutation_survivors.toml names a mutant by the statement that it changes."""
+"""tools/mutation_survivors.toml identifies a mutant by the statement that it changes."""
 
 from __future__ import annotations
 

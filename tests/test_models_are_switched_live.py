@@ -1,5 +1,5 @@
-"""Perception, control and robot do not notice which model works: servo, OpenVLA, OFT with FastV,
-pi0 in turns.
+"""Perception, control and robot are independent of the model: servo, OpenVLA, OFT with FastV, pi0
+in turn.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ INSTRUCTION = "pick up the red cube"
 
 @pytest.fixture(scope="module")
 def checkpoints(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """A tiny random checkpoint in the public layout for each family, made by the plugins' own
+    """A tiny random checkpoint in the public layout for each family, created by the plugins' own
     commands.
     """
     made = {}
@@ -42,7 +42,7 @@ def checkpoints(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 def graph(
     environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> Iterator[Any]:
-    """A node that looks at the same ROS graph as the server."""
+    """A node that observes the server's ROS graph."""
     for key in (
         "ROS_AUTOMATIC_DISCOVERY_RANGE",
         "FASTRTPS_DEFAULT_PROFILES_FILE",
@@ -62,7 +62,7 @@ def graph(
 
 
 def contract_topics(graph: Any) -> dict[str, tuple[str, tuple[str, ...]]]:
-    """Type and publishers' names of every topic of the contract; the two places of inference count
+    """Type and publishers' names of every topic of the contract; the two names of inference count
     as one.
     """
     return {
@@ -90,8 +90,8 @@ def publishes_actions(topics: dict[str, tuple[str, tuple[str, ...]]]) -> bool:
 async def seen_in(
     graph: Any, is_right: Callable[[dict[str, tuple[str, tuple[str, ...]]]], bool]
 ) -> Any:
-    """The contract's topics once they are right, or after 10 s: an onlooker hears of endpoints
-    later than modules.
+    """The contract's topics once they are as expected, or after 10 s, because an observer discovers
+    endpoints later than modules.
     """
     deadline_s = time.monotonic() + 10.0
     while not is_right(topics := contract_topics(graph)) and time.monotonic() < deadline_s:

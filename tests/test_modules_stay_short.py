@@ -1,4 +1,4 @@
-"""No module, of tests neither, is so long that a reader has to guess what it holds."""
+"""No module, including tests, is too long to be understood as a whole."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ PATTERNS = (
     "plugins/conftest.py",
 )
 MOST_LINES = 400
-"""A module of more lines has two subjects."""
+"""A longer module has two subjects."""
 
 
 def _too_long(root: Path) -> list[str]:
-    """Modules of more than MOST_LINES lines, each with their number."""
+    """Modules of more than MOST_LINES lines, with their number of lines."""
     counts = {
         path.relative_to(root): len(path.read_text(encoding="utf-8").splitlines())
         for pattern in PATTERNS

@@ -1,4 +1,4 @@
-"""Previews of a served FR3: nothing is published for them, and what they promise then happens."""
+"""Previews of a served FR3: nothing is published for them, and their predictions then come true."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ print("up", flush=True)
 rclpy.spin(node)
 """
 NEAR_M = 0.004
-"""Two millimetres each for where move_ee ends, in the twin and in the cell."""
+"""Two millimetres each for the end of move_ee in the twin and in the cell."""
 
 
 @pytest.fixture
 def heard(tmp_path: Path, environment: dict[str, str]) -> Iterator[Path]:
-    """A file with a line for each message that could move the arm."""
+    """A file with one line per message that could move the arm."""
     path = tmp_path / "heard.txt"
     with path.open("w") as out:
         process = subprocess.Popen([sys.executable, "-c", LISTENER], stdout=out, env=environment)
@@ -94,7 +94,7 @@ def test_previews_publish_nothing_and_come_true(
             await do("start_robot")
             await do("start_control")
             turn = {"positions": {"fr3_joint1": -0.3}}
-            await do("move_joints", **turn, preview=True)  # what the start has sent is heard now
+            await do("move_joints", **turn, preview=True)  # messages of the start have arrived now
             before, start = lines(), await joints()
             reach = {"dx_m": 0.06, "dy_m": -0.05, "dz_m": -0.1}
             promise = await do("move_ee", **reach, preview=True)
@@ -115,7 +115,7 @@ def test_previews_publish_nothing_and_come_true(
             assert "would enter 'person'" in refused.content[0].text  # type: ignore[union-attr]
 
             await do("emergency_stop", reason="a test")
-            await do("move_joints", **turn, preview=True)  # as is the hold of the stop
+            await do("move_joints", **turn, preview=True)  # as has the hold of the stop
             still, start = lines(), await joints()
             looked = await do("move_joints", **turn, preview=True)
             assert "mergency stop" in looked["now"]

@@ -1,6 +1,4 @@
-"""What the packages say of themselves on an index: versions of Python, bounds, and no address that
-leads nowhere.
-"""
+"""Metadata of the packages: Python versions, bounds, and valid addresses."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Each package of the workspace builds a wheel that holds what it needs and works from the wheel
-alone, beside core.
+"""Each package of the workspace builds a complete wheel that works without its sources, together
+with core.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def test_a_wheel_holds_the_files_that_are_no_python(wheel):
 
 
 def test_compiled_code_is_as_old_as_the_wheel_says(wheel):
-    """Judged by auditwheel, by the symbols; ROS libraries are those of the ROS wheels."""
+    """Checked by auditwheel from the symbols; ROS libraries are those of the ROS wheels."""
     pytest.importorskip("auditwheel", reason="it judges symbols")
     _, built = wheel
     if built.stem.endswith("-none-any"):

@@ -1,4 +1,4 @@
-"""Every installed plugin has contract tests of its own, and passes the check that users run."""
+"""Every installed plugin has its own contract tests, and passes the check that users run."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ def test_every_installed_plugin_can_be_used_or_says_what_to_install(plugin: Plug
 
 
 def folder_of_tests(plugin: PluginRecord) -> Path:
-    """Where a plugin's tests are: those of `rn_standard.tasks.plugin` in `tests/tasks`."""
+    """Folder of a plugin's tests: those of `rn_standard.tasks.plugin` are in `tests/tasks`."""
     return PLUGINS.joinpath(plugin.distribution, "tests", *plugin.module.split(".")[1:-1])
 
 
 def contract_classes(plugin: PluginRecord) -> list[str]:
-    """The kind of each contract class in a plugin's tests; one whose fixture has parameters counts
-    for all offers.
+    """Kind of each contract class in a plugin's tests; one with a parametrised fixture counts for
+    all offers.
     """
     found: list[str] = []
     own = folder_of_tests(plugin)
@@ -57,7 +57,7 @@ def contract_classes(plugin: PluginRecord) -> list[str]:
 
 @pytest.mark.parametrize("plugin", REGISTRY.plugins, ids=lambda plugin: plugin.name)
 def test_every_installed_plugin_is_tried_by_contract_tests_of_its_own(plugin: PluginRecord):
-    """There the rules run once, with what its author says a trial needs."""
+    """The rules run there once, with the author's inputs."""
     offered = Counter(
         offer.spec.kind
         for offer in plugin.offers
@@ -69,8 +69,7 @@ def test_every_installed_plugin_is_tried_by_contract_tests_of_its_own(plugin: Pl
     assert not {kind: count for kind, count in offered.items() if counted[kind] < count}
 
 
-# the rules once more, as `roboneuron plugins check` runs them: with the shipped or an automatic
-# case
+# the rules again, as `roboneuron plugins check` runs them: with the shipped or an automatic case
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("spec", "rule"),

@@ -1,5 +1,5 @@
-"""run, status and logs as a person uses them: with the simulated arm and the servo backend, and
-real processes.
+"""The commands run, status and logs as used by a person, with the simulated arm, the servo backend,
+and real processes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def roboneuron(environment: dict[str, str], *words: str) -> subprocess.Completed
 
 @contextmanager
 def going_on(environment: dict[str, str], *words: str) -> Iterator[subprocess.Popen[str]]:
-    """The command in the background; interrupted at the end, as by Ctrl-C."""
+    """Run the command in the background; interrupt it at the end, as with Ctrl-C."""
     with subprocess.Popen(
         [*ROBONEURON, *words],
         env=environment,
@@ -63,7 +63,7 @@ def wait_for_line(process: subprocess.Popen[str], words: str) -> None:
 
 
 def modules_of(server: int) -> list[int]:
-    """Process ids of the children of a server, and of the server."""
+    """Process ids of a server and its children."""
     listed = subprocess.run(
         ["ps", "-o", "pid=", "--ppid", str(server)], capture_output=True, text=True, check=False
     )
@@ -90,7 +90,7 @@ def test_an_instruction_is_run_and_everything_is_stopped(environment: dict[str, 
     [
         # the demo refuses it too, see test_commands_end_in_one_line.py
         pytest.param(("make me a coffee",), 2, "'make me a coffee'", marks=pytest.mark.slow),
-        # judged as in test_a_run_is_judged_by_what_is_known.py, which says so too
+        # as in test_a_run_is_judged_by_what_is_known.py
         pytest.param(
             ("pick up the red cube", "--timeout-s", "0.5"),
             1,
@@ -147,7 +147,7 @@ def test_status_and_logs_show_what_a_kept_server_runs(environment: dict[str, str
             assert follower.stdout is not None
             assert status["log_directory"] in follower.stdout.readline()
             process.send_signal(signal.SIGINT)
-            bound = threading.Timer(60, follower.kill)  # readline has none
+            bound = threading.Timer(60, follower.kill)  # readline has no timeout
             bound.start()
             assert any("Stopped robot: pid" in line for line in iter(follower.stdout.readline, ""))
             bound.cancel()

@@ -1,5 +1,5 @@
-"""Policies of ALOHA, pi0 and OpenVLA-OFT, move both arms of a robot through the real processes:
-what is on the topic is what the conversions give, and both arms keep to their limits.
+"""ALOHA policies, pi0 and OpenVLA-OFT, move both arms of a robot through the real processes: the
+rows on the topic equal the result of the conversions, and both arms stay within their limits.
 """
 
 from __future__ import annotations
@@ -86,34 +86,34 @@ threads = 1
 NAMES = json.dumps(robot.JOINTS)
 GRIPPERS = [6, 13]
 NEAR_RAD = 0.03
-"""Half the range of the joints of OFT, whose random rows would be refused as jumps otherwise."""
+"""Half the joint range of OFT, whose random rows would otherwise be refused as jumps."""
 
 
 @dataclass
 class Witness:
-    """What was seen on the topics.
+    """Observations of the topics.
 
     Attributes:
-        rows: of actions, with their labels.
-        states: joints (14) by the clock of their stamps [s].
+        rows: rows of actions, with their labels.
+        states: joints (14) by their stamps [s].
     """
 
     rows: list[tuple[str, list[float]]] = field(default_factory=list)
     states: list[tuple[float, list[float]]] = field(default_factory=list)
 
     def note_action(self, message: Any) -> None:
-        """An action was sent."""
+        """Record a sent action."""
         self.rows.append((message.layout.dim[0].label, list(message.data)))
 
     def note_state(self, message: Any) -> None:
-        """The arms were measured."""
+        """Record a measurement of the arms."""
         stamp = message.header.stamp
         self.states.append((stamp.sec + stamp.nanosec * 1e-9, list(message.position)))
 
 
 @contextmanager
 def listening() -> Iterator[Witness]:
-    """A node of its own that sees what moves the arms, and where they are."""
+    """A separate node that observes actions and joint states."""
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64MultiArray
@@ -128,10 +128,10 @@ def listening() -> Iterator[Witness]:
 
 
 def at_home() -> Observation:
-    """What inference sees before anything has moved."""
+    """Inference's observation before any motion."""
     names = (*robot.JOINTS, *robot.FINGERS)
     position = np.array([*robot.HOME_RAD * 2, *(robot.OPEN_M / 2.0,) * 2])
-    # policies of joints look at no pose
+    # joint policies do not use the pose
     pose = Pose(position_m=np.zeros(3), quaternion_xyzw=np.array([0.0, 0.0, 0.0, 1.0]))
     return Observation(
         frames={
@@ -146,7 +146,7 @@ def at_home() -> Observation:
 
 
 def first_chunk(backend: Backend) -> ActionChunk:
-    """What the backend answers in this process."""
+    """The backend's answer in this process."""
     backend.load()
     try:
         return backend.predict(at_home())
@@ -155,7 +155,7 @@ def first_chunk(backend: Backend) -> ActionChunk:
 
 
 def pi0(folder: Path) -> tuple[str, ActionChunk]:
-    """Configuration of a tiny pi0 of ALOHA, and its first chunk by the formulas that
+    """Configuration of a tiny ALOHA pi0, and its first chunk by the formulas that
     test_pi0_joint_spaces_are_those_of_openpi compares with openpi's numbers.
     """
     make_tiny(folder / "pi0", layout="openpi", profile="aloha")
@@ -176,9 +176,7 @@ def pi0(folder: Path) -> tuple[str, ActionChunk]:
 
 
 def oft(folder: Path) -> tuple[str, ActionChunk]:
-    """Configuration of a tiny OFT of ALOHA that goes about the posture at home, and its first
-    chunk.
-    """
+    """Configuration of a tiny ALOHA OFT that stays near home, and its first chunk."""
     make_tiny_oft(folder / "oft", platform="aloha")
     home = np.array([*robot.HOME_RAD, 0.5] * 2)
     spread = np.array([*(NEAR_RAD,) * 6, 0.5] * 2)
@@ -224,7 +222,7 @@ def test_both_arms_follow_a_policy_of_aloha(tmp_path: Path, make: Any) -> None:
             supervisor.close()
     assert {label for label, _ in seen.rows} == {chunk.space.label}
     rows = np.array([row for _, row in seen.rows[: len(chunk.actions)]])
-    # this node may discover inference a row late
+    # this node may discover inference one row late
     first = int(np.abs(chunk.actions - rows[0]).max(axis=1).argmin())
     assert first < len(rows) // 2
     # the same numbers in another process: float32 networks on one thread, float64 conversions
@@ -235,13 +233,13 @@ def test_both_arms_follow_a_policy_of_aloha(tmp_path: Path, make: Any) -> None:
 
 
 def check_motion(seen: Witness) -> None:
-    """Every joint of both arms moved, and none left its limits."""
+    """Check that every joint of both arms moved within its limits."""
     times = np.array([at_s for at_s, _ in seen.states])
     joints = np.array([position for _, position in seen.states])[:, : len(robot.JOINTS)]
     moved = np.ptp(joints, axis=0)
     assert moved.min() > 1e-3
     assert np.abs(joints).max() <= robot.REACH_RAD
-    # over 50 ms: stamps of the driver's readings are not its clock to the microsecond
+    # over 50 ms, because stamps of the driver's readings are not exact to the microsecond
     later = np.searchsorted(times, times + 0.05)
     pairs = [(i, j) for i, j in enumerate(later) if j < len(times)]
     speeds = [np.abs(joints[j] - joints[i]).max() / (times[j] - times[i]) for i, j in pairs]

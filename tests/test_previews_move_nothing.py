@@ -1,4 +1,4 @@
-"""A preview sends nothing, whoever asks for it and whatever forbids motion; and it says what the
+"""A preview sends nothing, whoever requests it and whatever forbids motion; and it reports what the
 real limits would do.
 """
 
@@ -67,7 +67,7 @@ def application() -> Iterator[Application]:
 
 @pytest.fixture
 def sent(application: Application, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What was asked of the gate that could move the arm."""
+    """Requests to the gate that could move the arm."""
     asked: list[str] = []
 
     def note(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""What the README tells a new user to do works: client configuration blocks, commands, links."""
+"""The README's instructions for a new user work: client configuration blocks, commands, links."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def make_targets(root: Path) -> set[str]:
 
 
 def test_pages_name_targets_that_there_are(root: Path) -> None:
-    """Those of the Makefile, sessions of noxfile.py, and environments."""
+    """Targets of the Makefile, sessions of noxfile.py, and environments."""
     pages = [root / "README.md", root / "CONTRIBUTING.md", *sorted((root / "docs").rglob("*.md"))]
     text = " ".join(page.read_text(encoding="utf-8") for page in pages)
     named = set(re.findall(r"`make ([a-z0-9-]+)", text))

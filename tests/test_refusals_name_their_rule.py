@@ -1,4 +1,4 @@
-"""Every refusal that a caller of a tool can meet names its rule."""
+"""Every refusal of a tool call names its rule."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ NAMED_BY_THE_GATE = {
     f"rn_standard/direct_path/{name}.py"
     for name in ("gate", "joints", "limits", "plan_scenes", "places", "plans", "regions", "twists")
 }
-"""Rules of the gate raise without a name: the gate names the one that it has applied."""
+"""Rules of the gate raise without a name, because the gate adds the name of the applied rule."""
 NO_TOOLS = "lerobot-robot-roboneuron"
-"""In a process of its own, without tools."""
+"""Runs in a separate process, without tools."""
 
 
 def unnamed() -> list[str]:

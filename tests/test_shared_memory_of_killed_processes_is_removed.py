@@ -1,4 +1,4 @@
-"""With rn-fastdds, neither a killed module nor a killed server leaves shared memory behind."""
+"""With rn-fastdds, neither a killed module nor a killed server leaves shared memory."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_a_server_that_was_killed(tmp_path: Path) -> None:
     repair.start(cast(Any, SimpleNamespace(modules=following)))
     following.close()
     repair.close()
-    # others may have taken a port over meanwhile
+    # others may have taken over a port meanwhile
     own = frozenset(name for name in segments if "port" not in name)
     assert left(own) == []
     assert list(tmp_path.glob("log/*/shared_memory")) == []

@@ -1,4 +1,4 @@
-"""The judge of benchmarks/bench_takeovers.py sees what a hand-over must not do."""
+"""The judge of benchmarks/bench_takeovers.py detects faults of a handover."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FAST, STILL = 0.5, 0.0
 
 
 class Seen(Onlooker):
-    """An onlooker that is told what it sees: one joint, by its velocity every 10 ms."""
+    """An observer with given observations: one joint, by its velocity every 10 ms."""
 
     def __init__(self, velocities: list[float]) -> None:
         one = np.ones(1)
@@ -69,7 +69,7 @@ def test_the_policy_goes_on_by_an_action_from_after_the_release() -> None:
     seen = Seen([FAST])
     seen.actions = [5 * PERIOD_NS]
     seen.tell("person", 10, 12)
-    seen.tell("policy", 14, 16)  # the release, and what was sent before it
+    seen.tell("policy", 14, 16)  # the release, and the messages sent before it
     assert seen.went_on_s(13 * PERIOD_NS) is None
     seen.actions.append(18 * PERIOD_NS)
     seen.tell("policy", 19)

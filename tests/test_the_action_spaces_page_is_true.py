@@ -1,4 +1,6 @@
-"""docs/action-spaces.md: its example works, and what it says is refused is, in those words."""
+"""docs/action-spaces.md: its example works, and the described refusals occur with the given
+texts.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,7 @@ ROBOT = profile()
 
 
 def example() -> dict[str, Any]:
-    """What the page's code defines."""
+    """Names defined by the page's code."""
     (code,) = re.findall(r"```python\n(.*?)```", PAGE, flags=re.DOTALL)
     names: dict[str, Any] = {}
     exec(compile(code, "action-spaces.md", "exec"), names)
@@ -130,7 +132,7 @@ def test_the_base_of_the_rover_is_channels_like_its_arm() -> None:
         **dict.fromkeys(("base_yaw", "shoulder"), "rad/s"),
         "gripper_open": "opening",
     }
-    policy = replace(space, channels=space.channels[::-1])  # whatever order it has
+    policy = replace(space, channels=space.channels[::-1])  # in any order
     agreement = agree(
         policy, rover(), CONTROLLER.spaces, backend="drive", controller="urdf", longest_s=0.3
     )

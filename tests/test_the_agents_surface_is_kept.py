@@ -1,10 +1,9 @@
-"""Features became plugins, the agent's surface did not change: the same tools with the same
-arguments.
+"""Features became plugins without a change for agents: the same tools with the same arguments.
 
 `data/tools-list-before.json` is the default server's `tools/list` before core was split,
-`...-after.json` after it. They differ in output schemas (smaller, docs/tools.md says what the
-fields mean), texts, and choices of what is installed. `data/tools-list-additions.json` is what was
-added on purpose since: arguments by tool, all optional where the tool is of the record.
+`...-after.json` after it. They differ in output schemas (smaller; docs/tools.md explains the
+fields), texts, and choices of installed things. `data/tools-list-additions.json` contains
+deliberate additions since: arguments by tool, all optional for recorded tools.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ def by_name(tools: list[dict[str, Any]]) -> Listing:
 
 
 def arguments(tool: dict[str, Any]) -> dict[str, Any]:
-    """What a caller relies on: names, types, and which are required."""
+    """The part of a tool that callers rely on: names, types, and required arguments."""
     schema = tool["inputSchema"]
     types = {name: entry.get("type", "any") for name, entry in schema.get("properties", {}).items()}
     return {

@@ -1,4 +1,4 @@
-"""docs/command-line.md lists the commands and options that there are."""
+"""docs/command-line.md lists the existing commands and options."""
 
 from __future__ import annotations
 

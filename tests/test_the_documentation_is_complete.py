@@ -1,5 +1,5 @@
-"""The documentation: what the site shows covers the code, and the check of the built site finds
-what it is for.
+"""The documentation: the site covers the code, and the check of the built site detects external
+resources.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def test_every_page_is_in_the_navigation() -> None:
 
 
 def files_named(text: str, page: str) -> list[str]:
-    """Paths in backticks, from the root of the repository; braces as in a shell."""
+    """Paths in backticks, relative to the repository's root; braces as in a shell."""
     names = re.findall(r"`([^`\s<>]+/(?:[^`\s<>]*\.(?:py|toml|md|json|yml))?)`", text)
     for name in names[:]:
         head, brace, tail = name.partition("{")
@@ -78,7 +78,7 @@ AT = {
     }
     | {name: f"{CORE}{name}/" for name in ("ros", "server", "supervisor")},
 }
-"""By page: what the first part of a path stands for."""
+"""Meaning of the first part of a path, by page."""
 
 
 @pytest.mark.parametrize("page", AT)

@@ -1,4 +1,4 @@
-"""`make demo-fleet` succeeds only when each simulator says so; its film is written whole."""
+"""`make demo-fleet` succeeds only if each simulator agrees; its film is complete."""
 
 from __future__ import annotations
 

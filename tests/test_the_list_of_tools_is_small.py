@@ -1,5 +1,5 @@
-"""Every agent reads the whole list of tools: it fits a bound, and answers fit the schemas that it
-shows.
+"""Every agent reads the whole list of tools: it stays within a bound, and answers match its
+schemas.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from roboneuron.plugins.discovery import discover
 from roboneuron.server.app import Application
 
 MOST_BYTES = 36_000
-"""Of the default configuration with the packages that `[standard]` (recorder and view with it) and
-a robot bring.
+"""Bound for the default configuration with the packages of `[standard]` (including recorder and
+view) and a robot.
 """
 OPTIONAL = (
     "rn-eval-libero",
@@ -23,7 +23,7 @@ OPTIONAL = (
     "rn-interfaces",
     "rn-robot-lerobot",
 )
-"""Packages with tools, backends or robots of their own, installed beside the standard ones."""
+"""Packages with their own tools, backends or robots, installed in addition to the standard ones."""
 
 
 def test_the_list_of_tools_is_at_most_36_kb() -> None:

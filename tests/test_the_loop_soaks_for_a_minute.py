@@ -1,4 +1,4 @@
-"""`make soak` for one minute: switches and faults at random, and nothing grows."""
+"""`make soak` for one minute: random switches and faults, without growth."""
 
 from __future__ import annotations
 

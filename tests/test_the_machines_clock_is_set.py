@@ -1,4 +1,4 @@
-"""The clock of the whole machine is set, either way, while a cell moves: it goes on by itself."""
+"""The machine's clock is changed in either direction while a cell moves: it continues by itself."""
 
 from __future__ import annotations
 

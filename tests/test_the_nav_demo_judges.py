@@ -1,4 +1,4 @@
-"""`make demo-nav` succeeds only when the simulators say so and the zone was refused."""
+"""`make demo-nav` succeeds only if the simulators agree and the zone was refused."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The table of public policies in docs/vla.md: with the lines of each row a configuration is valid,
-its space is the one that the row tells, and a checkpoint of that kind loads.
+"""The table of public policies in docs/vla.md: each row's lines give a valid configuration, its
+space is that of the row, and a checkpoint of that kind loads.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from roboneuron.plugins.specs import BackendSpec
 
 PAGE = (Path(__file__).parents[1] / "docs" / "vla.md").read_text(encoding="utf-8")
 ROBOTS = {0: "fr3", 6: "one-arm", 7: "fr3", 12: "two-arms"}
-"""By the number of joints that a row names."""
+"""Robot by the number of joints in a row."""
 CONFIG = """
 [robot]
 name = "{robot}"
@@ -61,9 +61,9 @@ class Row:
     """One policy of the table.
 
     Attributes:
-        policy, backend, space: as the table names them.
-        options: lines of TOML, with the number of joints in place of their names.
-        joints: that number; 0 for none.
+        policy, backend, space: as in the table.
+        options: lines of TOML, with the number of joints instead of their names.
+        joints: this number; 0 for none.
     """
 
     policy: str
@@ -77,7 +77,7 @@ class Row:
         return int(found[1]) if found else 0
 
     def option(self, name: str) -> object:
-        """What the row says of an option, or None."""
+        """Value of an option in the row, or None."""
         return tomllib.loads("\n".join(self.options)).get(name)
 
 
@@ -96,7 +96,7 @@ ROWS = table()
 
 @pytest.fixture(scope="module")
 def registry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Registry]:
-    """What is installed, with robots of six joints an arm."""
+    """The installed plugins, plus robots with six joints per arm."""
     folder = tmp_path_factory.mktemp("installed")
     plugin = two_arms_plugin.PLUGIN
     with installed(folder, "rn-two-arms", (plugin,), source=Path(__file__).parent):
@@ -104,7 +104,7 @@ def registry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Registry]:
 
 
 def write_checkpoint(row: Row, folder: Path) -> None:
-    """A tiny checkpoint of the kind that the row is for."""
+    """Write a tiny checkpoint of the row's kind."""
     profile = str(row.option("profile"))
     if row.backend == "openvla":
         make_tiny_openvla(folder)
@@ -176,7 +176,7 @@ def test_the_lines_of_a_row_are_all_that_its_policy_needs(
     if row.backend == "openpi":
         return
     if row.option("constants") == "own":
-        assert agreement.executed.size == 7  # its head is not that of a tiny checkpoint
+        assert agreement.executed.size == 7  # its head differs from that of a tiny checkpoint
         return
     runtime = None
     if spec.default_runtime:

@@ -1,10 +1,10 @@
-"""Actions of the default space: for one seed the bytes on the topic are those of the version before
-control spaces, and the joint commands that control makes of them change with the limiter alone
+"""Actions of the default space: for one seed the bytes on the topic equal those of the version
+before control spaces, and control's joint commands only change with the limiter
 (data/seven-vector.npz).
 
     python tests/test_the_seven_vector_is_as_it_was.py OUT.npz
 
-writes the numbers. The bytes are those of bf5b77ad; the commands were written anew when the limiter
+writes the numbers. The bytes are those of bf5b77ad; the commands were regenerated when the limiter
 began to brake in time for a goal that jumps.
 """
 
@@ -26,9 +26,9 @@ from roboneuron.ros.messages import to_action_message, to_joint_trajectory
 DATA = Path(__file__).parent / "data" / "seven-vector.npz"
 ROWS, STEP_S, LASTS_S = 60, 0.05, 0.08
 SIZES = np.array([0.04, 0.04, 0.04, 0.15, 0.15, 0.15])
-"""Standard deviations of a row [m, rad]: now and then a limit acts."""
+"""Standard deviations of a row [m, rad]; a limit acts occasionally."""
 PADDING = slice(26, 28)
-"""Behind the label; the serializer leaves there what was there before."""
+"""Bytes after the label, which the serializer leaves unchanged."""
 
 
 def rows() -> np.ndarray:
@@ -39,8 +39,8 @@ def rows() -> np.ndarray:
 
 
 def produce(chunk: ActionChunk) -> tuple[np.ndarray, np.ndarray]:
-    """Bytes of the action messages (n, k), and of each command the positions and the seconds; NaN
-    where the arm holds.
+    """Bytes of the action messages (n, k), and positions and durations of each command; NaN where
+    the arm holds.
     """
     robot = profile()
     controller = UrdfController(None, robot)
@@ -76,7 +76,7 @@ def test_bytes_and_commands_of_a_seed_are_those_that_were_written_down() -> None
         messages, commands = expected["messages"], expected["commands"]
     found, made = produce(ActionChunk(actions=rows(), step_s=STEP_S))
     np.testing.assert_array_equal(found, messages)
-    # other processors round the sums of the kinematics otherwise; they add up over the rows
+    # other processors round the sums of the kinematics differently, which accumulates over the rows
     np.testing.assert_allclose(made, commands, rtol=0, atol=1e-9)
     assert 10 < np.isnan(commands[:, 0]).sum() < ROWS - 10
 

@@ -1,7 +1,7 @@
-"""The simulated robots ask for exactly one physics engine on each Python version: one that has a
-wheel there.
+"""The simulated robots require exactly one physics engine on each Python version: one with a wheel
+for it.
 
-That it runs there is checked by `make test-pythons`, which sets up an environment for each version.
+`make test-pythons` checks that it runs, with an environment for each version.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A motion that a planner carries out ends where the arm may not be."""
+"""A motion executed by a planner is ended where the arm must not be."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def limiter() -> PathLimiter:
 
 
 class Way:
-    """Measured joints, and a watch over them."""
+    """Measured joints, with a supervision of them."""
 
     def __init__(self, limiter: PathLimiter, zones: tuple[Obstacle, ...] = ()) -> None:
         self.now_s, self.joints = 0.0, HOME
@@ -47,7 +47,7 @@ class Way:
 
 
 def turned(rad: float) -> JointSample:
-    """Home, turned about the base."""
+    """Home, rotated about the base."""
     return JointSample(names=ARM_JOINTS, position=np.array([rad, *HOME_RAD[1:]]))
 
 

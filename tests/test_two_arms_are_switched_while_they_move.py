@@ -1,5 +1,5 @@
 """Warm switches on a robot with two arms: another policy, in another control space, and another
-control take over while both arms move, and neither arm is held.
+control take over while both arms move, without a hold.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ async def _control(agent: DemoAgent) -> dict[str, Any]:
 
 
 async def _check_moving(agent: DemoAgent) -> None:
-    """Each arm moves, by actions that control follows."""
+    """Check that each arm moves, by actions that control follows."""
     until_s = time.monotonic() + PATIENCE_S
     while min((await moved_rad(agent, 0.3)).values()) < 5 * STILL_RAD:
         assert time.monotonic() < until_s, "the arms do not move"

@@ -1,5 +1,5 @@
-"""`make demo-pair`: over ROS and MCP the left FR3 hands a cube to the right one, and the simulator
-says so to run_task.
+"""`make demo-pair`: the left FR3 hands a cube to the right one over ROS and MCP, and the simulator
+confirms it to run_task.
 
 Slow: 43 s on two cores. In the default lane servo, control and the judge hand a cube over in one
 process (plugins/rn-backend-servo/tests/test_servo_hands_a_cube_over.py).

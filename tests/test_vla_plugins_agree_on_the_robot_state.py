@@ -1,4 +1,4 @@
-"""OFT and pi0 write the same rotation for the same pose, and it is that of the public evaluation
+"""OFT and pi0 represent the same pose by the same rotation, which is that of the public evaluation
 code.
 """
 
@@ -15,7 +15,7 @@ from roboneuron.contract import Observation, Pose
 from roboneuron.contract.rotation import matrix_from_quaternion
 
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
-"""x y z w of a gripper that points down."""
+"""x y z w of a gripper pointing down."""
 BRIDGE_REFERENCE = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """DEFAULT_ROTATION of bridge_data_robot's widowx_controller: the WidowX link when its gripper
 points down.

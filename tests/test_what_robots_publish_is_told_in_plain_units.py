@@ -1,5 +1,5 @@
-"""Transforms, detections and batteries: an agent asks for them by typed tools, and places are moved
-between frames.
+"""Transforms, detections and batteries: an agent reads them with typed tools, and positions are
+transformed between frames.
 """
 
 from __future__ import annotations
@@ -66,7 +66,9 @@ zones = [{{ name = "stairs", lower_m = [3.0, 0.5, -1.0], upper_m = [4.0, 1.5, 1.
 
 @pytest.fixture(scope="module")
 def user(learnt_types: None) -> dict[str, str]:
-    """The environment of a user who has learnt the types of the examples; this process has too."""
+    """The environment of a user who has learnt the types of the examples; this process has learnt
+    them too.
+    """
     environment = {**os.environ, "ROS_DOMAIN_ID": str(free_ros_domain())}
     environment.pop(PREFIXES)
     return environment

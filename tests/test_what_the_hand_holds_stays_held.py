@@ -1,8 +1,8 @@
-"""A picked-up cube by the simulator's truth: kept by every way of moving the arm, put down by one
-call.
+"""A picked-up cube, by the simulator's ground truth: held by every way of moving the arm, and put
+down with one call.
 
-Then: limits that the agent tightens hold for direct motion and for the policy, and only a person
-loosens them.
+Then: limits tightened by the agent apply to direct motion and to the policy, and only a person can
+loosen them.
 """
 
 from __future__ import annotations
@@ -38,12 +38,11 @@ state_directory = "{state}"
 LEFT_M = 0.15
 STILL_M, SETTLE_S = 0.0005, 30.0
 NEAR_M = 0.02
-"""A cube that is let go 2 mm above the table, by fingers that open one after the other, may slide.
-"""
+"""A cube released 2 mm above the table, by fingers that open one after the other, may slide."""
 
 
 class CubeAgent(Agent):
-    """Sees the cubes."""
+    """Reads the cubes' ground truth."""
 
     async def status(self, module: str) -> dict[str, Any]:
         modules = (await self.do("get_status"))["modules"]
@@ -56,8 +55,8 @@ class CubeAgent(Agent):
         return found
 
     async def held_cube(self, colour: str) -> dict[str, Any]:
-        """The cube once the hand that holds it is at rest: a report may be older than the last
-        call, and an arm that has just been stopped still brakes.
+        """The cube once the hand that holds it is at rest, because a report may be older than the
+        last call, and an arm that was just stopped still brakes.
         """
         found = await self.cube(colour)
         with anyio.fail_after(SETTLE_S):

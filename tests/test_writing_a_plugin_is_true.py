@@ -1,5 +1,5 @@
-"""docs/writing-a-plugin.md: what it tells to type works, and the pages generated from docstrings
-are current.
+"""docs/writing-a-plugin.md: its commands work, and the pages generated from docstrings are
+current.
 """
 
 from __future__ import annotations

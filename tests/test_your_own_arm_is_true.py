@@ -28,7 +28,7 @@ STRICT = ("-W", "error")
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """The package that the page makes, with metadata as pip would install them."""
+    """The package of the page, with metadata as pip would install them."""
     project = tmp_path / "rn-robot-myarm"
     assert main(["new", "robot", "myarm", "--directory", str(project)]) == 0
     for name, text in FILES.items():
@@ -88,6 +88,6 @@ def test_the_arm_of_the_page_moves(project: Path, environment: dict[str, str], d
         arm.wait(10)
     assert done.returncode == 0, done.stdout + done.stderr
     [moved] = re.findall(r'"joint_1": ([\d.]+)', done.stdout)
-    assert abs(float(moved) - 0.3) < 0.01  # where move_joints returns
+    assert abs(float(moved) - 0.3) < 0.01  # return value of move_joints
     [error_m] = re.findall(r'"error_m": ([^,]+),', done.stdout)
-    assert float(error_m) < 0.002  # where move_ee returns; may well be 0.0 or 2e-05
+    assert float(error_m) < 0.002  # return value of move_ee; may well be 0.0 or 2e-05

@@ -1,5 +1,5 @@
-"""A robot with two arms of six joints and a gripper each, as ALOHA has, with three cameras, and one
-with one such arm; they move in memory.
+"""A robot with two arms of six joints and a gripper each, like ALOHA, with three cameras, and one
+with a single such arm; they move in memory.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 PLUGIN = "two_arms_plugin"
 ARM = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate")
 SIDES = {"left": 0.5, "right": -0.5}
-"""The arms, and where each stands along y [m]."""
+"""The arms, and their positions along y [m]."""
 JOINTS = tuple(f"{side}_{joint}" for side in SIDES for joint in ARM)
 FINGERS = tuple(f"{side}_finger" for side in SIDES)
 ONE_ARM = {"": 0.0}
@@ -82,12 +82,12 @@ def urdf(sides: Mapping[str, float]) -> str:
 
 
 def profile() -> RobotProfile:
-    """Facts of both arms."""
+    """Profile of both arms."""
     return _profile("two-arms", SIDES)
 
 
 def one_arm() -> RobotProfile:
-    """Facts of the robot with one of them."""
+    """Profile of the robot with one arm."""
     return replace(_profile("one-arm", ONE_ARM), arms=())
 
 
@@ -140,7 +140,7 @@ def _profile(name: str, sides: Mapping[str, float]) -> RobotProfile:
 
 
 class InMemory:
-    """Follows the protocol `RobotDriver`: straight lines in the time of each command."""
+    """Follows the protocol `RobotDriver`: moves linearly within the duration of each command."""
 
     def __init__(self, config: None, profile: RobotProfile, topics: Topics) -> None:
         import numpy as np
@@ -154,10 +154,10 @@ class InMemory:
         self._begin_s, self._lasts_s = 0.0, 1.0
 
     def open(self) -> None:
-        """It stands at home."""
+        """Start at home."""
 
     def read(self) -> RobotState:
-        """Where the joints are now."""
+        """Current joint positions."""
         from roboneuron.contract import JointSample, RobotState
 
         with self._lock:
@@ -168,7 +168,7 @@ class InMemory:
         return RobotState(joints=joints, gripper_open=float(position[finger]) / OPEN_M)
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Go there in the time of the command."""
+        """Move there within the duration of the command."""
         with self._lock:
             self._begin_s = time.monotonic()
             self._start = self._position(self._begin_s)
@@ -179,12 +179,12 @@ class InMemory:
         return command
 
     def hold(self) -> None:
-        """Stay here."""
+        """Hold the current positions."""
         with self._lock:
             self._start = self._end = self._position(time.monotonic())
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing."""
 
     def _position(self, now_s: float):  # type: ignore[no-untyped-def]
         share = min(1.0, max(0.0, (now_s - self._begin_s) / self._lasts_s))
@@ -192,14 +192,14 @@ class InMemory:
 
 
 class GreyCameras:
-    """Follows the protocol `PerceptionSource`: the same grey image of each camera in turn."""
+    """Follows the protocol `PerceptionSource`: the same grey image of each camera in rotation."""
 
     def __init__(self, config: None, topics: Topics, cameras: tuple[CameraProfile, ...]) -> None:
         self._topics, self._cameras = topics, cameras
         self._count = 0
 
     def open(self) -> None:
-        """The first image is due now."""
+        """Make the first image due now."""
         self._start_s = time.monotonic()
 
     def read(self, timeout_s: float) -> Frame:
@@ -218,7 +218,7 @@ class GreyCameras:
         )
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing."""
 
 
 def grey(height: int, width: int):  # type: ignore[no-untyped-def]

@@ -59,7 +59,7 @@ class _Page(HTMLParser):
 
 
 def external_resources(site: Path) -> list[str]:
-    """One line for each resource that a page or style sheet would load from another host, with its
+    """One line per resource that a page or style sheet would load from another host, with its
     file.
     """
     found = []
@@ -76,7 +76,7 @@ def external_resources(site: Path) -> list[str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Check the site in the folder that is given."""
+    """Check the site in the given folder."""
     site = Path(arguments[0])
     pages = len(list(site.rglob("*.html")))
     if not pages:

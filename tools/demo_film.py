@@ -1,9 +1,9 @@
-"""Reduce the film that `make demo` leaves in out/demo/ to what the README and the documentation
-show.
+"""Reduce the film of `make demo` in out/demo/ to the size shown in the README and the
+documentation.
 
     python tools/demo_film.py out/demo/film.gif docs/assets/demo.webp
 
-Stores it as WebP, 448 px wide, and refuses to write a file above 1.5 MB.
+It is stored as WebP, 448 px wide; a file above 1.5 MB is refused.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ WIDTH_PX = 448
 
 
 def reduce_film(source: Path, target: Path) -> int:
-    """Write `target` from `source`; returns its size in bytes.
+    """Write `target` from `source`; return its size in bytes.
 
     Raises:
         SystemExit: the result is above MAX_BYTES.

@@ -1,4 +1,4 @@
-"""Plots of tables of docs/benchmarks.md."""
+"""Plots of tables in docs/benchmarks.md."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ DOCS = Path(__file__).parents[1] / "docs"
 
 
 def rows_of(heading: str) -> list[list[str]]:
-    """The cells of the first table below a heading of docs/benchmarks.md that begins so."""
+    """Cells of the first table below the heading of docs/benchmarks.md that starts with
+    `heading`.
+    """
     text = (DOCS / "benchmarks.md").read_text(encoding="utf-8")
     _, found, section = text.partition(f"\n### {heading}")
     if not found:
@@ -42,7 +44,7 @@ def plot_chunks() -> str:
 
 
 def plot_fastv() -> str:
-    """Time of a prediction with each preset."""
+    """Duration of a prediction with each preset."""
     table = rows_of("Backends and presets")
     s = Sheet(
         940, 40 + 26 * len(table), "Time of a prediction by backend and preset, on one CPU thread"
@@ -58,7 +60,7 @@ def plot_fastv() -> str:
 
 
 def plot_starts() -> str:
-    """Starts and stops of modules."""
+    """Start and stop times of modules."""
     table = rows_of("Starting and stopping")
     s = Sheet(940, 46 + 30 * len(table), "Time from call to proof of readiness, median")
     for number, row in enumerate(table):

@@ -1,4 +1,4 @@
-"""A drawing in SVG: boxes, lines and text in the colours of the documentation."""
+"""An SVG drawing: boxes, lines and text in the colours of the documentation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ BLUE, GREEN, AMBER, RED, WHITE = "#dbeafe", "#dcfce7", "#fef3c7", "#fee2e2", "#f
 
 
 class Sheet:
-    """A drawing [px], put together from boxes, lines and text."""
+    """A drawing [px], composed of boxes, lines and text."""
 
     def __init__(self, width: int, height: int, title: str) -> None:
         self._head = (
@@ -24,7 +24,7 @@ class Sheet:
         self._parts: list[str] = []
 
     def box(self, x: int, y: int, w: int, h: int, *lines: str, fill: str = WHITE) -> None:
-        """A rectangle; its first line is a title."""
+        """Draw a rectangle; its first line is a title."""
         self._parts.append(
             f'<rect x="{x}" y="{y}" width="{w}" height="{h}" rx="8" fill="{fill}" stroke="{INK}"/>'
         )
@@ -42,7 +42,7 @@ class Sheet:
         small: bool = False,
         anchor: str = "middle",
     ) -> None:
-        """One line."""
+        """Draw one line of text."""
         style = (
             ' font-weight="600"' if bold else f' font-size="12.5" fill="{FAINT}"' if small else ""
         )
@@ -51,7 +51,7 @@ class Sheet:
         )
 
     def line(self, *points: tuple[float, float], head: bool = True, dashed: bool = False) -> None:
-        """A line through points, with an arrow's head at its end."""
+        """Draw a line through points, with an arrow head at its end."""
         path = " ".join(f"{x:g},{y:g}" for x, y in points)
         self._parts.append(
             f'<polyline points="{path}" fill="none" stroke="{INK}"'
@@ -60,12 +60,12 @@ class Sheet:
         )
 
     def bar(self, x: float, y: float, w: float, h: float, fill: str) -> None:
-        """A plain rectangle."""
+        """Draw a plain rectangle."""
         self._parts.append(
             f'<rect x="{x:g}" y="{y:g}" width="{w:g}" height="{h:g}" fill="{fill}" stroke="{INK}" '
             'stroke-width="0.7"/>'
         )
 
     def svg(self) -> str:
-        """The whole file."""
+        """Return the whole file."""
         return "\n".join([self._head, *self._parts, "</svg>", ""])

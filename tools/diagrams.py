@@ -1,10 +1,11 @@
-"""Draw the diagrams and plots of the documentation, docs/assets/*.svg, from the tables below.
+"""Draw the diagrams and plots of the documentation, docs/assets/*.svg, from the tables in this
+module.
 
     python tools/diagrams.py           write them
     python tools/diagrams.py --check   exit status 1 unless the committed files are current
 
-Numbers of plots come from the tables of docs/benchmarks.md. Each panel has a background of its own,
-so that it can be read on light and dark pages. tools/process_figure.py draws processes.svg.
+Numbers of plots come from the tables of docs/benchmarks.md. Each panel has its own background, so
+that it is readable on light and dark pages. tools/process_figure.py draws processes.svg.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from diagram_sheet import AMBER, BLUE, GREEN, RED, WHITE, Sheet
 
 
 def packages() -> str:
-    """Packages of the core, in the order of their imports, and the plugins beside them."""
+    """Packages of the core in the order of their imports, and the plugins."""
     s = Sheet(900, 300, "Packages of the core and what they import")
     rows = (
         ("cli", BLUE), ("server", BLUE), ("supervisor", BLUE), ("modules", AMBER), ("ros", AMBER),
@@ -46,7 +47,7 @@ def packages() -> str:
 
 
 def stops() -> str:
-    """Who stops the arm, and after how long."""
+    """Layers that stop the arm, with their times."""
     s = Sheet(940, 300, "Each layer stops the arm by itself; times are defaults")
     s.box(
         30,
@@ -101,7 +102,7 @@ def stops() -> str:
 
 
 def gate() -> str:
-    """An agent's message on its way through the gate."""
+    """Path of an agent's message through the gate."""
     s = Sheet(940, 250, "A message of an agent passes the gate")
     s.box(30, 90, 120, 60, "agent", "publish, move", fill=WHITE)
     s.text(470, 36, "the gate: the first rule that fails refuses the message", bold=True)
@@ -122,7 +123,7 @@ def gate() -> str:
 
 
 def switch() -> str:
-    """A warm switch in time."""
+    """Timeline of a warm switch."""
     s = Sheet(940, 240, "A warm switch: the new module works in shadow, then takes over")
     s.text(60, 68, "old", bold=True)
     s.text(60, 138, "new", bold=True)
@@ -146,7 +147,7 @@ def switch() -> str:
 
 
 def chunks() -> str:
-    """Sequential and overlapped execution in time, chunks of 8 rows and a latency of 3."""
+    """Timeline of sequential and overlapped execution, with chunks of 8 rows and a latency of 3."""
     s = Sheet(940, 290, "Chunks of 8 rows with a latency of 3 rows: sequential and overlapped")
     unit = 34
     for top, name in ((40, "sequential"), (160, "overlap")):
@@ -172,7 +173,7 @@ def chunks() -> str:
 
 
 def task() -> str:
-    """What run_task does."""
+    """Flow of run_task."""
     s = Sheet(940, 230, "run_task: attempts until the predicate holds, then an outcome")
     s.box(30, 80, 150, 64, "instruction", "to the policy", fill=AMBER)
     s.box(240, 80, 170, 64, "predicate", "evaluated every 50 ms", fill=BLUE)
@@ -193,7 +194,7 @@ def task() -> str:
 
 
 def ring() -> str:
-    """What the recorder keeps of an incident."""
+    """Recording of an incident from the ring."""
     s = Sheet(940, 170, "The ring becomes an incident when something fails")
     s.bar(60, 56, 540, 36, BLUE)
     s.text(330, 79, "ring: the last 30 s, always written")
@@ -211,7 +212,7 @@ def ring() -> str:
 
 
 def fleet() -> str:
-    """One server, several robots."""
+    """One server with several robots."""
     s = Sheet(940, 270, "One server operates several robots; each has its own processes and stop")
     s.box(30, 110, 120, 50, "agent", "one client", fill=WHITE)
     s.box(210, 30, 150, 210, "server", "one process,", "tools with", "robot=...", fill=BLUE)
@@ -233,7 +234,7 @@ def fleet() -> str:
 
 
 def roles() -> str:
-    """Clients over HTTP."""
+    """Clients over HTTP and their roles."""
     s = Sheet(940, 220, "Clients of one server over HTTP: roles, and one operator at a time")
     s.box(30, 20, 200, 50, "viewer", "reads; emergency stop", fill=GREEN)
     s.box(30, 85, 200, 50, "operator", "also starts and moves", fill=AMBER)

@@ -1,7 +1,7 @@
 """Writes docs/reference/hooks.md from the docstrings of hooks, descriptors and protocols.
 
 python tools/hook_reference.py            # write the page
-python tools/hook_reference.py --check    # exit with 1 when the page is not what would be written
+python tools/hook_reference.py --check    # exit status 1 if the page is not current
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ demands, and `roboneuron plugins rules package` what every package must hold:
 
 
 def first_line(subject: object) -> str:
-    """The first sentence or line of a docstring."""
+    """Return the first paragraph of a docstring as one line."""
     return (inspect.getdoc(subject) or "").split("\n\n")[0].replace("\n", " ")
 
 
 def attributes(cls: type) -> dict[str, str]:
-    """What the section `Attributes` of a class's docstring says of each field."""
+    """Return the text for each field in the section `Attributes` of a class's docstring."""
     _, _, section = (inspect.getdoc(cls) or "").partition("Attributes:\n")
     found: dict[str, str] = {}
     name = ""
@@ -78,7 +78,7 @@ def attributes(cls: type) -> dict[str, str]:
 
 
 def field_list(cls: type) -> Iterator[str]:
-    """A descriptor's own fields with default and meaning."""
+    """Yield a descriptor's own fields with default and meaning."""
     told = attributes(cls)
     inherited = {f.name for base in cls.__mro__[1:] if base not in (object,) for f in fields(base)}
     for field in fields(cls):
@@ -89,7 +89,7 @@ def field_list(cls: type) -> Iterator[str]:
 
 
 def methods(protocol: type) -> Iterator[str]:
-    """Each method with its signature and the first paragraph of its docstring."""
+    """Yield each method with its signature and the first paragraph of its docstring."""
     for name, function in vars(protocol).items():
         if isinstance(function, property):
             yield f"- `{name}`: {first_line(function)}"
@@ -109,7 +109,7 @@ def methods(protocol: type) -> Iterator[str]:
 
 
 def section(kind: str) -> Iterator[str]:
-    """The part of the page about one kind."""
+    """Yield the section about one kind."""
     hook = getattr(hookspecs, f"{hookspecs.PROJECT}_{kind}s")
     spec = PLUGIN_KINDS[kind]
     yield f"## `{hook.__name__}() -> Sequence[{spec.__name__}]`\n"
@@ -137,7 +137,7 @@ def section(kind: str) -> Iterator[str]:
 
 
 def render() -> str:
-    """The whole page."""
+    """Return the whole page."""
     lines = [INTRODUCTION, "## Every descriptor\n", first_line(Spec) + "\n"]
     lines += [*field_list(Loadable), *field_list(Spec), ""]
     lines += ["### Requirement\n", first_line(Requirement) + "\n", *field_list(Requirement), ""]
@@ -147,7 +147,7 @@ def render() -> str:
 
 
 def main() -> int:
-    """Write or check the page; returns the exit status."""
+    """Write or check the page; return the exit status."""
     text = render()
     if "--check" in sys.argv[1:]:
         current = PAGE.exists() and PAGE.read_text(encoding="utf-8") == text

@@ -1,11 +1,10 @@
-"""Take the picture of docs/lerobot.md: a page of the live view whose sliders a person moves, and
+"""Take the screenshot of docs/lerobot.md: a page of the live view whose sliders a person moves, and
 the terminal of the `lerobot-record` that follows them.
 
     .venv/bin/python tools/lerobot_picture.py       # into docs/assets; needs .venv-lerobot
 
 Nothing is staged: the simulated SO-101 follows the sliders through lerobot, and the terminal shows
-what lerobot had printed at that level when the page was photographed. `~` stands for a folder of
-its own.
+lerobot's output at that log level at the time of the screenshot. `~` stands for a temporary folder.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ image_hz = 3
 state_directory = "{state}"
 """
 SWITCH = "input[type=checkbox]:visible"
-"""The only one on the page."""
+"""The only switch on the page."""
 _TRIES = 8
 FORMAT = re.sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTALL).replace(
     "Fira Code", "DejaVu Sans Mono"
@@ -56,7 +55,7 @@ FORMAT = re.sub(r"@font-face \{\{.*?\}\}", "", CONSOLE_SVG_FORMAT, flags=re.DOTA
 
 
 def options(url: str, folder: Path) -> list[str]:
-    """Of lerobot-record."""
+    """Options of lerobot-record."""
     return [
         "--robot.type=roboneuron",
         "--robot.robot=so101",
@@ -78,7 +77,7 @@ def options(url: str, folder: Path) -> list[str]:
 
 @asynccontextmanager
 async def served(state: Path) -> AsyncIterator[tuple[Client, str]]:
-    """A server with the view, and the address of its page."""
+    """A server with the view, and the URL of its page."""
     config, log = state / "so101.toml", state / "server.log"
     text = (ROOT / "examples" / "so101.toml").read_text(encoding="utf-8")
     config.write_text(text + MORE.format(state=state), encoding="utf-8")
@@ -95,7 +94,7 @@ async def served(state: Path) -> AsyncIterator[tuple[Client, str]]:
 
 @asynccontextmanager
 async def recording(url: str, folder: Path, told: Path) -> AsyncIterator[Process]:
-    """lerobot-record in a pseudo-terminal, whose output goes to a file."""
+    """lerobot-record in a pseudo-terminal, with its output in a file."""
     person, terminal = pty.openpty()
     variables = {**os.environ, "HF_HUB_OFFLINE": "1", "PYTHONWARNINGS": "ignore"}
     variables |= {"COLUMNS": str(COLUMNS), "HF_HOME": str(folder.parent / "hf")}
@@ -114,7 +113,7 @@ async def recording(url: str, folder: Path, told: Path) -> AsyncIterator[Process
 
 
 async def until(told: Path, words: str, process: Process) -> None:
-    """Wait until lerobot has printed that."""
+    """Wait until lerobot has printed these words."""
     with anyio.fail_after(MOST_S):
         while words not in told.read_text(errors="replace"):
             if process.returncode is not None:
@@ -123,23 +122,25 @@ async def until(told: Path, words: str, process: Process) -> None:
 
 
 async def lead(page: Page) -> None:
-    """Press the switch unless it is on, and turn the first joint; a busy page may have lost it."""
+    """Turn the switch on, and turn the first joint; repeated, because a busy page may lose
+    events.
+    """
     switch = page.locator(SWITCH).first
     if not await switch.is_checked():
         await switch.dispatch_event("click")
         await anyio.sleep(0.5)
     box = page.locator("input[inputmode=decimal]").locator("visible=true").first
-    with suppress(TimeoutError):  # not enabled: it leads not yet
+    with suppress(TimeoutError):  # not enabled: the page does not lead yet
         await box.fill(TURN_DEG, timeout=3_000)
         await box.press("Enter")
 
 
 async def shoot(browser: Browser, url: str, state: Path) -> tuple[bytes, str]:
-    """The page while a person leads, and what lerobot has printed by then."""
+    """Screenshot of the page while a person leads, and lerobot's output until then."""
     page = await browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
     page.set_default_timeout(MOST_S * 1e3)
     await page.goto(url)
-    # events, not a mouse: a page that is drawn by the processor is never still
+    # events instead of a mouse, because a page rendered by the processor is never still
     await page.get_by_text("Lead", exact=True).dispatch_event("click")
     await page.get_by_text("shoulder_pan").first.wait_for(state="attached")
     await page.locator(".mantine-Notification-closeButton").first.dispatch_event("click")
@@ -162,7 +163,7 @@ async def shoot(browser: Browser, url: str, state: Path) -> tuple[bytes, str]:
 
 
 def terminal(url: str, told: str) -> str:
-    """The command and the last lines that it has printed, as SVG."""
+    """The command and its last output lines, as SVG."""
     asked = " \\\n    ".join(
         ["lerobot-record", *options(url, Path("~/turn")), f"2>&1 | grep {LEVEL}"]
     )
@@ -176,7 +177,7 @@ def terminal(url: str, told: str) -> str:
 
 
 async def main(target: Path) -> None:
-    """Take it."""
+    """Take the screenshot."""
     os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())
     environment.prepare_environment()
     with tempfile.TemporaryDirectory() as name:

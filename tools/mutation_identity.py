@@ -1,4 +1,4 @@
-"""How one mutant is told from another, however its function is laid out."""
+"""Identity of a mutant, independent of the layout of its function."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import difflib
 
 
 def describe_change(before: str, after: str) -> str:
-    """The statements in which two sources of a function differ: `before -> after`.
+    """The differing statements of two sources of a function: `before -> after`.
 
-    They are compared as `ast.unparse` writes them, each on one line and without comments, so that a
-    change of the line width changes nothing.
+    They are compared in the form of `ast.unparse`, one per line and without comments, so that line
+    width has no effect.
     """
     lost, came = _statements(before), _statements(after)
     match = difflib.SequenceMatcher(a=lost, b=came, autojunk=False)
@@ -21,7 +21,7 @@ def describe_change(before: str, after: str) -> str:
 
 
 def _statements(source: str) -> list[str]:
-    """The lines of a function, or of an indented method, without their indentation."""
+    """Lines of a function, or of an indented method, without their indentation."""
     first = next(line for line in source.splitlines() if line and not line.lstrip().startswith("#"))
     body = ast.parse(f"if True:\n{source}" if first[0].isspace() else source).body
     function = body[0].body[0] if isinstance(body[0], ast.If) else body[0]

@@ -1,14 +1,13 @@
-"""Which mutants tools/mutations.py makes: those of mutmut, three more, and none that only changes a
-text for people.
+"""Mutation operators of tools/mutations.py: those of mutmut and three more, without mutants that
+only change a text for people.
 
-Added to mutmut's: a `raise` that is left out, a call that is left out where nothing uses its
-result, and an `if` whose condition is inverted.
+Added to mutmut's: removal of a `raise`, removal of a call whose result is unused, and inversion of
+an `if` condition.
 
-Left out, by rule: a literal with a letter and a blank in it and an f-string with a blank (codes,
-keys and names of rules have none), what is put together with one (`+`, `x if y else z`, `",
-".join(...)`), arguments, variables and attributes called as in TEXT_NAMES, a variable `text` that
-an exception called ...Error is given, and calls of a logger or of print. Docstrings are left out by
-mutmut.
+Excluded as texts: a literal with a letter and a blank and an f-string with a blank (codes, keys and
+names of rules have none), expressions composed with one (`+`, `x if y else z`, `", ".join(...)`),
+arguments, variables and attributes named as in TEXT_NAMES, a variable `text` passed to an exception
+named ...Error, and calls of a logger or of print. mutmut itself excludes docstrings.
 """
 
 from __future__ import annotations
@@ -20,10 +19,10 @@ import libcst as cst
 from mutmut.mutation import file_mutation, mutators
 
 TEXT_NAMES = frozenset({"hint", "note", "reason"})
-"""Arguments, variables and attributes that hold a text for people, wherever they occur."""
+"""Names of arguments, variables and attributes with texts for people."""
 UNWRAPPED = frozenset({"contextmanager", "property"})
-"""Decorators that can be called after the function is made: mutmut makes no mutants of a decorated
-function.
+"""Decorators that can be applied after the function is defined, because mutmut makes no mutants of
+decorated functions.
 """
 _SAME_AS_INVERTED = (cst.Equal, cst.NotEqual, cst.Is, cst.IsNot, cst.In, cst.NotIn)
 """Comparisons that mutmut inverts itself."""
@@ -31,7 +30,7 @@ _Operator = Callable[[cst.CSTNode], Iterable[cst.CSTNode]]
 
 
 def install() -> None:
-    """Have mutmut make the mutants described above, in this process and those that it forks."""
+    """Install the mutation operators described above in mutmut, for this process and its forks."""
     mutators.mutation_operators[:] = [
         *((kind, _about_behaviour(operator)) for kind, operator in mutators.mutation_operators),
         (cst.Raise, _leave_out),
@@ -43,14 +42,14 @@ def install() -> None:
 
 
 class BehaviourVisitor(file_mutation.MutationVisitor):
-    """Passes over texts for people."""
+    """Skips texts for people."""
 
     def _skip_node_and_children(self, node: cst.CSTNode) -> bool:
         return is_text(node) or _is_log_call(node) or bool(super()._skip_node_and_children(node))
 
 
 def is_text(node: cst.CSTNode) -> bool:
-    """Whether an expression or argument makes a text for people, by the rule in this module's
+    """True if an expression or argument is a text for people, by the rule in this module's
     docstring.
     """
     match node:
@@ -80,7 +79,7 @@ def is_text(node: cst.CSTNode) -> bool:
 
 def unwrap_decorators(source: str) -> str:
     """The same module with `@property` and `@contextmanager` applied by a call after the function;
-    lines stay.
+    line numbers stay the same.
     """
     lines = source.splitlines()
     functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
@@ -109,7 +108,7 @@ def _about_behaviour(operator: _Operator) -> _Operator:
 
 
 def _changes_only_text(node: cst.CSTNode, mutated: cst.CSTNode) -> bool:
-    """Whether a mutant replaces or drops nothing but texts: an argument, or what is assigned."""
+    """True if a mutant only replaces or drops texts: an argument, or an assigned value."""
     if isinstance(node, cst.Call) and isinstance(mutated, cst.Call):
         kept = {id(argument) for argument in mutated.args}
         lost = [argument for argument in node.args if id(argument) not in kept]
@@ -164,5 +163,5 @@ def _invert_condition(node: cst.If | cst.CompIf) -> Iterator[cst.CSTNode]:
 
 
 def _space_before_test(node: cst.If | cst.CompIf) -> dict[str, cst.BaseParenthesizableWhitespace]:
-    """A blank after `if`, which may be missing before a bracket."""
+    """A blank after `if`, which may be missing before a parenthesis."""
     return {"whitespace_before_test": cst.SimpleWhitespace(" ")}

@@ -1,4 +1,6 @@
-"""The parts of the safety code that tools/mutations.py changes, and the tests that must notice."""
+"""The parts of the safety code that tools/mutations.py mutates, and the tests that must detect
+it.
+"""
 
 from __future__ import annotations
 
@@ -29,10 +31,10 @@ class Part:
     """A part of the code.
 
     Attributes:
-        package: its folder, from the repository's root.
-        files: what is mutated, from the package; a pattern takes in what it matches.
-        tests: folders and files of tests, from the repository's root.
-        functions: of a file from which only these count, without their class.
+        package: folder, relative to the repository's root.
+        files: files or patterns of files to mutate, relative to the package.
+        tests: folders and files of tests, relative to the repository's root.
+        functions: the only functions to mutate, without their class; empty for all.
     """
 
     package: str
@@ -41,7 +43,7 @@ class Part:
     functions: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def patterns(self) -> tuple[str, ...]:
-        """What the names of its mutants are like, for mutmut; empty for all."""
+        """Patterns of the mutants' names for mutmut; empty for all."""
         if not self.functions:
             return ()
         found = []

@@ -1,6 +1,4 @@
-"""Plugin of the pytest that tools/mutations.py runs, in the place of the repository's
-conftest.py.
-"""
+"""Pytest plugin for tools/mutations.py, instead of the repository's conftest.py."""
 
 from __future__ import annotations
 
@@ -8,14 +6,14 @@ from typing import Any
 
 pytest_plugins = ("rn_testing.gate_fixtures",)
 _MOST_EXAMPLES = 60
-"""Of a property, per mutant."""
+"""Maximum number of examples of a property per mutant."""
 
 
 def pytest_collection() -> None:
-    """Try the same examples of a property for every mutant, and end at the first that fails: nobody
-    reads it.
+    """Use the same examples of a property for every mutant, and stop at the first failure, because
+    nobody reads it.
     """
-    # later than pytest's own plugins, which pytest rewrites
+    # imported late, after pytest's own plugins, which pytest rewrites
     from hypothesis import HealthCheck, Phase, settings
 
     settings.register_profile(
@@ -30,7 +28,7 @@ def pytest_collection() -> None:
 
 
 def pytest_itemcollected(item: Any) -> None:
-    """Bound the examples of a property that asks for more."""
+    """Bound the number of examples of a property."""
     from hypothesis import settings
 
     name = "_hypothesis_internal_use_settings"

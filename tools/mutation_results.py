@@ -1,4 +1,4 @@
-"""What became of the mutants of a part, and whether that is enough."""
+"""Results of the mutants of a part, and the check whether they suffice."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from mutmut.stats import status_by_exit_code
 SURVIVORS = ROOT / "tools" / "mutation_survivors.toml"
 LEAST_PERCENT = 95.0
 NOT_RUN = 255
-"""Exit code of mutmut when pytest refuses to run, as for a test that it does not find; mutmut calls
-it a timeout.
+"""Exit code of mutmut if pytest refuses to run, for example because a test is not found; mutmut
+reports it as a timeout.
 """
 UNKNOWN = ("not checked", "check was interrupted by user")
 
@@ -29,12 +29,12 @@ class Mutant:
     """One mutant.
 
     Attributes:
-        file: from the package.
+        file: relative to the package.
         function: its name, with the class.
-        change: the statement before and after, see `describe_change`; numbered when the function
-            has the same change twice.
-        status: of mutmut: "killed", "timeout", "survived", "no tests", "not checked" and others; or
-            "not run".
+        change: the statement before and after, see `describe_change`; numbered if the function has
+            the same change twice.
+        status: mutmut's status: "killed", "timeout", "survived", "no tests", "not checked" and
+            others; or "not run".
     """
 
     file: str
@@ -44,12 +44,12 @@ class Mutant:
 
     @property
     def is_killed(self) -> bool:
-        """Whether a test noticed it, or would have waited for it for ever."""
+        """True if a test detected it, or timed out."""
         return self.status in ("killed", "timeout", "segfault", "suspicious")
 
 
 def read_mutants(part: Part, work: Path) -> Iterator[Mutant]:
-    """What is known of a part."""
+    """Known results of a part."""
     if not (work / "mutants").is_dir():
         return
     os.chdir(work)
@@ -87,7 +87,7 @@ def read_mutants(part: Part, work: Path) -> Iterator[Mutant]:
 
 
 def print_report(name: str, mutants: list[Mutant]) -> bool:
-    """Print a part's figures and its survivors; whether the part is as it must be."""
+    """Print a part's figures and survivors; return whether the part passes."""
     listed = _listed(name)
     print(
         f"\n{name:32}{'mutants':>9}{'killed':>8}{'by time':>9}{'survived':>10}"

@@ -1,4 +1,4 @@
-"""How mutmut runs the tests of a mutant: in which order, and how long."""
+"""Execution of a mutant's tests by mutmut: order and time limits."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ _MOST_SLEEP_S = 20.0
 
 
 def install(folders: Sequence[str], *, goes_on: bool) -> None:
-    """Have quick tests run first, those of the first folder before others, and mutants bounded by
-    `_end_sleeper`; with `goes_on`, only those of which nothing is known.
+    """Run quick tests first, those of the first folder before others, and bound mutants by
+    `_end_sleeper`; with `goes_on`, only mutants without a result.
 
-    What is loaded before the first mutant is left out of garbage collection, which would copy that
-    memory in the process of each mutant. The first test that fails ends a mutant's run. Computing
-    is bounded by mutmut with RLIMIT_CPU; its limit by the clock, which a busy machine exceeds, is
-    replaced.
+    Objects loaded before the first mutant are excluded from garbage collection, which would copy
+    that memory in each mutant's process. The first failing test ends a mutant's run. CPU time is
+    bounded by mutmut with RLIMIT_CPU; its wall-clock limit is replaced, because a busy machine
+    exceeds it.
     """
     submit = isolation.ForkServerRunner.submit
 
@@ -77,7 +77,7 @@ def install(folders: Sequence[str], *, goes_on: bool) -> None:
         collect = mutmut_run.collect_source_file_mutation_data
 
         def collect_unknown(**options: Any) -> tuple[list[Any], dict[str, Any]]:
-            """mutmut tries again whatever it is given by name, as the functions of a part are."""
+            """mutmut repeats every mutant given by name, such as the functions of a part."""
             mutants, files = collect(**options)
             return [mutant for mutant in mutants if mutant[2] is None], files
 
@@ -85,7 +85,9 @@ def install(folders: Sequence[str], *, goes_on: bool) -> None:
 
 
 def _is_warning(error: BaseException) -> bool:
-    """Whether pytest raised at its own end what happened after the last test, as in a thread."""
+    """True if pytest raised a warning at its own end that occurred after the last test, as in a
+    thread.
+    """
     if isinstance(error, BaseExceptionGroup):
         return all(map(_is_warning, error.exceptions))
     return isinstance(error, Warning)
@@ -96,9 +98,7 @@ def _watch(process: int, _limit_s: float) -> None:
 
 
 def _end_sleeper(process: int) -> None:
-    """End a mutant's process when it and its children have slept for `_MOST_SLEEP_S`, all looks
-    taken together.
-    """
+    """End a mutant's process once it and its children have slept for `_MOST_SLEEP_S` in total."""
     slept_s = 0.0
     while slept_s < _MOST_SLEEP_S:
         time.sleep(_LOOK_S)
@@ -120,7 +120,7 @@ def _end_sleeper(process: int) -> None:
 
 
 def _thread_states(process: int) -> list[str]:
-    """The states of a process's threads, as in proc(5): R runs or would like to, S sleeps, Z has
+    """States of a process's threads, as in proc(5): R is running or runnable, S sleeping, Z
     ended.
     """
     states = []

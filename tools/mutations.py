@@ -1,19 +1,18 @@
-"""Mutation tests of the code that keeps a robot safe: does a test notice when one operation of it
-changes?
+"""Mutation tests of the safety code: does a test fail if one operation of it changes?
 
-    make test-mutations                                 # every part; goes on where it was
+    make test-mutations                                 # every part; resumes
     make test-mutations ARGS="gate --only estop"        # tries those with "estop" in the name again
-    make test-mutations ARGS="direct-path --list"       # what is known, with the survivors
+    make test-mutations ARGS="direct-path --list"       # known results, with the survivors
 
-mutmut makes the mutants, picks the tests by what they call and forks for each mutant;
-tools/mutation_operators.py says which mutants count. A mutant is killed by time when it computes
-for 12 s and six times what its tests take otherwise, or sleeps for 20 s: a busy machine kills none.
-Survivors belong into tools/mutation_survivors.toml, each with a reason: `equivalent`, when no test
-could notice it, or `accepted`, which still counts as survived. The lane fails for one that is not
-listed, and for a part below 95 % of the mutants that are not equivalent.
+mutmut makes the mutants, selects the tests by the functions they call and forks for each mutant;
+tools/mutation_operators.py defines the mutants. A mutant times out if it computes for 12 s plus six
+times the normal duration of its tests, or sleeps for 20 s, so a busy machine kills none. Survivors
+must be listed in tools/mutation_survivors.toml with a reason: `equivalent` if no test could detect
+it, or `accepted`, which still counts as survived. The lane fails for unlisted survivors, and for a
+part below 95 % of the mutants that are not equivalent.
 
-Results are kept in out/mutations/PART. A function that changes is tried again, and when a test
-changes everything that was not killed; `--fresh` tries everything again.
+Results are kept in out/mutations/PART. A changed function is tried again; after a change of a test
+everything that was not killed is; `--fresh` tries everything again.
 """
 
 from __future__ import annotations
@@ -37,13 +36,13 @@ from rn_testing.domain import free_ros_domain
 
 OUT = ROOT / "out" / "mutations"
 NO_TESTS = 33
-"""Exit code of mutmut for a mutant of a function that no test has called."""
+"""Exit code of mutmut for a mutant of a function that no test calls."""
 CONFTESTS = ("roboneuron-core/tests/conftest.py", "tests/conftest.py", "tests/safety/conftest.py")
 MARKERS = "not ros and not timing and not slow and not gpu and not hardware and not release"
 LEFT_OUT = (
-    # Contract tests read the sources, which here are full of mutants.
+    # Contract tests read the sources, which contain mutants here.
     "*_keep*_contract.py",
-    # Seconds each, beside faster ones of the same subject.
+    # Slow tests (seconds each), next to faster ones of the same subject.
     "test_no_permitted_motion_penetrates_anything",
     "test_nothing_that_passes_meets_a_zone",
     "test_a_reset_by_another_process_races_with_nobody_who_looks",
@@ -54,7 +53,7 @@ LEFT_OUT = (
 
 
 def main() -> int:
-    """Run the parts that the arguments name, and print figures; 1 when the lane fails."""
+    """Run the parts named in the arguments, and print figures; return 1 if the lane fails."""
     arguments = _parse_arguments()
     is_good = True
     for name in arguments.parts or PARTS:
@@ -88,8 +87,8 @@ def _parse_arguments() -> argparse.Namespace:
 
 
 def _run_in_a_fork(part: Part, work: Path, arguments: argparse.Namespace) -> None:
-    """mutmut keeps its state in its modules and changes directory: each part has a process of its
-    own.
+    """Run a part in its own process, because mutmut keeps its state in its modules and changes the
+    directory.
     """
     process = os.fork()
     if process:
@@ -101,7 +100,7 @@ def _run_in_a_fork(part: Part, work: Path, arguments: argparse.Namespace) -> Non
         return
     status = 1
     try:
-        if not sys.stdout.isatty():  # mutmut draws its progress
+        if not sys.stdout.isatty():  # because mutmut draws a progress display
             OUT.mkdir(parents=True, exist_ok=True)
             with (OUT / f"{work.name}.log").open("w") as log:
                 os.dup2(log.fileno(), sys.stdout.fileno())
@@ -125,8 +124,8 @@ def _run_in_a_fork(part: Part, work: Path, arguments: argparse.Namespace) -> Non
 
 
 def _prepare(part: Part, work: Path, *, is_fresh: bool) -> None:
-    """Lay out what mutmut works on: src/PACKAGE, which it copies to mutants/ with mutants in it,
-    and the tests.
+    """Prepare mutmut's folder: src/PACKAGE, which it copies to mutants/ with the mutants, and the
+    tests.
     """
     rules = f"{metadata.version('mutmut')} {_digest([Path(mutation_operators.__file__)])}"
     if is_fresh or _read_text(work / "rules") != rules:
@@ -138,11 +137,11 @@ def _prepare(part: Part, work: Path, *, is_fresh: bool) -> None:
             inside = Path("src") / sources.name / path.relative_to(sources)
             is_changed = _write_changed(work / inside, _source(part, path))
             copied = work / "mutants" / inside
-            if path.suffix != ".py" and copied.exists():  # mutmut copies it once
+            if path.suffix != ".py" and copied.exists():  # mutmut copies it only once
                 _write_changed(copied, path.read_bytes())
             meta = work / "mutants" / inside.with_name(f"{path.name}.meta")
             if _is_mutated(part, path) and (is_changed or not meta.exists()):
-                # which tests call a function that is new has to be seen, too
+                # so that mutmut detects which tests call a new function
                 (work / inside).touch()
                 (work / "mutants" / "mutmut-stats.json").unlink(missing_ok=True)
                 _forget(meta, lambda code: code == NO_TESTS)
@@ -158,7 +157,7 @@ def _prepare(part: Part, work: Path, *, is_fresh: bool) -> None:
     _write_changed(work / "pyproject.toml", settings_text.encode())
     _forget_survivors(part, work, _digest([*tests, *(ROOT / name for name in CONFTESTS)]))
     (work / "rules").write_text(rules, "utf-8")
-    # processes that a test starts have the mutant too
+    # so that processes started by a test have the mutant too
     os.environ["PYTHONPATH"] = str(mutants / "src")
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ.setdefault("ROS_DOMAIN_ID", str(free_ros_domain()))
@@ -182,7 +181,7 @@ def _settings(part: Part) -> str:
         ],
         "process_isolation": "forkserver",
         "timeout_constant": 2.0,
-        "timeout_multiplier": 3.0,  # of the time on the clock; of computing it allows twice that
+        "timeout_multiplier": 3.0,  # of wall-clock time; for CPU time mutmut allows twice that
         "on_dependency_change": "ignore",
         "use_git_change_detection": False,
     }
@@ -205,7 +204,7 @@ def _source(part: Part, path: Path) -> bytes:
 
 
 def _forget_survivors(part: Part, work: Path, tests: str) -> None:
-    """Have everything that was not killed tried again, when a test has changed."""
+    """Have all mutants that were not killed tried again if a test has changed."""
     if _read_text(work / "tests") == tests:
         return
     (work / "mutants" / "mutmut-stats.json").unlink(missing_ok=True)
@@ -215,7 +214,7 @@ def _forget_survivors(part: Part, work: Path, tests: str) -> None:
 
 
 def _forget(meta: Path, is_meant: Callable[[int | None], bool]) -> None:
-    """Have mutants tried again whose exit code is meant, by a file of results of mutmut."""
+    """Have mutants with a matching exit code tried again, using mutmut's result file."""
     if not meta.exists():
         return
     known = json.loads(meta.read_text("utf-8"))
@@ -231,8 +230,8 @@ def _files(place: Path) -> list[Path]:
 
 
 def _write_changed(path: Path, content: bytes) -> bool:
-    """Write a file unless it has that content, and return whether: mutmut goes by the time of
-    change.
+    """Write a file unless it has this content, and return whether it did, because mutmut uses
+    modification times.
     """
     if path.is_file() and path.read_bytes() == content:
         return False

@@ -1,9 +1,10 @@
-"""Draw docs/assets/processes.svg, the figure of processes and topics, from the tables below.
+"""Draw docs/assets/processes.svg, the figure of processes and topics, from the tables in this
+module.
 
     python tools/process_figure.py           write it
     python tools/process_figure.py --check   exit status 1 unless the committed file is current
 
-The panel has a background of its own, so that it can be read on light and dark pages.
+The panel has its own background, so that it is readable on light and dark pages.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ INK, FAINT, PANEL = "#1f2a37", "#5b6776", "#f7f9fb"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Box:
-    """A process. Corner and size [px], fill colour, a title and lines of text."""
+    """A process: corner and size [px], fill colour, title and lines of text."""
 
     x: int
     y: int
@@ -33,7 +34,7 @@ class Box:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Arrow:
-    """A stream. Corner points [px], and the labels with the place of their middle [px]."""
+    """A stream: corner points [px], label, and the centre of the label [px]."""
 
     points: tuple[tuple[int, int], ...]
     label: str = ""
@@ -83,7 +84,7 @@ ARROWS = (
 
 
 def box(b: Box) -> str:
-    """One process."""
+    """Draw one process."""
     middle = b.x + b.width // 2
     texts = [f'<text x="{middle}" y="{b.y + 30}" class="t">{escape(b.title)}</text>']
     texts += [
@@ -98,7 +99,7 @@ def box(b: Box) -> str:
 
 
 def arrow(a: Arrow) -> str:
-    """One stream."""
+    """Draw one stream."""
     path = " ".join(f"{x},{y}" for x, y in a.points)
     style = ' stroke-dasharray="5 4"' if a.dashed else ""
     start = ' marker-start="url(#head)"' if a.both else ""
@@ -114,7 +115,7 @@ def arrow(a: Arrow) -> str:
 
 
 def figure() -> str:
-    """The whole file."""
+    """Return the whole file."""
     head = f"""<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH_PX} {HEIGHT_PX}" role="img" \
 font-family="system-ui, sans-serif" font-size="14" text-anchor="middle" fill="{INK}">
 <title>Processes and topics of RoboNeuron</title>

@@ -1,12 +1,11 @@
 """Write requirements.txt: the packages of this checkout that the distribution `roboneuron` needs,
-by their folders.
+as folders.
 
-    python tools/requirements.py            # writes it, and requirements-EXTRA.txt for each extra
-    of the root python tools/requirements.py --check    # exit status 1 when one of them is not
-    current
+    python tools/requirements.py            # write it, and requirements-EXTRA.txt for each extra
+    python tools/requirements.py --check    # exit status 1 if one of them is not current
 
-pip takes a package that is named by its folder from there, and never looks for its name on an
-index. So every package of the project stands in these files, also one that only another one needs.
+pip installs a package given by its folder from there, and never looks up its name on an index. So
+these files contain every package of the project, including indirect requirements.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def folders() -> dict[str, Path]:
-    """The folder of each package of the project by its name, the one at the root excepted."""
+    """Folder of each package of the project by its name, except the one at the root."""
     files = [
         ROOT / "roboneuron-core" / "pyproject.toml",
         *sorted(ROOT.glob("plugins/*/pyproject.toml")),
@@ -33,8 +32,8 @@ def folders() -> dict[str, Path]:
 
 
 def closure(needs: Iterable[str]) -> list[str]:
-    """Names of the project's packages among `needs` (as requirements are written), and of those
-    that these need.
+    """Names of the project's packages among `needs` (as requirements), and of those that they
+    require.
     """
     known, found, waiting = folders(), set[str](), list(needs)
     while waiting:
@@ -46,7 +45,7 @@ def closure(needs: Iterable[str]) -> list[str]:
 
 
 def texts() -> dict[str, str]:
-    """What each file has to hold, by its name."""
+    """Expected content of each file, by name."""
     root = _project(ROOT / "pyproject.toml")
     common = closure(root["dependencies"])
     made = {
@@ -78,7 +77,7 @@ def _project(path: Path) -> dict[str, Any]:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the files, or compare them with what they have to hold."""
+    """Write the files, or compare them with the expected content."""
     status = 0
     for name, text in texts().items():
         file = ROOT / name

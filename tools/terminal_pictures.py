@@ -1,10 +1,10 @@
-"""Pictures of a terminal for the documentation: what commands of RoboNeuron really print, as SVG.
+"""Terminal screenshots for the documentation: real output of RoboNeuron's commands, as SVG.
 
-    python tools/terminal_pictures.py               make all of them in docs/assets (five minutes)
+    python tools/terminal_pictures.py               create all of them in docs/assets (five minutes)
     python tools/terminal_pictures.py doctor tools  only these
 
-Each command runs in a pseudo-terminal, in a folder and with a state directory of its own. In the
-pictures `~` stands for that folder and for the home folder, `roboneuron` for the source folder.
+Each command runs in a pseudo-terminal, in its own folder and with its own state directory. In the
+images `~` stands for that folder and for the home folder, `roboneuron` for the source folder.
 """
 
 from __future__ import annotations
@@ -58,16 +58,16 @@ EVALUATION = "roboneuron eval run --episodes 8 --seed 3 --threads 2 --out out/ev
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Picture:
-    """A picture of commands and what they print.
+    """An image of commands and their output.
 
     Attributes:
         commands: shown with a prompt, run in this order.
-        before: run before them and not shown.
-        first, last: so many lines of what is printed are shown; 0 for all.
+        before: commands run before and not shown.
+        first, last: number of output lines shown; 0 for all.
         columns: width of the terminal.
-        fails: the last command is meant to fail; any other that fails makes no picture.
-        animated: they draw over what they have drawn: shown as in a file instead.
-        beside: a command that runs meanwhile, until `roboneuron status` says that all is well.
+        fails: the last command is expected to fail; any other failure is an error.
+        animated: the commands redraw their output; it is shown as if written to a file.
+        beside: a command that runs meanwhile, once `roboneuron status` finds nothing wrong.
     """
 
     commands: tuple[str, ...]
@@ -130,7 +130,7 @@ PICTURES = {
 
 
 def run(command: str, folder: Path, columns: int) -> tuple[str, int]:
-    """What a command prints on a terminal of its own, and its exit status.
+    """Run a command on its own terminal; return its output and exit status.
 
     Raises:
         TimeoutError: it did not end within five minutes.
@@ -152,7 +152,7 @@ def run(command: str, folder: Path, columns: int) -> tuple[str, int]:
         while time.monotonic() < end:
             try:
                 part = os.read(parent, 65536)
-            except OSError:  # Linux says so when the last writer has gone
+            except OSError:  # raised by Linux when the last writer has closed
                 break
             if not part:
                 break
@@ -168,7 +168,7 @@ def run(command: str, folder: Path, columns: int) -> tuple[str, int]:
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """Of the commands: a state directory of their own, no colours but the sixteen."""
+    """Environment of the commands: their own state directory, only sixteen colours."""
     changed = {
         "PATH": f"{BIN}:{os.environ['PATH']}",
         "XDG_STATE_HOME": str(folder / ".local" / "state"),
@@ -179,7 +179,7 @@ def environment(folder: Path) -> dict[str, str]:
 
 @contextmanager
 def running(command: str, folder: Path) -> Iterator[None]:
-    """A command in the background, entered when `roboneuron status` finds nothing wrong."""
+    """Run a command in the background; entered when `roboneuron status` finds nothing wrong."""
     if not command:
         yield
         return
@@ -206,7 +206,7 @@ def running(command: str, folder: Path) -> Iterator[None]:
 
 
 def make(name: str, picture: Picture) -> None:
-    """Run the commands of a picture and write it."""
+    """Run the commands of an image and write it."""
     with tempfile.TemporaryDirectory(prefix="pictures-") as scratch:
         folder = Path(scratch)
         (folder / "roboneuron.toml").write_text(CONFIGURATION, encoding="utf-8")
@@ -230,15 +230,15 @@ def make(name: str, picture: Picture) -> None:
     console = Console(record=True, width=picture.columns, file=open(os.devnull, "w"))  # noqa: SIM115
     console.print(Text.from_ansi("\n".join(lines)))
     target = ASSETS / f"cast-{name}.svg"
-    # without a number that changes with each run
+    # remove an id that changes with each run
     svg = console.export_svg(title="", code_format=FORMAT, unique_id=f"cast-{name}")
     target.write_text(svg, encoding="utf-8")
     print(f"{target.relative_to(ROOT)}: {len(lines)} lines, {len(svg) // 1000} kB")
 
 
 def shown(printed: str, picture: Picture) -> list[str]:
-    """The lines of one command that the picture has."""
-    # a line that was drawn over counts as it stood last
+    """The lines of one command shown in the image."""
+    # of a redrawn line only its last version counts
     lines = [line.rpartition("\r")[2].rstrip() for line in printed.rstrip("\n").split("\n")]
     if picture.first and len(lines) > picture.first:
         return [*lines[: picture.first], "\x1b[2m...\x1b[0m"]
@@ -248,7 +248,7 @@ def shown(printed: str, picture: Picture) -> list[str]:
 
 
 def main(names: list[str]) -> int:
-    """Make the pictures of these names, or all."""
+    """Create the images of these names, or all."""
     unknown = set(names) - PICTURES.keys()
     if unknown:
         print(f"There is no picture {sorted(unknown)}; there are: {', '.join(PICTURES)}.")

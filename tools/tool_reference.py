@@ -1,7 +1,7 @@
 """Writes docs/tools.md: every tool of the server, from the same data that agents read.
 
 python tools/tool_reference.py            # write the page
-python tools/tool_reference.py --check    # exit with 1 when the page is not what would be written
+python tools/tool_reference.py --check    # exit status 1 if the page is not current
 """
 
 from __future__ import annotations
@@ -43,9 +43,7 @@ explained at the first; fields of results that explain themselves are left out.
 
 
 def tools_reference() -> str:
-    """The page: the core and those features of the project that are installed, without any other
-    plugin.
-    """
+    """The page of the core and the installed features of the project, without other plugins."""
     config = Config.model_validate({"robot": {"name": "none"}})
     features = tuple(
         offer for offer in discover().offers("feature") if package_of("feature", offer.spec.name)
@@ -83,10 +81,10 @@ def _section(
     seen: dict[Answer, str],
     told: set[tuple[str, str]],
 ) -> str:
-    """A tool's arguments and answer; `seen` has the answers so far, and the tool that each was
-    explained at, `told` the fields and arguments that were explained.
+    """A tool's arguments and result; `seen` has the results so far with the tool that explained
+    each, `told` the fields and arguments already explained.
     """
-    # the page is of no robot
+    # the page is independent of a robot
     about = re.sub(
         r" The (configured one|robot) is the real robot none [^.]*\.", "", tool.description or ""
     )
@@ -118,7 +116,7 @@ def _section(
 
 
 def _answer(output: JsonSchemaValue, told: set[tuple[str, str]]) -> Iterator[str]:
-    """A line for each field that needs an explanation and has not had it."""
+    """A line for each field that needs an explanation and has not been explained yet."""
     for name, kind, meaning in _fields(output, output):
         leaf = name.rpartition(".")[2]
         values = kind.strip("`").split("|") if kind.startswith("`") else []
@@ -132,7 +130,7 @@ def _answer(output: JsonSchemaValue, told: set[tuple[str, str]]) -> Iterator[str
 def _fields(
     node: JsonSchemaValue, whole: JsonSchemaValue, prefix: str = ""
 ) -> Iterator[tuple[str, str, str]]:
-    """Name, type and meaning of each field of an answer; fields of nested objects after them, by
+    """Name, type and meaning of each field of a result; fields of nested objects follow, by
     path.
     """
     for name, entry in node.get("properties", {}).items():

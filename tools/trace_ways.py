@@ -1,14 +1,15 @@
-"""Trace three ways through the code in a running server, and print the files of each in the order
+"""Trace three paths through the code in a running server, and print the files of each in the order
 of their first call.
 
-    python tools/trace_ways.py            # about a minute; needs ROS, the packages of `make demo`
-    and rn-robot-bases
+    python tools/trace_ways.py            # about a minute
 
-The ways are a call of `publish_velocity` until its message, an image until its joint command, and
-the key `control.action_timeout_s` until its use. Every function of the project that is called is
-noted, per process and thread: of the first two ways while a window is open, of the third those that
-are given a configuration or a part of it. What runs all the time, such as the status, shows up in a
-window too; docs/architecture.md tells the way from what is beside.
+It needs ROS, the packages of `make demo` and rn-robot-bases.
+
+The paths are: from a call of `publish_velocity` to its message, from an image to its joint command,
+and from the key `control.action_timeout_s` to its use. Every called function of the project is
+recorded per process and thread: for the first two paths while a window is open, for the third if it
+gets a configuration or a part of it. Periodic code such as the status also appears in a window;
+docs/architecture.md separates it from the path.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ sys.setprofile(hook)
 
 @contextmanager
 def window(folder: Path, name: str) -> Iterator[None]:
-    """Note every call within the block."""
+    """Record every call within the block."""
     (folder / "window").write_text(name)
     time.sleep(0.2)
     yield
@@ -96,8 +97,8 @@ def window(folder: Path, name: str) -> Iterator[None]:
 
 
 def print_way(folder: Path, way: str, kinds: tuple[str, ...]) -> None:
-    """The files of a way by process and thread, each in the order of its first call, with the
-    function that was called and how many others of the file were called later.
+    """Print the files of a path by process and thread, in the order of their first call, with the
+    first called function and the number of other functions called later.
     """
     rows = [
         (kind, row)
@@ -126,7 +127,7 @@ def print_way(folder: Path, way: str, kinds: tuple[str, ...]) -> None:
 
 
 def read(folder: Path) -> Iterator[tuple[str, list[list[Any]]]]:
-    """What each process has noted: "serve" or the kind of its module, and its first calls."""
+    """Records of each process: "serve" or the kind of its module, and its first calls."""
     for path in sorted(folder.glob("*.json")):
         told = json.loads(path.read_text())
         yield "serve" if "serve" in told["words"] else told.get("kind", ""), told["rows"]
@@ -135,7 +136,7 @@ def read(folder: Path) -> Iterator[tuple[str, list[list[Any]]]]:
 async def trace(
     folder: Path, config: str, ways: dict[str, list[tuple[str, dict[str, Any]]]]
 ) -> None:
-    """Serve a configuration, and make the calls of each way within its window."""
+    """Serve a configuration, and make the calls of each path within its window."""
     folder.mkdir()
     (folder / "sitecustomize.py").write_text(HOOK)
     (folder / "roboneuron.toml").write_text(config)
@@ -167,7 +168,7 @@ async def trace(
 
 
 def main() -> None:
-    """Trace and print the three ways."""
+    """Trace and print the three paths."""
     twist = {"linear": {"x": 0.1, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
     start: list[tuple[str, dict[str, Any]]] = [
         (f"start_{kind}", {}) for kind in ("robot", "perception", "control")

@@ -1,13 +1,12 @@
-"""Take the pictures of docs/view.md: a server with the simulated FR3, a client that calls its
+"""Take the screenshots of docs/view.md: a server with the simulated FR3, a client that calls its
 tools, and a browser.
 
-    .venv/bin/python tools/view_screenshots.py              # into docs/assets; one to two minutes
-    on a quiet machine
+    .venv/bin/python tools/view_screenshots.py    # into docs/assets; one to two minutes
 
-Nothing is staged: the pictures show what a person would see, the calls are those of the client, and
-the third one plays the recording that was made meanwhile. Each is taken when the page shows what it
-is to show; if one cannot be taken, none is replaced. A machine that draws the page with its
-processor shows lower rates than others.
+Nothing is staged: the screenshots show what a person would see, the calls are those of the client,
+and the third one plays the recording made meanwhile. Each is taken when the page shows the required
+state; if one fails, none is replaced. A machine that renders the page on its processor shows lower
+rates than others.
 """
 
 from __future__ import annotations
@@ -67,9 +66,9 @@ FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-
 WIDE, PHONE = (1440, 860), (412, 840)
 MOST_S = 180.0
 WORKS = ("lifting", "holding")
-"""What the policy says of itself in the live pictures; it goes on saying the second."""
+"""Reports of the policy in the live screenshots; the second one persists."""
 RECORDED = "descending"
-"""What it says in the picture of the recording."""
+"""Report of the policy in the screenshot of the recording."""
 SHOWS = """words => {
   const text = document.body.textContent;
   const pictures = [...document.querySelectorAll('img')].filter(image => /^(blob|data):/.test(image.src));
@@ -82,7 +81,7 @@ SHOWS = """words => {
   };
   return words.some(word => text.includes(word)) && pictures.length > 1 && pictures.slice(0, 2).every(isDrawn);
 }"""  # noqa: E501
-"""Whether the page says one of the words and both cameras' pictures are more than one colour."""
+"""True if the page shows one of the words and both camera images have more than one colour."""
 FRAMES = """() => new Promise(done => {
   let left = 10;
   const next = () => (left-- ? requestAnimationFrame(next) : done());
@@ -107,10 +106,10 @@ async def close_notice(page: Page) -> None:
 
 
 async def shoot(page: Page, path: Path, words: tuple[str, ...]) -> None:
-    """Take a picture when the page shows that."""
+    """Take a screenshot when the page shows one of the words."""
     await page.wait_for_function(SHOWS, arg=list(words), polling=100)
     await close_notice(page)
-    await page.evaluate(FRAMES)  # the notice has faded, and the scene is drawn as it is now
+    await page.evaluate(FRAMES)  # until the notice has faded and the current scene is drawn
     await anyio.sleep(0.7)
     await page.screenshot(path=path, type="jpeg", quality=88)
     print(path.name, flush=True)
@@ -118,7 +117,7 @@ async def shoot(page: Page, path: Path, words: tuple[str, ...]) -> None:
 
 @asynccontextmanager
 async def served(state: Path) -> AsyncIterator[tuple[Client, str]]:
-    """A server with the view, and the address of its page."""
+    """A server with the view, and the URL of its page."""
     config, log = state / "roboneuron.toml", state / "server.log"
     config.write_text(CONFIG.format(state=state), encoding="utf-8")
     async with spawned_server(["--config", str(config)], log) as client:
@@ -131,7 +130,7 @@ async def served(state: Path) -> AsyncIterator[tuple[Client, str]]:
 
 
 async def live(folder: Path, state: Path, browser: Browser) -> None:
-    """An agent's calls, and two pages that look on."""
+    """Make an agent's calls, and take screenshots of two pages."""
     async with served(state) as (client, url):
 
         async def call(tool: str, **arguments: Any) -> None:
@@ -145,7 +144,7 @@ async def live(folder: Path, state: Path, browser: Browser) -> None:
             await call(f"start_{kind}")
         await call("start_inference", instruction=INSTRUCTION)
         await shoot(wide, folder / "view-live.jpg", WORKS)
-        await wide.close()  # two pages are too much for a machine that draws with its processor
+        await wide.close()  # two pages are too much for a machine that renders on its processor
         phone = await look(browser, url, PHONE)
         await shoot_phone(phone, folder / "view-phone.jpg")
         await phone.close()
@@ -153,18 +152,20 @@ async def live(folder: Path, state: Path, browser: Browser) -> None:
 
 
 async def shoot_phone(page: Page, path: Path) -> None:
-    """The pictures of the cameras are in a section of their own there, which is closed at first."""
+    """Take the screenshot for phones; their camera images are in a section that is closed at
+    first.
+    """
     await page.wait_for_function(
         "word => document.body.textContent.includes(word)", arg=WORKS[1], polling=100
     )
     await close_notice(page)
-    await anyio.sleep(4.0)  # the joints come
+    await anyio.sleep(4.0)  # until the joints arrive
     await page.screenshot(path=path, type="jpeg", quality=88)
     print(path.name, flush=True)
 
 
 async def recorded(folder: Path, state: Path, browser: Browser) -> None:
-    """The recording of that."""
+    """Take the screenshot of the recording."""
     store = RunStore(state / "runs")
     run = next(run for run in store.runs() if run.kind == "recording")
     source = RecordedSource(run.id, run.files, load_config(None), discover())
@@ -188,23 +189,21 @@ async def recorded(folder: Path, state: Path, browser: Browser) -> None:
 
 
 async def moment(source: RecordedSource) -> float:
-    """When the policy had said for half a second what it says in the picture; a page must be
-    open.
-    """
+    """Time at which the policy has given the report for half a second; a page must be open."""
     at_s = next(
         mark.at_s for mark in source.playback.marks if mark.text.startswith("start_inference")
     )
     while at_s < source.playback.duration_s:
         at_s += 0.1
         source.playback.seek(at_s)
-        await anyio.sleep(0.15)  # it is delivered 30 times a second
+        await anyio.sleep(0.15)  # delivered 30 times a second
         if any(RECORDED in row.text for row in source.snapshot().modules):
             return at_s + 0.5
     raise SystemExit(f"The policy never said {RECORDED!r}.")
 
 
 async def main(target: Path) -> None:
-    """Take all three pictures."""
+    """Take all three screenshots."""
     os.environ.update(ROS_DOMAIN_ID=str(free_ros_domain()), ROBONEURON_RECORDER="on")
     with tempfile.TemporaryDirectory() as name:
         folder, state = Path(name) / "pictures", Path(name) / "state"

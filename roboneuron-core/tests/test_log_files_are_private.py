@@ -1,4 +1,4 @@
-"""What is opened for logging is made with its folders, and others cannot read it."""
+"""Log files are created with their folders, and are private."""
 
 from __future__ import annotations
 

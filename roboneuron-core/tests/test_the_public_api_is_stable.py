@@ -1,4 +1,4 @@
-"""What plugin authors import changes only together with CHANGELOG.md."""
+"""Names that plugin authors import change only together with CHANGELOG.md."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CHANGELOG = Path(__file__).parents[2] / "CHANGELOG.md"
 
 
 def _describe(name: str) -> object:
-    """What a user of the name relies on: fields of a dataclass, methods of a class, arguments of a
+    """The public part of a name: fields of a dataclass, methods of a class, arguments of a
     function.
     """
     value = getattr(roboneuron, name)
@@ -41,7 +41,7 @@ def _signature(function: object) -> str:
 
 
 def test_the_api_is_as_recorded() -> None:
-    """After a change on purpose: describe it in CHANGELOG.md, then run this file as a program."""
+    """After a deliberate change: describe it in CHANGELOG.md, then run this file as a program."""
     now = {name: _describe(name) for name in sorted(roboneuron.__all__)}
     assert now == json.loads(RECORD.read_text(encoding="utf-8"))["names"]
 

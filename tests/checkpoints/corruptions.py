@@ -1,5 +1,5 @@
-"""Damaged checkpoints by the hundred: made, loaded and run under limits of memory and time, in a
-process of their own.
+"""Hundreds of damaged checkpoints, created, loaded and run under limits of memory and time, in a
+separate process.
 
     corruptions.py LAYOUT[,LAYOUT] DIRECTORY [STRIDE]
 
@@ -26,11 +26,9 @@ from damaged_layouts import HEADS, JSON_FILES, WEIGHT_FILES, lerobot, oft, openp
 from damaged_pickles import pickles
 
 SECONDS = 20
-"""A case that takes longer on the processor, or ten times as long in all, is stopped; good ones
-take below 1 s.
-"""
+"""CPU time limit of a case, with ten times that as wall-clock limit; good ones take below 1 s."""
 GROWTH_BYTES = 2 * 2**30
-"""Address space that a case may add."""
+"""Address space that a case may add to the process."""
 
 
 def make(layout: str, directory: Path) -> None:
@@ -50,7 +48,7 @@ def make(layout: str, directory: Path) -> None:
 
 
 def act(layout: str, directory: Path) -> list[float]:
-    """The action of a checkpoint for one fixed observation."""
+    """Action of a checkpoint for one fixed observation."""
     import numpy as np
 
     from roboneuron.contract import Frame, Observation, Pose
@@ -133,7 +131,7 @@ def _expire(*_: object) -> None:
 def _run(layout: str, directory: Path, expected: list[float]) -> dict[str, object]:
     from roboneuron.errors import RoboNeuronError
 
-    Path("/proc/self/clear_refs").write_text("5")  # starts the peak of resident memory anew
+    Path("/proc/self/clear_refs").write_text("5")  # restarts the peak of resident memory
     before, started = _memory("VmRSS"), time.monotonic()
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
     signal.alarm(10 * SECONDS)
@@ -168,7 +166,7 @@ def main(layouts: str, scratch: Path, stride: int) -> None:
 
 
 def _damage(layout: str, scratch: Path, stride: int) -> None:
-    """Print what became of the damages to one layout."""
+    """Print the results of the damages to one layout."""
     most = resource.getrlimit(resource.RLIMIT_AS)[1]
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     original = scratch / layout

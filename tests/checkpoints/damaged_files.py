@@ -17,7 +17,7 @@ NUMBERS: dict[type, list[object]] = {
     int: [-64, -1, 0, 7 * 10**8, 2 * 10**9, 10**30, 1e308, "x", True, [], {}],
     float: [-1.0, 1e-300, 1e9, 1e308, float("nan"), float("-inf"), "x", [], {}],
 }
-"""What a number is replaced by."""
+"""Replacements of a number."""
 MEANT = {
     "q01.0 = 1e-300",
     "q99.0 = 1e-300",
@@ -29,9 +29,7 @@ MEANT = {
     "norm_stats.state.mean.0 = -1.0",
     "norm_stats.actions.mean.0 = -1.0",
 }
-"""Endings of replacements that another checkpoint could mean, so that nothing tells them from a
-right one.
-"""
+"""Replacements that are valid in another checkpoint, so that they cannot be detected."""
 
 
 def files(name: str) -> Iterator[Case]:
@@ -95,7 +93,7 @@ def edited(name: str, edit: Callable[[Any], object]) -> Damage:
 
 
 def _leaves(value: object, path: tuple[Any, ...] = ()) -> Iterator[tuple[tuple[Any, ...], object]]:
-    """Every number; of a list of numbers, the first one."""
+    """Paths of all numbers; of a list of numbers only the first one."""
     if isinstance(value, dict):
         for key, part in value.items():
             yield from _leaves(part, (*path, key))

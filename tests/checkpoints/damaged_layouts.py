@@ -1,4 +1,4 @@
-"""Damages that mean something in one layout of a checkpoint only."""
+"""Damages that are specific to one layout of a checkpoint."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from damaged_files import Case, Damage, writer
 
 
 class _Execute:
-    """A pickle that runs a command when it is loaded as Python loads pickles."""
+    """A pickle that runs a command when loaded with Python's unpickler."""
 
     def __reduce__(self) -> Any:
         return os.system, ("touch executed",)
@@ -28,7 +28,7 @@ class _Storage:
 
 
 class _Oversized:
-    """A tensor that says to be larger than its storage."""
+    """A tensor that claims to be larger than its storage."""
 
     def __init__(self, shape: tuple[int, ...], stride: tuple[int, ...]) -> None:
         self.shape, self.stride = shape, stride
@@ -54,7 +54,7 @@ class _Pickler(pickle.Pickler):
 def _archive(
     content: object, compression: int = zipfile.ZIP_STORED, data: bytes | None = None
 ) -> Callable[[Path], None]:
-    """A file as torch.save writes it, with `content` in its data.pkl."""
+    """A file as written by torch.save, with `content` in its data.pkl."""
 
     def write(path: Path) -> None:
         import io

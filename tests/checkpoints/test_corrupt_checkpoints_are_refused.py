@@ -1,5 +1,5 @@
-"""A damaged checkpoint is refused by one clear error, soon and in little memory; it never gives
-another action.
+"""A damaged checkpoint is refused with one clear error, quickly and with little memory; it never
+yields another action.
 
 The damages and the process that loads them are in `corruptions.py`.
 """
@@ -17,17 +17,17 @@ import pytest
 
 RUNNER = Path(__file__).with_name("corruptions.py")
 AGAINST_AN_OPTION = "config.json: text_config.max_position_embeddings = 100"
-"""A possible checkpoint, in which the option max_prompt_tokens does not fit."""
+"""A valid checkpoint, which conflicts with the option max_prompt_tokens."""
 MAX_MESSAGE = 2500
 """Twelve names of tensors with their shapes, in two shards."""
 MAX_GROWTH_BYTES = 400e6
 """A JSON file of 8 MiB may take twenty times as much when parsed; the model itself has 3 MB."""
 LAYOUTS = {"openvla": 440, "oft": 640, "pi0-lerobot": 720, "pi0-openpi": 440}
-"""Layouts, and how many damages there are at least."""
+"""Layouts, with their minimum number of damages."""
 
 
 STRIDE = 47
-"""Every so many damages one is tried; all of them in the slow test."""
+"""Stride of the tried damages; the slow test tries all."""
 
 
 def _run(layouts: str, scratch: Path, stride: int) -> list[dict[str, Any]]:
@@ -61,7 +61,7 @@ def _check(rows: list[dict[str, Any]], least: int) -> None:
     assert not [row for row in rows if row["grown_bytes"] > MAX_GROWTH_BYTES]
 
 
-# two in one process: to load PyTorch took most of its time
+# two in one process, because loading PyTorch took most of the time
 @pytest.mark.parametrize("layouts", ["openvla,oft", "pi0-lerobot,pi0-openpi"])
 def test_a_sample_of_damaged_checkpoints_is_refused_or_acts_as_before(layouts, tmp_path):
     rows = _run(layouts, tmp_path, STRIDE)

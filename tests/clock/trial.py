@@ -1,5 +1,5 @@
-"""A moving cell on a machine whose clock is set; run with `set_clock.c` preloaded. Prints a line of
-JSON for each jump.
+"""A moving cell on a machine whose clock is changed; run with `set_clock.c` preloaded. Prints one
+line of JSON per jump.
 
 CLOCK_OFFSET_FILE=offset LD_PRELOAD=./set_clock.so python tests/clock/trial.py FOLDER SECONDS ...
 """
@@ -43,9 +43,7 @@ def main(folder: Path, jumps_s: list[float]) -> None:
             return time.monotonic() - started_s
 
         wait(settled, 20.0)
-        switching.switch(
-            "inference", StartChosenInference(backend="first")
-        )  # leaves moments behind
+        switching.switch("inference", StartChosenInference(backend="first"))  # records moments
         wait(settled, 20.0)
         now_s = 0.0
         for jump_s in jumps_s:

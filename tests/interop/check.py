@@ -1,9 +1,8 @@
-"""Clients that were not written here against our server: the MCP Inspector and the public
-conformance suite.
+"""Third-party clients against our server: the MCP Inspector and the public conformance suite.
 
 Run by `make interop`; it needs npm and a registry. The server is `roboneuron serve --transport
-http` on a free port with the embedded default configuration and a state directory that is thrown
-away; nothing moves.
+http` on a free port with the embedded default configuration and a temporary state directory;
+nothing moves.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ EXPECTED = HERE / "expected-failures.yml"
 
 
 def install(folder: Path) -> dict[str, str]:
-    """Install the npm packages once; returns an environment with that node first in PATH."""
+    """Install the npm packages once; return an environment with that node first in PATH."""
     folder.mkdir(parents=True, exist_ok=True)
     modules = folder / "node_modules"
     if not (modules / "@modelcontextprotocol" / "conformance").exists():
@@ -50,7 +49,7 @@ def install(folder: Path) -> dict[str, str]:
 
 
 def start_server(state: Path) -> tuple[subprocess.Popen[bytes], str]:
-    """Start the server; returns when it listens."""
+    """Start the server; return when it listens."""
     from roboneuron.config import default_text
 
     configuration = state / "roboneuron.toml"
@@ -84,7 +83,7 @@ def start_server(state: Path) -> tuple[subprocess.Popen[bytes], str]:
 
 
 def inspect(environment: dict[str, str], url: str) -> list[tuple[str, bool, str]]:
-    """What the Inspector's command line can do: (what, whether as it should be, what it said)."""
+    """Results of the Inspector's command line: (name, whether as expected, output)."""
 
     def ask(*words: str) -> tuple[int, str]:
         done = subprocess.run(
@@ -135,7 +134,7 @@ def inspect(environment: dict[str, str], url: str) -> list[tuple[str, bool, str]
 
 
 def conform(environment: dict[str, str], url: str, results: Path) -> tuple[bool, str]:
-    """Run the active suite; whether nothing failed but what is expected, and its summary."""
+    """Run the active suite; return whether nothing failed unexpectedly, and its summary."""
     command = ["conformance", "server", "--url", url, "--output-dir", str(results)]
     if EXPECTED.exists():
         command += ["--expected-failures", str(EXPECTED)]
@@ -160,7 +159,7 @@ def _last(text: str) -> str:
 
 
 def main() -> int:
-    """Run both; status 1 when something is not as it is written in docs/interop.md."""
+    """Run both; status 1 if a result differs from docs/interop.md."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--npm", type=Path, default=Path(".npm-interop"), help="folder for the npm packages"

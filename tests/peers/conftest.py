@@ -1,4 +1,4 @@
-"""The server of these tests, and the table that they fill."""
+"""The server of these tests, and the table of results."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ OTHERWISE = {
     "msg/Seam.msg": "float64[3] offset\nstring<=16 tool\nuint8[] picture\nint32 added\n",
     "srv/Strike.srv": "Seam seam\n---\nbool success\nstring message\n",
 }
-"""Definitions of `own_msgs` that this server has, and the peers do not."""
+"""Definitions of `own_msgs` for this server; the peers lack them."""
 CONFIG = """
 [robot]
 name = "fr3"
@@ -63,7 +63,7 @@ TABLE = pytest.StashKey[dict[str, dict[str, str]]]()
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
-    """On loopback, in a domain that nobody else has."""
+    """A server on loopback, in its own domain."""
     folder = tmp_path_factory.mktemp("server")
     config = folder / "roboneuron.toml"
     text = CONFIG.format(state=folder / "state")
@@ -105,7 +105,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 
 @pytest.fixture(scope="session")
 def table(request: pytest.FixtureRequest) -> dict[str, dict[str, str]]:
-    """What was seen, by peer and column."""
+    """Observations by peer and column."""
     return request.config.stash.setdefault(TABLE, {})
 
 

@@ -1,9 +1,9 @@
-"""A program that uses Cyclone DDS alone and speaks as rmw_cyclonedds does: topics `rt/...`,
-services with who asks in front of what is asked, type hashes in USER_DATA.
+"""A program that only uses Cyclone DDS, with the conventions of rmw_cyclonedds: topics `rt/...`,
+services with a client header before the request, type hashes in USER_DATA.
 
     python cyclone_program.py DOMAIN
 
-Ends when its standard input does.
+It ends with its standard input.
 """
 
 import sys
@@ -23,7 +23,7 @@ from cyclonedds.util import duration
 
 RELIABLE = Policy.Reliability.Reliable(duration(seconds=1))
 OTHER_HASH = f"typehash=RIHS01_{'5e' * 32};".encode()
-"""As of a definition that nobody else has."""
+"""Hash of a definition that nobody else has."""
 
 
 @dataclass
@@ -75,7 +75,7 @@ class Seam(IdlStruct, typename="own_msgs::msg::dds_::Seam_"):
 @dataclass
 @final
 class SwitchRequest(IdlStruct, typename="std_srvs::srv::dds_::SetBool_Request_"):
-    """std_srvs/SetBool's request behind rmw_cyclonedds' header."""
+    """std_srvs/SetBool's request after rmw_cyclonedds' header."""
 
     guid: uint64
     number: int64
@@ -112,13 +112,13 @@ class Program:
         self._kept: list[object] = []
 
     def writer(self, name: str, of: type, *policies: Policy) -> DataWriter:
-        """A writer, reliable unless told otherwise."""
+        """Create a writer, reliable by default."""
         topic = Topic(self._participant, name, of)
         qos = Qos(Policy.History.KeepLast(10), *(policies or (RELIABLE,)))
         return DataWriter(self._participant, topic, qos)
 
     def reader(self, name: str, of: type, take: object, *more: Policy) -> None:
-        """A reliable reader that calls `take` with each sample."""
+        """Create a reliable reader that calls `take` with each sample."""
 
         class Taking(Listener):
             def on_data_available(self, reader: DataReader) -> None:
@@ -131,7 +131,7 @@ class Program:
 
 
 def serve(program: Program, last: dict[str, str]) -> None:
-    """Note texts and megabytes in `last`, switch, and take goals."""
+    """Record texts and megabytes in `last`, answer the switch service, and accept goals."""
     switched = program.writer("rr/fr3/switchReply", SwitchResponse)
 
     def measure(message: Bytes) -> None:

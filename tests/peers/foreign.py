@@ -1,4 +1,4 @@
-"""A server with its agent, and foreign processes beside it."""
+"""A server with its agent, and foreign processes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MARKS = [
     ),
 ]
 WAIT_S = 60.0
-"""For what another process does, on a machine that does much else."""
+"""Time limit for other processes, on a busy machine."""
 LOOPBACK = """
 <CycloneDDS><Domain>
 <General><Interfaces><NetworkInterface name="lo"/></Interfaces>
@@ -55,24 +55,24 @@ class Server:
     process: psutil.Process
 
     def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """The result of a call that works."""
+        """The result of a call that must succeed."""
         answer = self.call(tool, arguments)
         assert not answer.is_error, answer.content
         return dict(answer.structured_content or {})
 
     def refusal(self, tool: str, **arguments: Any) -> str:
-        """What a call that does not work says."""
+        """The text of a call that must fail."""
         answer = self.call(tool, arguments)
         assert answer.is_error, answer.structured_content
         return str(answer.content[0].text)
 
     def problems(self, name: str) -> list[str]:
-        """What list_topics says of an endpoint."""
+        """Problems of an endpoint in list_topics."""
         topics = self.do("list_topics")["topics"]
         return list(next(one["problems"] for one in topics if one["name"] == name))
 
     def doctor(self) -> str:
-        """What `roboneuron doctor` says."""
+        """Output of `roboneuron doctor`."""
         command = [sys.executable, "-m", "roboneuron.cli.main", "doctor", "--config"]
         ended = subprocess.run(
             [*command, str(self.config)],
@@ -87,7 +87,7 @@ class Server:
 
 @contextmanager
 def running(command: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """A foreign process, until its standard input is closed."""
+    """Run a foreign process until its standard input is closed."""
     with subprocess.Popen(
         command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:
@@ -124,7 +124,7 @@ def kilted(server: Server) -> tuple[list[str], dict[str, str]]:
 
 
 def until(look: Callable[[], Any]) -> Any:
-    """The first true value, of a graph that is discovered a little later."""
+    """Poll for the first true value, because discovery takes time."""
     found: list[Any] = []
 
     def seen() -> bool:

@@ -3,8 +3,8 @@ message, whose GIDs have 24 bytes instead of 16.
 
     python humble_program.py DOMAIN
 
-For each number on its standard input it sends so many discovery messages, each of other nodes, and
-says when all are acknowledged.
+For each number on its standard input it sends this many discovery messages, each with other nodes,
+and reports when all are acknowledged.
 """
 
 import sys
@@ -60,19 +60,21 @@ class Participant(IdlStruct, typename="rmw_dds_common::msg::dds_::ParticipantEnt
 
 
 def gid(guid: bytes) -> Gid:
-    """16 bytes of a GUID, filled up with zeros as Humble does."""
+    """16 bytes of a GUID, padded with zeros as in Humble."""
     return Gid([*guid, *bytes(24 - len(guid))])
 
 
 def told(guid: bytes, number: int) -> Participant:
-    """What a process with a node tells, each time of another node with other endpoints."""
+    """Discovery message of a process with a node, each time with another node and other
+    endpoints.
+    """
     ends = [gid(guid[:12] + (number * 8 + end).to_bytes(4, "big")) for end in range(8)]
     node = NodeEntities("/fr3", f"old_{number:06d}", ends[:4], ends[4:])
     return Participant(gid(guid), [node] * (1 + number % 5))
 
 
 def main() -> None:
-    """Send as many as is asked for."""
+    """Send the requested numbers of messages."""
     participant = DomainParticipant(int(sys.argv[1]), qos=Qos(Policy.Userdata(b"enclave=/;")))
     latched = Qos(
         RELIABLE,

@@ -1,8 +1,8 @@
-"""Nodes of ROS 2 Kilted, without RoboNeuron: what every peer of these tests has, and a managed
-node.
+"""Nodes of ROS 2 Kilted, without RoboNeuron: the endpoints of every peer of these tests, and a
+managed node.
 
-Run it in a shell with Kilted and the workspace of `make test-sourced` sourced; ends when its
-standard input does.
+Run it in a shell with Kilted and the workspace of `make test-sourced` sourced; it ends with its
+standard input.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from test_msgs.action import Fibonacci
 
 
 def serve(node: Node) -> ActionServer:
-    """Repeat texts, send and measure a megabyte, switch, count."""
+    """Repeat texts, send and measure a megabyte, answer the switch service, count."""
     last = {"heard": "", "measured": ""}
     repeated = {name: node.create_publisher(String, name, 10) for name in last}
     large = node.create_publisher(UInt8MultiArray, "large", 1)
@@ -60,7 +60,7 @@ def serve(node: Node) -> ActionServer:
 
 
 def misfit(node: Node, viewer: Node) -> None:
-    """A picture that its viewer cannot get, and types that others define otherwise."""
+    """An image with an incompatible viewer, and types with conflicting definitions."""
     best_effort = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
     blurred = node.create_publisher(String, "blurred", best_effort)
     node.create_timer(0.1, lambda: blurred.publish(String(data="blurred")))

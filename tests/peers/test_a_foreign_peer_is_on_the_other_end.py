@@ -1,5 +1,5 @@
-"""Nodes of ROS 2 Kilted, from its own wheels, and a program of Cyclone DDS beside a server that
-uses Jazzy's wheels: what works, and what is refused or named instead of hanging.
+"""Nodes of ROS 2 Kilted, from its own wheels, and a program of Cyclone DDS together with a server
+that uses Jazzy's wheels: what works, and what is refused or reported instead of hanging.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ MEGABYTE = bytes(range(256)) * 4096
 NAMES = {"kilted": "Kilted, its wheels", "cyclone": "Cyclone DDS 11, without ROS"}
 REFUSED = "between the two, topics work, services and actions do not"
 SOON_S = 5.0
-"""A refusal waits for nobody; the rest is for a busy machine."""
+"""A refusal is immediate; the rest is for a busy machine."""
 Note = Callable[[str, str], None]
 
 
 @pytest.fixture(scope="module", params=list(NAMES))
 def peer(request: pytest.FixtureRequest, server: Server) -> Iterator[str]:
-    """Which peer runs."""
+    """The running peer."""
     command = kilted(server) if request.param == "kilted" else cyclone(server, "cyclone_program.py")
     with running(*command):
         yield request.param
@@ -37,7 +37,7 @@ def peer(request: pytest.FixtureRequest, server: Server) -> Iterator[str]:
 
 @pytest.fixture
 def note(table: dict[str, dict[str, str]], peer: str) -> Note:
-    """Note what was seen in a column of the peer's row."""
+    """Record an observation in a column of the peer's row."""
     return table.setdefault(NAMES[peer], {}).__setitem__
 
 
@@ -69,7 +69,7 @@ def test_a_megabyte_goes_both_ways(server: Server, note: Note) -> None:
 
 
 def refused_soon(server: Server, tool: str, **arguments: object) -> None:
-    """Refused in one sentence once it is discovered, and at once."""
+    """Check that a discovered endpoint is refused quickly in one sentence."""
     until(lambda: REFUSED in server.refusal(tool, **arguments))
     begun_s = time.monotonic()
     said = server.refusal(tool, **arguments)
@@ -139,7 +139,7 @@ def test_quality_of_service_that_does_not_fit_is_named(
     said += "best effort publisher and reliable subscription."
     until(lambda: said in server.problems("blurred"))
     assert server.do("read_blurred", timeout_s=WAIT_S)["messages"][0]["data"] == "blurred"
-    if peer == "cyclone":  # of which ROS shows nothing
+    if peer == "cyclone":  # for which ROS shows nothing
         why = "no subscriber that fits, because of a setting of its DDS that ROS does not show"
         until(lambda: why in server.refusal("publish_owned", message={"data": ""}, timeout_s=1.0))
     told = server.doctor()

@@ -1,5 +1,5 @@
-"""What a process of ROS 2 Humble announces, by a stand-in: recognised, told in one sentence, and
-nobody's memory grows.
+"""Discovery messages of a ROS 2 Humble process, from a stand-in: recognised, reported in one
+sentence, and no process's memory grows.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ TOLD = "as ROS 2 Humble and older do"
 MESSAGES = 10_000
 DEFINITION = "another definition"
 MOST_MIB = 8.0
-"""Growth of the server; one that kept the messages, of about 1 KB, would grow by 10 MiB."""
+"""Limit of the server's growth; one that kept the messages, of about 1 KB, would grow by 10 MiB."""
 
 
 @pytest.fixture(scope="module")
@@ -26,13 +26,13 @@ def humble(server: Server) -> Iterator[subprocess.Popen[str]]:
 
 
 def row(table: dict[str, dict[str, str]]) -> dict[str, str]:
-    """The stand-in's row; it has a topic alone, and none of Humble's own DDS."""
+    """The stand-in's row; it only has a topic, and nothing of Humble's own DDS."""
     untried = ("1 MB", "service", "action", "lifecycle", "QoS that does not fit")
     return table.setdefault("Humble, a stand-in", dict.fromkeys(untried, "-"))
 
 
 def tell(humble: subprocess.Popen[str], count: int) -> str:
-    """Have it send so many discovery messages; what it says once all are acknowledged."""
+    """Send this many discovery messages; return its report once all are acknowledged."""
     assert humble.stdin is not None
     assert humble.stdout is not None
     humble.stdin.write(f"{count}\n")

@@ -1,13 +1,13 @@
-"""The embedded default and the bases on other Python versions: installed as a user would, in a
-fresh environment each.
+"""The embedded default and the bases on other Python versions: installed as by a user, each in a
+fresh environment.
 
     make test-pythons                                       # python3.11, python3.12 and python3.13
     make test-pythons PYTHONS="/opt/python3.12/bin/python"
 
 For each interpreter: pip installs the packages (wheels only: nothing is compiled), `roboneuron
-doctor` finds the engine that is expected there, `roboneuron demo` lifts a cube by the simulator's
-own judgement, and the three bases drive their paths. Exit status 0 means that all of it worked
-everywhere. Takes about three minutes for each, most of it for pip.
+doctor` finds the expected engine, `roboneuron demo` lifts a cube as judged by the simulator, and
+the three bases drive their paths. Exit status 0 means that everything worked everywhere. It takes
+about three minutes per version, mostly for pip.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ INSTALL_LIMIT_S, RUN_LIMIT_S = 1200, 600
 
 
 def run(command: list[str], folder: Path, limit_s: float, env: dict[str, str]) -> str:
-    """Run `command` in `folder`; its output. Ends the check when it fails."""
+    """Run `command` in `folder`; return its output. Ends the check if it fails."""
     done = subprocess.run(
         command, cwd=folder, env=env, capture_output=True, text=True, timeout=limit_s, check=False
     )
@@ -39,7 +39,7 @@ def run(command: list[str], folder: Path, limit_s: float, env: dict[str, str]) -
 
 
 def expected_engine(python: Path, env: dict[str, str], folder: Path) -> str:
-    """PyBullet where it has a wheel, MuJoCo elsewhere."""
+    """PyBullet if it has a wheel, otherwise MuJoCo."""
     asked = (
         "import platform, sys; print(sys.version_info < (3, 12) and platform.machine() == 'x86_64')"
     )
@@ -52,7 +52,7 @@ def expected_engine(python: Path, env: dict[str, str], folder: Path) -> str:
 
 def check(interpreter: str, folder: Path) -> None:
     """All steps with one interpreter."""
-    # A virtual environment hands paths of its ROS on to its children; another one must not inherit
+    # A virtual environment passes paths of its ROS to its children; another one must not inherit
     # them.
     env = {
         k: v

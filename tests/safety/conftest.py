@@ -1,5 +1,5 @@
-"""A simulated FR3 with its modules in processes of their own, and a stranger on the same ROS graph
-who watches it.
+"""A simulated FR3 with its modules in separate processes, and a foreign node on the same ROS graph
+that observes it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ action_timeout_s = 0.4
 start_timeout_s = 60.0
 """
 STILL_RAD_S = 0.02
-"""Every joint slower than this: the arm stands."""
+"""Joint speed below which the arm stands."""
 
 
 PAIR_CONFIG = """
@@ -57,11 +57,11 @@ start_timeout_s = 60.0
 
 
 class Arm:
-    """The FR3 of one test module, as a stranger sees it; times are monotonic."""
+    """The FR3 of one test module, as observed by a foreign node; times are monotonic."""
 
     text = CONFIG
     joints: slice | list[int] = slice(7)
-    """Of the arm, among those that are measured."""
+    """The arm's joints among the measured ones."""
 
     def __init__(self, state: Path) -> None:
         import rclpy
@@ -126,7 +126,7 @@ class Arm:
         self.tcp.append((time.monotonic(), np.array([p.x, p.y, p.z])))
 
     def start(self, *kinds: Any) -> None:
-        """Start the modules that do not run."""
+        """Start the modules that are not running."""
         for kind in kinds:
             if self.supervisor.view(kind).phase != "running":
                 self.supervisor.start(fake_plan(kind, self.config))
@@ -149,15 +149,15 @@ class Arm:
         return "" if report is None else report.note
 
     def velocities(self, since_s: float) -> np.ndarray:
-        """Measured joint velocities (k, 7) since then [rad/s]."""
+        """Measured joint velocities (k, 7) since this time [rad/s]."""
         return np.array([v for at, _, v in list(self.states) if at >= since_s])
 
     def places(self, since_s: float) -> np.ndarray:
-        """Measured TCP positions (k, 3) since then [m]."""
+        """Measured TCP positions (k, 3) since this time [m]."""
         return np.array([p for at, p in list(self.tcp) if at >= since_s])
 
     def is_still(self) -> bool:
-        """Whether no joint moved during the last ten states, which are recent."""
+        """True if no joint moved during the last ten states, which are recent."""
         last = list(self.states)[-10:]
         return (
             len(last) == 10
@@ -166,24 +166,24 @@ class Arm:
         )
 
     def is_moving(self) -> bool:
-        """Whether a joint moves."""
+        """True if a joint moves."""
         return bool(self.states) and float(np.abs(self.states[-1][2]).max()) > 5 * STILL_RAD_S
 
     def act(self, values: list[float]) -> None:
-        """Publish one action, unchecked."""
+        """Publish one action without checks."""
         from std_msgs.msg import Float64MultiArray
 
         self.actions.publish(Float64MultiArray(data=values))
 
     def wave(self, there: bool) -> Any:
-        """An action that moves the arm there or back."""
+        """An action that moves the arm forth or back."""
         from std_msgs.msg import Float64MultiArray
 
         return Float64MultiArray(data=[0.0, 0.02 if there else -0.02, 0.0, 0.0, 0.0, 0.0, 1.0])
 
     @contextlib.contextmanager
     def waving(self) -> Iterator[None]:
-        """Somebody moves the TCP 20 mm per 0.1 s to and fro while the block lasts."""
+        """Move the TCP by 20 mm per 0.1 s to and fro within the block."""
         end = threading.Event()
 
         def wave() -> None:
@@ -212,20 +212,20 @@ class Arm:
 
 
 class Pair(Arm):
-    """Two FR3s at one table; everybody waves with both."""
+    """Two FR3s at one table; actions move both."""
 
     text = PAIR_CONFIG
     joints = [*range(7), *range(9, 16)]  # noqa: RUF012
 
     def is_moving(self) -> bool:
-        """Whether a joint of each arm moves."""
+        """True if a joint of each arm moves."""
         if not self.states:
             return False
         left, right = np.split(np.abs(self.states[-1][2]), 2)
         return bool(min(left.max(), right.max()) > 5 * STILL_RAD_S)
 
     def wave(self, there: bool) -> Any:
-        """Joint velocities that move both arms there or back."""
+        """Joint velocities that move both arms forth or back."""
         from rn_robot_fr3.profile import pair_profile
         from roboneuron.contract import GRIPPER, robot_space
         from roboneuron.ros.messages import to_action_message
@@ -244,13 +244,13 @@ def wait() -> Callable[[Callable[[], bool], float, str], float]:
 
 @pytest.fixture(scope="module")
 def arm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
-    """An FR3 on a ROS domain of its own; tests start the modules they need."""
+    """An FR3 on its own ROS domain; tests start the modules they need."""
     yield from _made(Arm, tmp_path_factory)
 
 
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Arm]:
-    """Two of them at one table, likewise."""
+    """Two FR3s at one table on their own ROS domain."""
     yield from _made(Pair, tmp_path_factory)
 
 

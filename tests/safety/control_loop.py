@@ -1,5 +1,5 @@
-"""The control module with its real controller and limits on a clock of the test, and an arm that
-follows exactly and is judged by `MotionJudge`.
+"""The control module with its real controller and limits on a test clock, and an arm that follows
+exactly and is checked by `MotionJudge`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from roboneuron.ros.messages import to_joint_state
 
 
 class Clock:
-    """Stands in for the module `time` of control."""
+    """Replaces the module `time` in control."""
 
     def __init__(self) -> None:
         self.now_s = 1000.0
@@ -44,7 +44,7 @@ class _Publisher:
 
 
 class _Host:
-    """What control asks of its node; no ROS process is there."""
+    """The part of the node that control uses, without a ROS process."""
 
     def __init__(self, settings: ModuleSettings, clock: Clock) -> None:
         self.settings, self._clock = settings, clock
@@ -80,8 +80,8 @@ class ControlLoop:
 
     Attributes:
         control: the module.
-        holds: holds that were sent.
-        commands: other commands that were sent.
+        holds: number of holds sent.
+        commands: number of other commands sent.
     """
 
     def __init__(self, config: str, judge: MotionJudge, state: Path, clock: Clock) -> None:
@@ -107,7 +107,7 @@ class ControlLoop:
         self._command_hold(joints)
 
     def joints(self) -> JointSample:
-        """As measured now."""
+        """The current measurement."""
         facts, finger = self.judge.facts, self.judge.finger()
         return JointSample(
             names=(*facts.joints, facts.finger[0]),
@@ -116,18 +116,18 @@ class ControlLoop:
         )
 
     def measure(self) -> None:
-        """A joint state arrives."""
+        """Deliver a joint state."""
         self.host.subscribed["joint_states"](to_joint_state(self.joints()))
 
     def go(self, seconds: float) -> None:
-        """Time passes; the watchdog looks, and the arm is measured."""
+        """Advance time, with the watchdog's checks and measurements of the arm."""
         self.clock.now_s += seconds
         self.measure()
         self.host.repeated[0]()
         self._follow()
 
     def receive(self, message: Float64MultiArray, age_s: float = 0.0) -> None:
-        """An action arrives that was sent so long ago."""
+        """Deliver an action sent `age_s` ago."""
         sent_ns = self.clock.time_ns() - round(age_s * 1e9)
         self.host.subscribed["action"](message, {"source_timestamp": sent_ns})
         self._follow()
@@ -149,7 +149,7 @@ class ControlLoop:
         sent.clear()
 
     def acted(self) -> set[str]:
-        """Limits that have acted: scaled, held or refused."""
+        """Names of the limits that have acted: scaled, held or refused."""
         message = self.host.status.to_message()
         values = {pair.key for pair in message.values}
         return {key.removeprefix("limited.") for key in values if key.startswith("limited.")} | {
@@ -157,7 +157,7 @@ class ControlLoop:
         }
 
     def drops(self) -> dict[str, int]:
-        """What was dropped, by word."""
+        """Number of dropped messages, by reason."""
         return dict(self.host.status.dropped)
 
     def close(self) -> None:

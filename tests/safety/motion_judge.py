@@ -1,5 +1,5 @@
-"""Judge of joint commands, which shares no code with the gate: limits from the robot's data sheet,
-places and distances by pinocchio on its description.
+"""Checker of joint commands that shares no code with the gate: limits from the robot's data sheet,
+positions and distances from pinocchio with its description.
 """
 
 from __future__ import annotations
@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 Box = tuple[tuple[float, ...], tuple[float, ...]]
 EXACT = 1e-5
-"""Relative: what rounding adds to a limit, durations in whole nanoseconds included."""
+"""Relative tolerance for rounding, including durations in whole nanoseconds."""
 BEND_M = 3e-3
-"""How far the path of the TCP between two commands lies beside the straight line that is limited:
-a chord of 0.1 m, the longest step, in a circle of 0.4 m radius bends by 3 mm.
+"""Deviation of the TCP's path between two commands from the straight line that is limited: a chord
+of 0.1 m, the longest step, in a circle of 0.4 m radius bends by 3 mm.
 """
 BEND_SPEED = 1.1
-"""A joint motion of constant velocity moves the TCP at most so much faster than on its average."""
+"""Factor by which the TCP may exceed its average speed during a joint motion of constant
+velocity.
+"""
 SAMPLES = 8
-"""Postures that are looked at on the path of one command."""
+"""Number of postures checked along the path of a command."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,17 +34,17 @@ class ArmFacts:
     """One arm as its manufacturer and the test's configuration state it; SI units.
 
     Attributes:
-        urdf, base_link, tcp_link, joints: where the arm is in the description.
-        lower, upper, velocity, acceleration: of the joints, in the shares that are configured.
-        velocity_bounds: lowest and highest velocity that the joints may have at positions.
+        urdf, base_link, tcp_link, joints: the arm's part of the description.
+        lower, upper, velocity, acceleration: joint limits, with the configured shares.
+        velocity_bounds: lowest and highest joint velocity allowed at given positions.
         finger: the commanded joint of the gripper, and its travel.
-        max_speed_m_s, max_turn_rad_s: of the TCP.
-        workspace, min_height_m, zones: of the TCP, base frame.
+        max_speed_m_s, max_turn_rad_s: limits of the TCP.
+        workspace, min_height_m, zones: limits of the TCP's position, base frame.
         obstacles: boxes that no link may touch, by name.
-        min_distance_m: between links, and to obstacles but for `tool_links`.
-        tool_links: may come as near to obstacles as they like without touching them.
-        touching: pairs of links that overlap whatever the joints do.
-        home: of the joints.
+        min_distance_m: between links, and to obstacles except for `tool_links`.
+        tool_links: links that may approach obstacles without touching them.
+        touching: pairs of links that always overlap.
+        home: home positions of the joints.
     """
 
     urdf: str
@@ -69,12 +71,12 @@ class ArmFacts:
 
 @dataclass
 class MotionJudge:
-    """Follows the commands of one arm exactly, and says what each of them breaks.
+    """Follows the commands of one arm exactly, and records the limits that they break.
 
     Attributes:
-        facts: of the arm.
-        broken: what was broken, by limit: a sentence each.
-        greatest: largest share of each limit that was used.
+        facts: facts of the arm.
+        broken: violations by limit, one sentence each.
+        greatest: largest used share of each limit.
     """
 
     facts: ArmFacts
@@ -98,35 +100,37 @@ class MotionJudge:
     # -- the arm that follows
 
     def place(self, now_s: float) -> F64:
-        """Where the joints are."""
+        """Joint positions at a time."""
         share = min(1.0, max(0.0, (now_s - self._sent_s) / self._lasts_s))
         return np.asarray(self._start + (self._end - self._start) * share)
 
     def _velocity(self, now_s: float) -> F64:
-        """How fast the joints are: after the end of its command no arm stops faster than it may."""
+        """Joint velocities at a time: after the end of its command an arm decelerates within its
+        limit.
+        """
         commanded = (self._end - self._start) / self._lasts_s
         over_s = max(0.0, now_s - self._sent_s - self._lasts_s)
         left = np.abs(commanded) - self.facts.acceleration * over_s
         return np.asarray(np.sign(commanded) * np.maximum(left, 0.0))
 
     def finger(self) -> float:
-        """Where the finger is."""
+        """Position of the finger."""
         return self._finger
 
     def pose(self, position: F64) -> pinocchio.SE3:
-        """Of the TCP in the base frame."""
+        """TCP pose in the base frame."""
         pinocchio.framesForwardKinematics(self._model, self._data, self._full(position))
         return self._data.oMf[self._base].actInv(self._data.oMf[self._tcp])
 
     def hold(self, names: Sequence[str], position: F64, now_s: float) -> None:
-        """The arm is told to stay where it is measured."""
+        """Hold the arm at its measured position."""
         here = self.place(now_s)
         moved = np.abs(self._ordered(names, position) - here).max()
         self._demand("hold", moved <= EXACT, f"a hold moves a joint by {moved:g}")
         self._start, self._end, self._sent_s, self._lasts_s = here, here, now_s, 1.0
 
     def command(self, names: Sequence[str], position: F64, lasts_s: float, now_s: float) -> None:
-        """A command is sent: judge it, then follow it."""
+        """Check a command, then follow it."""
         facts = self.facts
         start, end = self.place(now_s), self._ordered(names, position)
         before = self._velocity(now_s)
@@ -256,7 +260,7 @@ class MotionJudge:
 
 
 def _outside_m(point: F64, box: Box) -> float:
-    """How far a point is outside of a box along the worst axis; negative inside."""
+    """Distance of a point from a box along the worst axis; negative inside."""
     return float(np.maximum(np.array(box[0]) - point, point - np.array(box[1])).max())
 
 

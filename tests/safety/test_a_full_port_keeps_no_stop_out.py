@@ -1,8 +1,8 @@
-"""Connections that say nothing fill a port of a served robot with few file handles; a stop still
-gets through.
+"""Silent connections exhaust a port of a served robot with few file handles; a stop still gets
+through.
 
-How soon is measured by benchmarks/bench_full_ports.py, with floods of new connections and the
-shared model's port too.
+benchmarks/bench_full_ports.py measures how soon, also with floods of new connections and for the
+shared model's port.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ async def _positions(agent: DemoAgent) -> dict[str, float]:
 
 
 async def _moved(agent: DemoAgent, pause_s: float) -> dict[str, float]:
-    """How far each arm's farthest joint gets in that time [rad]."""
+    """Displacement of each arm's fastest joint in that time [rad]."""
     before = await _positions(agent)
     await anyio.sleep(pause_s)
     after = await _positions(agent)
@@ -68,6 +68,6 @@ async def _stop_while_they_move(log: Path) -> None:
 def test_both_arms_hold_when_one_stop_is_pressed(
     tmp_path: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in ("ROS_DOMAIN_ID", "XDG_STATE_HOME"):  # the stop is latched there, and stays
+    for name in ("ROS_DOMAIN_ID", "XDG_STATE_HOME"):  # the stop is latched there permanently
         monkeypatch.setenv(name, environment[name])
     anyio.run(_stop_while_they_move, tmp_path / "server.log")

@@ -1,5 +1,5 @@
-"""States or the robot stall for an eighth of a second: no window of the TCP's true motion is above
-the speed limit.
+"""States or the robot stall for an eighth of a second: the TCP's true speed exceeds the limit in no
+window.
 
 Steps of move_ee, the controller, the limiter of control and the simulation run in one thread, in
 virtual time.
@@ -33,7 +33,7 @@ LIMIT_M_S = 0.15
 STALL_S = 0.125
 LATENCY_S, WAY_S = 0.01, 0.003
 TOLERANCE = 1.02
-"""A straight line in joint space is a curve in task space, and a joint that accelerates is faster
+"""A straight line in joint space is a curve in task space, and an accelerating joint is faster
 later in its step.
 """
 LONGEST_S = 8.0
@@ -43,9 +43,7 @@ pytestmark = pytest.mark.parametrize(
 
 
 class Loop:
-    """An FR3 that follows commands; what is measured comes late, and nothing comes while it
-    stalls.
-    """
+    """An FR3 that follows commands; measurements arrive late, and none arrives while it stalls."""
 
     def __init__(self, engine: Engine, stall: str, from_s: float, max_speed_m_s: float) -> None:
         self.simulation = ArmSimulation(0, engine=engine)
@@ -66,7 +64,7 @@ class Loop:
         self._action_s = -1.0
 
     def pose(self) -> Pose:
-        """What is measured as far as control knows."""
+        """The newest measurement known to control."""
         assert self._joints is not None
         return self.controller.forward(self._joints)
 
@@ -94,7 +92,7 @@ class Loop:
         )
 
     def act(self, delta: np.ndarray) -> None:
-        """As control does with an action."""
+        """Execute an action as control does."""
         since_s = self.now_s - self._action_s
         self._action_s = self.now_s
         assert self._joints is not None
@@ -108,7 +106,7 @@ class Loop:
         self._commands.append((self.now_s + WAY_S, answer))
 
     def fastest_m_s(self, window_s: float) -> float:
-        """Of all windows of the true motion."""
+        """Maximum speed over all windows of the true motion."""
         count, places = round(window_s / STEP_S), np.array(self.truth)
         return float(
             np.linalg.norm(places[count:] - places[:-count], axis=1).max() / (count * STEP_S)

@@ -1,4 +1,4 @@
-"""Faults on the action topic, from a stranger beside a policy that works, judged at the simulated
+"""Faults on the action topic, from a foreign node next to a working policy, judged by the simulated
 FR3's joints.
 """
 
@@ -31,14 +31,16 @@ FAULTS = {
 
 
 def check_motion(arm: Any, since_s: float) -> None:
-    """Every joint stayed within its velocity and position limits, and the TCP in its workspace."""
-    # The simulated motors swing over their setpoint by a little (2 % in the driver's own test).
+    """Check that every joint stayed within its velocity and position limits, and the TCP in its
+    workspace.
+    """
+    # The simulated motors overshoot their setpoint a little (2 % in the driver's own test).
     assert (np.abs(arm.velocities(since_s)) <= np.array(VELOCITY_RAD_S) * 1.02).all()
     positions = np.array([p for at, p, _ in list(arm.states) if at >= since_s])
     assert (positions >= np.array(LOWER_RAD) - 1e-3).all()
     assert (positions <= np.array(UPPER_RAD) + 1e-3).all()
     places = arm.places(since_s)
-    # Commands end within the workspace; the arm brakes from up to 0.5 m/s and may swing over by
+    # Commands end within the workspace; the arm brakes from up to 0.5 m/s and may overshoot by
     # millimetres.
     assert (places >= np.array(WORKSPACE_LOWER_M) - 0.01).all()
     assert (places <= np.array(WORKSPACE_UPPER_M) + 0.01).all()
@@ -80,8 +82,8 @@ def test_hundredfold_rate_is_no_faster_and_ends_at_the_workspace(arm: Any, wait:
     speeds = np.linalg.norm(places[:, None] - places[None, :], axis=-1) / np.abs(
         times[:, None] - times[None, :] + 1e-9
     )
-    # 0.5 m/s is the limit; stamps are those of arrival here, which a busy machine delays by tens of
-    # milliseconds.
+    # 0.5 m/s is the limit; stamps are arrival times in this process, which a busy machine delays by
+    # tens of milliseconds.
     assert speeds[apart].max() <= 0.5 * 1.25
     assert places[-1][1] > 0.3
     assert (

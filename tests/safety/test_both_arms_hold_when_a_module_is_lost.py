@@ -1,5 +1,5 @@
-"""Watchdogs of two FR3s that share one control and one driver, in their real processes: whatever is
-lost, both stand within the bounds of one arm.
+"""Watchdogs of two FR3s that share one control and one driver, in their real processes: whatever
+fails, both stand within the bounds of one arm.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(240)]
 
 Wait = Callable[[Callable[[], bool], float, str], float]
 BRAKING_S = 0.5
-"""From the moment of holding to standing, and a busy machine's delay."""
+"""Time from a hold to a standstill, including a busy machine's delay."""
 
 
 @pytest.fixture
 def moving(pair: Any, wait: Wait) -> Iterator[None]:
-    """Both arms move to and fro by actions of a stranger."""
+    """Both arms move to and fro by actions of a foreign node."""
     pair.start("robot", "control")
     wait(lambda: pair.actions.get_subscription_count() >= 2, 5.0, "control listens")
     with pair.waving():
@@ -31,9 +31,9 @@ def moving(pair: Any, wait: Wait) -> Iterator[None]:
 
 
 def check_standing(pair: Any) -> None:
-    """Neither arm moves for half a second."""
+    """Check that neither arm moves for half a second."""
     since_s = time.monotonic()
-    time.sleep(0.5)  # what is looked for is that nothing happens
+    time.sleep(0.5)  # to show that nothing happens
     velocities = np.abs(pair.velocities(since_s))
     assert velocities.shape[1] == 14
     assert velocities.max() < 0.05
@@ -83,6 +83,6 @@ def test_control_commands_neither_arm_when_the_robot_is_killed(
         "control has noticed",
     )
     since_s = time.monotonic()
-    time.sleep(0.5)  # likewise
+    time.sleep(0.5)  # to show that nothing happens
     assert not [at for at in pair.command_times if at > since_s + 0.1]
     wait(lambda: pair.supervisor.view("robot").phase == "exited", 5.0, "the death is noticed")

@@ -1,5 +1,5 @@
-"""A controller takes the place of another while the FR3 moves: judged at the joints, where nothing
-may jerk or stop.
+"""A controller replaces another while the FR3 moves: judged by the joints, which must not jerk or
+stop.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def test_the_joints_do_not_notice_a_new_controller(
     )
     profile = load_target(discover().get(RobotSpec, "fr3"))()  # type: ignore[operator]
     assert isinstance(arm.config.control, ControlConfig)
-    # The limit on acceleration holds from one command to the next, 0.1 s apart.
+    # The acceleration limit holds between two commands, 0.1 s apart.
     assert steps[during].max() <= max(
         1.2 * steps[~during].max(), 0.1 * float(profile.limits.acceleration.min())
     )

@@ -1,5 +1,5 @@
-"""Watchdogs in depth, judged at the simulated FR3's joints: each layer holds with the layer above
-it dead or frozen.
+"""Layers of watchdogs, judged by the simulated FR3's joints: each layer holds while the layer above
+it is dead or frozen.
 """
 
 from __future__ import annotations
@@ -17,20 +17,18 @@ pytestmark = [pytest.mark.ros, pytest.mark.timing, pytest.mark.timeout(240)]
 
 Wait = Callable[[Callable[[], bool], float, str], float]
 BRAKING_S = 0.5
-"""From the moment of holding to standing: from 2.6 rad/s with 10 rad/s^2, and a busy machine's
-delay.
-"""
+"""Time from a hold to a standstill: from 2.6 rad/s with 10 rad/s^2, plus a busy machine's delay."""
 
 
 def after_silence(arm: Any, since_s: float) -> np.ndarray:
-    """Measured joint velocities from then on, which must be those of an arm that stands."""
-    time.sleep(0.5)  # what is looked for is that nothing happens
+    """Measured joint velocities from this time on, which must be those of a standing arm."""
+    time.sleep(0.5)  # to show that nothing happens
     return np.abs(arm.velocities(since_s))
 
 
 @pytest.fixture
 def moving(arm: Any, wait: Wait) -> Iterator[None]:
-    """The arm moves to and fro by actions of a stranger."""
+    """The arm moves to and fro by actions of a foreign node."""
     arm.start("robot", "control")
     wait(lambda: arm.actions.get_subscription_count() >= 2, 5.0, "control listens")
     with arm.waving():
@@ -78,7 +76,7 @@ def test_robot_holds_when_control_is_gone(
 def test_control_that_wakes_up_drops_what_it_slept_through(arm: Any, wait: Wait) -> None:
     arm.start("robot", "control")
     wait(lambda: arm.actions.get_subscription_count() >= 2, 5.0, "control listens")
-    # an action of the test before may still be under way
+    # an action of the previous test may still be in transit
     time.sleep(2 * arm.config.control.action_timeout_s)
     wait(arm.is_still, 5.0, "the arm stands")
     pid = arm.pid("control")

@@ -1,7 +1,7 @@
-"""The FR3 behind its network protocol, moved by a policy: a process is killed or frozen, or the
-network is cut.
+"""The FR3 behind its network protocol, moved by a policy, when a process is killed or frozen, or
+the network is cut.
 
-Judged by the joints that franka-sim itself recorded 1000 times per second.
+Judged by the joint positions that franka-sim records at 1 kHz.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ pytestmark = [
 ]
 SERVER_TIMEOUT_S = 1.0
 STOP_S = {"control": 2.5, "robot": 1.5, "server": SERVER_TIMEOUT_S + 2.5}
-"""Most that each may take: the watchdog that acts, the end of the last target, and a loaded
-machine.
+"""Maximum stopping time by failure: the watchdog that acts, the end of the last target, and a
+loaded machine.
 """
 FASTEST_STOP_RAD_S2 = 60.0
-"""Mean over 20 ms. The simulated arm follows a broken stream of commands harder than a real one; a
-jump is far more.
+"""Mean over 20 ms. The simulated arm follows an interrupted stream of commands harder than a real
+one; a jump is far more.
 """
 
 
@@ -55,7 +55,7 @@ def cell(tmp_path: Path) -> Iterator[FciCell]:
 
 
 def stops(cell: FciCell, since_s: float, within_s: float) -> float:
-    """Wait until the arm is at rest; returns how long it took after `since_s`. It must not move
+    """Wait until the arm is at rest; return the time since `since_s`. It must not move
     afterwards.
     """
 
@@ -65,7 +65,7 @@ def stops(cell: FciCell, since_s: float, within_s: float) -> float:
     assert watched(lambda: time.monotonic() - rest_s() > 0.5, within_s + 5.0), (
         "the arm does not come to rest"
     )
-    time.sleep(1.0)  # what is looked for is that nothing happens
+    time.sleep(1.0)  # to show that nothing happens
     record = cell.record(within_s + 10.0)
     took_s = record.rest_s() - since_s
     print(f"at rest after {took_s * 1e3:.0f} ms; simulator: {verdict(cell)}")
@@ -78,7 +78,7 @@ def stops(cell: FciCell, since_s: float, within_s: float) -> float:
 
 
 def verdict(cell: FciCell) -> str:
-    """How the simulated robot saw the end of the motion."""
+    """The end of the motion as recorded by the simulated robot."""
     log = cell.sim_log()
     return (
         "communication watchdog"
@@ -114,7 +114,7 @@ def test_a_frozen_process_leaves_an_arm_at_rest(cell: FciCell, process: str) -> 
 
 
 def network() -> str:
-    """Why there can be no network of its own here; empty when there can."""
+    """Reason why no separate network is possible here; empty if it is."""
     if os.geteuid() != 0:
         return "needs the rights to make a network namespace"
     made = subprocess.run(["unshare", "-n", "ip", "link"], capture_output=True, check=False)
@@ -126,8 +126,8 @@ HERE, THERE = "10.213.37.1", "10.213.37.2"
 
 @pytest.fixture
 def cut_cell(tmp_path: Path) -> Iterator[tuple[FciCell, str]]:
-    """A cell whose simulator is behind a cable of its own, and the cable's name; both go with the
-    namespace.
+    """A cell whose simulator is behind a separate cable, and the cable's name; both are removed
+    with the namespace.
     """
     if reason := network():
         pytest.skip(reason)

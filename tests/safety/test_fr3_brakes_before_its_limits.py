@@ -1,5 +1,5 @@
-"""The FR3's position-dependent velocity limits, as its package states them and as core applies them
-on both paths.
+"""The FR3's position-dependent velocity limits, as defined in its package and applied by core on
+both paths.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ def test_core_brakes_as_the_official_formula_does() -> None:
 
 
 def test_steps_towards_a_limit_become_slower_and_never_pass_it() -> None:
-    """Somebody asks joint 2 to go on by 0.2 rad, 30 times a second, for five seconds; the arm
+    """Joint 2 is requested to advance by 0.2 rad, 30 times a second, for five seconds; the arm
     follows exactly.
     """
-    robot = replace(profile(), collision=None)  # the table would hold it before its limits do
+    robot = replace(profile(), collision=None)  # the table would stop it before its limits do
     controller = UrdfController(None, robot)
     controller.load()
     assert isinstance(controller, PostureInspector)
@@ -47,7 +47,7 @@ def test_steps_towards_a_limit_become_slower_and_never_pass_it() -> None:
     rules = motion_rules(
         free.model_copy(update={"on_position": "scale", "on_workspace": "scale"}), robot
     )
-    rules = type(rules)(reactions=rules.reactions)  # the joints' limits alone
+    rules = type(rules)(reactions=rules.reactions)  # only the joint limits
     limiter = MotionLimiter(rules, robot, controller.forward, controller.inspect)
     position, speeds = robot.home_rad.copy(), []
     limit = JointLimit.by_joint(robot)[ARM_JOINTS[1]]

@@ -1,5 +1,5 @@
-"""Joint motions that the gate permits bring no link of the FR3 into another one or the table,
-judged by PyBullet.
+"""Joint motions permitted by the gate bring no link of the FR3 into another one or the table, as
+checked by PyBullet.
 """
 
 from __future__ import annotations
@@ -33,13 +33,15 @@ from roboneuron.ros.messages import to_joint_trajectory
 COMMANDED = JOINTS[:8]
 HOME = np.array([*HOME_RAD, FINGER_OPEN_M])
 RIGID = [{"fr3_link7", "fr3_hand"}, {"fr3_leftfinger", "fr3_rightfinger"}]
-"""Links that overlap whatever the joints do, and fingers that close on each other."""
+"""Links that always overlap, and fingers that close on each other."""
 Ask = Callable[..., str]
 
 
 @pytest.fixture
 def make_ask(tmp_path: Path) -> Callable[..., Ask]:
-    """Return a function that makes a judge of one joint move; it says why not, or nothing."""
+    """Return a function that makes a judge of one joint move; it returns the reason of a refusal,
+    or nothing.
+    """
 
     def make(limits: str = "", workspace: bool = False) -> Ask:
         config = parse_config(
@@ -88,7 +90,7 @@ def make_ask(tmp_path: Path) -> Callable[..., Ask]:
 
 @pytest.fixture
 def simulation() -> Iterator[ArmSimulation]:
-    """The simulated FR3; its cubes are out of the way."""
+    """The simulated FR3, with its cubes moved away."""
     with ArmSimulation(0, colours=("red",)) as made:
         made.world.set_cubes(
             dict.fromkeys(made.world.cube_poses(), ((0.0, 5.0, 0.5), (0.0, 0.0, 0.0, 1.0)))
@@ -97,8 +99,8 @@ def simulation() -> Iterator[ArmSimulation]:
 
 
 def penetrations(simulation: ArmSimulation) -> list[tuple[str, str, float]]:
-    """Links that do not share a joint, or a moving link and the table, that overlap: names and
-    distance [m].
+    """Overlaps of links that share no joint, or of a moving link and the table: names and distance
+    [m].
     """
     client, robot, table = simulation.world.client, simulation.world.robot, 0
     infos = [
@@ -124,7 +126,7 @@ def penetrations(simulation: ArmSimulation) -> list[tuple[str, str, float]]:
 def along(
     simulation: ArmSimulation, start: np.ndarray, target: np.ndarray, count: int
 ) -> list[tuple[str, str, float]]:
-    """Penetrations at postures on the straight way."""
+    """Penetrations at postures on the straight path."""
     found = []
     for share in np.linspace(0.0, 1.0, count):
         position = start + (target - start) * share
@@ -154,8 +156,8 @@ def test_move_joints_does_not_press_link_6_into_the_base(
 def test_tilting_the_hand_at_low_height_does_not_press_a_link_onto_the_table(
     make_ask: Any, simulation: ArmSimulation
 ) -> None:
-    """TCP 27 mm above the table; joint 6 tilts the hand over the fingertips until its flange comes
-    down.
+    """TCP 27 mm above the table; joint 6 tilts the hand over the fingertips until its flange
+    approaches the table.
     """
     low = np.array([0.0, 0.2, 0.0, -2.42, 0.0, 2.62, 0.785, 0.04])
     tilted = low + np.array([0.0, 0.52, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
@@ -170,7 +172,9 @@ def test_ways_out_of_a_penetration_are_allowed(make_ask: Any) -> None:
 
 
 def test_fingers_may_work_just_above_the_table(make_ask: Any) -> None:
-    """The lowest TCP of the workspace, the hand straight down: fingertips 1 mm above the table."""
+    """At the lowest TCP of the workspace, the hand straight down: fingertips 1 mm above the
+    table.
+    """
     from rn_controller_urdf.controller import UrdfController
     from rn_robot_fr3.profile import profile
     from roboneuron.contract import Action
@@ -206,8 +210,8 @@ def _targets(rng: np.random.Generator, count: int) -> Sequence[np.ndarray]:
 def test_no_permitted_motion_penetrates_anything_on_its_way(
     make_ask: Any, simulation: ArmSimulation, count: int
 ) -> None:
-    """Random targets over the whole joint space, half of them followed on from where the last
-    permitted one ended.
+    """Random targets over the whole joint space, half of them continued from the end of the last
+    permitted motion.
     """
     ask, rng = make_ask(), np.random.default_rng(7)
     start, permitted, refused = HOME, 0, 0
@@ -227,8 +231,8 @@ def test_no_permitted_motion_penetrates_anything_on_its_way(
 def test_no_permitted_motion_penetrates_anything_while_it_is_carried_out(
     make_ask: Any, simulation: ArmSimulation, count: int
 ) -> None:
-    """The same with the simulator's motors, as fast as the gate lets a move be: joints do not start
-    all alike.
+    """The same with the simulator's motors, as fast as the gate allows: joints do not start all
+    alike.
     """
     ask, rng = make_ask("max_speed_m_s = 0.5"), np.random.default_rng(11)
     start, moves = HOME, 0

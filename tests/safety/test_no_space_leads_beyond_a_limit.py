@@ -1,5 +1,5 @@
 """Random and hostile chunks of every control space, from agreement to command: no command breaks a
-limit, judged by `MotionJudge`.
+limit, as checked by `MotionJudge`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ F64 = np.ndarray
 MIN_HEIGHT_M = 0.06
 ZONES = {"vase": ((0.40, -0.30, -0.1), (0.60, -0.08, 0.42))}
 VELOCITY, ACCELERATION = 0.8, 0.9
-"""Shares of the joints' limits that are configured."""
+"""Configured shares of the joint limits."""
 CONFIG = f"""
 [robot]
 name = "fr3"
@@ -64,7 +64,7 @@ SCALED = "".join(
     f'on_{name} = "scale"\n'
     for name in ("position", "workspace", "zone", "height", "collision", "step", "singularity")
 )
-"""Shorten instead of holding: other code, the same limits."""
+"""Shorten instead of hold: other code, same limits."""
 FACTS = ArmFacts(
     urdf=profile().urdf,
     base_link="fr3_link0",
@@ -94,12 +94,12 @@ FACTS = ArmFacts(
 
 @dataclass(frozen=True)
 class Subject:
-    """A robot to try.
+    """A robot under test.
 
     Attributes:
         config: roboneuron.toml, without the reactions.
-        facts: of each of its arms.
-        make_profile: of the robot.
+        facts: facts of each of its arms.
+        make_profile: creates the robot's profile.
     """
 
     config: str
@@ -112,7 +112,7 @@ KINDS = roboneuron_controllers()[0].spaces
 
 
 class HostilePolicy:
-    """Chunks of one space: motion on and on into one direction, jumps, and damage."""
+    """Chunks of one space: continued motion in one direction, jumps, and damaged values."""
 
     def __init__(self, space: ControlSpace, judge: MotionJudge, rng: np.random.Generator) -> None:
         self._space, self._judge, self._rng = space, judge, rng
@@ -120,7 +120,7 @@ class HostilePolicy:
         self._left = 0
 
     def chunk(self, position: F64, step_s: float) -> ActionChunk:
-        """The next one, seen from where the arm is. Raises as `ActionChunk`."""
+        """The next chunk, relative to the arm's position. Raises as `ActionChunk`."""
         rng = self._rng
         if self._left <= 0:
             self._left = int(rng.integers(1, 30))
@@ -181,7 +181,7 @@ def shuffled(space: ControlSpace, rng: np.random.Generator) -> ControlSpace:
 
 
 def foreign_message(space: ControlSpace, rng: np.random.Generator) -> Any:
-    """What somebody else beside the policy might publish."""
+    """A message that another publisher than the policy might send."""
     size = int(rng.choice([space.size, space.size, 7, 14, 0]))
     message = to_action_message(rng.normal(size=size), space)
     label = message.layout.dim[0].label
@@ -196,7 +196,7 @@ def foreign_message(space: ControlSpace, rng: np.random.Generator) -> Any:
 def drive(
     loop: ControlLoop, kind: str, robot: RobotProfile, chunks: int, rng: np.random.Generator
 ) -> Counter[str]:
-    """Let hostile policies drive; returns what became of their chunks."""
+    """Run hostile policies; return the results of their chunks."""
     outcomes: Counter[str] = Counter()
     while outcomes["chunks"] < chunks:
         rate_hz = float(rng.choice([5.0, 15.0, 30.0]))
@@ -222,7 +222,7 @@ def drive(
 def play(
     loop: ControlLoop, agreement: SpaceAgreement, chunk: ActionChunk, rng: np.random.Generator
 ) -> None:
-    """The rows of a chunk are sent in time, and arrive early, late, together or never."""
+    """Send the rows of a chunk in time, but with arrivals that are early, late, bunched or lost."""
     for row in chunk.actions:
         if rng.random() < 0.02:
             loop.receive(foreign_message(agreement.executed, rng))
@@ -230,7 +230,7 @@ def play(
             age_s = float(rng.choice([0.0, 0.003, 0.02]))
             loop.receive(to_action_message(row, agreement.executed), age_s)
         late = float(rng.choice([0.0, 1.0, 0.3, 1.5], p=[0.1, 0.6, 0.2, 0.1]))
-        # a third just when the command ends, the others before and after
+        # a third exactly at the end of the command, the others before and after
         jitter = float(rng.choice([1.0, rng.uniform(0.95, 1.05)], p=[0.3, 0.7]))
         loop.go(max(0.001, chunk.step_s * late * jitter))
 
@@ -265,7 +265,7 @@ def test_no_chunk_of_any_space_breaks_a_limit(
     rng = np.random.default_rng([SPACE_KINDS.index(kind), bool(reactions)])
     outcomes = drive(loop, kind, subject.make_profile(), chunks, rng)
     assert loop.judge.broken == {}
-    # that the chunks were hostile, and that the arm moved all the same
+    # the chunks were hostile, and the arm moved nevertheless
     assert loop.commands > 0.4 * chunks
     assert "malformed" in loop.drops()
     acted = loop.acted()
@@ -277,13 +277,13 @@ def test_no_chunk_of_any_space_breaks_a_limit(
 
 
 TELLING = (0, 1, 2, 10, 16)
-"""Seeds by which everything is broken; they are tried before the others."""
+"""Seeds with which all limits are broken; tried first."""
 
 
 def test_the_judge_sees_what_the_limits_prevent(
     make_loop: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Such chunks with a gate that lets everything pass."""
+    """The same chunks with a gate that permits everything."""
     prevented = {"position", "velocity", "braking", "acceleration", "speed"}
     prevented |= {"workspace", "height", "zone", "collision"}
     broken: set[str] = set()

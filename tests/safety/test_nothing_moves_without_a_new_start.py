@@ -1,4 +1,4 @@
-"""A few of the random sequences of benchmarks/new_starts.py: no stop, release, recovery or restart
+"""Some of the random sequences of benchmarks/new_starts.py: no stop, release, recovery or restart
 starts motion.
 """
 

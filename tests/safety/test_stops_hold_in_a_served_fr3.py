@@ -1,7 +1,7 @@
-"""A served FR3 moved directly by an MCP client: it stands when the server freezes and when it is
-stopped, and stays so.
+"""A served FR3 moved directly by an MCP client: it stops when the server freezes and when it is
+stopped, and does not move again.
 
-Judged at the measured joints. Everything is a process of its own: client, server and robot.
+Judged by the measured joints. Client, server and robot are separate processes.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ Wait = Callable[[Callable[[], bool], float, str], float]
 
 
 class ServedArm:
-    """An MCP client, and a witness of the joints on the same graph."""
+    """An MCP client, and an observer of the joints on the same graph."""
 
     def __init__(self, client: Client, portal: BlockingPortal, state: Path) -> None:
         from sensor_msgs.msg import JointState
@@ -82,10 +82,12 @@ class ServedArm:
         return len(recent) > 5 and max(recent) < STILL_RAD_S
 
     def move_away(self) -> threading.Thread:
-        """A long turn of the wrist, which leaves the workspace nowhere, by a call that goes on."""
+        """Start a long turn of the wrist, which stays in the workspace, with a call that keeps
+        running.
+        """
         robot = self.robot()
         if robot["phase"] != "running":
-            # a busy machine may have ended it, or a test before: what is to be shown comes after
+            # a busy machine or an earlier test may have ended it; the test is about what follows
             print(f"The robot is started anew: {robot}", file=sys.stderr)
             self.do("start_robot")
         target = 2.2 if self.position[6] < 0 else -2.0
@@ -100,12 +102,12 @@ class ServedArm:
         return thread
 
     def wait_moving(self) -> None:
-        """Raises AssertionError with what the call and the robot say."""
+        """Raises AssertionError with the results of the call and the robot."""
         if not holds_within(self.is_moving, 10.0):
             raise AssertionError(f"The arm does not move: {self.told} {self.robot()}")
 
     def release(self) -> None:
-        """What a person does: say yes in a terminal."""
+        """Release as a person does: confirm in a terminal."""
         person, terminal = pty.openpty()
         try:
             os.write(person, b"y\n")
@@ -160,7 +162,7 @@ def test_a_frozen_server_ends_a_direct_motion(arm: ServedArm, wait: Wait) -> Non
         took_s = wait(arm.is_still, 5.0, "the arm stands though its trajectory goes on for seconds")
         assert took_s < BOUND_S + BRAKING_S
         place = arm.position.copy()
-        time.sleep(1.0)  # what is looked for is that nothing happens
+        time.sleep(1.0)  # to show that nothing happens
         assert np.abs(arm.position - place).max() < 0.01
         assert abs(place[6]) < 1.9, "it was on its way"
     finally:
@@ -182,13 +184,13 @@ def test_a_removed_state_directory_does_not_release_the_stop(arm: ServedArm, wai
     call.join(30.0)
     wait(arm.is_still, 3.0, "the arm stands")
     place = arm.position.copy()
-    shutil.rmtree(arm.state, ignore_errors=True)  # a file may be written again while it is removed
+    shutil.rmtree(arm.state, ignore_errors=True)  # a file may be written again during the removal
     wait((arm.state / ESTOP_FILE).exists, 2.0, "the latch is written again")
     answer = arm.answer("move_joints", positions={"fr3_joint7": -float(np.sign(place[6]))})
     assert answer.is_error
     assert "latched" in answer.content[0].text
     assert json.loads((arm.state / ESTOP_FILE).read_text())["restored"] >= 1
-    time.sleep(1.0)  # what is looked for is that nothing happens
+    time.sleep(1.0)  # to show that nothing happens
     assert np.abs(arm.position - place).max() < 0.02
     status = arm.do("get_status")
     assert status["emergency_stop"] is True
@@ -208,7 +210,7 @@ def test_a_removed_state_directory_does_not_release_the_stop(arm: ServedArm, wai
 def test_a_removed_state_directory_during_motion_stops_nothing_and_hides_no_stop(
     arm: ServedArm, wait: Wait
 ) -> None:
-    """Nothing is latched when it is removed: a stop pressed afterwards holds all the same."""
+    """Nothing is latched when it is removed; a later stop must still hold."""
     call = arm.move_away()
     arm.wait_moving()
     shutil.rmtree(arm.state, ignore_errors=True)

@@ -1,5 +1,5 @@
-"""Hostile commands for two FR3s at one table: whatever is asked of both arms at once, no joint, no
-TCP and no distance between the arms goes beyond its limit, as MuJoCo judges it.
+"""Hostile commands for two FR3s at one table: for any simultaneous commands, no joint, no TCP and
+no distance between the arms exceeds its limit, as computed by MuJoCo.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ ARMS = ("left", "right")
 MAX_SPEED_M_S, MAX_STEP_M = 0.6, 0.06
 LEAST_HEIGHT_M, LEAST_DISTANCE_M = 0.05, 0.01
 STRETCHED = np.array(HOME_RAD) + np.array([0.0, 0.9, 0.0, 0.9, 0.0, 0.2, 0.0])
-"""Of each arm; two of them overlap in the middle of the table."""
+"""Posture of each arm; two of them overlap in the middle of the table."""
 PERIOD_S, LASTS_S = 0.05, 0.06
 COMMANDS = 120
 _FAR_M = 0.2
 
 
 class Judge:
-    """Both arms in MuJoCo: its own kinematics, and its own distances between shapes."""
+    """Both arms in MuJoCo, with its own kinematics and distances between shapes."""
 
     def __init__(self) -> None:
         self._model = read_urdf(ROBOT.urdf).compile()
@@ -55,7 +55,7 @@ class Judge:
         assert len(self._left) == len(self._right) > 15
 
     def look(self, position: F64) -> tuple[list[F64], float]:
-        """TCP positions of both arms, and the least distance between a link of each."""
+        """TCP positions of both arms, and the smallest distance between their links."""
         self._data.qpos[self._places] = position
         mujoco.mj_kinematics(self._model, self._data)
         tcps = [self._data.body(f"{arm}_fr3_hand_tcp").xpos.copy() for arm in ARMS]
@@ -83,7 +83,7 @@ class Judge:
 
 @dataclass
 class Run:
-    """One sequence of commands behind the gate; the arms follow exactly what is sent."""
+    """One sequence of commands through the gate; the arms follow the sent commands exactly."""
 
     limiter: MotionLimiter
     judge: Judge
@@ -96,7 +96,7 @@ class Run:
     travelled: float = 0.0
 
     def ask(self, target: F64, duration_s: float) -> None:
-        """Send one command through the gate and judge what comes out."""
+        """Send one command through the gate and check the result."""
         self.now_s += PERIOD_S
         sample = JointSample(names=ROBOT.arm_joints, position=self.position)
         verdict = self.limiter.limit(
@@ -130,15 +130,15 @@ class Run:
             assert ROBOT.workspace is not None
             assert (stop >= ROBOT.workspace.lower_m - 1e-6).all()
             assert (stop <= ROBOT.workspace.upper_m + 1e-6).all()
-        # the two libraries compute the distance of cylinders to within a tenth of a millimetre
+        # the two libraries agree on distances of cylinders within a tenth of a millimetre
         assert apart_m >= LEAST_DISTANCE_M - 1e-4
         assert half_way_m > 0.0, "the arms pass through each other on the way"
         self.nearest_m = min(self.nearest_m, apart_m)
         self.travelled += float(np.abs(end - self.position).sum())
-        # the arm is where the command has taken it by the time of the next one
+        # the arm is where the command has taken it when the next one comes
         share = min(1.0, PERIOD_S / duration_s)
         self.position = self.position + (end - self.position) * share
-        # after its end no arm stops faster than it may
+        # after its end an arm decelerates within its limit
         left = np.abs(velocity) - np.tile(ACCELERATION_RAD_S2, 2) * max(0.0, PERIOD_S - duration_s)
         self.velocity = np.sign(velocity) * np.maximum(left, 0.0)
 
@@ -163,7 +163,9 @@ def _gate(reaction: str) -> MotionLimiter:
 
 
 def _hostile(rng: np.random.Generator, run: Run) -> Iterator[tuple[F64, float]]:
-    """Both arms into each other, beyond limits, to anywhere, back, in any time."""
+    """Commands of both arms into each other, beyond limits, to random targets and back, in random
+    times.
+    """
     goal = np.tile(HOME_RAD, 2)
     for number in range(COMMANDS):
         if number % 20 == 0:
@@ -200,7 +202,9 @@ KINDS = ("ee_pose", "joint_position", "joint_velocity")
 def _hostile_row(
     space: ControlSpace, run: Run, poses: tuple[Pose, ...], rng: np.random.Generator, lean: F64
 ) -> F64:
-    """A row for both arms: on and on in one direction, mostly into each other, and damage."""
+    """A row for both arms: continued motion in one direction, mostly into each other, and damaged
+    values.
+    """
     named = dict.fromkeys(space.keys, float(rng.choice([0.0, 0.4, 1.0])))
     size = float(rng.choice([0.01, 0.05, 1.0], p=[0.4, 0.4, 0.2]))
     if space.kind == "ee_pose":
@@ -261,7 +265,9 @@ def test_hostile_rows_for_both_arms_stay_within_every_limit(
 
 
 def test_arms_that_are_sent_into_each_other_stop_apart() -> None:
-    """The judge sees them come near: the limit acts, and not only because neither moves."""
+    """The judge must see a small distance: it proves that the limit acts, and not that neither arm
+    moves.
+    """
     run = Run(limiter=_gate("scale"), judge=Judge())
     for _ in range(150):
         step = np.tile(STRETCHED, 2) - run.position

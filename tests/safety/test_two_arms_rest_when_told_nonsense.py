@@ -1,5 +1,5 @@
-"""Bad actions and bad joint states for two FR3s, in the control module with its real controller and
-limits on a clock of the test: one clear error each, and both arms at rest.
+"""Invalid actions and joint states for two FR3s, in the control module with its real controller and
+limits on a test clock: one clear error each, and both arms at rest.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ F64 = NDArray[np.float64]
 ROBOT = pair_profile()
 ARMS = ("left", "right")
 LED_RAD = 0.12
-"""How far before where it is measured a joint may be commanded: `LOST` of the limits and two rows;
-40 rows would lead it 0.4 rad.
+"""Maximum lead of a commanded joint over its measured position: `LOST` of the limits and two rows;
+40 rows would lead by 0.4 rad.
 """
 RATE_HZ = 10.0
 PERIOD_S = 1.0 / RATE_HZ
@@ -39,7 +39,7 @@ SPEED_RAD_S = 0.1
 VELOCITIES = robot_space("joint_velocity", ROBOT, RATE_HZ)
 POSITIONS = robot_space("joint_position", ROBOT)
 TIMEOUT_S, STATE_TIMEOUT_S = 0.5, 0.25
-"""Of actions and of joint states, as configured here."""
+"""Configured timeouts of actions and of joint states."""
 CONFIG = f"""
 [robot]
 name = "fr3-pair"
@@ -68,13 +68,13 @@ class Arms:
         self._start, self._end = self.position, self.position
         self._sent_s, self._lasts_s = 0.0, 1.0
         self.sent = self._row = 0
-        # what becomes of a measurement before control hears of it
+        # transforms a measurement before control receives it
         self.fault: Any = lambda joints: joints
         self.control.activate()
         self.measure()
 
     def measure(self) -> None:
-        """A joint state arrives, if the fault lets it."""
+        """Deliver a joint state, if the fault permits it."""
         joints = JointSample(
             names=PAIR.joints, position=self.position.copy(), stamp_ns=self.clock.time_ns()
         )
@@ -83,7 +83,7 @@ class Arms:
             self.host.subscribed["joint_states"](to_joint_state(told))
 
     def act(self, space: ControlSpace, row: F64, label: str | None = None) -> None:
-        """An action arrives."""
+        """Deliver an action."""
         message = to_action_message(row, space)
         if label is not None:
             message.layout.dim[0].label = label
@@ -91,7 +91,7 @@ class Arms:
         self._take()
 
     def go(self, seconds: float) -> None:
-        """Time passes in small steps: the arms move, are measured, and the watchdog looks."""
+        """Advance time in small steps, with motion, measurements and the watchdog's checks."""
         for _ in range(round(seconds / 0.02)):
             self.clock.now_s += 0.02
             share = min(1.0, (self.clock.now_s - self._sent_s) / self._lasts_s)
@@ -114,7 +114,7 @@ class Arms:
         messages.clear()
 
     def wave(self, periods: int) -> None:
-        """A policy moves every joint of both arms to and fro."""
+        """Let a policy move every joint of both arms to and fro."""
         signs = np.tile([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0], 2) * SPEED_RAD_S
         left, right = np.split(signs, 2)
         for _ in range(periods):
@@ -140,7 +140,7 @@ def arms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Arms]:
 
 
 def check_moving(arms: Arms) -> None:
-    """Both arms move."""
+    """Check that both arms move."""
     arms._row = 0
     arms.wave(4)
     before = arms.position.copy()
@@ -151,7 +151,7 @@ def check_moving(arms: Arms) -> None:
 
 
 def check_rest(arms: Arms) -> None:
-    """Both arms stand within the timeout and the length of a hold, and go on standing."""
+    """Check that both arms stand within the timeout and the length of a hold, and keep standing."""
     arms.go(TIMEOUT_S + 0.3)
     before, sent = arms.position.copy(), arms.sent
     arms.go(1.0)
@@ -160,7 +160,7 @@ def check_rest(arms: Arms) -> None:
 
 
 def _one_arm(arm: str) -> ControlSpace:
-    """Joint positions of one arm alone."""
+    """Joint positions of one arm only."""
     channels = tuple(channel for channel in POSITIONS.channels if channel.arm == arm)
     return ControlSpace(kind="joint_position", channels=channels)
 
@@ -267,8 +267,8 @@ def test_joint_states_of_one_arm_with_a_fault_stop_both(arms: Arms, arm: str, fa
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_an_arm_that_is_measured_at_one_place_is_led_no_farther(arms: Arms, arm: str) -> None:
-    """Its states go on, with new stamps and frozen positions: what is sent keeps within one
-    period's way of what is measured, so that an arm that moves after all creeps at most.
+    """Its states continue with new stamps and frozen positions: commands stay within one period's
+    distance of the measurement, so that an arm that moves after all only creeps.
     """
     check_moving(arms)
     mine = np.array([name.startswith(arm) for name in PAIR.joints])
@@ -280,7 +280,7 @@ def test_an_arm_that_is_measured_at_one_place_is_led_no_farther(arms: Arms, arm:
 
     arms.fault = stuck
     for _ in range(40):
-        arms._row = 0  # on and on into one direction
+        arms._row = 0  # continued motion in one direction
         arms.wave(1)
         led = np.abs(arms._end - frozen)[mine].max()
         assert led <= LED_RAD, f"it is commanded {led:.3f} rad from where it is measured"

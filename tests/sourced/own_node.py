@@ -1,6 +1,6 @@
-"""A node of the sourced ROS alone, without RoboNeuron: it notes seams and serves strikes.
+"""A node that only uses the sourced ROS, without RoboNeuron: it records seams and serves strikes.
 
-Run it in a shell with the workspace sourced; ends when its standard input does.
+Run it in a shell with the workspace sourced; it ends with its standard input.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 
 def main() -> None:
-    """Serve, and repeat on /fr3/heard what was heard last."""
+    """Serve, and repeat the last received text on /fr3/heard."""
     rclpy.init()
     node = rclpy.create_node("own", namespace="fr3")
     heard = node.create_publisher(String, "heard", 1)

@@ -1,9 +1,9 @@
-"""Lay ROS wheels out as an installation in /opt/ros is, with a `setup.bash`, and a workspace with
-types of its own over it, as colcon leaves one.
+"""Lay out ROS wheels like an installation in /opt/ros, with a `setup.bash`, and an overlay
+workspace with its own types, as colcon creates it.
 
     python standin.py ROS WORKSPACE
 
-Run it with the Python of the environment that has the wheels. ROS and WORKSPACE are made anew.
+Run it with the Python of the environment that has the wheels. ROS and WORKSPACE are recreated.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ DEFINITIONS = {
     "msg/Seam.msg": "float64[3] offset  # [m]\nstring<=16 tool\nuint8[] picture\n",
     "srv/Strike.srv": "Seam seam\n---\nbool success\nstring message\n",
 }
-"""Of the workspace's package `own_msgs`."""
+"""Files of the workspace's package `own_msgs`."""
 
 
 def lay_out(prefix: Path, ros: Path) -> None:
@@ -48,7 +48,7 @@ def lay_out(prefix: Path, ros: Path) -> None:
 def _link(distribution: Distribution, prefix: Path, ros: Path) -> None:
     for file in distribution.files or ():
         source = Path(os.path.normpath(str(distribution.locate_file(file))))
-        is_metadata = source.parent.suffix == ".dist-info"  # which pip would take for its own
+        is_metadata = source.parent.suffix == ".dist-info"  # pip would treat it as its own
         if is_metadata or not source.is_relative_to(prefix) or not source.is_file():
             continue
         place = ros / source.relative_to(prefix)
@@ -58,7 +58,7 @@ def _link(distribution: Distribution, prefix: Path, ros: Path) -> None:
 
 
 def _setup(prefix: Path) -> str:
-    """What a prefix puts before the variables, as the hooks of ament do."""
+    """Values that a prefix prepends to variables, as ament's hooks do."""
     before = {
         "AMENT_PREFIX_PATH": prefix,
         "LD_LIBRARY_PATH": prefix / "lib",

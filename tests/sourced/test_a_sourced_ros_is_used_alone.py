@@ -1,5 +1,5 @@
-"""A shell with a ROS of another distribution sourced, and a workspace with types of its own: server
-and modules use it, or the wheels, and never parts of both.
+"""A shell with a sourced ROS of another distribution, and a workspace with its own types: server
+and modules use either it or the wheels, never parts of both.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SETUP = KILTED / "workspace" / "install" / "setup.bash"
 SOURCED = ROOT / ".venv-sourced"
 OWN = ROOT / ".venv"
 WAIT_S = 60.0
-"""For what another process does, on a machine that does much else."""
+"""Time limit for other processes, on a busy machine."""
 OF_DDS = re.compile(r"/lib(fastrtps|fastdds)\.so")
 pytestmark = [
     pytest.mark.ros,
@@ -68,7 +68,7 @@ moves = false
 
 @pytest.fixture
 def shell() -> dict[str, str]:
-    """Variables of a new shell, in which nothing is sourced and no wheels are set up."""
+    """Variables of a new shell, without a sourced ROS or set-up wheels."""
     of_ros = (
         "ROS",
         "AMENT",
@@ -85,7 +85,7 @@ def shell() -> dict[str, str]:
 
 
 def in_sourced_shell(*words: str, setup: Path = SETUP) -> list[str]:
-    """A command line that sources the workspace, and the ROS below it, before others."""
+    """A command line that first sources the workspace, and the ROS below it."""
     return ["bash", "-c", '. "$0" && exec "$@"', str(setup), *words]
 
 
@@ -97,14 +97,14 @@ def configuration(folder: Path, installation: str, more: str = "") -> Path:
 
 
 def loaded(process: psutil.Process) -> set[Path]:
-    """Libraries below the folders of either ROS that a process has loaded."""
+    """Libraries in the folders of either ROS that a process has loaded."""
     maps = Path(f"/proc/{process.pid}/maps").read_text().splitlines()
     paths = {Path(line.split(maxsplit=5)[-1]) for line in maps if ".so" in line}
     return {path for path in paths if re.match(r"lib(rcl|rmw|fast|rosidl)", path.name)}
 
 
 def check_alone(process: psutil.Process, root: Path, *others: Path) -> None:
-    """Of a process that uses ROS: one Fast DDS, and nothing from outside some folders."""
+    """Check a process that uses ROS: one Fast DDS, and no library from outside these folders."""
     libraries = loaded(process)
     assert len({path for path in libraries if OF_DDS.search(str(path))}) == 1, libraries
     outside = [
@@ -116,7 +116,7 @@ def check_alone(process: psutil.Process, root: Path, *others: Path) -> None:
 
 
 async def check_processes(server: Callable[[], psutil.Process], *roots: Path) -> None:
-    """The server's and its robot module's libraries are those below some folders."""
+    """Check that the server's and its robot module's libraries are in these folders."""
     processes = [server(), *server().children(recursive=True)]
     with_ros = [process for process in processes if loaded(process)]
     assert any("roboneuron.modules" in process.cmdline() for process in with_ros)
@@ -126,7 +126,7 @@ async def check_processes(server: Callable[[], psutil.Process], *roots: Path) ->
 
 
 def server_below(parent: psutil.Process) -> Callable[[], psutil.Process]:
-    """The process `roboneuron serve` among those that a test has started."""
+    """The process `roboneuron serve` among those started by a test."""
     return lambda: next(p for p in parent.children(recursive=True) if "serve" in p.cmdline())
 
 
@@ -201,7 +201,7 @@ def test_server_and_modules_use_the_sourced_ros_and_its_types(
 def test_types_of_a_node_are_learnt_by_either_ros(
     shell: dict[str, str], own_node: None, tmp_path: Path, installation: str
 ) -> None:
-    """Without the workspace: Jazzy's wheels, or Kilted alone, beside a node of Kilted."""
+    """Without the workspace: Jazzy's wheels, or Kilted alone, with a node of Kilted."""
     if installation == "wheels":
         prefix = [str(OWN / "bin" / "roboneuron")]
     else:
@@ -247,7 +247,7 @@ def test_wheels_are_used_in_the_same_shell_when_they_are_wanted(
 
 
 def doctor(shell: dict[str, str], *words: str) -> str:
-    """What `roboneuron doctor` says; the rest of what it looks at may be as it is."""
+    """Relevant output of `roboneuron doctor`; its other checks may have any result."""
     ended = subprocess.run(
         words, env=shell, capture_output=True, text=True, timeout=180, check=False
     )
@@ -272,7 +272,7 @@ def test_doctor_says_which_and_why(
 
 
 def test_doctor_names_what_is_mixed_and_what_to_type(shell: dict[str, str], tmp_path: Path) -> None:
-    """As a shell is in which half of a setup.bash was copied."""
+    """As in a shell with a half-copied setup.bash."""
     shell["LD_LIBRARY_PATH"] = f"{ROS}/lib"
     text = doctor(shell, str(SOURCED / "bin" / "roboneuron"), "doctor")
     assert (

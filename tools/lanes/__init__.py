@@ -1,1 +1,1 @@
-"""What the sessions of noxfile.py do, and the environments that they need."""
+"""Sessions of noxfile.py, and their environments."""

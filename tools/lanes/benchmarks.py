@@ -12,19 +12,19 @@ from lanes.lane import JOBS, lane, python
 
 @lane
 def bench(session: nox.Session) -> None:
-    """every benchmark of the closed loop (ARGS=--quick: only whether they work)"""
+    """every benchmark of the closed loop (ARGS=--quick: only check that they work)"""
     python(session, "benchmarks/run_all.py")
 
 
 @lane
 def bench_guard(session: nox.Session) -> None:
-    """the hot paths beside their floors, a minute: fails when one of them has become slow"""
+    """the hot paths against their floors, one minute; fails if one of them has become slow"""
     python(session, "benchmarks/guard.py")
 
 
 @lane
 def soak(session: nox.Session) -> None:
-    """the loop for 30 minutes with switches and faults: nothing grows, everything recovers"""
+    """the loop for 30 minutes with switches and faults: no growth, every fault recovered"""
     python(session, "benchmarks/soak.py")
 
 
@@ -37,21 +37,21 @@ def bench_fci(session: nox.Session) -> None:
 
 @lane
 def bench_fci_loop(session: nox.Session) -> None:
-    """a policy with warm switches, random actions; goes on where it was: --minutes 30 --busy 0,8"""
+    """a policy with warm switches and random actions; resumes: --minutes 30 --busy 0,8"""
     prepare(session, "fr3sim")
     python(session, "benchmarks/bench_fci_loop.py")
 
 
 @lane
 def bench_fci_box(session: nox.Session) -> None:
-    """a policy through a box that loses packets; goes on where it was: --minutes 60"""
+    """a policy through a box that loses packets; resumes: --minutes 60"""
     prepare(session, "fr3sim")
     python(session, "benchmarks/bench_fci_box.py")
 
 
 @lane
 def bench_fci_stops(session: nox.Session) -> None:
-    """the emergency stop of that arm by tool, topic and file; goes on where it was: --trials 100"""
+    """the emergency stop of that arm by tool, topic and file; resumes: --trials 100"""
     prepare(session, "fr3sim")
     python(session, "benchmarks/bench_fci_stops.py")
 
@@ -64,38 +64,38 @@ def bench_fleet(session: nox.Session) -> None:
 
 @lane
 def bench_shared(session: nox.Session) -> None:
-    """eight robots on one shared model: in batches against one at a time"""
+    """eight robots on one shared model: batched against one at a time"""
     python(session, "benchmarks/bench_shared_inference.py")
 
 
 @lane
 def bench_serve(session: nox.Session) -> None:
-    """what a model on another machine costs, beside an echo of the same bytes over TLS"""
+    """cost of a model on another machine, against an echo of the same bytes over TLS"""
     python(session, "benchmarks/bench_serve_policy.py")
 
 
 @lane
 def bench_link_success(session: nox.Session) -> None:
-    """cubes lifted against the link's latency, loss and rate; goes on where it was (root)"""
+    """cubes lifted against the link's latency, loss and rate; resumes (root)"""
     python(session, "benchmarks/bench_link_success.py")
 
 
 @lane
 def bench_vla(session: nox.Session) -> None:
-    """backends and acceleration presets beside a plain transformers loop"""
+    """backends and acceleration presets against a plain transformers loop"""
     python(session, "benchmarks/bench_vla.py")
 
 
 @lane
 def bench_tasks(session: nox.Session) -> None:
-    """outcomes of tasks against the simulator's truth; start_all beside four calls (--runs 20)"""
+    """outcomes of tasks against the simulator's truth; start_all against four calls (--runs 20)"""
     python(session, "benchmarks/bench_tasks.py", "--workers", JOBS)
     session.run(sys.executable, "benchmarks/bench_start_all.py")
 
 
 @lane
 def bench_lerobot(session: nox.Session) -> None:
-    """what the boundary to a LeRobot policy costs beside calling it in its own process"""
+    """cost of the boundary to a LeRobot policy against a call in its own process"""
     prepare(session, "lerobot-policies")
     theirs = str(python_of("lerobot-policies"))
     session.run(theirs, "benchmarks/bench_lerobot.py", *session.posargs)

@@ -1,6 +1,4 @@
-"""Environments of other projects beside this one's: `.venv-NAME`, set up again when what goes into
-them has changed.
-"""
+"""Environments for other projects: `.venv-NAME`, set up again if their contents change."""
 
 from __future__ import annotations
 
@@ -20,16 +18,16 @@ PYTHON_3_12 = "python3.12"
 
 @dataclass(frozen=True)
 class Environment:
-    """What goes into an environment.
+    """Contents of an environment.
 
     Attributes:
-        packages: of an index.
-        ours: folders of this project that are installed editable.
-        python: that makes it.
-        constraints: requirements that limit what is installed beside `packages`.
-        files: others that it depends on.
-        more: what is done when the packages are there.
-        costs: time and space, said before.
+        packages: packages from an index.
+        ours: folders of this project, installed as editable.
+        python: interpreter that creates it.
+        constraints: constraints for the installation of dependencies.
+        files: other files that it depends on.
+        more: further steps after the packages.
+        costs: time and space, printed before.
     """
 
     packages: tuple[str, ...] = ()
@@ -41,7 +39,7 @@ class Environment:
     costs: str = "ten seconds"
 
     def identity(self) -> str:
-        """Changes with what goes into it."""
+        """Hash of the contents."""
         read = (*self.files, *(f"{folder}/pyproject.toml" for folder in self.ours))
         parts = [*self.packages, *self.ours, self.python, self.constraints()]
         parts += [(ROOT / name).read_text(encoding="utf-8") for name in read]
@@ -62,7 +60,7 @@ def _all_constraints() -> str:
 
 
 def _ros_constraints() -> str:
-    """LeRobot caps numpy below 2.3: of ours only the ROS packages hold there."""
+    """LeRobot caps numpy below 2.3, so only the constraints of the ROS packages apply."""
     lines = _all_constraints().splitlines()
     return "\n".join(line for line in lines if line.startswith("ros-"))
 
@@ -73,7 +71,7 @@ def _lay_out_kilted(session: nox.Session, folder: Path) -> None:
 
 
 def _replace_transformers(session: nox.Session, folder: Path) -> None:
-    """Put openpi's own files of transformers 4.53.2 in the place of the published ones."""
+    """Replace files of the published transformers 4.53.2 by openpi's own."""
     checkout = Path(os.environ.get("OPENPI", "../openpi"))
     theirs = checkout / "src" / "openpi" / "models_pytorch" / "transformers_replace"
     if not theirs.is_dir():
@@ -91,13 +89,13 @@ def _install_sglang(session: nox.Session, folder: Path) -> None:
 _SGLANG = "plugins/rn-runtime-sglang/interop"
 _CUDA = "two to four minutes, 6 GB with PyTorch for CUDA"
 KILTED_PYTHON = os.environ.get("KILTED_PYTHON", PYTHON_3_12)
-"""Kilted is for Python 3.12, as what its packages for Ubuntu are."""
+"""Kilted is for Python 3.12, as are its packages for Ubuntu."""
 LEROBOT_PYTHON = os.environ.get("LEROBOT_PYTHON", PYTHON_3_12)
 ENVIRONMENTS = {
     "fr3sim": Environment(("franka-sim==1.1.7", "numpy==1.26.4"), costs="about a minute"),
     "openai": Environment(("openai>=2",)),
     "vla-eval": Environment(("vla-eval==0.8.0",)),
-    # it imports typing_extensions without asking for it
+    # it imports typing_extensions without requiring it
     "openpi-client": Environment(("openpi-client==0.1.2", "typing_extensions")),
     "cyclone": Environment(("cyclonedds==11.*",)),
     "kilted": Environment(
@@ -112,14 +110,14 @@ ENVIRONMENTS = {
         more=_lay_out_kilted,
         costs="about a minute",
     ),
-    # RoboNeuron as users install it, for the Python that the sourced ROS is for
+    # RoboNeuron as users install it, for the Python version of the sourced ROS
     "sourced": Environment(
         ours=("roboneuron-core", *_demo_packages(), "plugins/rn-interfaces"),
         python=KILTED_PYTHON,
         constraints=_all_constraints,
         costs="about two minutes",
     ),
-    # a driver's own interpreter needs rn-standard: it reports what the gripper was commanded
+    # a driver's own interpreter needs rn-standard, which reports the commanded gripper opening
     "lerobot": Environment(
         ("lerobot[dataset,hardware,feetech,dynamixel]==0.6.1",),
         ours=_plugins(
@@ -159,7 +157,7 @@ ENVIRONMENTS = {
         more=_replace_transformers,
         costs=_CUDA,
     ),
-    # what lerobot asks for; of lerobot itself only the files of pi0-FAST are loaded
+    # requirements of lerobot; of lerobot itself only the files of pi0-FAST are loaded
     "fast": Environment(
         ("torch", "transformers==5.5.4", "numpy", "safetensors", "scipy", "draccus"), costs=_CUDA
     ),
@@ -169,23 +167,23 @@ ENVIRONMENTS = {
         costs="about five minutes",
     ),
 }
-"""By name."""
+"""Environment by name."""
 
 
 def folder_of(name: str) -> Path:
-    """Where an environment is."""
+    """Folder of an environment."""
     return ROOT / f".venv-{name}"
 
 
 def python_of(name: str) -> Path:
-    """The interpreter of an environment."""
+    """Interpreter of an environment."""
     return folder_of(name) / "bin" / "python"
 
 
 def prepare(session: nox.Session, name: str) -> None:
-    """Set an environment up, unless it is there and nothing of it has changed.
+    """Set up an environment, unless it is there and unchanged.
 
-    A session fails when there is no such environment, or its Python is missing.
+    A session fails if there is no such environment, or its Python is missing.
     """
     if name not in ENVIRONMENTS:
         session.error(f"There is no environment {name!r}: {', '.join(ENVIRONMENTS)}")

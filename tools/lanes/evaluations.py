@@ -1,4 +1,4 @@
-"""Evaluations, training and recording: each goes on where it was."""
+"""Evaluations, training and recording; all can be resumed."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ACT = """
 
 @lane
 def eval_agents(session: nox.Session) -> None:
-    """the reference agents in every task, one episode each; goes on where it was (an hour)"""
+    """the reference agents in every task, one episode each; resumes (an hour)"""
     subjects = "perfect,tool-only,remembering,careless,hostile,random"
     options = ("--subject", subjects, "--retry-errors", *session.posargs)
     roboneuron(session, "eval", "agents", *options)
@@ -66,7 +66,7 @@ def eval_shift(session: nox.Session) -> None:
 
 @lane
 def eval_libero(session: nox.Session) -> None:
-    """each of LIBERO's 40 tasks once: no-op, tiny random OpenVLA and OFT (0 % is right)"""
+    """each of LIBERO's 40 tasks once: no-op, tiny random OpenVLA and OFT (0 % is expected)"""
     prepare(session, "libero")
     out, suites = "out/eval/libero", ("spatial", "object", "goal", "10")
     for name in ("openvla", "oft"):
@@ -105,7 +105,9 @@ def record_demos(session: nox.Session) -> None:
 
 @lane
 def record_lerobot(session: nox.Session) -> None:
-    """lerobot-record of N episodes with the simulated FR3, a program leads (out/lerobot/data)"""
+    """lerobot-record of N episodes with the simulated FR3 and a scripted leader
+    (out/lerobot/data)
+    """
     prepare(session, "lerobot")
     python(session, "examples/record_lerobot.py", "-n", os.environ.get("N", "50"))
 
@@ -116,17 +118,17 @@ def train_act(session: nox.Session) -> None:
     prepare(session, "lerobot-policies")
     act, theirs = ROOT / "out" / "lerobot" / "act", python_of("lerobot-policies")
     last = act / "checkpoints" / "last" / "pretrained_model"
-    # one thread alone wastes nothing where others work; take all cores of a quiet machine
+    # one thread is best while others work; use all cores of a quiet machine
     env = {"OMP_NUM_THREADS": os.environ.get("TRAIN_THREADS", "1"), "HF_HUB_OFFLINE": "1"}
     train = str(theirs.with_name("lerobot-train"))
     if not (act / ".sees").exists():
-        # ImageNet's weights would have to be downloaded: the backbone learns to see from pictures
-        # of the simulation first
+        # ImageNet's weights would have to be downloaded, so the backbone is pretrained on simulated
+        # images
         shutil.rmtree(act, ignore_errors=True)
         session.run(train, *ACT.split(), f"--output_dir={act}", env=env)
         session.run(str(theirs), "examples/pretrain_backbone.py", str(last), env=env)
         (act / ".sees").touch()
-    # the learning rate falls to zero until the last step: to go on later begins a second fall
+    # the learning rate falls to zero at the last step; continuing later starts a second decay
     steps = (f"--steps={os.environ.get('ACT_STEPS', '3000')}", "--save_freq=500")
     resumed = (f"--config_path={last}/train_config.json", "--resume=true")
     session.run(train, *steps, *resumed, *session.posargs, env=env)
@@ -134,13 +136,13 @@ def train_act(session: nox.Session) -> None:
 
 @lane
 def eval_act(session: nox.Session) -> None:
-    """that policy on 100 unseen places of the cube (out/eval/act-STEPS)"""
+    """that policy on 100 unseen cube positions (out/eval/act-STEPS)"""
     prepare(session, "lerobot-policies")
     last = ROOT / "out" / "lerobot" / "act" / "checkpoints" / "last"
     options = ["--suite-option", "objects=1", "--suite-option", 'colours=["red"]']
     for option in ("image_px=96", "engine=mujoco", "camera_hz=10", "time_limit_s=10"):
         options += ["--suite-option", option]
-    # a folder for each checkpoint, which is called by its steps: a run is of one policy
+    # one folder per checkpoint, named by its steps, because a run evaluates one policy
     out = f"out/eval/act-{last.resolve().name}"
     session.run(
         *(str(python_of("lerobot-policies").with_name("roboneuron")), "eval", "run"),

@@ -1,4 +1,4 @@
-"""What the sessions are made of."""
+"""Helpers for the sessions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import nox
 
 JOBS = os.environ.get("JOBS", "2")
 BIN = Path(sys.executable).parent
-"""Of the environment of `make`, in which the sessions run."""
+"""Programs of the environment of `make`, in which the sessions run."""
 
 
 def lane(function: Callable[[nox.Session], None]) -> object:
@@ -21,15 +21,15 @@ def lane(function: Callable[[nox.Session], None]) -> object:
 
 
 def pytest(session: nox.Session, *arguments: str, env: dict[str, str] | None = None) -> None:
-    """Run tests; what follows `--` on nox's command line comes last."""
+    """Run tests; arguments after `--` on nox's command line come last."""
     session.run(sys.executable, "-m", "pytest", *arguments, *session.posargs, env=env)
 
 
 def python(session: nox.Session, script: str, *arguments: str) -> None:
-    """Run a script; what follows `--` on nox's command line comes last."""
+    """Run a script; arguments after `--` on nox's command line come last."""
     session.run(sys.executable, script, *arguments, *session.posargs)
 
 
 def roboneuron(session: nox.Session, *arguments: str) -> None:
-    """Run our command."""
+    """Run the command `roboneuron`."""
     session.run(sys.executable, "-m", "roboneuron.cli.main", *arguments)

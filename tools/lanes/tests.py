@@ -13,7 +13,9 @@ from lanes.environments import ROOT, prepare, python_of
 from lanes.lane import BIN, JOBS, lane, pytest, python
 
 OPENPI = Path(os.environ.get("OPENPI", "../openpi"))
-"""A checkout of https://github.com/Physical-Intelligence/openpi: 15a9616 made the numbers here."""
+"""A checkout of https://github.com/Physical-Intelligence/openpi; 15a9616 produced the numbers in
+the docs.
+"""
 LEROBOT = Path(os.environ.get("LEROBOT", "../lerobot"))
 """A checkout of https://github.com/huggingface/lerobot: 7427f31."""
 ROBOARENA = Path(os.environ.get("ROBOARENA", "../roboarena"))
@@ -22,13 +24,15 @@ ROBOARENA = Path(os.environ.get("ROBOARENA", "../roboarena"))
 
 @lane
 def test_all(session: nox.Session) -> None:
-    """every test of this machine: units, ROS, timing, slow and release, one at a time"""
+    """every test for this machine: units, ROS, timing, slow and release, one at a time"""
     pytest(session, "-m", "not gpu and not hardware")
 
 
 @lane
 def test_isa(session: nox.Session) -> None:
-    """the models' tests with the instructions of an old processor: no number may depend on it"""
+    """the models' tests with the instruction set of an old processor, which must not change a
+    number
+    """
     kinds = ("rn-vla", "rn-runtime-*", "rn-backend-*", "rn-accel-*", "rn-policy-*")
     folders = [str(path) for kind in kinds for path in sorted(ROOT.glob(f"plugins/{kind}/tests"))]
     marks = "not ros and not gpu and not hardware and not slow"
@@ -39,7 +43,7 @@ def test_isa(session: nox.Session) -> None:
 
 @lane
 def test_mutations(session: nox.Session) -> None:
-    """mutants of the safety code against its unit tests; goes on where it was: gate --only estop"""
+    """mutants of the safety code against its unit tests; resumes: gate --only estop"""
     session.run(
         *(sys.executable, "-m", "pip", "install", "--quiet"),
         *("--constraint", "constraints.txt", "mutmut"),
@@ -55,13 +59,15 @@ def test_view(session: nox.Session) -> None:
 
 @lane
 def test_link(session: nox.Session) -> None:
-    """an encrypted link between two network namespaces: strangers, cut cables (needs root)"""
+    """an encrypted link between two network namespaces: foreign peers, cut cables (needs root)"""
     pytest(session, "plugins/rn-link/tests", "-m", "ros")
 
 
 @lane
 def test_serve(session: nox.Session) -> None:
-    """robots and policy servers: ten commands on two machines, cut cables, crowds (needs root)"""
+    """robots and policy servers: ten commands on two machines, cut cables, many clients (needs
+    root)
+    """
     pytest(session, "plugins/rn-backend-shared/tests", "-m", "not ros or slow")
 
 
@@ -73,14 +79,14 @@ def test_agents(session: nox.Session) -> None:
 
 @lane
 def test_agents_chat(session: nox.Session) -> None:
-    """the agent of a chat server with tools: OpenAI's client library against a scripted server"""
+    """the chat agent with OpenAI's client library against a scripted server"""
     prepare(session, "openai")
     pytest(session, "plugins/rn-eval/tests/agents/test_a_chat_model_is_an_agent.py")
 
 
 @lane
 def test_eval_kills(session: nox.Session) -> None:
-    """50 random kills of an evaluation's workers, command and Ray: no episode lost, none twice"""
+    """50 random kills of an evaluation's workers, command and Ray: no episode lost or repeated"""
     file = "plugins/rn-eval/tests/test_workers_share_a_run.py"
     pytest(session, file, "-s", "-k", "kills_of_workers")
 
@@ -99,7 +105,9 @@ def test_fr3(session: nox.Session) -> None:
 
 @lane
 def test_sourced(session: nox.Session) -> None:
-    """a sourced ROS (Kilted, laid out as /opt/ros, a workspace over it): server, modules, demo"""
+    """a sourced ROS (Kilted, laid out as /opt/ros, with an overlay workspace): server, modules,
+    demo
+    """
     prepare(session, "kilted")
     prepare(session, "sourced")
     pytest(session, "-m", "sourced", "tests/sourced")
@@ -107,7 +115,7 @@ def test_sourced(session: nox.Session) -> None:
 
 @lane
 def test_peers(session: nox.Session) -> None:
-    """nodes of Kilted, Cyclone DDS and what Humble announces beside our server; prints a table"""
+    """nodes of Kilted, Cyclone DDS and announcements of Humble with our server; prints a table"""
     prepare(session, "kilted")
     prepare(session, "cyclone")
     pytest(session, "-m", "peers", "tests/peers")
@@ -139,7 +147,7 @@ def test_lerobot_robots(session: nox.Session) -> None:
 
 @lane
 def test_lerobot_policies(session: nox.Session) -> None:
-    """policies of LeRobot beside LeRobot's own engines, then through ROS (its own environment)"""
+    """policies of LeRobot against LeRobot's own engines, then through ROS (its own environment)"""
     prepare(session, "lerobot-policies")
     folder = "plugins/rn-backend-lerobot/tests"
     beside = (f"{folder}/policies", f"{folder}/test_lerobot_keeps_its_contract.py")
@@ -160,7 +168,7 @@ def test_openpi_peers(session: nox.Session) -> None:
 
 @lane
 def test_parity(session: nox.Session) -> None:
-    """pi0.5 and pi0-FAST against the public code, run again: OPENPI=path LEROBOT=path"""
+    """pi0.5 and pi0-FAST against the public code, executed again: OPENPI=path LEROBOT=path"""
     for name, path in {"openpi": OPENPI, "lerobot": LEROBOT}.items():
         if not (path / "src" / name).is_dir():
             session.error(f"{name.upper()}={path} is no checkout of {name}.")
@@ -203,7 +211,7 @@ def interop_vla_eval(session: nox.Session) -> None:
 
 @lane
 def interop_sglang(session: nox.Session) -> None:
-    """real SGLang in an environment of its own (3.4 GB): same tokens, latency, closed loop"""
+    """real SGLang in its own environment (3.4 GB): same tokens, latency, closed loop"""
     prepare(session, "sglang")
     theirs = ("--python", str(python_of("sglang")))
     python(session, "plugins/rn-runtime-sglang/interop/check.py", *theirs)

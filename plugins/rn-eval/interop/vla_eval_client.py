@@ -1,11 +1,11 @@
-"""vla-eval's own client and episode runner against a model server of ours; runs in vla-eval's
+"""vla-eval's own client and episode runner against RoboNeuron's model server; runs in vla-eval's
 environment.
 
     .venv-vla-eval/bin/python plugins/rn-eval/interop/vla_eval_client.py ws://127.0.0.1:8000
 
-The benchmark sends what vla-eval's LIBERO adapter sends (names, sizes and conventions), without a
-simulator. Fails when the declared conventions do not fit, when an action is not one that it
-declared, or when the runner reports an error.
+The benchmark sends the same data as vla-eval's LIBERO adapter (names, sizes and conventions),
+without a simulator. It fails if the declared conventions do not match, if an action violates them,
+or if the runner reports an error.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ ACTION = {"position": POSITION_DELTA, "rotation": ROTATION_AA, "gripper": GRIPPE
 
 
 class LikeLibero(StepBenchmark):
-    """Sends noise in LIBERO's form, and checks what comes back."""
+    """Sends noise in LIBERO's form, and checks the answers."""
 
     def __init__(self, *, wrist: bool, state: bool) -> None:
         super().__init__()
@@ -79,7 +79,7 @@ class LikeLibero(StepBenchmark):
 
 
 def specs_of(told: dict[str, dict[str, Any]]) -> dict[str, DimSpec]:
-    """What HELLO declared."""
+    """Parse the specifications declared in HELLO."""
     return {
         name: DimSpec(
             s["name"], s["dims"], s["format"], tuple(s["range"]) if "range" in s else None
@@ -89,7 +89,7 @@ def specs_of(told: dict[str, dict[str, Any]]) -> dict[str, DimSpec]:
 
 
 async def run(url: str) -> None:
-    """One episode by vla-eval's runner."""
+    """Run one episode with vla-eval's runner."""
     async with Connection(url, timeout=120) as connection:
         info = connection.server_info
         wanted = info["observation_params"]

@@ -1,4 +1,4 @@
-"""A suite and policies that take milliseconds, installed for this process and its children."""
+"""A suite and policies that run in milliseconds, installed for this process and its children."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def toy_site(tmp_path_factory):
 
 @pytest.fixture
 def toy(toy_site, monkeypatch):
-    """The toy plugin is installed."""
+    """Install the toy plugin."""
     monkeypatch.syspath_prepend(str(toy_site))
     inherited = os.environ.get("PYTHONPATH", "")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(p for p in (str(toy_site), inherited) if p))
@@ -42,7 +42,7 @@ def toy(toy_site, monkeypatch):
 
 @pytest.fixture
 def plan(toy):
-    """Makes plans of the toy suite."""
+    """Return a function that makes plans of the toy suite."""
 
     def make(**changes):
         values = {"suite": "toy", "backend": "steer", "episodes": 8} | changes

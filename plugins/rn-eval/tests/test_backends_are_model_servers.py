@@ -1,8 +1,8 @@
-"""A backend serves vla-eval's clients: handshake, one action an observation, errors; the
+"""A backend serves vla-eval's clients: handshake, one action per observation, errors; the
 conventions of LIBERO.
 
-The first tests speak the protocol with msgpack and websockets alone; the last one is vla-eval's own
-client and episode runner, in an environment of its own (`make interop-vla-eval`).
+The first tests use only msgpack and websockets; the last one uses vla-eval's own client and episode
+runner, in its own environment (`make interop-vla-eval`).
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def observed(**changes):
 
 
 def talk(messages, policy):
-    """Send each (type, payload) in turn; the answers to those that have one."""
+    """Send each (type, payload) in turn; return the answers to those that have one."""
 
     async def run():
         server = EvalModelServer(policy, name="toy", roles=("primary", "wrist"), needs_state=True)
@@ -108,7 +108,7 @@ def test_an_episode_is_served():
     assert [a.seq for a in actions] == [3, 4, 5, 6]
     played = np.array([a.payload["actions"] for a in actions])
     assert played.dtype == np.float32
-    # the chunk is played whole, then comes the next
+    # the chunk is used up before the next one
     np.testing.assert_allclose(played[:, 0], [0.0, 1.0, 2.0, 0.0])
     np.testing.assert_allclose(played[:, 5:], [[0.5, -1.0]] * 4)
     assert len(policy.seen) == 2
@@ -161,7 +161,7 @@ def test_arrays_of_objects_are_not_taken():
 
 @pytest.mark.parametrize("angle", [0.0, 1.0, np.pi, 4.0, 6.2])
 def test_rotation_vectors_keep_their_branch(angle):
-    """0 .. 2 pi: the quaternion's sign carries which of the two vectors it was."""
+    """0 .. 2 pi: the quaternion's sign tells which of the two rotation vectors it was."""
     axis = np.array([0.8, 0.0, 0.6])
     quaternion = bridge._quaternion(axis * angle)
     assert 2.0 * np.arccos(np.clip(quaternion[3], -1, 1)) == pytest.approx(angle, abs=1e-7)

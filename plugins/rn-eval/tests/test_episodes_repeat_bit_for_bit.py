@@ -1,4 +1,4 @@
-"""The same seed gives the same episode, whatever ran before and whatever runs beside it."""
+"""The same seed gives the same episode, regardless of earlier and concurrent episodes."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def test_latency_slows_sequential_episodes_more_than_overlapped_ones(plan):
 
 
 def test_variants_meet_the_same_latencies(plan):
-    """Common random numbers: the n-th prediction of a seed takes as long under each preset and
-    mode.
+    """Common random numbers: the n-th prediction of a seed has the same latency under each preset
+    and mode.
     """
     draws = [parse_latency("lognormal:112ms,0.3")(np.random.default_rng([3, 9])) for _ in range(2)]
     assert [draws[0](0.0) for _ in range(5)] == [draws[1](0.0) for _ in range(5)]

@@ -1,5 +1,5 @@
-"""One model for many episodes: questions that are there at the same time become one forward of the
-shipped backend.
+"""One model for many episodes: concurrent requests become one forward pass of the shipped
+backend.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ INSTRUCTIONS = ("pick up the red cube", "go", "put the small yellow cube into th
 
 @pytest.fixture
 def plan_of_oft(tmp_path):
-    """A tiny checkpoint of random weights, in the suite `cubes`."""
+    """A tiny checkpoint with random weights, in the suite `cubes`."""
     from rn_backend_oft.tiny import make_tiny_oft
 
     torch.set_num_threads(1)
@@ -81,7 +81,7 @@ def test_a_bad_observation_fails_alone(plan_of_oft, observations):
 
 
 def test_a_run_of_own_policies_is_not_continued_with_batches(plan_of_oft):
-    """Its episodes repeat bit for bit; those of batches do not."""
+    """Its episodes repeat bit for bit; batched ones do not."""
     from argparse import Namespace
 
     arguments = Namespace(policy_actors=1, workers=1, ray_address=None, policy_gpus=0.0)

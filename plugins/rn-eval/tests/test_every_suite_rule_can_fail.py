@@ -1,5 +1,5 @@
-"""For each rule of suites there is a suite that breaks it; the toy suite they are made from keeps
-all.
+"""Each rule of suites is broken by some suite; the toy suite that they derive from keeps all
+rules.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _found = spec_from_file_location("toy_of_the_suite_rules", Path(__file__).parent
 assert _found is not None
 assert _found.loader is not None
 _parts: Any = module_from_spec(_found)
-sys.modules[_found.name] = _parts  # pydantic looks its annotations up there
+sys.modules[_found.name] = _parts  # pydantic resolves annotations there
 _found.loader.exec_module(_parts)
 Toy, ToyOptions, ToyScene = _parts.Toy, _parts.ToyOptions, _parts.ToyScene
 LEFT: list[int] = []
@@ -49,7 +49,7 @@ class ToyConfig(ToyOptions):  # type: ignore[misc,valid-type]
 
 
 class Good(Toy):  # type: ignore[misc,valid-type]
-    """The toy, with a scene of its own that a mutant changes."""
+    """The toy suite, with its own scene for mutants to change."""
 
     scene: type = ToyScene
 
@@ -59,7 +59,7 @@ class Good(Toy):  # type: ignore[misc,valid-type]
 
 
 def with_scene(**changes: Any) -> type:
-    """A suite whose scenes differ from the good ones."""
+    """A suite whose scenes differ from the good one's."""
     return type("Changed", (Good,), {"scene": type("ChangedScene", (ToyScene,), changes)})
 
 
@@ -75,7 +75,7 @@ def episodes(change):
 
 
 def every(**fields: Any) -> type:
-    """A suite whose episodes all have such fields."""
+    """A suite whose episodes all have these fields."""
     return episodes(lambda found: [replace(episode, **fields) for episode in found])
 
 
@@ -231,7 +231,7 @@ MUTANTS: dict[str, tuple[str, type]] = {
 
 
 def make_case(target: type, monkeypatch: pytest.MonkeyPatch) -> SuiteCase:
-    """The toy with that class as its target, its options set to what they are by default."""
+    """A case of the toy suite with that class as target and default options."""
     camera = CameraProfile(name="front", role="primary", frame_id="front", width=32, height=32)
     config = load_config(None)
     setup = Setup(

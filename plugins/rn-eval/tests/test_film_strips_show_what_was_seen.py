@@ -17,7 +17,7 @@ COLOURS = {
 
 
 def table(colour):
-    """A smooth grey picture that a small cube stands in, as the simulated camera's pictures are."""
+    """A smooth grey image with a small cube, like the simulated camera's images."""
     rows = np.linspace(90, 230, 160)[:, None, None] + np.linspace(-20, 20, 160)[None, :, None]
     image = np.clip(rows * np.array([1.0, 0.95, 0.9]), 0, 255).astype(np.uint8)
     image[80:88, 100:108] = colour
@@ -26,7 +26,7 @@ def table(colour):
 
 @pytest.mark.parametrize("name", COLOURS)
 def test_a_small_cube_keeps_its_colour(name):
-    """Each colour in a strip whose other images have the other ones."""
+    """Each colour, in a strip whose other images have the other colours."""
     film = FilmStrip()
     for at_s, colour in enumerate([COLOURS[name], *COLOURS.values()]):
         film.add(float(at_s), "", table(colour))
@@ -36,7 +36,7 @@ def test_a_small_cube_keeps_its_colour(name):
 
 @pytest.mark.parametrize("width", [160, 224])
 def test_time_and_caption_stand_apart(width):
-    """One text beside the other reads "30.0send" in the font of the strip."""
+    """Adjacent texts would read "30.0send" in the font of the strip."""
     film = FilmStrip()
     film.add(0.0, "", np.full((160, width, 3), 128, np.uint8))
     sheet = np.asarray(

@@ -1,4 +1,4 @@
-"""No text of a plot covers another one, also where variants are equally fast and equally good."""
+"""No text of a plot overlaps another one, even if variants are equally fast and good."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rn_eval.summary import summarise
 
 
 def rows_of(presets, executions):
-    """Variants of which each has the same success and the same time of a prediction."""
+    """Variants with the same success rate and the same prediction time."""
     records = []
     for preset in presets:
         for execution in executions:
@@ -59,7 +59,7 @@ def test_no_text_covers_another(paint, presets, executions):
         for text in figure.findobj(Text)
         if text.get_visible() and text.get_text() not in beyond
     ]
-    # boxes of slanted ones are not the text
+    # bounding boxes of slanted texts are larger than the text
     is_level = [text for text in texts if text.get_rotation() in (0.0, 90.0)]
     boxes = [(text.get_text(), text.get_window_extent()) for text in is_level]
     covered = [(a, b) for (a, one), (b, other) in combinations(boxes, 2) if one.overlaps(other)]

@@ -1,7 +1,7 @@
 """Ledgers with published counts give the published tables.
 
-The per-episode files of vla-eval's repository are Git LFS pointers in the public copies of it, so
-counts are taken from what is published: vla-eval docs/reproductions/{openvla,oft,openpi}.md (500
+The per-episode files of vla-eval's repository are Git LFS pointers in its public copies, so the
+counts are taken from the published tables: vla-eval docs/reproductions/{openvla,oft,openpi}.md (500
 episodes a suite), and the RoboNeuron paper's Case IV.
 """
 

@@ -1,4 +1,4 @@
-"""Intervals and paired tests against published numbers; the report tells what the ledger holds."""
+"""Intervals and paired tests against published numbers; the report shows the ledger's content."""
 
 from __future__ import annotations
 
@@ -108,8 +108,8 @@ def test_presets_are_compared_on_the_same_episodes():
 
 
 def told(**facts_of_seed):
-    """Episodes that tell facts: seeds 0, 1, ...; even ones succeed, odd ones under the second
-    preset too.
+    """Episodes with facts: seeds 0, 1, ...; even ones succeed, odd ones also under the second
+    preset.
     """
     names, values = list(facts_of_seed), list(zip(*facts_of_seed.values(), strict=True))
     records = []
@@ -137,7 +137,7 @@ def lines_of(table):
 
 
 def test_a_breakdown_counts_success_by_ranges_of_a_fact():
-    """A bound belongs to the range above it; who does not tell the fact has a line of their own."""
+    """A bound belongs to the range above it; episodes without the fact have their own line."""
     summary = told(turned_rad=[0.5, 0.1, 0.2, 0.39, 0.4, None])
     lines = lines_of(breakdown(summary, "turned_rad=0.2,0.4"))
     assert lines[0] == ["turned_rad", "none", "fastv-p50"]
@@ -217,7 +217,7 @@ def test_the_report_is_one_file_and_agrees_with_the_ledger(plan, tmp_path):
     summary = write_report([tmp_path], tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert page.count("<svg") == 2  # success by variant, against latency
-    assert "data:image/png;base64," in page  # the strip of seed 3, which is out of reach
+    assert "data:image/png;base64," in page  # the strip of seed 3, which is unreachable
     assert 'src="http' not in page
     assert "href=" not in page.replace('xlink:href="#', "")
     data = json.loads((tmp_path / "report.json").read_text())

@@ -1,4 +1,4 @@
-"""One line for each episode, on disk before it counts; a cut line is run again; nothing is there
+"""One line per episode, on disk before it counts; a truncated line is run again; no episode occurs
 twice.
 """
 
@@ -26,8 +26,8 @@ def record(seed, status="success"):
 
 
 def test_every_prefix_of_a_ledger_can_be_continued(plan, tmp_path):
-    """A crash may cut the file anywhere: what is whole stays, what is not is run again, and the end
-    is the same.
+    """A crash may truncate the file anywhere: complete lines stay, others are run again, and the
+    final result is the same.
     """
     made = plan(episodes=3)
     quiet = Console(file=io.StringIO())
@@ -61,8 +61,8 @@ def test_a_finished_episode_is_not_run_twice(plan, tmp_path):
 
 @pytest.fixture
 def sigterm():
-    """Puts back what SIGTERM did; Ctrl-C works, as it does not in a process that a shell has put in
-    the background.
+    """Restore the handlers of SIGTERM and SIGINT; enable Ctrl-C, which is disabled in processes
+    that a shell started in the background.
     """
     before, interrupt = (
         signal.getsignal(signal.SIGTERM),
@@ -80,7 +80,7 @@ def test_who_ends_a_run_learns_what_is_kept(plan, tmp_path, sigterm, number, end
     class Ended(InProcess):
         def run(self, jobs):
             yield next(super().run(jobs))
-            assert callable(signal.getsignal(number))  # by default it would end the tests
+            assert callable(signal.getsignal(number))  # the default would end the tests
             signal.raise_signal(number)
 
     made, console = plan(episodes=3), Console(file=io.StringIO(), width=200)
@@ -91,7 +91,7 @@ def test_who_ends_a_run_learns_what_is_kept(plan, tmp_path, sigterm, number, end
 
 
 def test_a_second_sigterm_does_not_cut_the_end_short(plan, tmp_path, sigterm):
-    """make and timeout each send one."""
+    """make and timeout each send one SIGTERM."""
 
     class Ended(InProcess):
         def run(self, jobs):
@@ -175,7 +175,7 @@ def test_a_full_disk_is_told_with_the_file_and_leaves_the_ledger_whole(plan, tmp
         ledger.add(record(0))
         whole = (tmp_path / FILE_NAME).read_bytes()
         soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-        # as on a disk that is full
+        # as on a full disk
         resource.setrlimit(resource.RLIMIT_FSIZE, (len(whole) + 30, hard))
         try:
             with pytest.raises(StateError, match="cannot be written") as refusal:

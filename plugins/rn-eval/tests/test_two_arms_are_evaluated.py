@@ -1,5 +1,5 @@
-"""The suite "hand-over": a policy of TCP poses of two arms is run through controller and limits,
-and judged by which arm holds the cube.
+"""The suite "hand-over": a policy with TCP poses of two arms runs through controller and limits,
+and is judged by which arm holds the cube.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def plan(**changes: Any) -> EvalPlan:
     return EvalPlan.model_validate({**given, "first_seed": 3, **changes})
 
 
-@pytest.mark.slow  # the servo hands cubes over in its own tests too
+@pytest.mark.slow  # the servo's own tests include a handover
 def test_a_policy_of_two_arms_hands_the_named_cube_over() -> None:
     runner = Runner(plan())
     try:

@@ -1,4 +1,4 @@
-"""A ledger knows under which versions each episode ran, and mixes them only when it is told to."""
+"""A ledger stores the versions of each episode, and mixes them only on request."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_a_worker_of_other_versions_is_refused(plan, tmp_path):
 
 
 def test_only_what_both_name_is_compared():
-    """More presets bring more packages; a ledger of old names fewer."""
+    """More presets use more packages; old ledgers name fewer."""
     assert changed_versions({"a": "1", "b": "1"}, {"a": "2", "c": "1"}) == ["a 1 -> 2"]
 
 

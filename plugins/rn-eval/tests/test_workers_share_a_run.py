@@ -1,4 +1,4 @@
-"""Episodes on Ray: as in one process, whatever is killed meanwhile; a shared policy answers in
+"""Episodes on Ray: same results as in one process, whatever is killed; a shared policy answers in
 batches.
 """
 
@@ -54,7 +54,7 @@ def finish(folder, *words):
 
 
 def refused(folder, *words):
-    """What a run of two episodes and two workers says that is refused."""
+    """Error of a run with two episodes and two workers that is refused."""
     done = subprocess.run(
         command(folder, "--episodes", "2", "--workers", "2", *words),
         capture_output=True,
@@ -87,17 +87,18 @@ def test_two_workers_give_what_one_gives(toy, tmp_path):
 
 @pytest.fixture
 def cluster(toy, tmp_path, monkeypatch):
-    """Address of a Ray cluster of its own, with two CPUs."""
+    """Address of a separate Ray cluster with two CPUs."""
     import ray
 
-    # else it depends on whether this user has a token
+    # otherwise it depends on whether this user has a token
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
     with socket.socket() as free:
         free.bind(("", 0))
         port = free.getsockname()[1]
     # Ray replaces 127.0.0.1 by it
     address, log = f"{ray.util.get_node_ip_address()}:{port}", tmp_path / "ray.log"
-    # Not below pytest's folder: Ray's sockets lie there, and their paths may have 107 characters.
+    # Not below pytest's folder, because Ray's sockets are there, and their paths are limited to 107
+    # characters.
     with tempfile.TemporaryDirectory(prefix="ray-") as folder:
         words = ("--head", "--block", f"--port={port}", "--num-cpus=2", "--disable-usage-stats")
         with log.open("w") as output:
@@ -136,7 +137,7 @@ def test_a_cluster_does_what_one_process_does_and_is_used_only_when_named(
     finish(tmp_path / "one", "--episodes", "6")
     finish(tmp_path / "named", "--episodes", "6", "--workers", "2", "--ray-address", cluster)
     assert outcomes(tmp_path / "one") == outcomes(tmp_path / "named")
-    # where Ray goes by itself; it has no room for three workers
+    # Ray would use it by default; it has no room for three workers
     monkeypatch.setenv("RAY_ADDRESS", cluster)
     finish(tmp_path / "local", "--episodes", "6", "--workers", "3")
     assert outcomes(tmp_path / "one") == outcomes(tmp_path / "local")
@@ -166,7 +167,7 @@ def _processes(driver, name):
 
 
 def test_kills_of_workers_driver_and_ray_lose_no_episode_and_run_none_twice(toy, tmp_path):
-    """Whatever dies, the same command again runs exactly the missing episodes."""
+    """Whatever is killed, the same command then runs exactly the missing episodes."""
     words = ("--episodes", "400", "--suite-option", "slow_s=0.3")
     chance = random.Random(13)
     killed: Counter[str] = Counter()
@@ -195,7 +196,7 @@ def test_kills_of_workers_driver_and_ray_lose_no_episode_and_run_none_twice(toy,
         driver.wait()
     print(dict(killed), f"{len(_lines(tmp_path))} episodes, {time.monotonic() - begun_s:.0f} s")
     assert killed.total() == KILLS
-    # chance has hit one three times
+    # episodes that were hit three times by chance
     deadly = sum(line["outcome"]["status"] == "error" for line in _lines(tmp_path))
     finish(tmp_path, "--episodes", "400", "--suite-option", "slow_s=0.3", "--retry-errors")
     records = read_records(tmp_path)
@@ -239,5 +240,5 @@ def test_a_policy_that_remembers_cannot_be_shared(toy, tmp_path):
 
 
 def test_a_gpu_that_is_not_there_is_refused(toy, tmp_path):
-    """Ray would wait for it for ever."""
+    """Ray would wait for it forever."""
     assert "2000 GPUs are needed" in refused(tmp_path, "--policy-gpus", "1000")

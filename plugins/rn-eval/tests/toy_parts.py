@@ -1,4 +1,4 @@
-"""Reach a random point; seeds that end in 7 crash, those that end in 3 are out of reach."""
+"""Reach a random point; seeds ending in 7 crash, those ending in 3 are unreachable."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ class Steer:
 
 
 class SteerBatch(Steer):
-    """Remembers nothing, so it may answer many at a time."""
+    """Stateless, so it can predict in batches."""
 
     def predict(self, observation):
         return self.answer(observation, np.zeros(3))

@@ -1,4 +1,4 @@
-"""A suite and two policies of milliseconds an episode, for tests; installed in a temporary
+"""A suite and two policies with episodes of milliseconds, for tests; installed in a temporary
 folder.
 """
 

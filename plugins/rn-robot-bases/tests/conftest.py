@@ -1,4 +1,4 @@
-"""The physics engines that are installed here: tests of the simulation run in each of them."""
+"""The installed physics engines; tests of the simulation run in each of them."""
 
 from __future__ import annotations
 

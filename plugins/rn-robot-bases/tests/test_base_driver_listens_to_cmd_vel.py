@@ -40,7 +40,7 @@ def twist(linear: float = 0.0, angular: float = 0.0, *, sideways: float = 0.0) -
 
 @pytest.fixture(autouse=True)
 def truth(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The drivers report the simulator's truth, by which these tests judge."""
+    """Drivers report the ground truth, which these tests use."""
     monkeypatch.setenv(SWITCH, "on")
 
 

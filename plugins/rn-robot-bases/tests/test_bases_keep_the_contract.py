@@ -13,7 +13,7 @@ SPECS = {spec.name: spec for spec in roboneuron_robots()}
 
 
 class TestBases(RobotContract):
-    """Each descriptor in turn."""
+    """Test each descriptor."""
 
     @pytest.fixture(params=SPECS)
     def plugin(self, request: pytest.FixtureRequest) -> RobotCase:

@@ -31,14 +31,14 @@ def moved(states: Sequence[BaseState]) -> tuple[float, float]:
 
 
 def error_m(state: BaseState) -> float:
-    """Distance between where the base is and where its odometry says it is [m]."""
+    """Distance between the true position of the base and its odometry [m]."""
     return math.hypot(
         state.odometry.x_m - state.true_pose.x_m, state.odometry.y_m - state.true_pose.y_m
     )
 
 
-# Tolerances: diffdrive and racecar roll without slip. The husky skids: its turning rate wanders
-# with the heading by up to 18 %, of which a few per cent remain in the mean of 2.5 s.
+# Tolerances: diffdrive and racecar roll without slip. The husky skids: its turning rate varies with
+# the heading by up to 18 %, of which a few per cent remain in the mean over 2.5 s.
 TRACKING = [
     (DIFFDRIVE, 0.3, 0.0, 0.005, 0.005),
     (DIFFDRIVE, 0.0, 0.8, 0.005, 0.005),
@@ -155,7 +155,7 @@ def test_car_never_steers_beyond_its_turning_radius_on_the_way(engine: Engine) -
 
 @pytest.mark.parametrize(
     ("platform", "share"),
-    # Of the path's length; only the husky slips, its heading wanders in a skid.
+    # Relative to the path's length; only the husky slips, and its heading varies in a skid.
     [(DIFFDRIVE, 0.005), (HUSKY, 0.05), (RACECAR, 0.005)],
     ids=["diffdrive", "husky", "racecar"],
 )
@@ -180,14 +180,14 @@ def test_odometry_agrees_with_the_true_pose_over_a_path(
 def test_husky_odometry_knows_about_which_point_it_turns(engine: Engine) -> None:
     with BaseSimulation(HUSKY, engine=engine) as base:
         base.run(0.0, 0.8, 1.0)
-        # Half a turn, about a point 0.157 m behind: the base ends 0.31 m from where it began, and
-        # both must say so.
+        # Half a turn, about a point 0.157 m behind: the base ends 0.31 m from its start, and both
+        # must show this.
         start = base.state()
         end = base.run(0.0, 0.8, math.pi / 0.8)
     true = (end.true_pose.x_m - start.true_pose.x_m, end.true_pose.y_m - start.true_pose.y_m)
     told = (end.odometry.x_m - start.odometry.x_m, end.odometry.y_m - start.odometry.y_m)
-    # The point wanders with the heading, as the turning rate does; with the wrong sign they were
-    # 0.7 m apart.
+    # The turning centre varies with the heading, like the turning rate; with the wrong sign the
+    # error was 0.7 m.
     assert math.hypot(*true) == pytest.approx(0.31, abs=0.1)
     assert math.dist(true, told) < 0.1
 

@@ -1,4 +1,4 @@
-"""The ready paths: drivable, followed to their end, and worth a picture."""
+"""The predefined paths are drivable, followed to their end, and can be rendered."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_base_ends_where_its_path_is_planned_to_end(engine: Engine, platform: Pl
         base.step(240)
         reached = base.state().odometry
     planned = planned_track(platform, path.segments)[-1]
-    # Half of what the path allows: here no duration scatters.
+    # Half of the path's tolerance, because no duration scatters here.
     assert math.hypot(reached.x_m - planned.x_m, reached.y_m - planned.y_m) < path.end_m / 2.0
     assert abs(reached.yaw_rad - planned.yaw_rad) < path.end_rad / 2.0
 

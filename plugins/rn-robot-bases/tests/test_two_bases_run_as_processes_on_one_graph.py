@@ -19,7 +19,7 @@ pytestmark = pytest.mark.ros
 
 
 class Graph:
-    """A node of the test, and the base processes that it started."""
+    """A ROS node of the test, and the base processes that it started."""
 
     def __init__(self, folder: Path) -> None:
         os.environ["ROS_DOMAIN_ID"] = str(free_ros_domain())

@@ -1,4 +1,4 @@
-"""What tests against franka-sim share."""
+"""Helpers for tests against franka-sim."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _PATIENCE_S = 30.0
 
 
 def until(driver: FciDriver, check: Callable[[], bool]) -> None:
-    """Read as the robot module does, until the condition holds: a driver that nobody asks stops
+    """Read like the robot module until the condition holds, because a driver that is not read stops
     the arm.
     """
     deadline_s = time.monotonic() + _PATIENCE_S

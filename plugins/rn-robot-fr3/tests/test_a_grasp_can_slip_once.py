@@ -1,4 +1,4 @@
-"""The simulated hand gives way once, at the chosen moment, and grasps again after that."""
+"""The simulated gripper opens once, at the chosen moment, and grasps again afterwards."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_cube_falls_once_and_can_be_picked_up_again(engine: Engine) -> None:
         assert simulation.cubes()["red"].lifted_m > 0.15
         simulation.step(round((AFTER_S + 0.8) / STEP_S))
         assert abs(simulation.cubes()["red"].lifted_m) < 0.01
-        assert simulation.gripper_open() < 0.02  # it has closed on nothing: agents can notice that
+        assert simulation.gripper_open() < 0.02  # it has closed on nothing, which agents can detect
         _pick(simulation, "red")
         simulation.step(round((AFTER_S + 1.0) / STEP_S))
         assert simulation.cubes()["red"].held_s > AFTER_S + 0.4

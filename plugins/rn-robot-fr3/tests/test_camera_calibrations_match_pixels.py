@@ -1,4 +1,4 @@
-"""The calibrations in the profile are those of the pictures that the simulation draws."""
+"""The calibrations of the profile match the rendered images."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def is_coloured(image: NDArray[np.uint8], colour: str) -> NDArray[np.bool_]:
 def project(
     points_m: NDArray[np.float64], calibration: CameraCalibration, T_base_mount: NDArray[np.float64]
 ):
-    """Points (n, 3) in the base frame -> pixels (n, 2) u, v."""
+    """Project points (n, 3) in the base frame to pixels (n, 2) u, v."""
     T_camera_base = np.linalg.inv(T_base_mount @ calibration.T_mount_camera)
     in_camera = points_m @ T_camera_base[:3, :3].T + T_camera_base[:3, 3]
     pixels = in_camera @ calibration.intrinsics.T
@@ -62,8 +62,8 @@ def test_projected_cube_corners_bound_the_coloured_pixels(
                     continue
                 v, u = np.nonzero(is_coloured(image, name))
                 found = [u.min(), v.min(), u.max() + 1, v.max() + 1]
-                # A pixel is drawn when its centre is covered, so an edge is off by half a pixel at
-                # most, a sharp corner by a little more.
+                # A pixel is drawn if its centre is covered, so an edge is off by at most half a
+                # pixel, a sharp corner by a little more.
                 np.testing.assert_allclose(found, [*corners.min(0), *corners.max(0)], atol=1.2)
                 seen += 1
     assert seen >= 5

@@ -54,7 +54,7 @@ def test_engines_follow_a_command_alike() -> None:
                 simulation.step(8)
                 track.append(simulation.joint_positions())
             tracks.append(np.array(track))
-    # Both follow the same setpoints; their motors are behind by different fractions of a step.
+    # Both follow the same setpoints; their motors lag by different fractions of a step.
     np.testing.assert_allclose(tracks[0], tracks[1], atol=0.01)
     np.testing.assert_allclose(tracks[0][-1], tracks[1][-1], atol=1e-3)
 
@@ -71,7 +71,7 @@ def test_engines_draw_the_same_cubes_in_the_same_places() -> None:
             with ArmSimulation(0, engine=engine) as simulation:
                 blobs.append(blob(simulation.render(camera.name)))
         assert blobs[0].sum() > 50
-        # They differ in which pixels of the outline they count in.
+        # They differ in which pixels of the outline they include.
         assert (blobs[0] != blobs[1]).sum() < 0.15 * blobs[0].sum()
 
 

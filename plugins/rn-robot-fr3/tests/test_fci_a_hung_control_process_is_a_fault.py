@@ -1,4 +1,4 @@
-"""A control process that answers no more is a fault within seconds, and holds up nobody."""
+"""A hung control process is reported as a fault within seconds, and blocks nothing."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ STATE: dict[str, Any] = {
 
 
 class Clock:
-    """Both clocks of a process, which stand until they are set."""
+    """Both clocks of a process, stopped until the test sets them."""
 
     now_s = 100.0
 
@@ -56,7 +56,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 @pytest.fixture
 def arm() -> Iterator[FciArm]:
-    """Connected to a process that reads nothing."""
+    """An arm connected to a process that reads nothing."""
     made = FciArm(OPTIONS)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
@@ -66,7 +66,7 @@ def arm() -> Iterator[FciArm]:
 
 @pytest.fixture
 def driver(clock: Clock, arm: FciArm) -> FciDriver:
-    """Open, with this arm."""
+    """An open driver with this arm."""
     made = FciDriver(OPTIONS, profile(), MemoryTopics(now_ns=clock.now_ns))
     made._arm = arm
     arm._take(STATE)
@@ -108,6 +108,6 @@ def test_an_old_state_keeps_its_stamp(clock: Clock, driver: FciDriver, arm: FciA
     driver._look_after(arm)
     assert driver.read().joints.stamp_ns == measured_ns
     arm._take(STATE)
-    clock.now_s += 0.003  # later than it came, as the thread that looks runs every 8 ms
+    clock.now_s += 0.003  # later than its arrival, as the thread runs every 8 ms
     driver._look_after(arm)
     assert driver.read().joints.stamp_ns == pytest.approx(measured_ns + 500_000_000, abs=1000)

@@ -1,6 +1,4 @@
-"""The control box of the tests refuses, drops and judges as the published rules say; without
-franka-sim.
-"""
+"""The test control box refuses, drops and checks by the published rules; without franka-sim."""
 
 from __future__ import annotations
 
@@ -62,7 +60,7 @@ def test_settings_without_sense_are_refused(service: int, values: list[float]) -
 
 
 def judged(*steps: float) -> CommandJudge:
-    """A first joint at these places [rad] from home, by cycle; None is a cycle without a
+    """Judge a first joint at these offsets [rad] from home, by cycle; None is a cycle without a
     command.
     """
     judge = CommandJudge()

@@ -1,4 +1,4 @@
-"""The process that answers the arm: it brakes without its parent, and moves nothing after an error
+"""The process that answers the arm brakes without its parent, and moves nothing after an error
 until a recovery.
 """
 
@@ -27,11 +27,11 @@ HOME = list(HOME_RAD)
 
 
 class ControlException(Exception):
-    """A motion was ended by the arm."""
+    """The arm ended a motion."""
 
 
 class Robot:
-    """An arm in virtual time: the next state is there at once."""
+    """An arm in virtual time: the next state is available at once."""
 
     def __init__(self) -> None:
         self.arm = CommandedState(list(HOME), [0.0] * JOINTS, [0.0] * JOINTS)
@@ -75,7 +75,7 @@ class Robot:
         self.at_ms += gap
         self.arm = self.arm.missed(gap)
         self._answered = False
-        time.sleep(2e-5)  # leaves the interpreter to the test
+        time.sleep(2e-5)  # yields to the test
         return self.state(), None
 
     def writeOnce(self, command: Any) -> None:
@@ -92,7 +92,7 @@ class Robot:
 
 
 class Parent:
-    """What the driver's process says and hears."""
+    """Messages from and to the driver's process."""
 
     def __init__(self, link: socket.socket, robot: Robot) -> None:
         self.link, self.robot = link, robot
@@ -131,7 +131,7 @@ class Parent:
 
 @pytest.fixture
 def parent(monkeypatch: pytest.MonkeyPatch) -> Iterator[Parent]:
-    # threads of a test are slow beside each other
+    # threads of a test compete for the processor
     monkeypatch.setattr(control_process, "_ANSWER_S", 5.0)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     robot = Robot()

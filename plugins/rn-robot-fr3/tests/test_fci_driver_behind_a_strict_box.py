@@ -1,4 +1,4 @@
-"""The driver `fci` behind a control box that loses packets, refuses and judges; with franka-sim,
+"""The driver `fci` behind a control box that loses packets, refuses and checks; with franka-sim,
 skipped without it.
 """
 
@@ -70,7 +70,7 @@ def go(driver: FciDriver, target: np.ndarray, duration_s: float = 0.1) -> None:
 
 
 def streamed(driver: FciDriver, targets: int) -> None:
-    """Targets at 20 Hz, with a stop now and then."""
+    """Send targets at 20 Hz, with an occasional stop."""
     dice, at = np.random.default_rng(5), HOME
     for number in range(1, targets + 1):
         at = np.clip(at + dice.uniform(-0.08, 0.08, 7), HOME - 0.4, HOME + 0.4)
@@ -181,7 +181,7 @@ def test_a_mode_is_told_in_its_own_words_however_often_a_recovery_is_tried(
     driver.recover()
     for _ in range(20):
         driver.read()
-        time.sleep(0.01)  # what is looked for is that nothing happens
+        time.sleep(0.01)  # to show that nothing happens
     assert np.abs(np.array(sim.tell()["joints"][:7]) - before).max() < 1e-3, (
         "a recovery moves nothing"
     )

@@ -1,4 +1,4 @@
-"""Every fault of the arm has one code and says what to do; the driver refuses motion until a person
+"""Every fault of the arm has one code and a remedy; the driver refuses motion until a person has
 recovered it.
 """
 

@@ -1,4 +1,4 @@
-"""What the arm counts as commanded stays within its limits, whichever packets are lost; in virtual
+"""The arm's commanded state stays within its limits, whichever packets are lost; in virtual
 time.
 """
 
@@ -29,7 +29,7 @@ STOP = tuple(STOP_ACCELERATION_RAD_S2.tolist()), tuple(JERK_LIMIT_RAD_S3.tolist(
 
 
 def course(position: list[float], target: np.ndarray, factor: float) -> Course:
-    """As `FciArm.go` makes it."""
+    """The course as created by `FciArm.go`."""
     way = plan(np.array(position), target, 0.05, factor)
     return Course(
         target=tuple(way.target.tolist()),
@@ -40,7 +40,7 @@ def course(position: list[float], target: np.ndarray, factor: float) -> Course:
 
 
 def rounded(values: list[float]) -> list[float]:
-    """As they are in a state."""
+    """Values rounded as in a state."""
     return np.array(values, dtype=np.float32).astype(float).tolist()
 
 
@@ -165,7 +165,7 @@ def test_an_arm_that_takes_no_command_is_noticed() -> None:
     arm.follower.aim(course(HOME, np.array(HOME) + 0.3, 0.5))
     arm.cycles(100)
     assert arm.follower.unheard == 0
-    # a constant acceleration is what the arm extrapolates: no difference yet
+    # the arm extrapolates with constant acceleration, so there is no difference yet
     for _ in range(LONGEST_UNHEARD + 400):
         arm.cycle(command_is_lost=True)
     assert arm.follower.unheard > LONGEST_UNHEARD

@@ -1,6 +1,4 @@
-"""The Franka Hand closes with force on whatever blocks it, and keeps the force until it is to
-open.
-"""
+"""The Franka Hand closes with force on any object, and keeps the force until it is to open."""
 
 from __future__ import annotations
 
@@ -18,7 +16,7 @@ OBJECT_M = 0.04
 
 
 class Done:
-    """A future that is there at once."""
+    """A future that is done at once."""
 
     def __init__(self, value: bool) -> None:
         self._value = value
@@ -31,7 +29,7 @@ class Done:
 
 
 class Hand:
-    """A Franka Hand around an object, as franky shows it: a motion that is blocked ends without
+    """A Franka Hand around an object, as franky presents it: a blocked motion ends without
     force.
     """
 

@@ -1,5 +1,5 @@
-"""A plan, played by a braking joint in virtual time, never leaves the envelope that depends on
-position.
+"""A plan, executed by a braking joint in virtual time, never exceeds the position-dependent
+envelope.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ def test_the_fastest_motion_that_the_plan_allows_stays_inside_the_envelope(
     length = np.abs(course.target - start)
     for share in np.linspace(0.0, 1.0, 101):
         gone = share * length
-        # without limited jerk, so at least as fast anywhere as ruckig: accelerate, cruise, brake
+        # without a jerk limit, so nowhere slower than ruckig: accelerate, cruise, brake
         fastest = np.minimum(
             np.sqrt(2 * acceleration * gone), np.sqrt(2 * acceleration * (length - gone))
         )
         velocity = direction * np.minimum(speed, fastest)
         lowest, highest = velocity_bounds(start + direction * gone)
-        # the slowest that the plan asks for: what is below is creeping
+        # the lowest speed of the plan; below, the joint creeps
         moving = np.abs(velocity) > 0.11
         towards = np.where(velocity > 0, highest - velocity, velocity - lowest)
         assert (towards[moving & (gone > 0.5 * length)] >= -1e-6).all()

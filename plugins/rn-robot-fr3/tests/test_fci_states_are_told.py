@@ -1,5 +1,5 @@
-"""What the control box measures goes out on topics and into get_status: at a bounded rate, faults
-at once.
+"""Measurements of the control box are published on topics and in get_status at a bounded rate,
+faults at once.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A stop is told once, and a motion that comes during it waits for its end."""
+"""A stop is sent once, and a motion requested during it waits for its end."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rn_robot_fr3.profile import HOME_RAD
 
 
 class Told(FciArm):
-    """Keeps what it would tell the control process."""
+    """Records messages to the control process."""
 
     def __init__(self) -> None:
         super().__init__(FciDriverOptions(host="10.0.0.1"))
@@ -26,7 +26,7 @@ class Told(FciArm):
         self.told.append(message["do"])
 
     def moves(self, is_moving: bool) -> None:
-        """The process says so."""
+        """Set whether the process reports motion."""
         self._take({"moving": is_moving, "number": self._aimed, "realtime": False})
 
 
@@ -65,7 +65,7 @@ def test_a_motion_waits_for_the_end_of_the_stop(arm: Told) -> None:
     arm.stop()
     waiting = threading.Thread(target=arm.await_rest)
     waiting.start()
-    waiting.join(0.05)  # what is looked for is that nothing happens
+    waiting.join(0.05)  # to show that nothing happens
     assert waiting.is_alive()
     arm.moves(False)
     waiting.join(5.0)

@@ -1,5 +1,5 @@
-"""The physics really grasps: a scripted pick with the simulator's own truth (no policy may use
-it).
+"""The physics really grasps: a scripted pick with the simulator's ground truth (not available to
+policies).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from rn_simulation.engine import Engine
 
 
 def solve(target: pin.SE3, seed_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Joint positions (7,) that put the TCP at `target`: damped least squares from `seed_rad`."""
+    """Joint positions (7,) for a TCP pose `target`: damped least squares from `seed_rad`."""
     model = pin.buildReducedModel(pin.buildModelFromXML(profile().urdf), [8, 9], np.zeros(9))
     data, frame, q = model.createData(), model.getFrameId(profile().tcp_link), seed_rad.copy()
     for _ in range(200):
@@ -50,7 +50,7 @@ def test_scripted_pick_lifts_the_cube_and_only_that(engine: Engine, seed: int, c
         move(0.02, 0.8)
         simulation.set_target([FINGER_JOINT], [0.0], 0.5)
         simulation.step(200)
-        # The fingers stop at the cube: the gripper measures its edge.
+        # The fingers stop at the cube, so the measured opening is its edge length.
         assert simulation.joint_positions()[7:].sum() == pytest.approx(cube.edge_m, abs=1e-3)
         move(0.25, 1.0)
         simulation.step(round(1.2 / STEP_S))
@@ -72,7 +72,7 @@ def test_scripted_pick_lifts_the_cube_and_only_that(engine: Engine, seed: int, c
 
 
 def test_a_grip_that_is_commanded_again_and_again_keeps_its_force(engine: Engine) -> None:
-    """Control repeats the opening with every action: the setpoint stays inside of what is held."""
+    """Control repeats the opening with every action: the setpoint stays inside the held object."""
     with ArmSimulation(0, engine=engine) as simulation:
         simulation.set_target([FINGER_JOINT], [0.0], 0.3)
         simulation.step(200)
@@ -85,7 +85,7 @@ def test_a_grip_that_is_commanded_again_and_again_keeps_its_force(engine: Engine
 
 
 def test_a_held_cube_is_kept_by_the_commanded_opening(engine: Engine) -> None:
-    """Actions hold an opening: 2 cm up in ten of them, as move_ee does, with the cube in the
+    """Actions keep the opening: 2 cm up in ten actions, as move_ee does, with the cube in the
     hand.
     """
     with ArmSimulation(0, engine=engine) as simulation:

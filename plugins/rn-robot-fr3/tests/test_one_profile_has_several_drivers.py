@@ -1,4 +1,4 @@
-"""One profile, several drivers: what an agent sees of the robot is the same whichever moves it."""
+"""One profile, several drivers: an agent sees the same robot whichever driver moves it."""
 
 from __future__ import annotations
 

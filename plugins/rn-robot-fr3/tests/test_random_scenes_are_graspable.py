@@ -1,4 +1,4 @@
-"""Scenes: repeatable, free of contact, reachable, and refused when they cannot be."""
+"""Scenes are repeatable, free of contact, reachable, and refused if impossible."""
 
 from __future__ import annotations
 

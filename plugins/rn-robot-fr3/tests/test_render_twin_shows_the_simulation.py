@@ -1,5 +1,5 @@
-"""The cameras in their own process see what the physics sees, when it is there and as often as
-asked.
+"""The cameras in their own process show the state of the physics, at its time and at the configured
+rate.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def test_twin_draws_the_same_pixels_as_the_physics(
     engine: Engine, topics: MemoryTopics, opened: Open
 ) -> None:
     source = opened(rate_hz=60)
-    for seed in (0, 1):  # the second is a driver that was started again with another scene
+    for seed in (0, 1):  # the second is a restarted driver with another scene
         with ArmSimulation(seed, engine=engine) as simulation:
             simulation.set_target(
                 ["fr3_joint1", "fr3_joint4", FINGER_JOINT], [0.2, -2.0, 0.01], 0.3
@@ -78,7 +78,8 @@ def test_twin_draws_the_same_pixels_as_the_physics(
             for _ in cameras():
                 frame = source.read(10.0)
                 wanted = simulation.render(frame.camera).astype(float)
-                # Equal but for a few pixels at edges, where a last bit of a joint angle decides.
+                # Equal except for a few pixels at edges, which depend on the last bit of a joint
+                # angle.
                 assert np.abs(frame.image - wanted).mean() < 0.05
                 assert frame.stamp_ns == 1000 + seed
                 assert frame.calibration is not None

@@ -94,7 +94,7 @@ def test_real_time_factor_speeds_up_the_simulation(topics: MemoryTopics) -> None
     started_s = time.monotonic()
     wait_until(lambda: float(driver.read().detail["sim_time_s"]) > 3.0)
     elapsed_s = time.monotonic() - started_s
-    if elapsed_s > 3.0:  # the machine was busy: look for one second in which it was not
+    if elapsed_s > 3.0:  # the machine was busy: search for one second in which it was not
         wait_until(lambda: float(driver.read().detail["real_time_factor"]) > 1.5, 60.0)
     driver.close()
     assert elapsed_s > 0.9

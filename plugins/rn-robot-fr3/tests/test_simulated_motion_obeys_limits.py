@@ -1,4 +1,4 @@
-"""Commands to the simulation: limits, replacement, holding, and refusal of what makes no sense."""
+"""Commands to the simulation: limits, replacement, holding, and refusal of invalid ones."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_target_is_reached_in_the_time_given(simulation: ArmSimulation) -> None:
     target = np.array(HOME_RAD) + 0.1
     sent = simulation.set_target(ARM_JOINTS, target, 0.5)
     assert sent.duration_s == 0.5
-    # 0.1 s beyond: the setpoint brakes at the end, the motors follow it a few steps late.
+    # 0.1 s longer: the setpoint brakes at the end, and the motors lag a few steps.
     simulation.step(round(0.6 / STEP_S))
     np.testing.assert_allclose(simulation.joint_positions()[:7], target, atol=2e-3)
 
@@ -43,7 +43,7 @@ def test_measured_velocity_stays_below_the_official_limit(simulation: ArmSimulat
     for _ in range(round(sent.duration_s / STEP_S) + 24):
         simulation.step()
         fastest = max(fastest, float(np.abs(simulation.joint_states()[1][0])))
-    # The motor may swing over its setpoint's velocity by a little.
+    # The motor may slightly overshoot the velocity of its setpoint.
     assert VELOCITY_RAD_S[0] * 0.9 < fastest < VELOCITY_RAD_S[0] * 1.02
     assert simulation.joint_positions()[0] == pytest.approx(2.5, abs=2e-3)
 

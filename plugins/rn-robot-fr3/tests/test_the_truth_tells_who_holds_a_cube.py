@@ -1,4 +1,6 @@
-"""Truth of several arms: who holds a lifted cube, and for how long it has been handed over."""
+"""Ground truth of several arms: which one holds a lifted cube, and how long ago it was handed
+over.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ def _pose(z_m: float) -> dict[str, RawPose]:
 
 
 def _after(*steps: Places) -> CubeState:
-    """The state after one second of each: height of the cube, TCP of the left and the right arm."""
+    """State after one second of each: height of the cube, TCP of the left and the right arm."""
     clock = LiftClock([CUBE], ["left", "right"])
     for second, (z_m, left, right) in enumerate(steps):
         clock.observe(float(second), _pose(z_m), [left, right])

@@ -1,4 +1,4 @@
-"""Modules beside the tests can be imported."""
+"""Make the modules next to the tests importable."""
 
 from __future__ import annotations
 

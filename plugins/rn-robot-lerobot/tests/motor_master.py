@@ -1,4 +1,4 @@
-"""What a master sends to simulated motors, in either protocol; the counterpart of no driver."""
+"""Instructions of a master for simulated motors, in either protocol; independent of any driver."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from rn_robot_lerobot.bus.chain import (
 
 
 def feetech(packet: Packet) -> bytes:
-    """A packet of Feetech's protocol as it goes over the line."""
+    """Serialise a packet of Feetech's protocol."""
     body = bytes((packet.motor, len(packet.parameters) + 2, packet.instruction))
     body += packet.parameters
     return b"\xff\xff" + body + bytes((packets.checksum(body),))
 
 
 def dynamixel(packet: Packet) -> bytes:
-    """One of Dynamixel's."""
+    """Serialise a packet of Dynamixel's protocol."""
     return dynamixel_packets.packed(packet.motor, packet.instruction, packet.parameters)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Dialect:
-    """How a master speaks to one kind of motors.
+    """Protocol of a master for one kind of motors.
 
     Attributes:
-        kind: of arm.
-        raw: makes a packet as it goes over the line.
-        error_at: place of the error in an answer; its data begins behind it.
-        tail: bytes of the checksum.
+        kind: kind of the arm.
+        raw: serialises a packet.
+        error_at: position of the error in an answer, before its data.
+        tail: number of checksum bytes.
     """
 
     kind: SerialKind
@@ -55,10 +55,10 @@ LEKIWI = Dialect(kind=SERIAL_LEKIWI, raw=feetech, error_at=4, tail=1)
 
 
 class Master:
-    """Motors that were calibrated and stand at 0, and what is asked of them.
+    """Calibrated motors at 0, and requests to them.
 
     Attributes:
-        motors: that answer.
+        motors: the motors.
     """
 
     def __init__(self, dialect: Dialect) -> None:
@@ -70,44 +70,44 @@ class Master:
         self.move()
 
     def move(self, angles: Mapping[int, float] | None = None, speed: float = 0.0) -> None:
-        """Let motors be at angles [rad], by their numbers, and others at 0; all at one speed."""
+        """Set motors to angles [rad], by their ids, and others to 0; all with one speed."""
         position = np.zeros(self.count)
         for number, angle in (angles or {}).items():
             position[number - 1] = angle
         self.motors.measure(position, np.full(self.count, speed))
 
     def number(self, value: int) -> bytes:
-        """A number as a register holds it."""
+        """Encode a number as in a register."""
         registers = self.motors.registers
         raw = self.motors.encode(registers.goal, value)
         return raw.to_bytes(registers.width, "little")
 
     def write(self, motor: int, address: int, data: bytes) -> int:
-        """The error of the answer."""
+        """Write data; return the error of the answer."""
         answer = self.motors.answer(Packet(motor, WRITE, self._place(address) + data))
         return answer[self.dialect.error_at]
 
     def read(self, motor: int, address: int) -> int:
-        """A number of the motors' width."""
+        """Read a number of the motors' width."""
         width = self.motors.registers.width
         answer = self.ask(motor, address)
         begin = self.dialect.error_at + 1
         return self.motors.decode(address, int.from_bytes(answer[begin : begin + width], "little"))
 
     def ask(self, motor: int, address: int) -> bytes:
-        """The whole answer."""
+        """Read; return the whole answer."""
         parameters = self._place(address) + self._place(self.motors.registers.width)
         return self.motors.answer(Packet(motor, READ, parameters))
 
     def read_all(self, address: int) -> bytes:
-        """The answers of all motors."""
+        """Read from all motors; return the answers."""
         size = self.motors.registers.width
         numbers = bytes(range(1, self.count + 1))
         parameters = self._place(address) + self._place(size) + numbers
         return self.motors.answer(Packet(BROADCAST, SYNC_READ, parameters))
 
     def write_all(self, address: int, values: Sequence[int]) -> bytes:
-        """What comes back of a number for each motor."""
+        """Write a number to each motor; return the answers."""
         rows = [bytes((i, *self.number(value))) for i, value in enumerate(values, 1)]
         parameters = self._place(address) + self._place(self.motors.registers.width)
         return self.motors.answer(Packet(BROADCAST, SYNC_WRITE, parameters + b"".join(rows)))

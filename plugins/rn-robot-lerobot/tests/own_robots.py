@@ -1,4 +1,4 @@
-"""lerobot's own robots in a process of lerobot's environment, each in front of a simulated arm."""
+"""lerobot's own robots in a process of lerobot's environment, each with a simulated arm."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NEEDED = pytest.mark.skipif(
 
 
 def children(pid: int) -> list[int]:
-    """Processes that a process has started."""
+    """Children of a process."""
     found = []
     for entry in Path("/proc").iterdir():
         if entry.name.isdecimal():
@@ -43,11 +43,11 @@ def children(pid: int) -> list[int]:
 
 
 class DriverError(Exception):
-    """An error that the driver has raised."""
+    """An error raised by the driver."""
 
 
 class Process:
-    """Drivers, one after the other, in a process that imports lerobot once."""
+    """Runs drivers one after the other in a process that imports lerobot once."""
 
     def __init__(self, process: subprocess.Popen[str], log: Path) -> None:
         self._process, self._log = process, log
@@ -58,7 +58,7 @@ class Process:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         with self._lock:
-            with suppress(BrokenPipeError):  # it has ended: its answer is then empty
+            with suppress(BrokenPipeError):  # it has ended, and its answer is empty
                 self._process.stdin.write(json.dumps([name, *arguments]) + "\n")
                 self._process.stdin.flush()
             line = self._process.stdout.readline()
@@ -76,7 +76,7 @@ class Process:
 
 @contextmanager
 def process_with(log: Path, folder: Path = PROCESS) -> Iterator[Process]:
-    """A process that finds modules in a folder, too."""
+    """A process that also imports modules from a folder."""
     command = [str(PYTHON), str(PROCESS / "driver_process.py")]
     environment = {**os.environ, "PYTHONPATH": str(folder), "HF_HUB_OFFLINE": "1"}
     with (
@@ -105,7 +105,7 @@ class Cell:
         self.folder, self.name, self.driver = folder, robot.name, driver
         self.arm = stack.enter_context(SerialArm(kind))
         self.write_calibration(kind.assembled.calibration())
-        # an answer may take longer than that of a real motor, see BUSY_MS
+        # an answer may take longer than from a real motor, see BUSY_MS
         self.options = {"port": self.arm.port, "calibration_dir": str(folder), "silence_s": 1.0}
         driver("new", self.name, self.options)
 
@@ -114,7 +114,7 @@ class Cell:
         (self.folder / f"{self.name}.json").write_text(text, encoding="utf-8")
 
     def turn(self) -> float:
-        """A long turn is under way; the time now [monotonic s]."""
+        """Start a long rotation; return the current time [monotonic s]."""
         begun_rad = self.arm.position[0]
         self.driver("send", {"shoulder_pan": begun_rad + 0.8}, 4.0)
         wait_until(lambda: self.arm.position[0] > begun_rad + 0.1, 30.0, "the arm to turn")

@@ -1,5 +1,5 @@
-"""A stand-in for lerobot's robot in front of the simulated motors; it scales raw numbers as lerobot
-does (see data/scaling.json).
+"""A stand-in for lerobot's robot with simulated motors; it scales raw numbers as lerobot does (see
+data/scaling.json).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class StandInMotor:
 
 
 class StandInFollower:
-    """What the driver uses of lerobot's robot, with lerobot's scaling."""
+    """The part of lerobot's robot that the driver uses, with lerobot's scaling."""
 
     name = "so_follower"
 
@@ -50,9 +50,9 @@ class StandInFollower:
         self.is_connected = False
         self.calibration = ASSEMBLED_SO101.calibration()
         self.missed = 0
-        """So many times to come it does not connect."""
+        """Number of further failing attempts to connect."""
         self.wild = 0
-        """So many readings to come are wild ones."""
+        """Number of further implausible readings."""
 
     def connect(self, calibrate: bool = True) -> None:
         assert not calibrate  # it would wait for a person

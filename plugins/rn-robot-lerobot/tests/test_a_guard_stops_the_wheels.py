@@ -1,5 +1,5 @@
-"""The process that stops a LeKiwi's wheels for a driver that cannot, in front of simulated motors.
-The drivers that are killed here have no lerobot; those in `test_a_lekiwi_drives_and_stops` have.
+"""The process that stops a LeKiwi's wheels for a driver that cannot, with simulated motors. The
+drivers killed here have no lerobot; those in `test_a_lekiwi_drives_and_stops` have.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ HUNG_S = 2.0
 
 @pytest.fixture
 def arm() -> Iterator[SerialArm]:
-    """A LeKiwi whose wheels roll."""
+    """A LeKiwi with rolling wheels."""
     with SerialArm(SERIAL_LEKIWI) as arm:
         for number in WHEELS:
             for address, value in ((MODE, VELOCITY_MODE), (TORQUE, 1), (SPEED, 800)):
@@ -58,7 +58,8 @@ def process_of(guard: WheelGuard, before: list[int]) -> int:
 
 def test_the_packets_are_those_of_the_protocol() -> None:
     speed, torque = wheel_stop(WHEELS)
-    # FF FF, to all, length, sync write, register, bytes a motor, (motor, data) three times, sum
+    # FF FF, broadcast, length, sync write, register, bytes per motor, (motor, data) three times,
+    # checksum
     assert speed.hex(" ") == "ff ff fe 0d 83 2e 02 07 00 00 08 00 00 09 00 00 29"
     assert torque.hex(" ") == "ff ff fe 0a 83 28 01 07 00 08 00 09 00 33"
 
@@ -114,7 +115,7 @@ def test_it_ends_with_its_driver_and_stops_what_does_not_stand(
     before = children(os.getpid())
     guard = WheelGuard(arm.port, wheel_stop(WHEELS))
     guard.start()
-    # who kills the driver's group, or ends all at a terminal, does not reach it
+    # a signal to the driver's process group, or from a terminal, does not reach it
     os.kill(process_of(guard, before), signal.SIGTERM)
     assert os.getpgid(process_of(guard, before)) != os.getpgid(0)
     guard.close(wheels_stand=wheels_stand)

@@ -1,5 +1,5 @@
-"""The driver of a LeKiwi in lerobot's environment with lerobot's own class, in front of nine motors
-that speak the protocol of the real ones.
+"""The driver of a LeKiwi in lerobot's environment with lerobot's own class, and nine motors with
+the protocol of the real ones.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from rn_testing.waiting import wait_until
 MODE, TORQUE, SPEED = 33, 40, 46
 TIMEOUT_S = 0.5
 REST_S = 1.0
-"""From the last command to wheels at rest: the dead man's time, and braking from 0.2 m/s."""
+"""From the last command to wheels at rest: the deadman time, and braking from 0.2 m/s."""
 GONE_S, FROZEN_S = 0.5, 1.0
 """From the death of a driver, or its freeze, to wheels at rest."""
 own_lerobot = [pytest.mark.slow, pytest.mark.timeout(180), NEEDED]
@@ -44,7 +44,7 @@ def test_wheels_make_the_velocity_that_they_are_asked_for() -> None:
     for velocity in ((0.1, 0.0, 0.0), (0.0, -0.1, 0.0), (0.05, 0.02, 0.4)):
         asked = np.array(velocity)
         np.testing.assert_allclose(base_velocity(wheel_speeds(asked)), asked, atol=1e-12)
-    # forwards the wheel at the back does not turn, and a turn to the left turns all alike
+    # driving forwards, the back wheel stands still; turning left, all wheels turn alike
     assert wheel_speeds(np.array((0.1, 0.0, 0.0)))[1] == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(wheel_speeds(np.array((0.0, 0.0, 0.4))), 1.0)
 
@@ -88,7 +88,7 @@ def cell(tmp_path: Path, process: Process) -> Iterator[Cell]:
 
 
 def pose(cell: Cell) -> PlanarPose:
-    """Where the base really is."""
+    """True pose of the base."""
     plant = cell.arm.plant
     assert isinstance(plant, RollingArm)
     return plant.pose
@@ -100,7 +100,7 @@ def is_rolling(cell: Cell) -> bool:
 
 @contextmanager
 def driving(cell: Cell, *velocity: float) -> Iterator[None]:
-    """Commands ten times a second, until its end or a refusal of the process."""
+    """Send commands ten times a second until the end, or until the process refuses one."""
     ended = threading.Event()
 
     def repeat() -> None:
@@ -117,7 +117,7 @@ def driving(cell: Cell, *velocity: float) -> Iterator[None]:
 
 
 def is_running(pid: int) -> bool:
-    """Also after the death of its parent; a process that only waits to be reaped is none."""
+    """True also after the death of its parent; a zombie does not count."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
     except (FileNotFoundError, ProcessLookupError):
@@ -204,7 +204,7 @@ class TestWithLerobotsOwnClass:
             wait_until(lambda: pose(cell).x_m > 0.05, 20.0)
             cell.arm.motors.faults = BusFaults(silent=True)
             wait_until(lambda: "is silent: " in cell.driver.fault(), 10.0)
-            # nobody can reach them
+            # nothing can reach them
             assert is_rolling(cell)
             cell.arm.motors.faults = BusFaults()
             wait_until(lambda: not is_rolling(cell), 5.0)
@@ -268,7 +268,7 @@ class TestWithLerobotsOwnClass:
     ) -> None:
         with process_with(tmp_path / "lost.log") as process, ExitStack() as stack:
             cell = Cell(SERIAL_LEKIWI, tmp_path, process, stack)
-            # with commands that keep for long, nothing but the guard stops it soon
+            # with long-lived commands only the guard stops it quickly
             process("new", "lekiwi", cell.options | {"base_timeout_s": 5.0})
             process("open")
             (guard,) = children(process.pid)

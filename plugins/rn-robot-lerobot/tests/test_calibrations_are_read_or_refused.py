@@ -1,4 +1,4 @@
-"""lerobot's calibration files: what is wrong with one is said by name."""
+"""lerobot's calibration files: an error is named precisely."""
 
 from __future__ import annotations
 

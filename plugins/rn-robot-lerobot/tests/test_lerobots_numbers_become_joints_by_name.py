@@ -1,5 +1,5 @@
-"""Degrees, percent and shares of a range to radians and back, and LeRobot's own scaling of raw
-numbers as the calibration file describes it.
+"""Conversion of degrees, percent and range shares to radians and back, and LeRobot's own scaling of
+raw numbers by the calibration file.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ STEP_RAD = 2.0 * math.pi / STEPS
 
 
 def true_position(name: str, raw: int) -> float:
-    """Where a joint is when its motor tells `raw` with the reference calibration [rad]."""
+    """Joint position for the raw value `raw` with the reference calibration [rad]."""
     encoder = raw + ASSEMBLED_SO101.calibration()[name].homing_offset
     return (encoder - ASSEMBLED_SO101.encoder_zeros[name]) * STEP_RAD
 
@@ -38,7 +38,7 @@ def test_lerobots_degrees_are_the_joints_of_the_arm(row: dict[str, object]) -> N
         return
     unit = degrees(name, name)
     position = unit.scale * float(str(row["value"])) + unit.offset
-    # LeRobot counts 4095 steps to a turn, and takes the middle of a range of whole steps
+    # LeRobot counts 4095 steps per turn, and rounds the middle of a range to whole steps
     assert position == pytest.approx(true_position(name, raw), abs=2 * STEP_RAD)
 
 
@@ -116,7 +116,7 @@ def test_values_that_fit_no_motor_are_refused_by_name(change: dict[str, float], 
 def test_a_lacking_value_and_one_that_is_no_number_are_refused_by_name() -> None:
     motors = motors_of(so101_profile())
     whole = dict.fromkeys(motors.keys, 0.0)
-    with pytest.raises(InvalidInputError, match=r"'elbow_flex.pos' lacks"):
+    with pytest.raises(InvalidInputError, match=r"'elbow_flex.pos' is missing"):
         motors.positions({k: v for k, v in whole.items() if k != "elbow_flex.pos"})
     with pytest.raises(UnsafeError, match=r"wrist_roll.pos is nan"):
         motors.positions(whole | {"wrist_roll.pos": math.nan})
@@ -125,7 +125,7 @@ def test_a_lacking_value_and_one_that_is_no_number_are_refused_by_name() -> None
 
 
 def test_two_motors_of_one_joint_and_a_scale_of_nought_are_refused() -> None:
-    with pytest.raises(InvalidInputError, match="comes twice"):
+    with pytest.raises(InvalidInputError, match="is repeated"):
         MotorMap([degrees("a", "j"), degrees("b", "j")])
     with pytest.raises(InvalidInputError, match="no finite scale"):
         MotorMap([percent("a", "j", 0.3, 0.3)])

@@ -1,5 +1,5 @@
 """The driver `lerobot` in lerobot's environment with lerobot's own classes: the Koch and the SO-101
-follower in front of motors that speak the protocols of the real ones, and a robot of a third party.
+follower with motors that use the real protocols, and a third party's robot.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ pytestmark = [
     NEEDED,
 ]
 REST_S = 0.5
-"""From a fault to an arm at rest: the silence that is a fault, and the way that a motor still has
-to its last goal. The fault matrix allows `command_timeout_s`.
+"""From a fault to an arm at rest: the silence that counts as a fault, and the remaining motion to
+the last goal. The fault matrix allows `command_timeout_s`.
 """
 THIRD = {
     "type": "thirdarm",
@@ -117,7 +117,7 @@ def test_a_hold_brakes_the_arm_and_a_closed_driver_leaves_it_at_rest(cell: Cell)
     ("faults", "words"),
     [
         (BusFaults(silent=True), "is silent: "),
-        (BusFaults(wrong={"elbow_flex": 700}), "motor 'elbow_flex' tells"),
+        (BusFaults(wrong={"elbow_flex": 700}), "motor 'elbow_flex' reports"),
     ],
     ids=["silent", "wrong"],
 )
@@ -139,7 +139,7 @@ def test_a_bad_bus_is_a_fault_after_which_nothing_moves_by_itself(
     wait_until(lambda: cell.driver.fault() == "", 20.0)
 
     def is_back() -> bool:
-        with suppress(DriverError):  # a busy machine is silent, too: it is asked again
+        with suppress(DriverError):  # a busy machine may be silent too, so it is retried
             cell.driver("send", {"shoulder_pan": 0.0}, 1.0)
         return bool(abs(cell.arm.position[0]) < 0.01)
 
@@ -261,7 +261,7 @@ def test_a_joint_that_a_third_partys_robot_lacks_is_named(tmp_path: Path, driver
 
 @pytest.mark.parametrize(
     ("forgets", "words"),
-    [("", "the arm was unplugged"), ("j3.pos", "The robot does not tell j3.pos.")],
+    [("", "the arm was unplugged"), ("j3.pos", "The robot does not report j3.pos.")],
     ids=["fails", "forgets"],
 )
 def test_a_third_partys_robot_that_fails_is_a_silent_bus(

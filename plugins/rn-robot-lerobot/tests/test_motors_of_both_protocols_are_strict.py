@@ -1,5 +1,5 @@
-"""The counterparts: packets, registers with their raw scale, and rules that a careful master
-keeps, whatever the protocol.
+"""The simulated motors: packets, registers with their raw scale, and rules for a careful master,
+for both protocols.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def master(request: pytest.FixtureRequest) -> Master:
 def test_packets_are_found_among_noise_and_damaged_ones_are_dropped(master: Master) -> None:
     reader = master.dialect.kind.reader()
     assert isinstance(reader, PacketReader)
-    # the second protocol's header stands in it
+    # contains the header of protocol 2.0
     packet = Packet(3, WRITE, b"\x74\x00\xff\xff\xfd\x07")
     whole = master.dialect.raw(packet)
     damaged = bytearray(whole)

@@ -1,4 +1,4 @@
-"""The simulated SO-101: motion within its limits, a grasp that lifts, cameras that are true."""
+"""The simulated SO-101: motion within its limits, a grasp that lifts, correct cameras."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ START = CELL.start
 
 
 def joints_above(x_m: float, y_m: float, z_m: float, yaw_rad: float) -> np.ndarray:
-    """Arm joints whose TCP points down at a place, the jaws turned by a yaw."""
+    """Arm joints whose TCP points down at a position, with the jaws at a yaw."""
     model = pin.buildModelFromXML(so101_profile().urdf)
     data, frame = model.createData(), model.getFrameId(so101_profile().tcp_link)
     down = pin.rpy.rpyToMatrix(np.pi, 0.0, yaw_rad)
@@ -50,7 +50,7 @@ def go(simulation: So101Simulation, arm: np.ndarray, jaw_rad: float, seconds: fl
 def test_a_cube_is_grasped_and_lifted(seed: int) -> None:
     with So101Simulation(seed, colours=("red",)) as simulation:
         cube = simulation.scene[0]
-        yaw = cube.yaw_rad + np.pi  # the jaws' faces are at x of the TCP
+        yaw = cube.yaw_rad + np.pi  # the jaws' faces are along x of the TCP
         high = joints_above(cube.x_m, cube.y_m, 0.06, yaw)
         low = joints_above(cube.x_m, cube.y_m, 0.014, yaw)
         for arm, jaw in ((high, START[-1]), (low, START[-1]), (low, SO101.jaw_closed_rad)):
@@ -82,7 +82,7 @@ def test_the_arm_follows_and_brakes_within_its_acceleration() -> None:
         assert np.abs(velocities[-1]).max() < 1e-3
         at_hold = np.abs(velocities[59]).max()
         stopped = next(i for i, v in enumerate(velocities[60:]) if np.abs(v).max() < 0.02)
-        # the braking time of the limits, and what the servo lags behind its setpoint
+        # braking time of the limits, plus the lag of the servo
         assert stopped * STEP_S < at_hold / SO101.acceleration_rad_s2 + 0.25
 
 
@@ -107,10 +107,10 @@ def test_what_a_camera_shows_is_where_its_calibration_says() -> None:
             image = simulation.render(camera.name).astype(int)
             red = (image[:, :, 0] > 90) & (image[:, :, 1:].max(axis=2) < 60)
             if not 20 < u / w < 204 or not 20 < v / w < 204:
-                assert camera.name == "wrist"  # the cube is beside its view, or cut by its edge
+                assert camera.name == "wrist"  # the cube is outside its view, or cut by its edge
                 continue
             rows, columns = np.nonzero(red)
-            # the middle of what is seen of a cube lies within half of it
+            # the centroid of a cube's visible part is within half of it
             size_px = np.sqrt(red.sum())
             assert abs(columns.mean() - u / w) < size_px / 2
             assert abs(rows.mean() - v / w) < size_px / 2

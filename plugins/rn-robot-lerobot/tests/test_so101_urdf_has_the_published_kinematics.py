@@ -1,4 +1,4 @@
-"""The shipped URDF, in frames of our own, against an independent evaluation of the published
+"""The shipped URDF, with our own frames, against an independent evaluation of the published
 table.
 """
 
@@ -31,7 +31,7 @@ ORIGINS = (
 )
 FRAME = ((-0.0079, -0.000218121, -0.0981274), (0.0, 3.14159, 0.0))
 ROUNDING = 5e-5
-"""The table has angles of five digits, arms of 0.4 m; ours has none to round."""
+"""The table has angles of five digits, for arms of 0.4 m; ours is exact."""
 
 
 def transform(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> F64:
@@ -84,7 +84,7 @@ def test_home_points_down_inside_the_workspace(made: Callable[[], RobotProfile])
 
 def test_a_lekiwis_arm_is_an_so101_on_its_base() -> None:
     robot, random = lekiwi_profile(), np.random.default_rng(7)
-    # its pan axis 67 mm before the middle of the wheels, 152.4 mm above the floor
+    # its pan axis is 67 mm in front of the wheels' centre, 152.4 mm above the floor
     np.testing.assert_allclose(
         place("so101_shoulder", np.zeros(5), robot)[:3, 3], [0.067, 0.0, 0.1524], atol=1e-6
     )

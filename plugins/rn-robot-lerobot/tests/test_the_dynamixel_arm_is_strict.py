@@ -1,4 +1,4 @@
-"""The counterpart of a Koch arm: what only Dynamixel's motors do."""
+"""The simulated Koch arm: behaviour specific to Dynamixel's motors."""
 
 from __future__ import annotations
 

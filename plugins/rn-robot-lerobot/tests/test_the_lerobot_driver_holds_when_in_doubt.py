@@ -72,7 +72,7 @@ def turn(driver: LerobotDriver, target: float = 1.2, seconds: float = 4.0) -> Jo
 
 
 def turning(driver: LerobotDriver, arm: SerialArm) -> float:
-    """A long turn is under way; the time now [monotonic s]."""
+    """Start a long rotation; return the current time [monotonic s]."""
     turn(driver)
     wait_until(lambda: arm.position[0] > 0.15, 15.0, "the arm to turn")
     return time.monotonic()
@@ -98,7 +98,7 @@ def test_it_reads_the_joints_and_moves_them_where_it_is_sent(
     expected = [0.4, *SO101.home_rad[1:4], -0.5, 0.6]
     wait_until(lambda: np.abs(arm.position - expected).max() < 0.01, 10.0)
     assert arm.motors.broken_rules == []
-    # a step of the encoder is 1.5 mrad, and LeRobot cuts off what is less
+    # an encoder step is 1.5 mrad, and LeRobot truncates smaller changes
     wait_until(lambda: np.abs(driver.read().joints.position - expected).max() < 0.01, 5.0)
 
 
@@ -127,7 +127,7 @@ def test_a_hold_brakes_the_arm_and_keeps_the_grasp(driver: LerobotDriver, arm: S
     ("faults", "words"),
     [
         (BusFaults(silent=True), "the motor bus so101_follower is silent: There is no status"),
-        (BusFaults(wrong={"elbow_flex": 700}), "motor 'elbow_flex' tells"),
+        (BusFaults(wrong={"elbow_flex": 700}), "motor 'elbow_flex' reports"),
     ],
     ids=["silent", "wrong"],
 )
@@ -273,8 +273,8 @@ def test_a_lacking_calibration_is_refused_before_the_bus_is_opened(
         ({"tail": MotorOption()}, "motors names 'tail'"),
         ({"elbow_flex": MotorOption(joint="elbow")}, "moves the joint 'elbow', which robot"),
         ({"elbow_flex": MotorOption(unit="range")}, "in degrees, the driver expects range"),
-        ({"elbow_flex": MotorOption(joint="wrist_flex")}, "joint comes twice"),
-        ({"elbow_flex": MotorOption(joint="gripper", unit="degrees")}, "joint comes twice"),
+        ({"elbow_flex": MotorOption(joint="wrist_flex")}, "joint is repeated"),
+        ({"elbow_flex": MotorOption(joint="gripper", unit="degrees")}, "joint is repeated"),
     ],
 )
 def test_motors_that_fit_no_joint_are_refused_by_name(

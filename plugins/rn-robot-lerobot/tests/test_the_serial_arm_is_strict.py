@@ -1,4 +1,4 @@
-"""The counterparts of an SO-101 and a LeKiwi: what only Feetech's motors do, and the port."""
+"""The simulated SO-101 and LeKiwi: behaviour specific to Feetech's motors, and the port."""
 
 from __future__ import annotations
 

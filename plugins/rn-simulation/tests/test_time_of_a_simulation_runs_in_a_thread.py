@@ -1,5 +1,5 @@
-"""The thread in which a simulation runs: it keeps pace, publishes, and its failures reach whoever
-asks the driver.
+"""The thread in which a simulation runs keeps its rate and publishes; its failures reach the caller
+of the driver.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def test_steps_are_made_and_only_some_of_them_are_published() -> None:
     assert all(steps > 0 for steps, _ in calls[1:])
     assert sum(publish for _, publish in calls) < len(calls)
     number = len(calls)
-    time.sleep(0.03)  # what is looked for is that nothing happens
+    time.sleep(0.03)  # to show that nothing happens
     assert len(calls) == number
 
 

@@ -1,6 +1,4 @@
-"""Makes the mutants of `mutants/` importable by the tests and by the targets that name them; an
-empty plugin site.
-"""
+"""Makes the mutants of `mutants/` importable by the tests and by targets; an empty plugin site."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""`plugins check` tries a plugin with the case its author ships, or with one made from the
-descriptor alone.
+"""`plugins check` tests a plugin with its author's case, or with one made from the descriptor
+alone.
 """
 
 from __future__ import annotations

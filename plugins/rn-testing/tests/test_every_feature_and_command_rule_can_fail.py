@@ -1,6 +1,4 @@
-"""For each rule of features and commands there is a plugin that breaks it, and the good one keeps
-it.
-"""
+"""Each rule of features and commands is broken by some plugin, and kept by the good one."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""For each package rule there is a distribution that breaks it; the good one they are made from
-keeps all.
+"""Each package rule is broken by some distribution; the good one from which they derive keeps all
+rules.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ Requires-Dist: roboneuron-core<0.2,>=0.1
 # rn-sample
 """
 IN_AN_EXTRA = METADATA.replace("\n\n#", "\nRequires-Dist: rn-testing; extra == 'testing'\n\n#")
-"""As METADATA, with the contract kit in an extra."""
+"""METADATA with the contract kit in an extra."""
 
 
 @dataclass(frozen=True)
@@ -57,15 +57,15 @@ class Sample:
         return PackageCase(distribution="rn-sample", path=(str(self.root),))
 
     def change(self, old: str, new: str) -> None:
-        """Write the metadata with `new` for `old`."""
+        """Replace `old` by `new` in the metadata."""
         (self.info / "METADATA").write_text(METADATA.replace(old, new))
 
     def module(self, name: str, text: str) -> None:
-        """Add a module beside the package."""
+        """Add a module to the package."""
         (self.root / f"{name}.py").write_text(text)
 
     def drop(self, line: str) -> None:
-        """Take the metadata line that starts with `line` away."""
+        """Remove the metadata line that starts with `line`."""
         kept = [text for text in METADATA.splitlines(keepends=True) if not text.startswith(line)]
         (self.info / "METADATA").write_text("".join(kept))
 

@@ -1,6 +1,4 @@
-"""The kit catches what it is made for: each mutant of a good plugin fails the rule that is to catch
-its mistake.
-"""
+"""The kit detects mistakes: each mutant of a good plugin fails the rule for its mistake."""
 
 from __future__ import annotations
 
@@ -72,7 +70,9 @@ GOOD: dict[str, Case[Any]] = {
     "robot": RobotCase(spec=fakes.FAKE_ROBOT, settle_s=1.0),
 }
 QUICK_S = 0.3
-"""What a mutant's constructor may take [s]: one that sleeps need not sleep for a second."""
+"""Limit of a mutant's constructor [s]; lower, so that a sleeping one need not sleep for a
+second.
+"""
 SLOW = {
     "backend:constructor_computes",
     "backend:every_image_is_copied_and_kept",
@@ -110,11 +110,11 @@ SLOW = {
     "sources:read_waits_a_second_longer",
     "sources:read_waits_whole_seconds",
 }
-"""Mutants that take about a second or more; each of their rules has another one that is quicker."""
+"""Slow mutants (about a second or more); each of their rules also has a quicker one."""
 PATIENT = {"constructor": 60.0}
-"""Bounds under which a mutant that computes comes to its end on a busy machine too [s]."""
+"""Limits that let a computing mutant finish on a busy machine too [s]."""
 KINDS = {"driver": "robot", "descriptor": "backend"}
-"""Kind of the rules whose ids begin otherwise."""
+"""Kind of rules whose ids have another prefix."""
 MODULES = (
     mutants_backend,
     mutants_continuing,
@@ -138,18 +138,18 @@ MUTANTS: dict[str, Mutant] = {
 
 
 def kind_of(rule_id: str) -> str:
-    """The kind of plugin that a rule is about."""
+    """The plugin kind of a rule."""
     subject = rule_id.partition("/")[0]
     return KINDS.get(subject, subject)
 
 
 def make_case(name: str) -> Case[Any]:
-    """The good case with the mutant in place of the good plugin."""
+    """The good case with the mutant instead of the good plugin."""
     mutant = MUTANTS[name]
     module, _, attribute = name.partition(":")
     target = {} if mutant.target is None else {"target": f"mutants_{module}:{attribute}"}
     good = GOOD[kind_of(mutant.rule)]
-    # a mutant that hangs has a limit of its own
+    # a hanging mutant has its own limit
     case = replace(good, limits_s={**PATIENT, **good.limits_s})
     spec: Spec = case.spec
     if mutant.rule.startswith("driver/") and isinstance(spec, RobotSpec):
@@ -169,7 +169,7 @@ def outcome_of_the_good(rule_id: str) -> RuleResult:
 
 @pytest.fixture(autouse=True)
 def _what_mutants_leave(tmp_path, monkeypatch):
-    """Files of mutants go to a folder of the test, and what they left open is closed."""
+    """Put files of mutants into the test's folder, and close what they left open."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     yield
@@ -186,7 +186,7 @@ def test_a_mutant_fails_the_rule_for_its_mistake(name, monkeypatch):
     mutant = MUTANTS[name]
     good = outcome_of_the_good(mutant.rule)
     assert good.verdict is not RuleVerdict.FAILED, good
-    monkeypatch.setattr(effects, "RELEASE_S", 0.3)  # what a mutant leaves behind stays for seconds
+    monkeypatch.setattr(effects, "RELEASE_S", 0.3)  # what a mutant leaves running stays for seconds
     monkeypatch.setattr(lifecycle, "CONSTRUCTOR_S", QUICK_S)
     rule = next(rule for rule in RULES[kind_of(mutant.rule)] if rule.id == mutant.rule)
     outcome = verify(rule, make_case(name))
@@ -222,7 +222,7 @@ def test_a_backend_of_joint_velocities_passes_what_its_mutants_fail():
     )
     outcomes = {rule.id: verify(rule, BackendCase(spec=spec)) for rule in RULES["backend"]}
     failed = [one for one in outcomes.values() if one.verdict is RuleVerdict.FAILED]
-    # it is made of the kit's fake, whose options it does not read
+    # it derives from the kit's fake, whose options it does not read
     assert {one.rule for one in failed} <= {"backend/options-read"}
     for name in ("space-answers", "space-light", "space-kept"):
         assert outcomes[f"backend/{name}"].verdict is RuleVerdict.PASSED
@@ -237,7 +237,7 @@ def test_every_rule_of_a_kind_has_a_mutant_that_breaks_it_quickly():
 
 def test_each_kind_has_many_mutants():
     counts = Counter(kind_of(mutant.rule) for mutant in MUTANTS.values())
-    assert sum(counts.values()) >= 400  # each is caught, or its own test above fails
+    assert sum(counts.values()) >= 400  # each is detected, or its own test above fails
     assert min(counts.values()) >= 20
 
 

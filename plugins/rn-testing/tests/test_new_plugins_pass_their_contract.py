@@ -20,11 +20,10 @@ from roboneuron.errors import ConfigurationError
 
 
 def install(project: Path, site: Path) -> None:
-    """Make a project importable as an editable installation does: its metadata and a path to its
+    """Make a project importable like an editable installation: its metadata and a path to its
     sources.
 
-    Building wheels is hatchling's business and needs it installed; what RoboNeuron reads is the
-    metadata.
+    Building wheels would need hatchling; RoboNeuron only reads the metadata.
     """
     facts = tomllib.loads((project / "pyproject.toml").read_text())["project"]
     info = site / f"{facts['name'].replace('-', '_')}-{facts['version']}.dist-info"
@@ -66,14 +65,14 @@ def run(words: list[str], project: Path, site: Path) -> subprocess.CompletedProc
 
 @pytest.fixture
 def made(kind, tmp_path):
-    """A new project and the folder where it is installed."""
+    """A new project and its installation folder."""
     project, site = tmp_path / "project", tmp_path / "site"
     write_package(kind, "my-sample", project)
     install(project, site)
     return project, site
 
 
-# a project, an installation and a pytest for each
+# needs a project, an installation and a pytest run for each
 @pytest.mark.parametrize(
     "kind",
     [
@@ -93,7 +92,7 @@ def test_a_new_plugin_passes_its_own_tests(made):
     assert "failed" not in counts
 
 
-# the same rules a second time
+# runs the same rules a second time
 @pytest.mark.parametrize(
     "kind",
     [

@@ -1,5 +1,5 @@
-"""A call that hangs fails its rule with its name, and the rules after it are decided; blame goes to
-the right place.
+"""A call that hangs fails its rule by name, later rules still run, and the cause is attributed
+correctly.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def test_a_quick_call_is_not_delayed():
 
 
 def reading_profile():
-    """A profile that is read from a file."""
+    """A profile read from a file."""
     Path(__file__).read_text()
     return fakes.gantry_profile()
 

@@ -1,5 +1,5 @@
-"""What concerns a whole case is told once, and what lies in the working directory is no fault of a
-plugin.
+"""Problems of a whole case are reported once, and files in the working directory are not a plugin's
+fault.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ def roboneuron_backends():
 
 @pytest.fixture
 def only(site, monkeypatch):
-    """Makes the command see the plugins of the test's site and no others."""
+    """Make the command see only the plugins of the test's site."""
     monkeypatch.setattr(plugin_check, "discover", site.discover)
     return site
 
@@ -44,7 +44,7 @@ def test_an_option_of_something_else_is_refused(only):
 
 
 def _worker(monkeypatch, tmp_path, body):
-    """Replaces the worker by a script that writes one result and then does `body`."""
+    """Replace the worker by a script that writes one result and then executes `body`."""
     begun = {"subject": "rn-x", "rule": "x/one", "text": "One."}
     decided = {**begun, "verdict": "passed", "detail": "", "traceback": ""}
     lines = [json.dumps(begun), json.dumps(decided), json.dumps({**begun, "rule": "x/two"})]
@@ -55,9 +55,7 @@ def _worker(monkeypatch, tmp_path, body):
 
 
 def _run_until(begun: Path):
-    """Results of a worker that was ended after it had written `begun`, which takes long on a busy
-    machine.
-    """
+    """Results of a worker ended after it has written `begun`, which is slow on a busy machine."""
     for limit_s in (1.0, 5.0, 25.0, 125.0):
         results = plugin_check.run_worker("{}", limit_s)
         if begun.exists() and begun.read_text():

@@ -1,6 +1,4 @@
-"""Of several plugins in one distribution each is examined by itself: its files, its descriptors,
-what it loads.
-"""
+"""Several plugins of one distribution are examined separately: files, descriptors, imports."""
 
 from __future__ import annotations
 
@@ -26,7 +24,7 @@ RULE = {rule.id.removeprefix("package/"): rule for rule in RULES["package"]}
 
 @pytest.fixture
 def site(tmp_path: Path) -> Path:
-    """A distribution of two plugins, the second of which has a package within that of a third."""
+    """A distribution of two plugins, the second with a package inside that of a third."""
     info = tmp_path / "rn_pair-1.0.dist-info"
     info.mkdir()
     points = {

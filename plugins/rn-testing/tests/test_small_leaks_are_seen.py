@@ -9,13 +9,13 @@ from rn_testing import effects
 from rn_testing.rule import Violation
 
 KEPT_BYTES = 1024
-"""Per call: more than is allowed of many calls, less than is allowed of a few."""
+"""Bytes kept per call: more than allowed for many calls, less than allowed for a few."""
 
 
 @pytest.fixture
 def calls(monkeypatch) -> list[float]:
-    """Times of all calls; a round may take long enough for MANY of them, however busy the machine
-    is.
+    """Record the times of all calls; rounds are long enough for MANY of them, however busy the
+    machine is.
     """
     monkeypatch.setattr(effects, "ROUND_S", 60.0)
     return []
@@ -42,4 +42,4 @@ def test_a_bounded_history_is_no_leak(calls):
 def test_a_call_that_takes_long_is_made_as_often_as_asked_for(monkeypatch, calls):
     monkeypatch.setattr(effects, "ROUND_S", 0.0)
     effects.check_memory(lambda: slow_call(calls, deque(maxlen=1)), "predict", count=5)
-    assert len(calls) == effects.TRIES + 2 * 5  # the first round that keeps nothing is the last
+    assert len(calls) == effects.TRIES + 2 * 5  # the first round without growth is the last one

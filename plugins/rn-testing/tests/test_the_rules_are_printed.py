@@ -1,4 +1,4 @@
-"""`roboneuron plugins rules`: what the contract rules of a kind demand."""
+"""`roboneuron plugins rules` prints the contract rules of a kind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Waits of tests end when their condition holds, and fail when their time is over."""
+"""Waits of tests end when their condition holds, and fail at their time limit."""
 
 from __future__ import annotations
 

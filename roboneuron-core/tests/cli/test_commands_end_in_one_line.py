@@ -1,5 +1,5 @@
-"""Whatever goes wrong, a command ends with its reason in one line and an exit status that tells
-what kind it is.
+"""Whatever goes wrong, a command ends with its reason in one line and an exit status for the kind
+of error.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def one_line(text: str) -> str:
 
 
 class NoServer(BaseHTTPRequestHandler):
-    """Answers everything with a page."""
+    """Answers every request with a page."""
 
     def do_POST(self) -> None:
         body = b"<html>a page</html>"
@@ -117,7 +117,7 @@ def test_a_call_of_a_tool_that_the_server_lacks_says_so(tmp_path: Path) -> None:
 def test_a_call_shows_why_its_own_server_did_not_start(tmp_path: Path) -> None:
     words = ("call", "get_status", "--config", "/no/such.toml")
     done = run(*words, XDG_STATE_HOME=str(tmp_path / "state"))
-    assert "/no/such.toml" in done.stderr  # the server's own line stands above
+    assert "/no/such.toml" in done.stderr  # the server's own line is above
     assert "Traceback" not in done.stderr
     assert done.returncode == 2
 

@@ -1,5 +1,5 @@
-"""`roboneuron estop --config FILE` stops whatever else is wrong with the file, the plugins or the
-robot.
+"""`roboneuron estop --config FILE` stops the robot whatever is wrong with the file, the plugins or
+the robot.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ HOST = FeatureSpec(
 
 @pytest.fixture
 def registry(monkeypatch: pytest.MonkeyPatch) -> Registry:
-    """Installed are these three features."""
+    """Only these three features are installed."""
     registry = fake_registry(SIREN, SILENT, HOST)
     monkeypatch.setattr("roboneuron.cli.serve.discover", lambda disabled=(): registry)
     return registry

@@ -1,4 +1,4 @@
-"""-v and -q say how much is logged, wherever they stand."""
+"""-v and -q set the log level, at any position."""
 
 from __future__ import annotations
 

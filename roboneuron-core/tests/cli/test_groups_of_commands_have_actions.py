@@ -1,5 +1,5 @@
-"""Commands in groups, `roboneuron plugins check`: whose options are whose, and what is said of an
-absent one.
+"""Commands in groups, such as `roboneuron plugins check`: their options, and errors about a missing
+action.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from roboneuron.plugins.discovery import discover_from
 
 @pytest.fixture
 def only(site, monkeypatch):
-    """Makes the command line see the plugins of the test's site and no others."""
+    """Make the command line see only the plugins of the test's site."""
 
     def discover(disabled=()):
         from importlib.metadata import distributions

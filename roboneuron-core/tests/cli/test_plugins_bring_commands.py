@@ -1,4 +1,4 @@
-"""Commands of plugins are listed and run beside core's own; a broken one says what is wrong in one
+"""Commands of plugins are listed and run like core's own; a broken one reports its error in one
 line.
 """
 

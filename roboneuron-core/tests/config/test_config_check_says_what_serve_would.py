@@ -1,4 +1,4 @@
-"""`roboneuron config check` refuses what `serve` refuses at its start."""
+"""`roboneuron config check` refuses the same as `serve` at its start."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""roboneuron.toml: what is wrong is named with file, key and the nearest valid key."""
+"""roboneuron.toml: errors name file, key and the nearest valid key."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sections of features are typed, checked with a suggestion, and refused when nothing owns them."""
+"""Sections of features are typed, checked with suggestions, and refused if nothing owns them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAIR = FeatureSpec(
 
 
 def _models() -> None:
-    """The models, put where `config` of the descriptors finds them."""
+    """Make the models importable for `config` of the descriptors."""
     import sys
     import types
 

@@ -77,7 +77,7 @@ def test_a_delta_adds_the_translation_and_turns_on_the_left(six):
 
 def test_a_delta_turns_in_the_base_frame_not_in_the_tool_frame():
     quarter = Action.from_vector([0, 0, 0, 0, 0, np.pi / 2, 1])
-    moved = apply_delta(POSE, quarter)  # the tool looks down: a half turn about x
+    moved = apply_delta(POSE, quarter)  # the tool points down: a half turn about x
     tool_x = matrix_from_quaternion(moved.quaternion_xyzw)[:, 0]
     np.testing.assert_allclose(tool_x, [0, 1, 0], atol=1e-12)
 

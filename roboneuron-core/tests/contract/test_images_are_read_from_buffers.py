@@ -16,7 +16,7 @@ CHANNELS = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4, "mono8": 1}
 
 
 def _message(rgb, encoding, padding):
-    """Bytes and step of an image message that holds `rgb`."""
+    """Bytes and step of an image message with the content `rgb`."""
     height, width, _ = rgb.shape
     alpha = np.full((height, width, 1), 9, np.uint8)
     pixels = {

@@ -1,5 +1,5 @@
 """Profiles answer by name and unit: cameras, openings, calibrations at other resolutions; errors
-say what to do.
+tell what to do.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What a contract value holds cannot be changed through the array it was made from, nor through its
-own field.
+"""A contract value cannot be changed through the array it was made from, nor through its own
+field.
 """
 
 from __future__ import annotations

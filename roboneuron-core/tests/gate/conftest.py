@@ -1,5 +1,5 @@
-"""Tests of the limiter share arms whose numbers are worked out by hand, in `gantry.py` and
-`planar.py`; tests of the latch share what they watch.
+"""Tests of the limiter share arms with hand-computed numbers, in `gantry.py` and `planar.py`; tests
+of the latch share observers.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ sys.path.append(str(Path(__file__).parent))
 
 @pytest.fixture
 def records(audit: AuditLog) -> list[AuditRecord]:
-    """What the audit writes."""
+    """Records of the audit."""
     seen: list[AuditRecord] = []
     audit.on_record = seen.append
     return seen
@@ -25,7 +25,7 @@ def records(audit: AuditLog) -> list[AuditRecord]:
 
 @pytest.fixture
 def synced(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Files and directories that are waited for until they are on the disk."""
+    """Files and directories synced to disk."""
     seen: list[str] = []
     monkeypatch.setattr(
         os, "fsync", lambda descriptor: seen.append(os.readlink(f"/proc/self/fd/{descriptor}"))

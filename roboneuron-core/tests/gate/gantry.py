@@ -1,5 +1,5 @@
-"""A gantry whose TCP is where its joints say, and the limiter on it, for verdicts by numbers that
-are worked out by hand.
+"""A gantry whose joints are its TCP position, and the limiter on it, for verdicts with
+hand-computed numbers.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ def profile(acceleration: float = 1e3, velocity: float = 1e2, **values: Any) -> 
 
 
 class Gantry:
-    """Two slides along x and z and a turn about z; keeps what it is asked.
+    """Two slides along x and z and a turn about z; records the requested postures.
 
-    `wall_m` tells the distance of the TCP from a wall by its x; the wall is near below 10 mm.
+    `wall_m` gives the distance of the TCP from a wall by its x; the wall is near below 10 mm.
     """
 
     def __init__(self, wall_m: Near | None = None) -> None:
@@ -70,7 +70,7 @@ class Gantry:
         return Posture(pose=pose, near=(pair,) if distance_m < 0.01 else ())
 
     def places(self) -> list[float]:
-        """x of each posture that was asked for since the last call."""
+        """x of each posture requested since the last call."""
         found = [round(float(joints.position[0]), 6) for joints in self.asked]
         self.asked.clear()
         return found
@@ -114,7 +114,7 @@ def hold(verdict: LimitedCommand, name: str, reason: str = "") -> None:
 
 
 def speed_m_s(judge: MotionLimiter, x: float, measured: JointSample, now_s: float) -> float:
-    """With which a command to x within 0.1 s would move the TCP: it tells the setpoint."""
+    """TCP speed of a command to x within 0.1 s; it reveals the setpoint."""
     verdict = judge.limit(to(x), measured, now_s)
     assert verdict.asked is not None
     return verdict.asked.speed_m_s

@@ -1,4 +1,4 @@
-"""A planar arm of two joints whose kinematics fit on two lines."""
+"""A planar arm of two joints with kinematics in two lines."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def profile(*, braking: bool = False) -> RobotProfile:
 
 
 def inspect(joints: JointSample) -> Posture:
-    """Two links of 0.5 m in the x-z plane; straight (b = 0) is singular; "touching" when folded
+    """Two links of 0.5 m in the x-z plane; straight (b = 0) is singular; "touching" if folded
     beyond 2.4 rad.
     """
     a, b = joints.position[:2].tolist()

@@ -1,4 +1,4 @@
-"""A latch whose clocks stand still."""
+"""A latch with stopped clocks."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from roboneuron.estop import EmergencyStopLatch
 
 TIME_NS = 1_700_000_000_000_000_000
 NOWHERE = Path("/proc/nothing/stop")
-"""A path that cannot be made."""
+"""A path that cannot be created."""
 
 
 def a_latch(path: Path) -> EmergencyStopLatch:
-    """As in another process; its clocks stand still."""
+    """A latch as in another process, with stopped clocks."""
     return EmergencyStopLatch(path, lambda: TIME_NS, lambda: 100.0)

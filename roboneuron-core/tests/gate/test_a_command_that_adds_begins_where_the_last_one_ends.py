@@ -1,4 +1,4 @@
-"""From which joints a command counts that adds to the one in progress, as a velocity does."""
+"""Start joints of a command that adds to the one in progress, such as a velocity."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from roboneuron.gate.motion import MotionLimiter
 
 @pytest.fixture
 def judge() -> MotionLimiter:
-    """A limiter whose arm has been on its way to (0.05, 0.02, 0.01) since 10 s, for 0.1 s."""
+    """A limiter whose arm has been moving to (0.05, 0.02, 0.01) since 10 s, for 0.1 s."""
     made = limiter()
     made.limit(to(0.05, 0.02, 0.01), at(), 10.0)
     return made
@@ -59,7 +59,7 @@ def test_a_command_is_remembered_for_a_second(
 def test_an_arm_that_does_not_follow_is_not_made_to_catch_up(
     judge: MotionLimiter, joint: int, sign: float
 ) -> None:
-    """The setpoint has only begun to move at 10 s; a tenth of a radian is near enough."""
+    """The setpoint has only begun to move at 10 s; a tenth of a radian is close enough."""
     away = np.zeros(3)
     away[joint] = sign * 0.1
     assert judge.reference(at(*away), 10.0).position == pytest.approx([0.05, 0.02, 0.01])

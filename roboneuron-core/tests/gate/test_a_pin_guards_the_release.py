@@ -1,5 +1,5 @@
-"""The optional PIN of a release: asked for on every way, counted, delayed, audited, and kept as a
-hash only.
+"""The optional PIN of a release: required on every path, counted, delayed, audited, and stored only
+as a hash.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def test_wrong_pins_delay_the_next_attempt_even_with_the_right_one(
         with pytest.raises(RefusedError, match="wrong"):
             pin.check("1234", who="agent", audit=audit)
     with pytest.raises(RefusedError, match="looked at in 2 s"):
-        ReleasePin(tmp_path, clock).check(PIN, who="ann", audit=audit)  # another process, too
+        ReleasePin(tmp_path, clock).check(PIN, who="ann", audit=audit)  # in another process, too
     clock.now_s += 2.1
     pin.check(PIN, who="ann", audit=audit)
     with pytest.raises(RefusedError, match="attempt 1 "):
@@ -116,7 +116,7 @@ def test_a_short_pin_is_refused(tmp_path: Path) -> None:
 
 
 def in_a_terminal(state: Path, *options: str, types: list[str]) -> tuple[int, str]:
-    """What `script -qec` makes of it: a terminal of its own, and an answer to each question."""
+    """Run in a terminal with `script -qec`, with an answer to each question."""
     person, terminal = pty.openpty()
     command = [
         sys.executable,

@@ -1,4 +1,4 @@
-"""Presses and resets of several processes, and what a reset records and keeps."""
+"""Stops and resets by several processes, and what a reset records and keeps."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def audit(tmp_path: Path) -> AuditLog:
     return AuditLog(tmp_path / "audit", lambda: TIME_NS)
 
 
-# Presses and resets of several processes.
+# Stops and resets by several processes
 
 
 def test_a_press_right_after_a_reset_by_another_process_stops_again(latch, audit) -> None:
@@ -34,12 +34,12 @@ def test_a_press_right_after_a_reset_by_another_process_stops_again(latch, audit
     a_latch(latch.path).reset(who="bea", role="admin", audit=audit)
     assert (
         EmergencyStopLatch.press_together([latch], who="ann", reason="fire") == []
-    )  # it has not looked since
+    )  # it has not checked the file since
     assert a_latch(latch.path).read_state().cause == "ann: fire"
 
 
 def test_a_press_that_could_not_be_written_is_written_by_the_next(tmp_path: Path) -> None:
-    (tmp_path / "state").touch()  # in the way
+    (tmp_path / "state").touch()  # blocks the directory
     latch = a_latch(tmp_path / "state" / "stop")
     for _ in range(2):
         assert len(EmergencyStopLatch.press_together([latch], who="ann", reason="smoke")) == 1
@@ -92,7 +92,7 @@ def test_a_latch_that_cannot_be_written_is_tried_once_a_second(
     assert latch.read_state().restored == 1
 
 
-# The reset.
+# The reset
 
 
 def test_a_reset_is_recorded_with_who_asked_and_what_refused_it(
@@ -135,8 +135,8 @@ def test_a_reset_keeps_the_file_with_its_cause_under_another_name(latch, audit) 
 def test_a_latch_that_was_never_written_is_written_before_it_is_reset(
     tmp_path: Path, audit
 ) -> None:
-    """Without a file that can be written there is no reset."""
-    (tmp_path / "state").touch()  # in the way
+    """Without a writable file there is no reset."""
+    (tmp_path / "state").touch()  # blocks the directory
     latch = a_latch(tmp_path / "state" / "stop")
     EmergencyStopLatch.press_together([latch], who="ann", reason="smoke")
     with pytest.raises(StateError, match="stays latched"):

@@ -1,6 +1,4 @@
-"""What the latch's file holds and who may read it, what is recorded, who is told when, and what the
-disk may refuse.
-"""
+"""Content and permissions of the latch's file, records, notifications, and errors of the disk."""
 
 from __future__ import annotations
 
@@ -42,7 +40,7 @@ def audit(tmp_path: Path) -> AuditLog:
 
 @contextmanager
 def no_more(limit: int, least: int) -> Iterator[None]:
-    """This process has a limit, as of open files or of what it may write, lowered to `least`."""
+    """Lower a limit of this process, such as open files or file size, to `least`."""
     soft, hard = resource.getrlimit(limit)
     resource.setrlimit(limit, (least, hard))
     try:
@@ -61,7 +59,7 @@ def make_by_hand(path: Path, content: bytes) -> EmergencyStopLatch:
     return a_latch(path)
 
 
-# What is written and read.
+# Writing and reading
 
 
 def test_the_file_tells_who_and_why_and_when_and_everybody_may_read_it(latch) -> None:
@@ -84,7 +82,7 @@ def test_the_cause_is_cut_at_200_and_500_characters(latch, audit, records) -> No
 
 
 def test_a_cause_in_any_script_reaches_the_other_processes(latch) -> None:
-    """JSON makes 12 characters of each of these."""
+    """JSON uses 12 characters for each of these."""
     latch.press(who="\U0001f6d1" * 200, reason="\U0001f525" * 500)
     found = a_latch(latch.path).read_state()
     assert (found.who, found.reason) == ("\U0001f6d1" * 200, "\U0001f525" * 500)
@@ -171,7 +169,7 @@ def test_a_refusal_names_the_cause_and_then_what_the_caller_adds(
     assert refused.value.message == f"The emergency stop is latched{cause}. Hands off."
 
 
-# What is recorded, and what is on the disk.
+# Records, and data on the disk
 
 
 def test_a_latch_is_on_the_disk_and_recorded_when_it_returns(latch, audit, records, synced) -> None:
@@ -231,7 +229,7 @@ def test_reserving_a_descriptor_where_there_is_none_is_no_failure(latch) -> None
     assert not latch.release()
 
 
-# Who is told.
+# Notifications
 
 
 def test_all_robots_are_stopped_before_a_file_is_written_and_all_files_before_anybody_is_told(

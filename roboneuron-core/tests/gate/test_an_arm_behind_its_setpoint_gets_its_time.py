@@ -1,4 +1,4 @@
-"""A planar arm that does not follow is given the time that it needs from where it is."""
+"""A planar arm that does not follow gets the time that it needs from its position."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from roboneuron.gate.motion import LimitedCommand, MotionRules
 
 
 def fastest_m_s(verdict: LimitedCommand, measured: np.ndarray) -> float:
-    """Of the TCP, from where it really is to the end of the command in the command's time."""
+    """Maximum TCP speed from its true position to the end of the command in the command's time."""
     answer = sent(verdict)
     return float(np.linalg.norm(place(answer.position) - place(measured)) / answer.duration_s)
 

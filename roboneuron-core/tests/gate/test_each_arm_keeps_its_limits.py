@@ -1,4 +1,4 @@
-"""Two gantries behind one limiter: the limits of the TCP hold for each, and one scale for both."""
+"""Two gantries behind one limiter: the TCP limits hold for each, with one scale for both."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ PAIR = RobotProfile(
 
 
 class Gantries:
-    """Two gantries whose TCPs may not be nearer than 10 mm along x."""
+    """Two gantries whose TCPs must stay 10 mm apart along x."""
 
     def __init__(self, told: int = 2, singular: tuple[float, float] | None = None) -> None:
         self._one = gantry.Gantry()

@@ -1,4 +1,4 @@
-"""The audit's lines byte by byte, the size at which it rotates, its lock, and what it does with its
+"""The audit's lines byte by byte, the size at which it rotates, its lock, and the handling of its
 descriptor.
 """
 
@@ -35,7 +35,7 @@ def a_log(path: Path, **settings: int) -> AuditLog:
 
 
 def written(arguments: dict[Any, Any], path: Path) -> Any:
-    """The arguments as the audit tells them."""
+    """The arguments as written in the audit."""
     a_log(path).write(
         AuditRecord(who="ann", role="viewer", tool="t", verdict="allowed", arguments=arguments)
     )
@@ -43,7 +43,7 @@ def written(arguments: dict[Any, Any], path: Path) -> Any:
 
 
 def handles(path: Path) -> list[int]:
-    """This process's descriptors of a file and of those that were renamed from it."""
+    """This process's descriptors of a file and of its rotated copies."""
     names = ((int(entry), f"/proc/self/fd/{entry}") for entry in os.listdir("/proc/self/fd"))
     return [
         number
@@ -53,7 +53,7 @@ def handles(path: Path) -> list[int]:
 
 
 def fill(path: Path, size_bytes: int) -> None:
-    """A file of that size that ends with a whole line; sparse."""
+    """Create a sparse file of that size that ends with a whole line."""
     with path.open("wb") as file:
         file.seek(size_bytes - 1)
         file.write(b"\n")
@@ -61,7 +61,7 @@ def fill(path: Path, size_bytes: int) -> None:
 
 @contextmanager
 def standard_input_closed() -> Iterator[None]:
-    """As in a service that was started without one: the next file gets descriptor 0."""
+    """As in a service started without standard input: the next file gets descriptor 0."""
     kept = os.dup(0)
     os.close(0)
     try:
@@ -135,7 +135,7 @@ def test_arguments_of_4096_characters_are_kept_and_longer_ones_cut_there(tmp_pat
 
 
 def test_only_arguments_are_cut(tmp_path: Path) -> None:
-    """Whoever writes a record bounds its other fields."""
+    """Other fields are bounded by the writer of a record."""
     reason, arguments = "y" * 5000, {"x": [1.5, "z"]}
     record = AuditRecord(who="ann", role="viewer", tool="t", verdict="refused", reason=reason)
     log = a_log(tmp_path / "a")
@@ -195,7 +195,7 @@ def test_a_file_is_filled_to_its_last_byte_and_rotated_beyond(
 )
 def test_rotated_files_are_numbered_from_the_newest_on(tmp_path: Path, settings, kept: int) -> None:
     log = AuditLog(tmp_path / "a", lambda: TIME_NS, max_bytes=len(LINE), **settings)
-    for number in range(9):  # a file each
+    for number in range(9):  # one file each
         log.write(AuditRecord(who="ann", role="viewer", tool=str(number), verdict="allowed"))
     files = ["a", *(f"a.{number}" for number in range(1, kept + 1))]
     assert sorted(os.listdir(tmp_path)) == sorted([*files, "a.lock"])
@@ -204,7 +204,7 @@ def test_rotated_files_are_numbered_from_the_newest_on(tmp_path: Path, settings,
 
 
 def is_locked(path: Path) -> bool:
-    """Whether somebody else could not rotate now."""
+    """True if another process could not rotate now."""
     with path.open("a") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -234,7 +234,7 @@ def test_nobody_else_can_rotate_while_the_files_are_renamed(
 def test_a_process_that_keeps_the_lock_is_not_waited_for_without_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One that is frozen while it rotates: nothing moves, and whoever asks hears of it."""
+    """A process that freezes during a rotation: nothing moves, and the caller gets an error."""
     monkeypatch.setattr(log_files, "LOCK_S", 0.1)
     log = a_log(tmp_path / "a", max_bytes=len(LINE))
     log.write(RECORD)
@@ -332,7 +332,7 @@ def test_who_listens_hears_of_records_that_are_written_and_of_no_others(tmp_path
     (tmp_path / "a").mkdir()
     log, heard = a_log(tmp_path / "a" / "b"), []
     log.on_record = heard.append
-    (tmp_path / "a" / "b").mkdir()  # in the way
+    (tmp_path / "a" / "b").mkdir()  # blocks the file
     assert log.failed is False
     with pytest.raises(RefusedError):
         log.write(RECORD)

@@ -1,4 +1,4 @@
-"""Goals of one joint that come in a steady rhythm: what is commanded never lies beyond them."""
+"""Goals of one joint in a steady rhythm: commands never exceed them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ PERIODS_S = (1 / 60, 1 / 30, 1 / 15, 0.1)
 
 
 def commanded(goal: Callable[[float], float], period_s: float, count: int = 60) -> np.ndarray:
-    """Goals and what is commanded for them, float64 (count, 2), of an arm that begins at 0, at
-    rest, and is always where it was sent.
+    """Goals and the resulting commands, float64 (count, 2), of an arm that starts at rest at 0 and
+    follows exactly.
     """
     judge = limiter(robot=profile(ACCELERATION, VELOCITY))
     judge.rest(at(), 10.0)
@@ -45,7 +45,7 @@ def test_a_goal_that_jumps_and_moves_on_is_joined_without_overtaking(period_s: f
 
 @pytest.mark.parametrize("period_s", PERIODS_S)
 def test_goals_that_an_arm_can_follow_are_followed_exactly(period_s: float) -> None:
-    """A sway whose acceleration is at most nine tenths of the limit."""
+    """An oscillation with at most nine tenths of the acceleration limit."""
     turns_s = math.sqrt(0.9 * ACCELERATION / 0.3)
     rows = commanded(lambda at_s: 0.3 * (1.0 - math.cos(turns_s * at_s)), period_s)
     np.testing.assert_allclose(rows[:, 1], rows[:, 0], atol=1e-12)

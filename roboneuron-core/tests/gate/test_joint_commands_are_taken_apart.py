@@ -1,4 +1,4 @@
-"""Joint commands: which joints they name, where the setpoint of the last one is by now."""
+"""Joint commands: named joints, and the current setpoint of the last one."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_a_joint_that_nobody_knows_is_not_commanded() -> None:
 @pytest.mark.parametrize(
     ("now_s", "position", "velocity"),
     [
-        (9.0, 1.0, 2.0),  # a clock that ran back: it has not begun
+        (9.0, 1.0, 2.0),  # a clock that went back: it has not begun
         (10.0, 1.0, 2.0),
         (10.125, 1.25, 2.0),
         (10.499, 1.998, 2.0),

@@ -1,5 +1,5 @@
-"""Limits of the joints at their bounds: just inside, exactly at, just outside; numbers worked out
-by hand.
+"""Joint limits at their bounds: just inside, exactly at, just outside; with hand-computed
+numbers.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ def violations(
     ("distance", "offset", "deceleration", "step_s", "fastest"),
     [
         (1.0, 0.0, 2.0, 0.0, 2.0),  # v^2 = 2 a s
-        (1.0, 0.5, 2.0, 0.0, 1.5),  # half a rad/s in reserve
-        # 0.5 rad in the step; of the other 0.5 it brakes from 2, less 1 in reserve
+        (1.0, 0.5, 2.0, 0.0, 1.5),  # 0.5 rad/s in reserve
+        # 0.5 rad in the step; in the other 0.5 it brakes from 2, minus 1 in reserve
         (1.0, 1.0, 4.0, 0.5, 1.0),
         (0.0, 0.0, 2.0, 0.0, 0.0),
         (0.0, 0.1, 2.0, 0.0, 0.0),
@@ -165,7 +165,7 @@ def test_a_robot_without_limits_and_gripper_has_none() -> None:
         *((1.0, 2.0, 0.5), (1.0, 1.0, None), (0.0, -4.0, 0.75), (0.0, -3.0, None)),
         *((1.0, 1.0 + 1.9e-6, None), (1.0, 1.0 + 2.1e-6, 1.0)),
         *((-2.0, -1.0 - 2.9e-6, None), (-2.0, -1.0 - 3.1e-6, 1.0)),
-        # Outside: not farther, but any way back, also beyond the other end.
+        # Outside: not farther, but any way back, even beyond the other end.
         *(
             (2.5, 0.1, 0.0),
             (2.5, -0.1, None),
@@ -269,7 +269,7 @@ def test_a_joint_that_rests_does_not_hide_one_that_moves() -> None:
 def reach(
     before: list[float], wanted: list[float], acceleration: float = 4.0
 ) -> tuple[list[float], str]:
-    """After a quarter of a second: 4 rad/s^2 are 1 rad/s."""
+    """After 0.25 s, 4 rad/s^2 give 1 rad/s."""
     limits = [JointLimit(acceleration=acceleration)] * len(before)
     velocity, joint = space(*limits).nearest_velocity(np.array(before), np.array(wanted), 0.25)
     return velocity.tolist(), joint
@@ -281,7 +281,7 @@ def reach(
         # Within reach.
         ([0.0, 0.0], [1.0, -1.0], [1.0, -1.0], ""),
         ([1.0, -1.0], [0.0, 0.0], [0.0, 0.0], ""),
-        # A share of what is wanted, the same direction.
+        # A share of the requested change, in the same direction.
         ([0.0, 0.0], [2.0, 1.0], [1.0, 0.5], "a"),
         ([0.0, 0.0], [-1.0, -4.0], [-0.25, -1.0], "b"),
         ([0.0, 0.0], [2.0, -2.0], [1.0, -1.0], "a"),
@@ -291,7 +291,7 @@ def reach(
         ([0.5, 0.0], [-2.0, 0.0], [-0.5, 0.0], "a"),
         ([1.0, 0.0], [0.0, 2.0], [0.0, 1.0], "b"),
         ([2.0, 0.0], [2.0, 2.0], [1.0, 1.0], "b"),
-        # No share is within reach: on the way from the present velocity to the one wanted.
+        # No share is within reach: between the current velocity and the requested one.
         ([2.0, 0.0], [0.0, 0.0], [1.0, 0.0], "a"),
         ([2.0, 0.0], [0.0, 2.0], [1.0, 1.0], "a"),
         ([1.5, 0.0], [0.25, 0.0], [0.5, 0.0], "a"),

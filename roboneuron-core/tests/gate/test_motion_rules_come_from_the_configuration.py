@@ -1,6 +1,4 @@
-"""Rules of motion: each number of `[limits]` arrives where it belongs, and nothing is ever wider
-than before.
-"""
+"""Motion rules: each number of `[limits]` has its effect, and no limit is ever relaxed."""
 
 from __future__ import annotations
 
@@ -238,7 +236,7 @@ def test_configured_obstacles_replace_the_robots() -> None:
 
 
 class Plain(Controller):
-    """Tells the pose of the TCP, 1 m beyond its joint."""
+    """Returns the TCP pose, 1 m beyond its joint."""
 
     def load(self) -> None: ...
 
@@ -254,7 +252,7 @@ class Plain(Controller):
 
 
 class Inspecting(Plain):
-    """Tells more."""
+    """Also returns an inspection."""
 
     def inspect(self, joints: JointSample) -> Posture:
         return Posture(pose=self.forward(joints), smallest_singular_value=0.5)

@@ -1,4 +1,4 @@
-"""The limits on control's commands, judged with a planar arm of two joints."""
+"""The limits on control's commands, tested with a planar arm of two joints."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def test_way_through_a_thin_zone_is_seen() -> None:
     ("way", "is_held"), [([0.02, 0.0], True), ([-0.02, 0.0], False), ([0.0, 0.0], True)]
 )
 def test_only_ways_out_lead_out_of_a_forbidden_place(way: list[float], is_held: bool) -> None:
-    # Outside the workspace on the low side of x: more of joint a moves the TCP to lower x.
+    # Outside the workspace at the low side of x: more of joint a moves the TCP to lower x.
     lower = place(START) + np.array([0.005, -9.0, -9.0])
     verdict = limiter(MotionRules(reactions=HOLD, lower_m=lower)).limit(
         command(START + way), sample(START), 1.0
@@ -230,8 +230,8 @@ def test_arm_that_moves_fast_turns_no_faster_than_it_can() -> None:
     verdict = judge.limit(command(position - [0.09, 0.0]), sample(position), now_s - 0.06)
     moved = sent(verdict)
     assert verdict.acted == ("acceleration",)
-    # 0.9 rad/s before, at most 4 rad/s^2 for 0.04 s: still going on, from where the command has
-    # come in that time.
+    # 0.9 rad/s before, at most 4 rad/s^2 for 0.04 s: still moving on, from the position reached by
+    # the command.
     assert moved.position[0] > position[0] - 0.06 * 0.9
     assert moved.position[1] == pytest.approx(START[1])
 
@@ -246,7 +246,7 @@ def test_arm_that_does_not_follow_is_met_where_it_is() -> None:
 
 
 def test_hundredfold_rate_does_not_make_the_arm_faster() -> None:
-    """Every 1 ms somebody asks for 0.1 rad more; the arm follows its commands exactly."""
+    """Every 1 ms a command adds 0.1 rad; the arm follows exactly."""
     judge, position, now_s, travelled = limiter(), START.copy(), 1.0, 0.0
     for _ in range(500):
         verdict = judge.limit(

@@ -126,9 +126,7 @@ def test_a_deleted_file_is_begun_again(audit) -> None:
 
 @contextmanager
 def room_for(size_bytes: int) -> Iterator[None]:
-    """Files of this process end at that size, as on a disk that is full: the last write is a short
-    one.
-    """
+    """Limit the file size of this process, as on a full disk: the last write is short."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size_bytes, hard))
     try:
@@ -151,9 +149,7 @@ def test_a_full_disk_leaves_no_cut_line(audit) -> None:
 
 
 def test_a_line_that_somebody_left_cut_is_ended_and_told(audit) -> None:
-    """As a power failure leaves it: whoever writes next, in whatever process, does not add to
-    it.
-    """
+    """As after a power failure: the next writer, in any process, does not append to it."""
     audit.write(record(tool="before"))
     audit.close()
     with audit.path.open("ab") as file:

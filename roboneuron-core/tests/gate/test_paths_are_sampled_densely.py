@@ -1,6 +1,4 @@
-"""Sampling of paths: no point of the arm moves farther from one posture to the next than the
-spacing.
-"""
+"""Sampling of paths: no point of the arm moves farther between two postures than the spacing."""
 
 from __future__ import annotations
 
@@ -35,7 +33,11 @@ def test_a_lever_is_the_way_along_the_links_from_a_joint_to_the_tcp_and_a_hand_m
             "flange": 0.1,
             "wrist": 0.1 + 0.2,
             "slide": 1.0,
-            "shoulder": 0.1 + 0.2 + 0.5 + 0.25 + 0.5,  # the slide may be out by its whole travel
+            "shoulder": 0.1
+            + 0.2
+            + 0.5
+            + 0.25
+            + 0.5,  # the slide may be extended by its whole travel
         }
     )
 
@@ -114,7 +116,7 @@ def test_the_spacing_is_twice_the_least_distance_within_5_and_20_mm(
         (("slide",), [0.021], 2),
         (("wrist",), [1.03], 16),  # 0.309 m
         (("wrist", "slide"), [1.0, 0.11], 21),  # 0.3 m and 0.11 m
-        (("elbow",), [0.21], 11),  # of which nothing is known: 1 m
+        (("elbow",), [0.21], 11),  # unknown bodies: 1 m
     ],
 )
 def test_a_path_is_cut_so_that_no_point_moves_farther_than_the_spacing(

@@ -1,4 +1,4 @@
-"""Random actions, from rest and in motion, on a planar arm: no command leaves a limit."""
+"""Random actions, from rest and in motion, on a planar arm: no command exceeds a limit."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ def test_random_actions_never_produce_a_command_outside_any_limit(
             assert tcp[2] >= 0.1 - 1e-9
             assert not ((tcp > [0.3, -1, 0.3]) & (tcp < [0.45, 1, 0.45])).all()
             assert inspect(sample(target.position)).smallest_singular_value >= 0.1 - 1e-9
-            # The robot follows: it is where the command brings it in `wait_s`, or a little behind.
+            # The robot follows: it is where the command takes it in `wait_s`, or a little behind.
             part = 1.0 if immediate else min(1.0, wait_s / time_s)
             last_s = now_s
             velocity = change / time_s
-            # after its end it brakes by 4 rad/s^2
+            # after its end it brakes with 4 rad/s^2
             over_s = max(0.0, wait_s - (2 * time_s if immediate else time_s))
             velocity = np.sign(velocity) * np.maximum(0.0, np.abs(velocity) - 4.0 * over_s)
             behind = min(lag, 0.05 / max(1e-9, float(np.abs(change * part).max())))

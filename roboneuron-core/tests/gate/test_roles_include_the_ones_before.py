@@ -1,4 +1,4 @@
-"""Each role includes the ones before it, and what is no role has no rights."""
+"""Each role includes lower ones, and an unknown role has no rights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Limits of the TCP and of postures at their bounds: just inside, at and just outside; ways in,
+"""Limits of the TCP and of postures at their bounds: just inside, at and just outside; paths in,
 through and out.
 """
 
@@ -29,7 +29,7 @@ def pose(*position_m: float, turn_rad: float = 0.0, axis: int = 2) -> Pose:
 
 
 def posture(*position_m: float, singular: float | None = None, **near_m: float) -> Posture:
-    """A posture in which `a` and the named links are so far apart; 10 mm are required."""
+    """A posture in which `a` and the named links have these distances; 10 mm are required."""
     pairs = tuple(
         Proximity(first="a", second=name, distance_m=d, least_m=0.01) for name, d in near_m.items()
     )
@@ -158,7 +158,7 @@ def test_the_workspace_ends_at_each_of_its_faces(axis: int, sign: float) -> None
         ((1.5, 0.0, 0.0), (1.5, 0.0, 0.0), True),
         ((1.5, 0.0, 0.0), (1.75, 0.0, 0.0), True),
         ((1.5, 0.0, 0.0), (0.0, 0.0, 0.0), False),
-        ((1.5, 0.0, 0.0), (0.0, 2.5, 0.0), True),  # as far outside of another face
+        ((1.5, 0.0, 0.0), (0.0, 2.5, 0.0), True),  # as far outside another face
         ((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), False),
         ((1.0, 0.0, 0.0), (1.001, 0.0, 0.0), True),
     ],
@@ -195,7 +195,7 @@ ZONE = Obstacle(name="vase", lower_m=np.array([1.0, 1.0, 1.0]), upper_m=np.array
 @pytest.mark.parametrize(
     ("start", "end", "is_broken"),
     [
-        # Along the first axis: before, to the face, in, through, beyond; and the other way.
+        # Along the first axis: before, to the face, in, through, beyond; and in reverse.
         ((0.0, 2.0, 3.0), (0.9, 2.0, 3.0), False),
         ((0.0, 2.0, 3.0), (1.0, 2.0, 3.0), False),
         ((0.0, 2.0, 3.0), (1.1, 2.0, 3.0), True),
@@ -205,7 +205,7 @@ ZONE = Obstacle(name="vase", lower_m=np.array([1.0, 1.0, 1.0]), upper_m=np.array
         ((9.0, 2.0, 3.0), (1.9, 2.0, 3.0), True),
         ((2.5, 2.0, 3.0), (9.0, 2.0, 3.0), False),
         ((0.9, 2.0, 3.0), (0.0, 2.0, 3.0), False),
-        # Beside it, and along one of its faces.
+        # Outside, and along one of its faces.
         ((0.0, 0.5, 3.0), (9.0, 0.5, 3.0), False),
         ((0.0, 3.5, 3.0), (9.0, 3.5, 3.0), False),
         ((0.0, 1.0, 3.0), (9.0, 1.0, 3.0), False),
@@ -213,17 +213,17 @@ ZONE = Obstacle(name="vase", lower_m=np.array([1.0, 1.0, 1.0]), upper_m=np.array
         ((0.0, 2.0, 0.0), (9.0, 2.0, 0.0), False),
         ((1.5, 0.0, 0.0), (1.5, 9.0, 0.0), False),
         ((1.5, 0.0, 3.0), (1.5, 9.0, 3.0), True),
-        # Slanting: past an edge, over it exactly, and through.
+        # Oblique: past an edge, exactly over it, and through.
         ((0.5, 2.5, 3.0), (1.5, 3.75, 3.0), False),
         ((0.5, 2.5, 3.0), (1.5, 3.5, 3.0), False),
         ((0.5, 2.5, 3.0), (1.5, 3.25, 3.0), True),
         ((0.0, 0.0, 0.0), (3.0, 3.0, 3.0), True),
-        # From a face of it: away, along, in and through.
+        # From one of its faces: away, along, in and through.
         ((1.0, 2.0, 3.0), (0.0, 2.0, 3.0), False),
         ((1.0, 2.0, 3.0), (1.0, 2.5, 3.0), False),
         ((1.0, 2.0, 3.0), (1.5, 2.0, 3.0), True),
         ((1.0, 2.0, 3.0), (9.0, 2.0, 3.0), True),
-        # From within: out, towards a face, nowhere, farther in.
+        # From inside: out, towards a face, no motion, deeper in.
         ((1.25, 2.0, 3.0), (0.0, 2.0, 3.0), False),
         ((1.25, 2.0, 3.0), (9.0, 2.0, 3.0), False),
         ((1.25, 2.0, 3.0), (1.125, 2.0, 3.0), False),
@@ -262,7 +262,7 @@ def test_the_end_of_a_way_into_a_zone_is_given_in_tenths_of_a_millimetre() -> No
         (0.05, 0.05, True),
         (0.05, 0.04, True),
         (0.0, 0.01, False),
-        (None, 0.05, False),  # nothing is known of the start: any value is better
+        (None, 0.05, False),  # the start is unknown: any value is better
         (None, 0.0, True),
         (0.0, 0.0, True),
         (0.5, None, False),
@@ -283,7 +283,7 @@ def test_the_arm_keeps_away_from_singularities_or_leaves_them(
     ("start", "end", "broken"),
     [
         ({}, {"b": 0.009}, ["b"]),
-        ({}, {"b": 0.01}, ["b"]),  # a controller names only pairs that are too near
+        ({}, {"b": 0.01}, ["b"]),  # a controller only names pairs that are too near
         ({}, {"b": 0.011}, []),
         ({"b": 0.005}, {"b": 0.006}, []),
         ({"b": 0.005}, {"b": 0.005}, ["b"]),

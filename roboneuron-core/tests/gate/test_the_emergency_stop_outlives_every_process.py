@@ -1,5 +1,5 @@
-"""The latch: across processes and restarts, closed when in doubt, reset by an admin only and never
-without a record.
+"""The latch: across processes and restarts, closed if in doubt, reset by an admin only and always
+with a record.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ def test_pressing_waits_for_no_disk(latch, monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def other(latch, clock, **more) -> EmergencyStopLatch:
-    """The latch as another process has it, which has seen that it is set."""
+    """The latch as in another process, which has seen that it is set."""
     found = EmergencyStopLatch(latch.path, clock.wall_ns, **more)
     assert found.is_latched()
     return found
@@ -184,7 +184,7 @@ def rename_file(path: Path) -> None:
 
 
 def put_a_copy_of_the_directory(path: Path) -> None:
-    """As when a backup is put back: what it holds of an earlier reset is not a reset."""
+    """As when a backup is restored: its record of an earlier reset is not a reset."""
     copy = path.parent.with_suffix(".copy")
     shutil.copytree(path.parent, copy)
     shutil.rmtree(path.parent)
@@ -276,7 +276,7 @@ def test_what_cannot_be_written_again_stays_latched_and_is_tried_again(
 
 
 def test_a_reset_by_another_process_races_with_nobody_who_looks(latch, clock, audit) -> None:
-    """Looking all the time while another resets never writes the file again."""
+    """Polling during another process's reset never writes the file again."""
     end = threading.Event()
     watching = EmergencyStopLatch(latch.path, clock.wall_ns)
 

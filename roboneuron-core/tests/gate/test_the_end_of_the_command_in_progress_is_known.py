@@ -1,4 +1,4 @@
-"""Where and when the command in progress ends, for rows that add to it."""
+"""Position and time of the end of the command in progress, for rows that add to it."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_it_is_remembered_for_a_second(now_s: float, end: float) -> None:
 
 @pytest.mark.parametrize(("place", "end"), [(0.12, 0.05), (0.126, 0.126), (-0.08, -0.08)])
 def test_an_arm_that_does_not_follow_is_where_it_is_measured(place: float, end: float) -> None:
-    """More than 0.1 away from 0.025, where the command has come after half of its time."""
+    """More than 0.1 away from 0.025, where the command is after half of its time."""
     judge = limiter()
     judge.limit(to(0.05), at(), 10.0)
     assert judge.reference(at(place), 10.05).position[0] == end

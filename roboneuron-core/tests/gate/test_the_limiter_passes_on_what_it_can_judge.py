@@ -1,4 +1,4 @@
-"""What the limiter passes on unchanged, and what it cannot judge."""
+"""Commands that the limiter passes on unchanged, and those that it cannot check."""
 
 from __future__ import annotations
 
@@ -43,7 +43,8 @@ def test_a_command_is_described_as_it_was_asked_and_as_it_is_sent() -> None:
         4.0,
         None,
     )
-    # 0.5 m/s of 5 m/s, and of that 98 %: a straight line of the joints is a curve of the TCP.
+    # 0.5 m/s of 5 m/s, and 98 % of that, because a straight line in joint space is a curve of the
+    # TCP.
     assert verdict.share == pytest.approx(0.098)
     assert place(verdict) == pytest.approx([0.0294, 0.0392, 0.0196])
     assert (is_sent.step_m, is_sent.speed_m_s, is_sent.joint_speed) == pytest.approx(

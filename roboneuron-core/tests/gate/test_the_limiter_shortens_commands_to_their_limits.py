@@ -1,4 +1,4 @@
-"""By how much commands are shortened, what is checked once more, and paths past bodies."""
+"""Shortening of commands, repeated checks, and paths past bodies."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def moving(rules: MotionRules, speed_m_s: float = 1.0, x: float = 0.0) -> Motion
 def test_an_arm_too_fast_for_its_position_limit_holds() -> None:
     judge = moving(SCALE, x=2.45)
     verdict = judge.limit(to(2.95), at(2.95), 10.5)
-    # 1 m/s less 4 m/s^2 in 0.1 s: it would go 0.06 m, and 0.05 m are left.
+    # 1 m/s minus 4 m/s^2 for 0.1 s: it would move 0.06 m, and 0.05 m are left.
     hold(
         verdict,
         "limit_position",
@@ -173,7 +173,7 @@ def test_new_rules_take_their_shares_of_the_joints_limits() -> None:
 
 
 def careful(near: Near, **values: Any) -> tuple[MotionLimiter, Gantry]:
-    """Postures are looked at every 10 mm."""
+    """Postures are checked every 10 mm."""
     gantry = Gantry(near)
     robot = profile(collision=CollisionProfile(min_distance_m=0.005))
     return limiter(replace(HOLD, **values), robot, gantry), gantry
@@ -184,7 +184,7 @@ def free(_: float) -> float:
 
 
 def post(x: float) -> float:
-    """A post that is near for 11 mm of the way."""
+    """A post that is near along 11 mm of the path."""
     return abs(x - 0.03) + 0.0045
 
 

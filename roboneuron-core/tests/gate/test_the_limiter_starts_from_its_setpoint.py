@@ -1,4 +1,4 @@
-"""Where a command starts: at the setpoint, at the measured arm when that is lost, or behind it."""
+"""Start of a command: the setpoint, the measured arm if the setpoint is lost, or behind it."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_where_the_setpoint_is_lost_the_arm_starts_from_rest() -> None:
 @pytest.mark.parametrize(
     ("now_s", "end_m"),
     [
-        # From 1 m/s, which it has to its end at 10.1 s and loses at 10 m/s^2 from then on.
+        # From 1 m/s, kept to its end at 10.1 s, then braking with 10 m/s^2.
         (10.1, 0.1),
         (10.101, 0.099),
         (10.15, 0.05),
@@ -121,7 +121,7 @@ def test_a_command_that_another_process_sent_is_the_setpoint() -> None:
     judge = limiter(robot=profile(acceleration=10.0))
     judge.follow(to(0.1), at(), 10.0)
     verdict = judge.limit(to(0.3), at(0.05), 10.05)
-    # From 0.05 m at 1 m/s; in 0.05 s it gains 0.5 m/s, which it has for 0.1 s.
+    # From 0.05 m at 1 m/s; in 0.05 s it gains 0.5 m/s, which it keeps for 0.1 s.
     assert place(verdict) == pytest.approx([0.2, 0.0, 0.0])
     assert verdict.share == pytest.approx(0.6)
 
@@ -164,7 +164,7 @@ def test_a_clock_that_runs_back_gives_no_time_to_change_a_velocity() -> None:
 
 
 def behind(max_speed_m_s: float = 0.1, acceleration: float = 1e3, **options: Any) -> LimitedCommand:
-    """The arm was sent 10 mm on, stood still, and is to go 10 mm farther: 20 mm in 0.1 s."""
+    """The arm was sent 10 mm, stood still, and has to go 10 mm farther: 20 mm in 0.1 s."""
     rules = replace(SCALE, max_speed_m_s=max_speed_m_s)
     judge = limiter(rules, profile(acceleration=acceleration), **options)
     judge.follow(to(0.01), at(), 10.0)
@@ -209,8 +209,8 @@ def test_an_arm_behind_its_setpoint_that_turns_has_the_time_to_turn() -> None:
 def test_an_arm_behind_its_setpoint_brakes_no_harder_than_it_may() -> None:
     verdict = behind(max_speed_m_s=0.11, acceleration=0.3)
     assert verdict.acted == ()
-    # From 0.1 m/s by 0.3 m/s^2 in 0.1 s to 0.07 m/s, with which 10 mm take 0.143 s; of the time to
-    # be found in halves, 0.1 to 0.186 s, a 64th is 1.4 ms.
+    # From 0.1 m/s with 0.3 m/s^2 for 0.1 s to 0.07 m/s, with which 10 mm take 0.143 s; the
+    # bisection interval, 0.1 to 0.186 s, has a 64th of 1.4 ms.
     assert 0.01 / 0.07 - 0.0014 < sent(verdict).duration_s <= 0.01 / 0.07 + 1e-6
 
 
@@ -254,8 +254,7 @@ def test_an_immediate_command_has_its_velocity_until_the_next_one_is_due() -> No
 @pytest.mark.parametrize(
     ("setpoint", "asked", "reached"),
     [
-        # Measured at 0; 0.1 m/s in the 0.1 s that a robot takes are 10 mm, and 98 % of them are
-        # used.
+        # Measured at 0; 0.1 m/s for the robot's 0.1 s are 10 mm, of which 98 % are used.
         (0.005, 0.02, 0.0098),
         (0.0, 0.02, 0.0098),
         (0.009, 0.0101, 0.0098),
@@ -280,8 +279,8 @@ def test_an_immediate_command_is_as_short_as_the_farther_of_way_and_turn_needs()
     judge = limiter(replace(SCALE, max_speed_m_s=0.1, max_turn_rad_s=10.0), immediate=True)
     judge.follow(to(0.001, 0.0, 0.05), at(), 10.0)
     verdict = judge.limit(to(0.02, 0.0, 0.1, duration_s=0.5), at(), 10.9)
-    # Twice too fast: 51 % of the 0.1 rad and 20 mm from where it is, which are twice the turn from
-    # the setpoint.
+    # Twice too fast: 51 % of the 0.1 rad and 20 mm from its position, twice the turn from the
+    # setpoint.
     share = max(0.0, 1.0 - 0.51 * 2.0)
     assert place(verdict) == pytest.approx([0.001 + share * 0.019, 0.0, 0.05 + share * 0.05])
 

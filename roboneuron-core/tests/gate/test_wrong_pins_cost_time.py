@@ -1,6 +1,4 @@
-"""The PIN's file, its length, what each wrong one costs, and what is recorded, with numbers of its
-own.
-"""
+"""The PIN's file, its length, the cost of wrong ones, and the records, with reduced parameters."""
 
 from __future__ import annotations
 
@@ -25,13 +23,13 @@ PIN, SALT = "4711-ruby", bytes(range(16))
 
 
 def quick_hash(pin: bytes, *, salt: bytes, **_: int) -> bytes:
-    """In place of scrypt, which takes its time."""
+    """Replaces scrypt, which is slow."""
     return hashlib.sha512(salt + pin).digest()
 
 
 @pytest.fixture
 def pin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ReleasePin:
-    """One that was set long ago, at a clock that stands still."""
+    """A PIN that was set long ago, with a stopped clock."""
     monkeypatch.setattr(hashlib, "scrypt", quick_hash)
     made = ReleasePin(tmp_path, lambda: NOW_S)
     write(made, hash=quick_hash(PIN.encode(), salt=SALT).hex())
@@ -154,7 +152,7 @@ def test_nothing_is_looked_at_while_an_attempt_has_to_wait(
 def test_the_right_pin_is_taken_after_the_wait_or_when_the_clock_was_put_back(
     pin: ReleasePin, audit: AuditLog, wait_s: float
 ) -> None:
-    """No wait is longer than five minutes: a longer one comes of the clock."""
+    """No wait is longer than five minutes; a longer one would come from a changed clock."""
     write(pin, failures=7, not_before_s=NOW_S + wait_s)
     before = read(pin)
     pin.check(PIN, who="ann", audit=audit)
@@ -259,7 +257,7 @@ def test_a_process_that_keeps_the_lock_refuses_the_release(
 def test_one_attempt_at_a_time_is_looked_at(
     pin: ReleasePin, audit: AuditLog, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Attempts at once would each find the same number of failures, and count as one."""
+    """Concurrent attempts would each read the same number of failures, and count as one."""
     lock, held = pin.path.with_name(f"{NAME}.lock"), []
 
     def is_locked() -> bool:

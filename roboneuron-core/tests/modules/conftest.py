@@ -1,5 +1,5 @@
-"""Modules run inside the test process on a ROS graph of their own, beside a node that plays the
-rest of the world.
+"""Modules run inside the test process on their own ROS graph, with a node that simulates the other
+processes.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ action_timeout_s = 0.3
 
 
 class World:
-    """A ROS context of its own with one node for the test and the modules it starts, spun by a
+    """A separate ROS context with one node for the test and the modules it starts, spun by a
     thread.
     """
 
@@ -66,13 +66,13 @@ class World:
             self.executor.spin_once(timeout_sec=0.05)
 
     def run(self, function: Callable[[], Any]) -> Any:
-        """Call `function` on the executor's thread, as ROS callbacks are, and return its result."""
+        """Call `function` on the executor's thread, like a ROS callback, and return its result."""
         task = self.executor.create_task(function)
         assert holds_within(task.done, 10.0), "the executor did not run the task"
         return task.result()
 
     def permit(self, node: Any) -> None:
-        """Let a module obey after a stop, as the server does when somebody asks for motion."""
+        """Permit motion after a stop, as the server does on a new request."""
         from rclpy.parameter import Parameter
 
         from roboneuron.modules.settings import START_PARAMETER
@@ -126,13 +126,13 @@ class World:
         return node
 
     def listen(self, message_type: Any, topic: str) -> list[Any]:
-        """Messages arriving on a topic, as a list that grows."""
+        """A growing list of the messages on a topic."""
         received: list[Any] = []
         self.node.create_subscription(message_type, topic, received.append, 10)
         return received
 
     def publisher(self, message_type: Any, topic: str) -> Any:
-        """A publisher that has found its subscriber."""
+        """A publisher that is matched with its subscriber."""
         publisher = self.node.create_publisher(message_type, topic, 1)
         assert holds_within(lambda: publisher.get_subscription_count() > 0), (
             f"nobody listens on {topic}"
@@ -153,7 +153,7 @@ class World:
 
 
 class Clock:
-    """A clock of seconds and one of the calendar, which go when a test says so."""
+    """A monotonic and a wall clock controlled by the test."""
 
     def __init__(self) -> None:
         self.now_s = 1000.0
@@ -166,13 +166,13 @@ class Clock:
         return self.wall_ns
 
     def go(self, seconds: float) -> None:
-        """Let both go on."""
+        """Advance both clocks."""
         self.now_s += seconds
         self.wall_ns += round(seconds * 1e9)
 
 
 class Publisher:
-    """Keeps what is published."""
+    """Records published messages."""
 
     def __init__(self, message_type: type) -> None:
         self.message_type = message_type
@@ -183,11 +183,11 @@ class Publisher:
 
 
 class Host:
-    """What a module sees of its node, without ROS: the test calls what the module subscribes.
+    """A module's view of its node, without ROS: the test calls the module's subscriptions.
 
     Attributes:
         publishers, subscribed, parameters: by topic or name, until they are released.
-        periods_s: of what is repeated.
+        periods_s: periods of timers.
         silence_s: since the server's last sign of life.
     """
 
@@ -243,7 +243,7 @@ class Host:
 
 
 def install_loop_plugin(folder: Path) -> Path:
-    """Install loop_plugin.py and its backends below a folder; returns what to import them from."""
+    """Install loop_plugin.py and its backends below a folder; return the import path."""
     site = folder / "site"
     info = site / "rn_loop-1.0.dist-info"
     info.mkdir(parents=True)
@@ -263,9 +263,9 @@ def loop_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def make_host(
     loop_site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[Callable[..., Host]]:
-    """Return a function that makes a host of a module of that kind; all are released in the end.
+    """Return a function that makes a host of a module of that kind; all are released at the end.
 
-    The clock of modules is that of the host.
+    The modules use the host's clock.
     """
     from rn_standard.control import module as control
     from roboneuron.modules import holding, module_host, robot
@@ -302,7 +302,7 @@ def make_host(
 
 
 def edited(extra: str, replace: dict[str, str] | None) -> str:
-    """The configuration BASE with other words."""
+    """The configuration BASE with replacements."""
     text = BASE + extra
     for old, new in (replace or {}).items():
         assert old in text
@@ -312,7 +312,7 @@ def edited(extra: str, replace: dict[str, str] | None) -> str:
 
 @pytest.fixture
 def no_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The threads of a robot module are not started: the test calls their steps."""
+    """Do not start the threads of a robot module: the test calls their steps."""
     from robot_cell import Steps
 
     from roboneuron.modules import robot
@@ -333,7 +333,7 @@ def world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
 
 
 def status(node: Any) -> dict[str, str]:
-    """What a module reports, as a dictionary; "message" and "level" included."""
+    """A module's report as a dictionary, including "message" and "level"."""
     message = node.status.to_message()
     values = {pair.key: pair.value for pair in message.values}
     return values | {"message": message.message, "level": str(message.level)}

@@ -1,5 +1,5 @@
-"""The control module on a clock of the test, for the tests of which action moves the arm, for how
-long, and when the arm is held.
+"""The control module on a test clock, for tests of which action moves the arm, for how long, and
+when the arm is held.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TIMEOUT_S, STATE_TIMEOUT_S, SERVER_TIMEOUT_S = 0.3, 0.25, 2.0
 
 
 class Cell:
-    """An active control whose arm stands at START, and what it was told and has sent."""
+    """An active control whose arm stands at START, with its inputs and outputs."""
 
     def __init__(self, make_host: MakeHost, *, activate: bool = True, **options: Any) -> None:
         self.host = make_host("control", **options)
@@ -56,7 +56,7 @@ class Cell:
         return self.answer or self._compute(action, joints, step_s)
 
     def measure(self, **changes: Any) -> None:
-        """A joint state arrives."""
+        """Deliver a joint state."""
         values: dict[str, Any] = {
             "names": ARM,
             "position": self.position.copy(),
@@ -66,7 +66,7 @@ class Cell:
         self.host.subscribed[JointState, "joint_states"](message)
 
     def act(self, metres: float = 0.01, *, age_s: float = 0.0, sent_ns: int | None = None) -> None:
-        """An action arrives."""
+        """Deliver an action."""
         self.receive(to_action_message(np.array([metres, 0, 0, 0, 0, 0, 1.0])), age_s, sent_ns)
 
     def receive(
@@ -77,7 +77,7 @@ class Cell:
         on_action(message, {"source_timestamp": source_ns})
 
     def go(self, seconds: float, *, measured: bool = True) -> None:
-        """Time passes; the arm is measured at its end."""
+        """Advance time; the arm is measured at the end."""
         self.clock.go(seconds)
         if measured:
             self.measure()
@@ -102,7 +102,7 @@ class Cell:
         return str(self.host.values().get("hold_code", ""))
 
     def drops(self) -> dict[str, int]:
-        """What was dropped, but holds."""
+        """Number of dropped messages by reason, except holds."""
         return {k: v for k, v in self.host.drops().items() if k != "holds"}
 
 

@@ -1,4 +1,4 @@
-"""Inference alone, beside a camera of the test."""
+"""Inference alone, with a camera of the test."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from roboneuron.ros.messages import to_image
 
 
 class Cell:
-    """Inference, and a camera that delivers when told to."""
+    """Inference, and a camera that delivers on request."""
 
     def __init__(
         self,

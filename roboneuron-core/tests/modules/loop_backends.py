@@ -60,7 +60,7 @@ class Slow(Instant):
 
 
 class Moody(Instant):
-    """Answers when it may, half as fast as `Instant` moves."""
+    """Answers when permitted, with half the speed of `Instant`."""
 
     may_answer = threading.Event()
 
@@ -75,7 +75,7 @@ class NaN(Instant):
 
 
 def declared(options: Mapping[str, Any], profile: RobotProfile) -> ControlSpace:
-    """The space that the option `kind` names."""
+    """The space named by the option `kind`."""
     kind = options.get("kind", "joint_velocity")
     if kind == "number":
         return 5  # type: ignore[return-value]
@@ -116,7 +116,7 @@ class Chunked(Instant):
 
 
 class Patient:
-    """A runtime whose requests last a minute, unless they are given up."""
+    """A runtime whose requests take a minute unless aborted."""
 
     def __init__(self, config: None) -> None:
         self.running = False

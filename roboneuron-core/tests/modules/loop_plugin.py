@@ -174,7 +174,7 @@ def profile() -> RobotProfile:
 
 
 class Windows(Handover):
-    """Moments of a feature that replaces modules."""
+    """Handover windows of a feature that replaces modules."""
 
     def __init__(self, shadow: bool, status: Any) -> None:
         self.status = status
@@ -205,7 +205,7 @@ class Windows(Handover):
         self.sent.append(what)
 
     def come_between(self, module: Any) -> None:
-        """Decide for an inference module, as such a feature does."""
+        """Decide for an inference module, like such a feature."""
         if not isinstance(module, InferenceModule):
             return
         deliver = module.deliver
@@ -280,7 +280,7 @@ class Adder:
 
 
 class Follower(Adder):
-    """Executes rows of other spaces too; a pose is x for the first joint and y for the other."""
+    """Also executes rows of other spaces; a pose is x for the first joint and y for the other."""
 
     def execute(
         self, space: ControlSpace, row: np.ndarray, joints: JointSample, step_s: float
@@ -292,7 +292,7 @@ class Follower(Adder):
 
 
 class Mover(Adder):
-    """Executes joint velocities too, and keeps what it is asked for."""
+    """Also executes joint velocities, and records the requests."""
 
     def __init__(self, config: None, profile: RobotProfile) -> None:
         self.executed: list[tuple[ControlSpace, list[float], JointSample, float]] = []
@@ -306,7 +306,7 @@ class Mover(Adder):
 
 
 class Driver:
-    """Reaches every target at once and keeps a record of what it was told."""
+    """Reaches every target at once and records its commands."""
 
     def __init__(self, config: None, profile: RobotProfile, topics: Topics) -> None:
         self.topics = topics

@@ -1,5 +1,5 @@
-"""The robot module on a clock of the test, for the tests of which command reaches the driver, for
-how long, and when the driver holds.
+"""The robot module on a test clock, for tests of which command reaches the driver, for how long,
+and when the driver holds.
 
 Its threads are not started: the test calls their steps.
 """
@@ -25,7 +25,7 @@ SOON_S = 15.0
 
 
 class Steps:
-    """Stands for a worker: knows the step, and runs it when told."""
+    """Replaces a worker thread: stores the step, and runs it on request."""
 
     def __init__(self, name: str, step: Callable[[threading.Event], None], status: object) -> None:
         self.name, self.step, self.status = name, step, status
@@ -49,7 +49,7 @@ class Steps:
 
 
 class Cell:
-    """A robot module whose driver keeps what it is told, in order."""
+    """A robot module whose driver records its calls, in order."""
 
     def __init__(self, make_host: MakeHost, *, activate: bool = True, **options: Any) -> None:
         self.host = make_host("robot", **options)
@@ -72,7 +72,7 @@ class Cell:
         return command
 
     def command(self, *firsts: float, step_s: float = 0.1, age_s: float = 0.0) -> None:
-        """A trajectory arrives: the first joint goes to these, each within `step_s`."""
+        """Deliver a trajectory with these positions of the first joint, each within `step_s`."""
         message = JointTrajectory(joint_names=list(ARM))
         for index, first in enumerate(firsts):
             point = JointTrajectoryPoint(positions=[first, 0.0])

@@ -1,4 +1,4 @@
-"""A control that executes every space, on a clock of the test."""
+"""A control that executes every space, on a test clock."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from roboneuron.ros.messages import to_action_message
 
 PERIOD_S = 0.05
 SPEED = 0.2
-"""Of a joint [rad/s]."""
+"""Speed of a joint [rad/s]."""
 FASTEST, QUICKEST = 1.0, 40.0
 """Limits of velocity and acceleration: a joint reaches its limit within half of a period."""
 
@@ -51,13 +51,13 @@ class SpaceCell(Cell):
         super().__init__(make_host, replace={'"adder"': '"follower"'}, **options)
 
     def send(self, space: ControlSpace, row: Sequence[float] | None = None) -> None:
-        """A row arrives; the arm follows what comes of it."""
+        """Deliver a row; the arm follows the resulting command."""
         count = len(self.messages)
         self.receive(to_action_message(np.array(ROWS[space] if row is None else row), space))
         self._follow(count)
 
     def look(self) -> None:
-        """The watchdog looks."""
+        """Run the watchdog's check."""
         count = len(self.messages)
         self.watch()
         self._follow(count)
@@ -69,13 +69,13 @@ class SpaceCell(Cell):
             self.measure()
 
     def place(self) -> np.ndarray:
-        """Where the arm is."""
+        """Position of the arm."""
         sent_s, start, end, lasts_s = self._path[-1]
         share = min(1.0, (self.clock.now_s - sent_s) / lasts_s)
         return np.asarray(start + (end - start) * share)
 
     def speed(self) -> float:
-        """Of the fastest joint by the newest command [rad/s]."""
+        """Speed of the fastest joint in the newest command [rad/s]."""
         _, start, end, lasts_s = self._path[-1]
         return float(np.abs(end - start).max()) / lasts_s
 

@@ -1,4 +1,4 @@
-"""A control in the shadow of another one works everything out and sends nothing."""
+"""A control in shadow of another one computes everything and sends nothing."""
 
 from __future__ import annotations
 

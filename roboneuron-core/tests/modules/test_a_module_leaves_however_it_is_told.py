@@ -1,6 +1,4 @@
-"""Signals that come in a burst, and a process that hangs on its way out: nothing outlives its
-server.
-"""
+"""Signals in a burst, and a process that hangs at its end: nothing outlives its server."""
 
 from __future__ import annotations
 
@@ -54,7 +52,7 @@ def python(script: str) -> subprocess.Popen[str]:
 def test_signals_that_interrupt_each_other_end_the_module_all_the_same(
     number: signal.Signals,
 ) -> None:
-    """The kernel sends the death signal again with the end of each thread of the server."""
+    """The kernel repeats the death signal at the end of each thread of the server."""
     for _ in range(5):
         with python(LISTENS) as process:
             deadline_s = time.monotonic() + 10.0

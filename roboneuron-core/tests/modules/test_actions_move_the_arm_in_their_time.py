@@ -1,5 +1,5 @@
-"""Which action moves the arm and for how long, and what control tells of the measured arm; on a
-clock of the test.
+"""Which action moves the arm and for how long, and control's report of the measured arm; on a test
+clock.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ def test_a_pause_of_exactly_the_timeout_is_a_pause(make_host: MakeHost) -> None:
 
 
 def test_actions_that_were_held_up_have_the_time_between_their_sendings(cell: Cell) -> None:
-    """They arrive together, and were not meant to follow each other at once."""
+    """They arrive together, although they were not sent together."""
     sent_ns = cell.clock.wall_ns - 120_000_000
     cell.act(sent_ns=sent_ns)
     cell.go(0.001)

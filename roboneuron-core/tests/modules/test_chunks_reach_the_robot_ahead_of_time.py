@@ -1,5 +1,5 @@
-"""A chunk of positions from the backend to the command topic: each row with those after it, within
-the horizon of control.
+"""A chunk of positions from the backend to the command topic: each row with the following ones,
+within the horizon of control.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def test_each_row_goes_out_with_those_that_are_planned_after_it(
     images = world.publisher(Image, "camera/front/image")
 
     def tell() -> bool:
-        """State and image arrive; whether commands for a whole chunk have come of them."""
+        """Deliver state and image; return whether they led to commands for a whole chunk."""
         now_ns = world.node.get_clock().now().nanoseconds
         rest = JointSample(names=("a", "b"), position=np.zeros(2), stamp_ns=now_ns)
         states.publish(to_joint_state(rest))

@@ -1,4 +1,4 @@
-"""Which command reaches the driver, and for how long; on a clock of the test."""
+"""Which command reaches the driver, and for how long; on a test clock."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_the_next_point_waits_for_the_one_before(cell: Cell) -> None:
 
 
 def test_the_last_point_is_not_waited_for(cell: Cell) -> None:
-    """The next command is played at once."""
+    """The next command is executed at once."""
     cell.command(0.1, step_s=60.0)
     started_s = time.monotonic()
     cell.play()
@@ -107,7 +107,7 @@ def test_nothing_is_played_when_the_thread_is_to_end(cell: Cell) -> None:
 def test_a_thread_without_commands_looks_again_soon(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """So soon after the timeout of commands the robot holds."""
+    """The robot holds this soon after the timeout of commands."""
     waits_s: list[float] = []
 
     def wait_for(is_due: Callable[[], bool], timeout: float) -> bool:
@@ -121,7 +121,7 @@ def test_a_thread_without_commands_looks_again_soon(
 
 
 def test_a_command_that_is_played_late_has_that_much_more_time(cell: Cell) -> None:
-    """Else the arm would catch up, faster than was asked for."""
+    """Otherwise the arm would catch up, faster than requested."""
     cell.command(0.1, step_s=0.1)
     cell.clock.go(0.2)
     cell.play()
@@ -220,7 +220,7 @@ def test_a_command_that_the_driver_refuses_is_counted_and_told(cell: Cell) -> No
 
 
 class Ahead:
-    """A driver that takes points before their time."""
+    """A driver that accepts points before their time."""
 
     def __init__(self, cell: Cell) -> None:
         self.cell = cell

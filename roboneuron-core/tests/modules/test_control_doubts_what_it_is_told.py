@@ -1,6 +1,4 @@
-"""Faults in joint states, clocks and commands, judged by what the control module publishes and
-reports.
-"""
+"""Faults in joint states, clocks and commands, judged by control's commands and reports."""
 
 from __future__ import annotations
 
@@ -29,8 +27,8 @@ TIMEOUT_S = 0.25
 
 
 class Cell:
-    """Control, fed with joint states by a timer that a test can change, and publishers of a policy
-    and a stranger.
+    """Control, with joint states from a timer that a test can change, and publishers of a policy
+    and a foreign node.
     """
 
     def __init__(self, world: Any, **options: Any) -> None:
@@ -100,7 +98,7 @@ FAULTS: dict[str, Callable[[Cell], None]] = {
 def test_joint_states_with_a_fault_end_the_commands_until_the_arm_can_be_held_where_it_is(
     cell: Cell, fault: str
 ) -> None:
-    # it goes on; only the states are at fault
+    # it continues; only the states are faulty
     policy = cell.world.node.create_timer(0.03, cell.act)
     assert holds_within(lambda: len(cell.commands) > 1)
     assert cell.last()[0] > 0.5
@@ -178,7 +176,7 @@ def test_stamps_of_a_robot_whose_clock_jumps_stop_the_arm_for_one_timeout_only(
 
 
 def test_server_that_is_frozen_stops_the_arm_until_it_asks_for_motion_again(world: Any) -> None:
-    """Without a server nobody beats, and nothing is asked for."""
+    """Without a server there are no heartbeats, and no requests."""
     new = "action_timeout_s = 0.3\nserver_timeout_s = 0.3"
     cell = Cell(world, replace={"action_timeout_s = 0.3": new})
     policy = cell.world.node.create_timer(0.03, cell.act)
@@ -206,7 +204,7 @@ def test_server_that_is_frozen_stops_the_arm_until_it_asks_for_motion_again(worl
 def test_a_control_that_was_frozen_needs_a_new_start_though_the_server_is_heard_first(
     world,
 ) -> None:
-    """The thread that reads the signs of life goes on before the executor does."""
+    """The thread that reads the heartbeats resumes before the executor does."""
     cell = Cell(
         world,
         replace={"action_timeout_s = 0.3": "action_timeout_s = 0.3\nserver_timeout_s = 0.4"},
@@ -232,7 +230,7 @@ def test_a_control_that_was_frozen_needs_a_new_start_though_the_server_is_heard_
 
 
 def test_a_silence_while_a_module_was_loading_is_no_stop(world) -> None:
-    """Imports may keep every thread of a process waiting; nothing moved meanwhile."""
+    """Imports may block every thread of a process; nothing moved meanwhile."""
     control = world.module("control", replace={"action_timeout_s = 0.3": "server_timeout_s = 0.4"})
     control.note_beat()
     kind = control._kind
@@ -251,9 +249,7 @@ def test_a_silence_while_a_module_was_loading_is_no_stop(world) -> None:
 
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Callable[[float], None]:
-    """Return a function that sets control's wall clock by so many seconds against that of the
-    publishers.
-    """
+    """Return a function that shifts control's wall clock against that of the publishers."""
 
     class Shifted:
         monotonic = staticmethod(time.monotonic)
@@ -294,9 +290,7 @@ def test_clock_that_jumps_stops_actions_and_lets_them_through_once_it_is_right(
 
 
 def test_clock_set_back_on_the_whole_machine_does_not_forbid_newer_actions(cell: Cell) -> None:
-    """An action was taken an hour ahead of the present time; later ones carry smaller time
-    stamps.
-    """
+    """An action was accepted with a stamp one hour ahead; later ones have smaller stamps."""
     cell.control.module.action_ns = time.time_ns() + 3_600_000_000_000
     cell.act()
     assert holds_within(lambda: len(cell.commands) == 1)

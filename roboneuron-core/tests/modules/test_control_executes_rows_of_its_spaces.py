@@ -1,5 +1,5 @@
-"""Rows of other spaces than TCP deltas reach the arm as they are meant, and those of a space that
-control does not execute do not; on a clock of the test.
+"""Rows of other spaces than TCP deltas reach the arm with their meaning, and those of an
+unsupported space do not; on a test clock.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from roboneuron.ros.messages import to_action_message
 
 @pytest.fixture
 def make_cell(make_host: MakeHost, monkeypatch: pytest.MonkeyPatch) -> Callable[[float], SpaceCell]:
-    """Return a function that makes a cell whose joints accelerate so fast at most."""
+    """Return a function that makes a cell with this acceleration limit of the joints."""
     import loop_plugin
 
     def make(acceleration: float) -> SpaceCell:
@@ -98,7 +98,7 @@ ODD_LABELS = {
 
 
 def check_refused(cell: SpaceCell, told: str, word: str = "malformed") -> None:
-    """One message was refused for that reason, and the arm stays at rest."""
+    """Check that one message was refused for that reason, and that the arm stays at rest."""
     assert cell.drops() == {word: 1}
     assert told in cell.host.values()["message"]
     assert cell.commands == []
@@ -172,13 +172,13 @@ def test_the_arm_comes_to_rest_when_a_label_becomes_unknown(cell: SpaceCell) -> 
 
 
 def travelled(cell: SpaceCell) -> float:
-    """How far joint a is once the newest command is carried out."""
+    """Displacement of joint a after the newest command."""
     cell.go(1.0)
     return float(cell.place()[0] - START[0])
 
 
 JITTER = [0.05, 0.02, 0.08, 0.03, 0.07, 0.049, 0.051, 0.06, 0.04, 0.05]
-"""Times between messages that are sent each 0.05 s [s]."""
+"""Times between messages that are sent every 0.05 s [s]."""
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_a_missed_period_is_not_made_up_for(cell: SpaceCell) -> None:
 def test_a_steady_motion_is_not_cut_off_because_a_message_was_late(
     make_cell: Callable[[float], SpaceCell], space: ControlSpace
 ) -> None:
-    """One comes 40 ms late, the next one in time: it must not be caught up within 10 ms."""
+    """One is 40 ms late, the next one in time: the gap must not be caught up within 10 ms."""
     cell = make_cell(10.0)
     speed = 0.28
     for row, share in enumerate([1.0, 1.0, 1.8, 0.2, 1.0, 1.0, 1.8, 0.2, 1.0, 1.0], 1):
@@ -240,7 +240,7 @@ def test_an_arm_that_was_late_is_in_time_again_after_some_rows(cell: SpaceCell) 
 
 
 def test_messages_that_arrive_together_are_no_faster_than_the_limit(cell: SpaceCell) -> None:
-    """What the limit cuts off is lost: nothing is caught up."""
+    """Motion cut off by the limit is lost: nothing is caught up."""
     for _ in range(10):
         cell.send(VELOCITIES)
         cell.go(0.001)
@@ -339,7 +339,7 @@ def test_a_policy_of_another_space_goes_on_at_the_border_of_a_period(
 
 
 def test_positions_after_deltas_are_no_faster_than_the_limit(cell: SpaceCell) -> None:
-    """A policy of positions that begins far from the arm does not make it jump."""
+    """A policy of positions that starts far from the arm does not make it jump."""
     cell.send(EE_DELTA)
     cell.go(PERIOD_S)
     for _ in range(30):

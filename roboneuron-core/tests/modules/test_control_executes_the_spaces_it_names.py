@@ -1,4 +1,4 @@
-"""Actions of other control spaces than displacements of the TCP; on a clock of the test."""
+"""Actions of other control spaces than TCP deltas; on a test clock."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_row_lasts_one_period_of_its_policy_whenever_it_arrives(cell: Cell) ->
 
 
 def test_velocities_add_to_the_command_in_progress(cell: Cell) -> None:
-    """A measured arm is behind it, and would never come as far as was asked for."""
+    """A measured arm lags, and would never get as far as requested."""
     cell.receive(velocity(0.1, 0.0))
     cell.go(0.05)
     cell.receive(velocity(0.1, 0.0))
@@ -74,7 +74,7 @@ def test_velocities_add_to_the_command_in_progress(cell: Cell) -> None:
 
 @pytest.mark.parametrize("kind", ["joint_position", "joint_delta"])
 def test_a_space_that_control_does_not_execute_is_refused(cell: Cell, kind: str) -> None:
-    """Inference resolves differences of joints; they never travel."""
+    """Inference resolves joint deltas; they are never sent."""
     cell.receive(velocity(0.1, 0.0, kind=kind))
     assert executed(cell) == []
     assert cell.drops() == {"malformed": 1}

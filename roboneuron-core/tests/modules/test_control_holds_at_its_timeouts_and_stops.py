@@ -1,6 +1,4 @@
-"""When control holds the arm: after a stop, a refusal, a pause or a silence; on a clock of
-the test.
-"""
+"""When control holds the arm: after a stop, a refusal, a pause or a silence; on a test clock."""
 
 from __future__ import annotations
 
@@ -99,7 +97,7 @@ def test_a_hold_of_the_controller_holds_the_arm(cell: Cell) -> None:
 
 
 def test_a_refused_action_leaves_the_one_before(make_host: MakeHost) -> None:
-    """It comes to its end, and is then held by the watchdog."""
+    """It ends normally, and is then held by the watchdog."""
     cell = Cell(make_host, extra='[limits]\nvelocity_fraction = 0.5\non_velocity = "refuse"\n')
     cell.act(0.01)
     acted_s = cell.control.action_s
@@ -174,7 +172,7 @@ def test_it_moves_again_after_a_hold_and_holds_again(cell: Cell) -> None:
 
 
 def test_it_holds_when_joint_states_cease_as_soon_as_one_comes(cell: Cell) -> None:
-    """Not where it was: the arm would go back."""
+    """Not at an old position, to which the arm would return."""
     cell.go(STATE_TIMEOUT_S - 0.01, measured=False)
     cell.act()
     cell.go(0.02, measured=False)

@@ -1,4 +1,4 @@
-"""The control module, judged by the commands it publishes."""
+"""The control module, judged by its published commands."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ def test_any_node_may_stop_and_the_latch_outlives_it(cell: Cell, qos: QoSProfile
 
 
 def reset(cell: Cell) -> None:
-    """As another process does it."""
+    """Reset the stop as another process does."""
     folder = cell.world.state_directory
     latch = EmergencyStopLatch(folder / ESTOP_FILE, time.time_ns)
     latch.reset(who="test", role="admin", audit=AuditLog(folder / "audit.jsonl", time.time_ns))
@@ -203,7 +203,7 @@ def test_emergency_stop_holds_and_refuses_until_it_is_reset(cell: Cell) -> None:
 
 
 def test_whoever_asked_for_motion_before_a_stop_starts_none_after_it(cell: Cell) -> None:
-    """The request is late: the stop came, and was released, since the server had looked."""
+    """The request is late: a stop was pressed and released since the server last checked."""
     from rclpy.parameter import Parameter
 
     from roboneuron.modules.settings import START_PARAMETER
@@ -252,7 +252,7 @@ def test_commands_can_be_joint_states(world: Any) -> None:
 def test_a_command_that_would_outlive_a_frozen_control_is_not_sent(
     cell: Cell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Between two commands nobody but control could end the motion."""
+    """During a command only control could end the motion."""
     controller = cell.control.module.controller
     compute = controller.compute
     monkeypatch.setattr(controller, "compute", lambda *a: replace(compute(*a), duration_s=2.5))
@@ -269,7 +269,7 @@ def test_a_command_that_was_ready_too_late_is_not_sent(
     compute = controller.compute
 
     def linger(*arguments: Any) -> Any:
-        time.sleep(0.4)  # as a frozen process does, or a slow controller; 0.3 s are allowed
+        time.sleep(0.4)  # like a frozen process, or a slow controller; 0.3 s are allowed
         return compute(*arguments)
 
     monkeypatch.setattr(controller, "compute", linger)
@@ -278,7 +278,7 @@ def test_a_command_that_was_ready_too_late_is_not_sent(
     assert cell.value("note").startswith("holding: A command was ready only 0.4")
     assert not cell.commands
     monkeypatch.undo()
-    # joint states have waited too, and are stale until the next one is heard
+    # joint states were delayed too, and are stale until the next one arrives
     assert holds_within(lambda: cell.control.module.why_not(0.0, time.time_ns()) is None)
     cell.actions.publish(to_action_message(FORWARD))
     assert holds_within(lambda: len(cell.commands) == 1)

@@ -1,5 +1,5 @@
-"""Rows that a policy plans after the one that is due are limited one after the other and sent with
-it, within a horizon; on a clock of the test.
+"""Rows planned after the current one are limited one after the other and sent with it, within a
+horizon; on a test clock.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from roboneuron.ros.messages import PlannedRows, to_action_message
 PERIOD_S = 0.05
 HORIZON_S = 0.15
 SPEED, FASTEST = 0.2, 0.5
-"""Of the policy and of the limits [rad/s]."""
+"""Speeds of the policy and of the limits [rad/s]."""
 SPACE = ControlSpace(
     kind="joint_position",
     channels=tuple(Channel(name=name, unit="rad") for name in ARM),
@@ -37,7 +37,7 @@ DELTAS = np.array([0.01, 0, 0, 0, 0, 0, 1.0])
 
 
 def row(number: int, speed: float = SPEED) -> np.ndarray:
-    """Row `number`, from 1 on, of a steady motion of the first joint."""
+    """Row `number`, starting at 1, of a steady motion of the first joint."""
     return START + np.array([number * PERIOD_S * speed, 0.0])
 
 
@@ -49,14 +49,14 @@ class PlanCell(Cell):
         super().__init__(make_host, replace={'"adder"': '"follower"', **settings})
 
     def chunk(self, *numbers: int, speed: float = SPEED) -> None:
-        """A row arrives with those that are planned after it."""
+        """Deliver a row with the following planned ones."""
         first, *later = (row(number, speed) for number in numbers)
         planned = PlannedRows(rows=np.array(later).reshape(-1, 2), step_s=PERIOD_S)
         self.receive(to_action_message(first, SPACE, planned))
 
     @property
     def ends(self) -> list[float]:
-        """Where the points of the newest command lead the first joint, from its start."""
+        """Displacements of the first joint at the points of the newest command."""
         return [float(p.positions[0]) - START[0] for p in self.messages[-1].points]
 
     @property
@@ -67,7 +67,7 @@ class PlanCell(Cell):
 
 @pytest.fixture(autouse=True)
 def quick_joints(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Joints that reach their velocity within a row."""
+    """Make joints reach their velocity within a row."""
     one = np.ones(2)
     limits = JointLimits(
         lower=-2 * one,
@@ -108,16 +108,14 @@ def test_without_a_horizon_a_row_is_sent_alone(make_host: MakeHost) -> None:
 
 
 def test_displacements_are_not_planned(cell: PlanCell) -> None:
-    """Each counts from where the arm is measured: what was executed before its time would count
-    twice.
-    """
+    """Each is relative to the measured arm, so executing one early would count it twice."""
     planned = PlannedRows(rows=np.array([DELTAS, DELTAS]), step_s=PERIOD_S)
     cell.receive(to_action_message(DELTAS, planned=planned))
     assert cell.ends == pytest.approx([0.01])
 
 
 def test_no_planned_row_is_faster_than_the_limits(cell: PlanCell) -> None:
-    """The first row is within the limit of velocity, those after it are not."""
+    """The first row is within the velocity limit, the later ones are not."""
     planned = PlannedRows(rows=np.array([row(8), row(40)]), step_s=PERIOD_S)
     cell.receive(to_action_message(row(1), SPACE, planned))
     ends, times_s = [0.0, *cell.ends], [0.0, *cell.times_s]
@@ -163,7 +161,7 @@ def test_a_planned_row_is_computed_from_where_the_one_before_ends(
 
 
 def test_a_late_row_goes_on_from_the_planned_motion(cell: PlanCell) -> None:
-    """The arm has followed the plan meanwhile; the limiter knows it, and sees no jump back."""
+    """The arm has followed the plan meanwhile; the limiter knows this, and detects no jump back."""
     cell.chunk(1, 2, 3)
     cell.position = (row(2) + row(3)) / 2
     cell.go(2.5 * PERIOD_S)

@@ -1,4 +1,4 @@
-"""Control is made of parts that fit, and keeps to limits that fit; on a clock of the test."""
+"""Control is built from compatible parts, and uses compatible limits; on a test clock."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_commands_may_be_joint_states(make_host: MakeHost) -> None:
 
 
 class Recorder:
-    """How the plugin's controller was made, and what became of it."""
+    """Records how the plugin's controller was created and used."""
 
     def __init__(self) -> None:
         self.made: list[tuple[object, RobotProfile]] = []
@@ -184,7 +184,7 @@ def test_it_is_told_whether_collisions_are_checked(
         profile = replace(loop_plugin.profile(), collision=CollisionProfile())
         monkeypatch.setattr(loop_plugin, "profile", lambda: profile)
     if tells_distances:
-        # a class of its own: what a class is found to offer is remembered for good
+        # a separate class, because the capabilities of a class are cached
         seeing = type("SeeingAdder", (loop_plugin.Adder,), {"inspect": lambda self, joints: None})
         monkeypatch.setattr(loop_plugin, "Adder", seeing)
     host = make_host("control")

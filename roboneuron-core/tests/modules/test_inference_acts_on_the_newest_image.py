@@ -1,4 +1,4 @@
-"""The inference module, judged by the actions it publishes and by what it reports."""
+"""The inference module, judged by its published actions and its reports."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_image_from_the_future_is_never_acted_on(make_inference: Callable[..., C
 def test_old_proprioception_is_never_acted_on(
     make_inference: Callable[..., Cell], old: str, said: str
 ) -> None:
-    """A control that died leaves its last pose behind; steps reckoned from that would never end."""
+    """A dead control leaves its last pose behind; steps relative to it would never end."""
     cell = make_inference("picky", replace={'instruction = "go"': 'instruction = "the red one"'})
     states = cell.world.publisher(JointState, "joint_states")
     poses = cell.world.publisher(PoseStamped, "ee_pose")

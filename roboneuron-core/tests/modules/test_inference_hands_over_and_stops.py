@@ -1,4 +1,4 @@
-"""Inference that shares its robot with a successor, a fallback and stops."""
+"""Inference that shares its robot with a successor or a fallback, and stops."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_a_fallback_acts_while_the_policy_does_not_answer(
 def test_a_stop_outlives_a_change_of_policies(
     make_inference: Callable[..., Cell], request: pytest.FixtureRequest
 ) -> None:
-    """An answer to an image of before the stop moves nothing, whoever gives it."""
+    """An answer to an image from before the stop moves nothing, in any module."""
     cell = make_inference("moody", replace=WITH_FALLBACK)
     may_answer = cell.inference.module.backend.may_answer
     request.addfinalizer(may_answer.set)
@@ -103,7 +103,7 @@ def test_a_stop_outlives_a_change_of_policies(
 def test_what_is_started_during_a_stop_proves_that_it_sees(
     world: Any, make_inference: Callable[..., Cell]
 ) -> None:
-    """Else a start would wait in vain for its first action, and end by its time limit."""
+    """Otherwise a start would wait in vain for its first action, until its time limit."""
     EmergencyStopLatch.in_directory(world.state_directory).press(who="a test", reason="a test")
     cell = make_inference("instant")
     assert cell.status()["ready"] == "false"

@@ -1,4 +1,4 @@
-"""What a backend declares is compared before it is loaded, and kept to by its chunks."""
+"""A backend's declared space is checked before loading, and its chunks must be in it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ controller = "follower"
 
 @pytest.fixture
 def ask(make_host: Any) -> Any:
-    """Return a function that compares the backend "fickle" with other facts of its descriptor."""
+    """Return a function that checks the backend "fickle" with other fields of its descriptor."""
     from roboneuron.modules import module_host
 
     def ask(kind: str, config: str = CONFIG, **facts: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Which joint states control takes for true; everything else is refused."""
+"""Joint states that control accepts; all others are refused."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def make_profile(*, limited: bool = True) -> RobotProfile:
 def sample(
     *position: float, names: tuple[str, ...] = ARM, at_s: float = 0.0, offset_s: float = 0.0
 ) -> JointSample:
-    """Measured `at_s` after the first one; `offset_s` after that by its stamp."""
+    """A sample received `at_s` after the first one, with a stamp `offset_s` later."""
     return JointSample(
         names=names,
         position=np.array(position),
@@ -62,7 +62,7 @@ def accept(
 
 @pytest.fixture
 def watch() -> JointWatch:
-    """One that has seen the arm at 0."""
+    """A watch that has seen the arm at 0."""
     watch = JointWatch(make_profile(), TIMEOUT_S)
     assert accept(watch, 0.0, 0.0)
     return watch

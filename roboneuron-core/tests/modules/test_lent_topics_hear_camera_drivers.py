@@ -1,5 +1,5 @@
-"""What `NodeTopics` lends a plugin: subscriptions that follow their publishers' reliability, and
-who publishes what.
+"""Topics lent to a plugin by `NodeTopics`: subscriptions that match their publishers' reliability,
+and the types of publishers.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Control takes no 7-vector for several arms, and inference sees the state of each."""
+"""Control refuses 7-vectors for several arms, and inference sees the state of each."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ EVERY = ControllerSpec(
 
 
 class OneArm:
-    """Executes rows, and tells the TCP of one arm."""
+    """Executes rows, and returns the TCP of one arm."""
 
     def execute(self, *arguments: object) -> JointCommand | Hold:
         raise NotImplementedError
 
 
 class BothArms(OneArm):
-    """Tells both."""
+    """Returns the TCP of both arms."""
 
     def poses(self, joints: JointSample) -> tuple[Pose, ...]:
         raise NotImplementedError

@@ -1,6 +1,4 @@
-"""Whatever a module that commands an arm asks for, and in whatever state, nothing beyond the limits
-leaves it.
-"""
+"""Whatever a module that commands an arm requests, in any state, no command exceeds the limits."""
 
 from __future__ import annotations
 
@@ -24,11 +22,11 @@ from roboneuron.modules.module_host import ModuleHost
 
 STEP_S = 0.1
 FASTEST = 0.5
-"""Of each joint [rad/s]: the profile allows 1.0, the configuration half of it."""
+"""Speed limit of each joint [rad/s]: the profile allows 1.0, the configuration half of it."""
 
 
 class Hostile(HoldingModule):
-    """A feature's module that sends what it likes, by everything that its base lends it."""
+    """A feature's module that sends anything through everything that its base class lends it."""
 
     def __init__(self, node: Any) -> None:
         super().__init__(node)
@@ -43,7 +41,7 @@ class Hostile(HoldingModule):
 
 
 class Cell:
-    """A hostile module whose arm stands at START, and what has left it."""
+    """A hostile module whose arm stands at START, with its sent messages."""
 
     def __init__(self, make_host: MakeHost, **options: Any) -> None:
         self.host = make_host("control", extra="[limits]\nvelocity_fraction = 0.5\n", **options)
@@ -57,7 +55,7 @@ class Cell:
 
     @property
     def sent(self) -> list[list[float]]:
-        """Positions of every message that leads to the joints."""
+        """Positions of every message to the joints."""
         return [
             list(message.points[0].positions)
             for message in self.host.publishers["joint_trajectory"].messages
@@ -91,7 +89,7 @@ def test_a_jump_is_cut_to_what_the_limits_allow(cell: Cell, jump: list[float]) -
 
 
 def test_what_is_planned_is_limited_too(make_host: MakeHost) -> None:
-    """Of what is asked ahead of its time, nothing is faster or farther than what is due."""
+    """Rows planned ahead are limited like the current one."""
     cell = Cell(
         make_host, replace={"action_timeout_s = 0.3": "action_timeout_s = 0.8\nhorizon_s = 0.5"}
     )
@@ -217,7 +215,7 @@ def test_wider_limits_are_refused(cell: Cell) -> None:
     ("kind", "topic"), [(JointTrajectory, "joint_trajectory"), (JointState, "joint_command")]
 )
 def test_a_second_path_to_the_joints_is_refused(kind: type, topic: str) -> None:
-    """On a stand-in for a node that commands the arm already."""
+    """With a stand-in for a node that already commands the arm."""
     made: list[str] = []
     node: Any = SimpleNamespace(
         outputs={"joint_trajectory": lambda: 1},

@@ -1,4 +1,4 @@
-"""The robot and perception modules, judged by their topics and by what their driver was told."""
+"""The robot and perception modules, judged by their topics and by their driver's calls."""
 
 from __future__ import annotations
 
@@ -128,9 +128,7 @@ def test_robot_whose_clock_is_wrong_takes_no_commands_until_it_is_right(
     jump_s: float,
     word: str,
 ) -> None:
-    """A command from the future may be an old one: as long as the clocks are apart, its age is not
-    known.
-    """
+    """A command from the future may be an old one: its age is unknown while the clocks differ."""
 
     class Shifted:
         monotonic = staticmethod(time.monotonic)
@@ -238,7 +236,7 @@ def test_a_fault_of_the_robot_ends_what_was_asked_for_even_when_it_heals(
 
 
 def test_a_driver_s_own_topics_are_closed_while_the_server_is_silent(world: Any) -> None:
-    """A mobile base takes its velocities from a topic of its own."""
+    """A mobile base receives velocities on its own topic."""
     robot = world.start("robot", replace={"command_timeout_s = 0.3": "server_timeout_s = 0.2"})
     heard: list[bool] = []
     world.run(
@@ -262,7 +260,7 @@ def test_a_command_that_was_taken_before_a_stop_does_not_outlive_it(
     monkeypatch: pytest.MonkeyPatch,
     cause: str,
 ) -> None:
-    """The stop comes between taking a command and sending it: its hold reaches the driver before
+    """The stop comes between accepting and sending a command: its hold reaches the driver before
     the command.
     """
     driver, events, silences = robot.module.driver, [], []
@@ -296,7 +294,7 @@ def test_a_trajectory_that_was_frozen_is_not_taken_up_again(
     send = driver.send
 
     def frozen(command: JointCommand) -> JointCommand:
-        time.sleep(0.5)  # as SIGSTOP does to the process; command_timeout_s is 0.3
+        time.sleep(0.5)  # like SIGSTOP of the process; command_timeout_s is 0.3
         return send(command)
 
     publisher = world.publisher(JointTrajectory, "joint_trajectory")

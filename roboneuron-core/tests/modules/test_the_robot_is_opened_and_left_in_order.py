@@ -1,4 +1,4 @@
-"""The robot module makes, opens, holds and closes its driver in order; on a clock of the test."""
+"""The robot module creates, opens, holds and closes its driver in order; on a test clock."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stop drops what was to come and holds the driver; on a clock of the test."""
+"""A stop drops pending commands and holds the driver; on a test clock."""
 
 from __future__ import annotations
 
@@ -43,10 +43,12 @@ def test_the_emergency_stop_is_told_before_a_silent_server(cell: Cell) -> None:
 
 @pytest.mark.parametrize("word", STOPS)
 def test_a_stop_while_a_command_is_sent_is_followed_by_a_hold(cell: Cell, word: str) -> None:
-    """The hold of the stop itself came before the command."""
+    """The stop's own hold came before the command."""
     cell.while_sending = lambda: STOPS[word](cell)
     cell.command(0.1, 0.2)
-    for _ in range(2):  # what was to come is dropped, though nobody has told the module of the stop
+    for _ in range(
+        2
+    ):  # pending commands are dropped, though the module was not notified of the stop
         cell.play()
     assert [type(one).__name__ for one in cell.told] == ["JointCommand", "str"]
     assert not cell.robot._moving

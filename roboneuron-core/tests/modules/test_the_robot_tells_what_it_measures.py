@@ -1,4 +1,4 @@
-"""Measured states, details and faults; on a clock of the test."""
+"""Measured states, details and faults; on a test clock."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def state(**changes: Any) -> RobotState:
 
 
 def read(cell: Cell, **changes: Any) -> None:
-    """The driver measures, and the module publishes."""
+    """Let the driver measure and the module publish."""
     cell.driver.read = lambda: state(**changes)
     cell.reader.run()
 
@@ -84,7 +84,7 @@ def test_the_first_details_are_told_soon_after_the_machine_was_started(
 def test_what_was_true_is_forgotten_when_the_robot_cannot_be_read(
     make_host: MakeHost, now_s: float
 ) -> None:
-    """Soon after the machine was started, too."""
+    """Shortly after the machine's boot, too."""
     cell = Cell(make_host, activate=False)
     cell.clock.now_s = now_s
     cell.robot.activate()

@@ -1,4 +1,6 @@
-"""What commands an arm holds it whatever turns actions into commands; on a clock of the test."""
+"""A module that commands an arm holds it, whatever converts actions into commands; on a test
+clock.
+"""
 
 from __future__ import annotations
 

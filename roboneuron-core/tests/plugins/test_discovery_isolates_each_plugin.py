@@ -1,4 +1,4 @@
-"""Discovery names what is wrong with one plugin and keeps all others usable."""
+"""Discovery names the error of a plugin and keeps all others usable."""
 
 from __future__ import annotations
 
@@ -226,7 +226,7 @@ def test_a_disabled_plugin_is_never_imported(site):
 
 
 def _telling(body):
-    """A plugin whose feature is told of its discovery."""
+    """A plugin whose feature is notified of its discovery."""
     return f"""
 def told():
     {body}

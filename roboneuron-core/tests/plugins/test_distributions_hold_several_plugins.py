@@ -1,4 +1,6 @@
-"""A distribution may hold several plugins: each is found, left out and broken by itself."""
+"""A distribution may contain several plugins: each is discovered, disabled and broken
+separately.
+"""
 
 from __future__ import annotations
 
@@ -100,8 +102,8 @@ def test_a_conflict_names_plugin_and_distribution(site):
 
 
 def test_what_a_disabled_plugin_may_hold_is_not_said_to_be_absent(site):
-    """The hint of a package that is installed would be wrong: rn-standard holds the tools, and they
-    are disabled.
+    """An install hint for an installed package would be wrong: rn-standard contains the tools,
+    which are disabled.
     """
     install(site, "rn-standard", one=backend("first"), two=backend("second"))
     registry = site.discover(disabled=["rn-one"])

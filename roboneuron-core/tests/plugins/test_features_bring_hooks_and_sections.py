@@ -1,4 +1,4 @@
-"""A feature or a command may bring hooks of its own; two plugins may not own one section."""
+"""A feature or a command may bring its own hooks; two plugins must not own one section."""
 
 from __future__ import annotations
 

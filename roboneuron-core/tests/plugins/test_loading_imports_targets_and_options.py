@@ -1,4 +1,4 @@
-"""Targets are imported and options validated with errors that say what to do."""
+"""Targets are imported and options validated, with errors that tell what to do."""
 
 from __future__ import annotations
 

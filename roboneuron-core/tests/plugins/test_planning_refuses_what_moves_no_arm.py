@@ -1,5 +1,5 @@
-"""A robot, its driver and its controller are found and compared without importing any target; what
-features bring is planned by them.
+"""A robot, its driver and its controller are resolved and checked without importing any target;
+features plan their own parts.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is installed is read once, and again when a folder of the import path has changed."""
+"""Installed plugins are read once, and again if a folder of the import path has changed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def add_plugin(folder: Path, name: str) -> None:
     info.mkdir()
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[roboneuron]\n{name} = no_module_{name}\n")
-    # a folder may have been made within the resolution of its time
+    # a folder may be created within the resolution of its timestamp
     os.utime(folder, ns=(0, folder.stat().st_mtime_ns + 1))
     importlib.invalidate_caches()
 

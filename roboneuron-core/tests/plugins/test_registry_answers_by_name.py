@@ -1,4 +1,4 @@
-"""The registry finds descriptors by kind and name, or says why not."""
+"""The registry finds descriptors by kind and name, or tells why not."""
 
 from __future__ import annotations
 

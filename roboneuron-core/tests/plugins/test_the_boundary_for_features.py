@@ -1,5 +1,5 @@
-"""`roboneuron.feature`, `.command` and `.node` offer what they list, lazily, and nothing that
-`roboneuron` has under another meaning.
+"""`roboneuron.feature`, `.command` and `.node` lazily offer what they list, and no name with
+another meaning than in `roboneuron`.
 """
 
 from __future__ import annotations

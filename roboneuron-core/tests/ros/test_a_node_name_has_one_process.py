@@ -1,6 +1,4 @@
-"""A node's name is held by one process of the machine, and free again when that ends, however it
-ends.
-"""
+"""A node's name is held by one process of the machine, and released when it ends in any way."""
 
 from __future__ import annotations
 
@@ -32,7 +30,7 @@ def node() -> str:
 
 @pytest.fixture
 def other(node: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that holds the node."""
+    """A process that holds the node's name."""
     with subprocess.Popen(
         [sys.executable, "-c", HOLD, node], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as process:

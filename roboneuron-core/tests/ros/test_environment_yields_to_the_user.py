@@ -1,4 +1,4 @@
-"""Defaults for ROS from wheels are set only where the user has set nothing."""
+"""Defaults for ROS wheels are only set where the user has set nothing."""
 
 from __future__ import annotations
 

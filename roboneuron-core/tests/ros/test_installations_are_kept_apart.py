@@ -1,4 +1,4 @@
-"""A sourced ROS and the wheels: which one is used and why, and nothing of the other is left."""
+"""A sourced ROS and the wheels: which one is used and why, without remains of the other."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PYTHON = (3, 12)
 
 
 def lay_out(folder: Path, python: str = "3.12", packages: str = "site-packages") -> Path:
-    """A folder laid out as an installation of ROS, with nothing in it but marks."""
+    """A folder laid out like an installation of ROS, with only marker files."""
     package = folder / "lib" / f"python{python}" / packages / "rclpy"
     package.mkdir(parents=True)
     (package / "__init__.py").touch()
@@ -155,7 +155,7 @@ def test_a_mixture_is_refused(tmp_path: Path, ros: Path) -> None:
 def test_wheels_of_another_environment_are_no_sourced_installation(
     tmp_path: Path, ros: Path
 ) -> None:
-    """What a process of that environment hands on to those that it starts."""
+    """Variables that a process of that environment passes to its children."""
     (ros / "pyvenv.cfg").touch()
     environment = source(ros)
     assert find_sourced(environment, VENV) is None

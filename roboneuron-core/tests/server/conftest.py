@@ -1,5 +1,5 @@
-"""An application in this process without ROS, and a site with plugins for servers in processes of
-their own.
+"""An application in this process without ROS, and a site with plugins for servers in separate
+processes.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def server_environment(tmp_path: Path) -> dict[str, str]:
 
 @pytest.fixture
 def serve_command(tmp_path: Path) -> Callable[..., list[str]]:
-    """Return a function that writes a configuration and returns the command that serves it."""
+    """Return a function that writes a configuration and returns the serve command for it."""
 
     def make(*, source: str = "ticking", start_timeout_s: float = 60.0) -> list[str]:
         path = tmp_path / "roboneuron.toml"

@@ -1,5 +1,5 @@
-"""A plugin that exists for the tests of the server: the public fakes, a camera that ticks, and
-things that refuse.
+"""A plugin for tests of the server: the public fakes, a camera with a fixed rate, and parts that
+refuse.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ os.write(1, b"and one that writes to the descriptor\n")
 
 
 class TickingSource:
-    """Serves its cameras in turn, 20 frames per second each."""
+    """Serves its cameras in rotation, with 20 frames per second each."""
 
     def __init__(self, config, topics, cameras) -> None:
         self.topics, self.cameras, self.index = topics, list(cameras), 0
@@ -43,7 +43,7 @@ class TickingSource:
 
 
 class SilentSource(TickingSource):
-    """Opens, and never delivers."""
+    """Opens, but never delivers."""
 
     def read(self, timeout_s):
         from roboneuron.errors import NotReadyError
@@ -69,7 +69,7 @@ def picky(config, runtime=None, acceleration=None):
 
 
 class LingeringFeature(Feature):
-    """Never finishes closing, when it is told so."""
+    """Never finishes closing, if configured so."""
 
     def close(self) -> None:
         if os.environ.get("TEST_FEATURE_LINGERS"):

@@ -1,4 +1,4 @@
-"""What stays on the emergency stop's topic for nodes that come later is what the file says now."""
+"""The message that the emergency stop's topic keeps for late subscribers matches the file."""
 
 from __future__ import annotations
 

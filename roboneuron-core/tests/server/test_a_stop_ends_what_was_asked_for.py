@@ -1,4 +1,4 @@
-"""The server's knowledge of stops and instructions, on a supervisor without processes."""
+"""The server's state of stops and instructions, with a supervisor without processes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RECEIVED_S = 1.0
 
 
 class Process:
-    """A module that takes its parameters as a real one does, unless it hangs."""
+    """A module that accepts parameters like a real one, unless it hangs."""
 
     def __init__(
         self, kind: str, pid: int, *, instruction: str = "", needs_start: str = ""
@@ -59,7 +59,7 @@ class Process:
 
 
 class Slot:
-    """The place of a process, which has reported just now."""
+    """Slot of a process that has just reported."""
 
     def __init__(self, process: Process) -> None:
         self.kind, self.phase, self.process = process.kind, "running", process
@@ -73,7 +73,7 @@ class Slot:
 
 
 class Machine:
-    """A supervisor of one process of each kind."""
+    """A supervisor with one process of each kind."""
 
     def __init__(self) -> None:
         self.needs_start = ""
@@ -137,7 +137,7 @@ def test_a_module_that_ends_takes_the_policy_s_instruction(
 def test_whoever_settles_meets_no_thread_that_has_not_begun(
     machine: Machine, starts: MotionStarts, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A call asks for motion in the moment in which the watching thread sees a stop."""
+    """A call requests motion at the moment when the watching thread detects a stop."""
     begins, start = threading.Event(), threading.Thread.start
 
     def slow_start(thread: threading.Thread) -> None:

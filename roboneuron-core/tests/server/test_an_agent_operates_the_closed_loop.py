@@ -27,7 +27,7 @@ ServeCommand = Callable[..., list[str]]
 
 
 class Agent:
-    """Calls tools; remembers the progress of the newest call."""
+    """Calls tools; records the progress of the newest call."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -55,7 +55,7 @@ class Agent:
         return answer.meta["roboneuron/error"]["code"], answer.content[0].text  # type: ignore[union-attr]
 
     async def look(self, camera: str) -> tuple[dict[str, Any], np.ndarray[Any, Any]]:
-        """Facts and pixels of a camera's image, as PNG."""
+        """Metadata and pixels of a camera's image, as PNG."""
         answer = await self._call("get_camera_image", {"camera": camera, "format": "png"})
         assert not answer.is_error, answer.content
         picture = next(block for block in answer.content if isinstance(block, types.ImageContent))

@@ -1,4 +1,4 @@
-"""Arguments are taken as JSON has them: nothing is converted, and what is refused is named."""
+"""Arguments have JSON's types: nothing is converted, and refusals name the argument."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from roboneuron.server.tool import Arguments
 
 
 class Step(Arguments):
-    """Inside of another."""
+    """A nested model."""
 
     duration_s: float = Field(gt=0)
 

@@ -1,6 +1,4 @@
-"""Calls that cannot be served: refused before anything is spawned, with a code, a message and what
-to do.
-"""
+"""Invalid calls are refused before anything is spawned, with a code, a message and a remedy."""
 
 from __future__ import annotations
 

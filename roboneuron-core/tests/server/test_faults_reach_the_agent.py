@@ -1,4 +1,4 @@
-"""What an agent is told when modules die or freeze, and a stop from the command line."""
+"""Reports to the agent when modules die or freeze, and a stop from the command line."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STATUS = "roboneuron://status"
 
 
 class Agent:
-    """A client of the older protocol era that has subscribed to the status."""
+    """A client of the older protocol version that has subscribed to the status."""
 
     def __init__(self, client: Client) -> None:
         self.client = client
@@ -49,7 +49,7 @@ class Agent:
 
 
 def release_in_terminal(command: list[str], environment: dict[str, str]) -> None:
-    """What a person does: run the command in a terminal, and say yes."""
+    """Act as a person: run the command in a terminal, and confirm."""
     person, terminal = pty.openpty()
     try:
         os.write(person, b"y\n")

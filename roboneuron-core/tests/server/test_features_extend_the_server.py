@@ -1,4 +1,4 @@
-"""Features bring tools, resources, start and close; a broken one hurts nobody else."""
+"""Features bring tools, resources, start and close; a broken one does not affect the others."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Number(Result):
 
 
 class Odometer(Feature[None]):
-    """Everything that a feature may bring."""
+    """A feature that brings everything possible."""
 
     def tools(self, host: Host) -> list[Tool[Any]]:
         async def read(_: NoArguments, context: CallContext) -> Number:
@@ -80,7 +80,7 @@ class Dependent(Feature[None]):
 
 
 class Pigeons(Feature[None]):
-    """Serves a transport, knows its clients, and lets nobody act on Mondays."""
+    """Serves a transport, identifies clients, and refuses actions on Mondays."""
 
     identifies_clients = True
 
@@ -119,7 +119,7 @@ class BadClose(Odometer):
 
 
 class Sender(Feature[None]):
-    """Lends a gate, moves something, and has to work."""
+    """Lends a gate, moves something, and is required."""
 
     gate = "the gate"
     is_moving = True

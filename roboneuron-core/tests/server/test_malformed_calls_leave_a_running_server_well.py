@@ -1,5 +1,5 @@
-"""Ten thousand malformed calls over MCP to a server process: each is an error, nothing is on the
-bus, it serves on.
+"""Ten thousand malformed calls over MCP to a server process: each is an error, nothing is
+published, and the server continues.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ INTERNALS = re.compile(
 
 
 def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Paths of everything inside a value."""
+    """Paths of all nested values."""
     if path:
         yield path
     items = (
@@ -149,7 +149,7 @@ def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 
 def replaced(value: Any, path: tuple[Any, ...], new: Any) -> Any:
-    """A copy with something else at a path."""
+    """A copy with another value at a path."""
     if not path:
         return new
     copy = dict(value) if isinstance(value, dict) else list(value)
@@ -158,7 +158,7 @@ def replaced(value: Any, path: tuple[Any, ...], new: Any) -> Any:
 
 
 def is_right(old: Any, new: Any) -> bool:
-    """Whether a replacement could be valid: the same kind of text, or a truth for a truth."""
+    """True if a replacement could be valid: the same kind of text, or a boolean for a boolean."""
     return (isinstance(new, str) and isinstance(old, str) and len(new) < 200_000) or (
         new is True and old in (True, False)
     )
@@ -191,8 +191,8 @@ class Wire:
         return answer
 
     def ask(self, method: str, params: Any) -> dict[str, Any]:
-        """The answer; one without an id is to what the server cannot read as a message. A ping
-        shows that it lives.
+        """The answer; one without an id answers a message that the server cannot parse. A ping
+        shows that the server is alive.
         """
         self._number += 2
         self.send({"jsonrpc": "2.0", "id": self._number, "method": method, "params": params})
@@ -260,7 +260,9 @@ def malformed(chance: random.Random) -> tuple[str, Any]:
 
 
 def throw(wire: Wire, wheels: Any, calls: int) -> None:
-    """Throw calls, then see that the server serves, has not grown, and that the bus was silent."""
+    """Send the calls, then check that the server works, has not grown, and that nothing was
+    published.
+    """
     chance = random.Random(3)
     server = psutil.Process(wire.process.pid)
     unread = 0

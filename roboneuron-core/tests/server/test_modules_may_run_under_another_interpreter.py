@@ -1,5 +1,5 @@
-"""With `python` in its section a module runs elsewhere: what its plugin needs is not looked for in
-the server.
+"""With `python` in its section a module runs under another interpreter, so its plugin's
+requirements are not checked in the server.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What tools/list shows of a result is what its JSON schema says, made or not."""
+"""A result in tools/list matches its JSON schema, whether instantiated or not."""
 
 from __future__ import annotations
 

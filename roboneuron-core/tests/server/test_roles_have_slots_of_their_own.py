@@ -1,4 +1,4 @@
-"""Calls of those who look on never take the place of calls of those who act."""
+"""Calls of viewers never use the slots of acting clients."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""However the server ends, its modules end with it; and nothing but JSON-RPC was ever on its
-stdout.
-"""
+"""However the server ends, its modules end with it; and its stdout only ever contains JSON-RPC."""
 
 from __future__ import annotations
 
@@ -20,11 +18,11 @@ from rn_testing.waiting import wait_until
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
 ServeCommand = Callable[..., list[str]]
 PATIENCE_S = 25.0
-"""Two seconds on an idle machine; the bound only has to tell a slow end from a hang."""
+"""Two seconds on an idle machine; the bound only distinguishes a slow end from a hang."""
 
 
 class Wire:
-    """JSON-RPC by hand over a server's pipes; keeps every byte of its stdout."""
+    """Hand-written JSON-RPC over a server's pipes; records all of its stdout."""
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self.process = process
@@ -45,7 +43,7 @@ class Wire:
         self._write({"jsonrpc": "2.0", "id": self._number, "method": method, "params": params})
 
     def receive(self) -> bytes:
-        """The next line, whatever it is."""
+        """The next line of any kind."""
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         assert line, "the server has closed its stdout"
@@ -53,7 +51,7 @@ class Wire:
         return line
 
     def shake_hands(self) -> None:
-        """The handshake of a client of 2025."""
+        """The handshake of the 2025 protocol."""
         client = {"name": "wire", "version": "1"}
         self.request(
             "initialize",
@@ -90,7 +88,7 @@ def serving(command: list[str], environment: dict[str, str]) -> Iterator[Wire]:
 
 
 def is_gone(pid: int) -> bool:
-    """No such process, or a zombie that its new parent has not collected yet."""
+    """True if there is no such process, or only a zombie that its new parent has not reaped yet."""
     try:
         with open(f"/proc/{pid}/stat") as file:
             return file.read().rsplit(")", 1)[1].split()[0] == "Z"
@@ -101,7 +99,7 @@ def is_gone(pid: int) -> bool:
 @pytest.mark.parametrize(
     ("end", "is_frozen"),
     [
-        # one of the two modules is frozen in those below, the other ends as here
+        # in the cases below one of the two modules is frozen, the other ends as here
         pytest.param("stdin", False, marks=pytest.mark.slow),
         ("stdin", True),
         ("SIGTERM", False),
@@ -114,7 +112,7 @@ def is_gone(pid: int) -> bool:
 def test_modules_end_with_the_server(
     serve_command: ServeCommand, server_environment: dict[str, str], end: str, is_frozen: bool
 ) -> None:
-    """Also one that is frozen: a stopped process does not hear its death signal by itself."""
+    """Even a frozen one: a stopped process does not receive its death signal by itself."""
     with serving(serve_command(), server_environment) as wire:
         wire.shake_hands()
         pids = [wire.call("start_robot")["pid"], wire.call("start_perception")["pid"]]

@@ -1,4 +1,4 @@
-"""What an agent reads of the tools: names, schemas, choices, annotations, results."""
+"""Tool descriptions for agents: names, schemas, choices, annotations, results."""
 
 from __future__ import annotations
 

@@ -33,13 +33,13 @@ def fake_command() -> Callable[[str | None], list[str]]:
 
 @pytest.fixture(scope="session", autouse=True)
 def _own_domain() -> None:
-    """ROS traffic of this test run stays in a domain of its own."""
+    """Keep ROS traffic of this test run in its own domain."""
     os.environ.setdefault("ROS_DOMAIN_ID", str(free_ros_domain()))
 
 
 @pytest.fixture
 def make_config() -> Callable[..., Config]:
-    """Return a function: faults by kind, and timeouts, to a configuration."""
+    """Return a function that makes a configuration with faults by kind, and timeouts."""
 
     def make(start_timeout_s: float = 20.0, stop_timeout_s: float = 3.0, **faults: str) -> Config:
         lines = [f'{kind} = "{word}"' for kind, word in faults.items()]
@@ -56,7 +56,7 @@ def make_config() -> Callable[..., Config]:
 def supervisor(
     tmp_path: Path, fake_command: Callable[[str | None], list[str]]
 ) -> Iterator[Supervisor]:
-    """A supervisor that is closed at the end of the test, whatever happened."""
+    """A supervisor that is always closed at the end of the test."""
     supervisor = Supervisor(tmp_path, command=fake_command)
     try:
         yield supervisor
@@ -68,7 +68,7 @@ def supervisor(
 def world(
     tmp_path: Path, make_config: Callable[..., Config], monkeypatch: pytest.MonkeyPatch
 ) -> Iterator[World]:
-    """A supervisor whose modules are scripted, on a clock that only they make go."""
+    """A supervisor with scripted modules, on a clock that only they advance."""
     world = World(tmp_path, make_config)
     for module in (changes_module, process_module, supervisor_module):
         monkeypatch.setattr(module, "time", world.clock)
@@ -79,13 +79,15 @@ def world(
 
 @pytest.fixture
 def log_path(tmp_path: Path) -> Path:
-    """Where the processes of `start` log."""
+    """Log file of the processes of `start`."""
     return tmp_path / "log" / "arm.log"
 
 
 @pytest.fixture
 def start(log_path: Path) -> Iterator[Spawn]:
-    """Return a function that starts a shell with a script and reaps it; all are dead in the end."""
+    """Return a function that starts a shell with a script and reaps it; all are killed at the
+    end.
+    """
     started: list[ModuleProcess] = []
 
     def run(

@@ -1,5 +1,5 @@
-"""A module process with faults on demand: the real node, protocol and parent watch around behaviour
-that misbehaves.
+"""A module process with faults on demand: the real node, protocol and parent watch around faulty
+behaviour.
 
 The fault is read from `[plugins.fault]` of the configuration: module kind -> word.
 """
@@ -41,7 +41,7 @@ from roboneuron.modules.module_host import Module  # noqa: E402
 
 
 class FakeModule(Module):
-    """Becomes ready when it is activated, except where its fault says otherwise."""
+    """Becomes ready on activation, except for its fault."""
 
     def __init__(self, node: ModuleNode) -> None:
         super().__init__(node)
@@ -105,7 +105,7 @@ if fault == "loses-answers":
     send = Service.send_response
 
     def lose(service: Service, response: object, header: object) -> None:
-        """As when the node has not discovered yet where to send the answer."""
+        """As if the node has not discovered the client of the answer yet."""
         if not isinstance(response, ChangeState.Response):
             send(service, response, header)
 
@@ -119,7 +119,7 @@ if fault == "ignores-sigterm":
 node = ModuleNode(settings, FakeModule)
 executor = SingleThreadedExecutor()
 executor.add_node(node)
-if fault == "reads-stdin-late":  # as when the thread that reads it is not given the processor
+if fault == "reads-stdin-late":  # as if its thread gets no processor time
     heard = node.note_beat
     node.note_beat = lambda data: (time.sleep(0.1), heard(data))  # type: ignore[method-assign,func-returns-value]
 node.watch_parent(signals.leave)

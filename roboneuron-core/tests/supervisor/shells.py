@@ -1,4 +1,4 @@
-"""What tests of processes that are shells share."""
+"""Shared helpers for tests of processes that are shells."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Spawn = Callable[..., ModuleProcess]
 
 
 def end_now(process: ModuleProcess) -> None:
-    """Not by Popen, which would reap it under its reaper's hands."""
+    """Kill without Popen, which would reap it in place of its reaper."""
     if process.exit_code is None:
         for end in (os.killpg, os.kill):
             with suppress(OSError):
@@ -35,7 +35,7 @@ def await_line(path: Path, line: str) -> None:
 
 
 def state_of(pid: int) -> str:
-    """The letter of proc(5); Z too when nobody is left who knows the process."""
+    """State letter of proc(5); also Z if the process no longer exists."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except OSError:

@@ -1,4 +1,4 @@
-"""A supervisor whose modules are scripted on a clock of the test; no process is started."""
+"""A supervisor with scripted modules on a test clock; no process is started."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NEVER = float("inf")
 
 
 class Clock:
-    """A clock that only modules make go."""
+    """A clock that only modules advance."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -34,8 +34,8 @@ class Module:
     """A module process and its node.
 
     Attributes:
-        deactivates_s: how long its node takes to fall silent; NEVER for one that does not answer.
-        leaves_s: how long it takes to end after SIGTERM.
+        deactivates_s: time until its node is deactivated; NEVER if it does not answer.
+        leaves_s: time until it ends after SIGTERM.
     """
 
     def __init__(self, pid: int, world: World, name: str = "module") -> None:
@@ -128,7 +128,7 @@ class World:
     def running(
         self, kind: ModuleKind, *, stop_timeout_s: float = 3.0, slot: Slot | None = None
     ) -> Module:
-        """A module that was started."""
+        """A started module."""
         slot = slot or self.starting(kind, stop_timeout_s=stop_timeout_s)
         module = Module(next(self._pids), self, kind)
         slot.process = module  # type: ignore[assignment]

@@ -1,4 +1,4 @@
-"""A module that is frozen while somebody waits for it ends that wait, not the wait's time-out."""
+"""If a module is frozen while a call waits for it, the wait ends at once, not at its timeout."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from roboneuron.supervisor.supervisor import Supervisor
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 START_S = 40.0
 SOON_S = 15.0
-"""Half a second on an idle machine; what counts is that nobody waits for the start's time-out."""
+"""Half a second on an idle machine; what matters is that nothing waits for the start's timeout."""
 MakeConfig = Callable[..., Config]
 
 

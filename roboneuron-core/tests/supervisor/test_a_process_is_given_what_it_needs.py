@@ -1,4 +1,4 @@
-"""One child process: what it is given, what it is told, and the end of its log.
+"""One child process: its environment, its input, and the end of its log.
 
 The children are shells; no module and no ROS node is started.
 """

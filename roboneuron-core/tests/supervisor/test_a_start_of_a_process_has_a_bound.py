@@ -1,4 +1,4 @@
-"""An interpreter on a file system that does not answer keeps nobody waiting without end."""
+"""An interpreter on a file system that does not answer blocks no caller forever."""
 
 from __future__ import annotations
 

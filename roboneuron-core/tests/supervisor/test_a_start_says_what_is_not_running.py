@@ -1,4 +1,6 @@
-"""A module whose inputs nobody provides says so after seconds, not after the start's time-out."""
+"""A module whose inputs have no publisher reports this after seconds, not after the start's
+timeout.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""What a stop does to a start in progress, and which phase a slot is in.
+"""Effect of a stop on a start in progress, and the phase of a slot.
 
-No process is started: what a module does is scripted, on a clock of the test.
+No process is started: modules are scripted, on a test clock.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def test_a_cancelled_start_is_not_waited_for(world: World) -> None:
 
 
 def test_the_newest_start_alone_is_cancelled(world: World) -> None:
-    """A replacement that is being started does not end the one that works."""
+    """A starting replacement does not end the working module."""
     world.starting("control")
     beside = Slot("control", world.supervisor.changes)
     world.supervisor.slots["control"].append(beside)

@@ -1,6 +1,6 @@
-"""How the supervisor stops modules: in which order, how long each may take, and what it says.
+"""The supervisor's stop of modules: order, time limits, and reports.
 
-No process is started: what a module does is scripted, on a clock of the test.
+No process is started: modules are scripted, on a test clock.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ def test_within_a_bound_silence_that_costs_nothing_leaves_more_time_to_leave(
 def test_a_silence_that_took_too_long_leaves_a_share_to_leave(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A module leaves by itself within its share, and releases what it has."""
+    """A module ends by itself within its share of the time, and releases its resources."""
     robot = world.running("robot", stop_timeout_s=30.0)
     robot.leaves_s = NEVER
     transition = world.transition

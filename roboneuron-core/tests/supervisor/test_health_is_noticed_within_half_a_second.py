@@ -1,4 +1,4 @@
-"""The watch, judged by real processes that are frozen and killed."""
+"""The watch, tested with real processes that are frozen and killed."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MakeConfig = Callable[..., Config]
 
 
 class Diary:
-    """Every change of health, with the monotonic time at which it was told."""
+    """Every change of health, with the monotonic time of its notification."""
 
     def __init__(self) -> None:
         self.entries: list[tuple[float, str, Health]] = []
@@ -34,7 +34,7 @@ class Diary:
     def wait_for(
         self, kind: str, *words: Health, since_s: float = 0.0, timeout_s: float = 5.0
     ) -> float:
-        """Time of the first such entry after `since_s`."""
+        """Time of the first matching entry after `since_s`."""
 
         def found() -> float | None:
             return next(

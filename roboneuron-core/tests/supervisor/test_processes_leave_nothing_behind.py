@@ -1,4 +1,4 @@
-"""One child process: how it is told to leave, and what may remain of it: nothing.
+"""One child process: how it is ended, without any remains.
 
 The children are shells; no module and no ROS node is started.
 """
@@ -74,7 +74,7 @@ def test_sigterm_lets_a_process_leave_by_itself(start: Spawn, log_path: Path) ->
 def test_sigterm_reaches_the_process_and_not_what_it_has_started(
     start: Spawn, log_path: Path
 ) -> None:
-    """A module releases its device first; its children are killed at its end."""
+    """A module first releases its device; its children are killed at its end."""
     process = start(
         "trap 'echo asked' TERM; sleep 60 & echo child $!; echo up; while :; do wait; done"
     )
@@ -127,7 +127,7 @@ def test_sigkill_reaches_a_process_that_has_left_its_group(
 def test_sigkill_is_for_the_children_first_then_for_a_process_that_has_left_its_group(
     start: Spawn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its children end though it hangs in a driver itself."""
+    """Its children end even if it hangs in a driver."""
     process = start("cat")
     sent: list[tuple[str, int, int]] = []
     with monkeypatch.context() as patch:
@@ -143,7 +143,7 @@ def test_sigkill_is_for_the_children_first_then_for_a_process_that_has_left_its_
 def test_no_signal_is_sent_to_a_process_that_was_reaped(
     start: Spawn, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its number may be another process's by now."""
+    """Its pid may already belong to another process."""
     process = start("true")
     assert process.wait(SOON_S)
     sent: list[int] = []

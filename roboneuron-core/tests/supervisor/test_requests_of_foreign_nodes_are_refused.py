@@ -1,5 +1,5 @@
-"""A foreign node may call a module's services; only what its own server asks for is done, the rest
-is reported.
+"""A foreign node may call a module's services; only requests of the module's own server are
+executed, others are reported.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ def test_what_was_announced_is_taken_once_and_in_any_pieces() -> None:
 def test_the_server_s_own_requests_are_known_whoever_reads_their_announcements_and_when(
     supervisor: Supervisor, make_config: MakeConfig, fault: str
 ) -> None:
-    """The thread that reads stdin may not get the processor in time; what a plugin starts may read
-    its stdin too.
+    """The thread that reads stdin may not get processor time; processes started by a plugin may
+    read its stdin too.
     """
     view = supervisor.start(fake_plan("inference", make_config(inference=fault)))
     assert view.process is not None
@@ -67,8 +67,8 @@ def test_the_server_s_own_requests_are_known_whoever_reads_their_announcements_a
 
 
 def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
-    """The pipe of a process that hangs is full at some time: what is lost there would make a
-    request a foreign one.
+    """The pipe of a hung process fills up; a lost announcement would make the request look
+    foreign.
     """
     log = tmp_path / "log" / "hangs.log"
     process = spawn("hangs", ["sleep", "60"], os.environ, "", log, ProcessEvents())
@@ -89,7 +89,9 @@ def test_a_request_that_cannot_be_announced_is_not_sent(tmp_path: Path) -> None:
 
 
 def test_a_signal_leaves_what_has_ended_to_who_waits_for_it(tmp_path: Path) -> None:
-    """Whoever reaps it besides takes its end away: it would count as running for ever."""
+    """If another thread reaps it, its exit status is lost, and it would count as running
+    forever.
+    """
     process = spawn(
         "ends", ["true"], os.environ, "", tmp_path / "log" / "ends.log", ProcessEvents()
     )
@@ -104,7 +106,7 @@ def test_a_signal_leaves_what_has_ended_to_who_waits_for_it(tmp_path: Path) -> N
 @pytest.fixture
 def foreign(supervisor: Supervisor) -> Iterator[RosLink]:
     """Another node on the graph."""
-    assert supervisor.link  # joins the graph first, as the environment has to be prepared
+    assert supervisor.link  # joins the graph first, because the environment has to be prepared
     link = RosLink("meddler")
     link.open()
     yield link

@@ -1,4 +1,4 @@
-"""Whether a process is frozen, and how several are ended together.
+"""Detection of frozen processes, and the joint end of several.
 
 The children are shells; no module and no ROS node is started.
 """
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.timeout(60)
 
 
 class Clock:
-    """A clock that stands where a test sets it."""
+    """A clock set by the test."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -107,7 +107,7 @@ def test_a_process_that_goes_on_in_between_is_not_frozen(start: Spawn, clock: Cl
 
 
 class Fake:
-    """A process that leaves so long after SIGTERM or SIGKILL, on a clock of the test."""
+    """A process that ends this long after SIGTERM or SIGKILL, on a test clock."""
 
     def __init__(
         self,

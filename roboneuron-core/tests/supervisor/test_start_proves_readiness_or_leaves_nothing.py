@@ -1,4 +1,4 @@
-"""Starting module processes, and what is left when that fails."""
+"""Starting module processes, and the remains of a failed start: none."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MakeConfig = Callable[..., Config]
 
 
 def is_gone(pid: int) -> bool:
-    """Whether the process is no longer in the process table, not even as a zombie."""
+    """True if the process is no longer in the process table, not even as a zombie."""
     return not os.path.exists(f"/proc/{pid}")
 
 

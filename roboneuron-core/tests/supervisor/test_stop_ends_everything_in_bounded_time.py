@@ -1,4 +1,4 @@
-"""Stopping module processes, their death by other hands, and what may remain: nothing."""
+"""Stopping module processes, their death by other causes, and their remains: none."""
 
 from __future__ import annotations
 
@@ -24,11 +24,13 @@ from roboneuron.supervisor.supervisor import Supervisor
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(60)]
 MakeConfig = Callable[..., Config]
 PATIENCE_S = 15.0
-"""Two seconds on an idle machine; the bound only has to tell a slow end from a hang."""
+"""Two seconds on an idle machine; the bound only distinguishes a slow end from a hang."""
 
 
 def is_gone(pid: int) -> bool:
-    """No such process, or an orphan that has ended and was not collected by its new parent yet."""
+    """True if there is no such process, or only an orphan that has ended and is not reaped by its
+    new parent yet.
+    """
     try:
         with open(f"/proc/{pid}/stat") as file:
             return file.read().rsplit(")", 1)[1].split()[0] == "Z"
@@ -56,8 +58,8 @@ def test_a_stopped_module_was_deactivated_and_is_reaped(
 def test_a_failed_start_whose_process_cannot_be_ended_leaves_a_slot_that_can_be_used(
     supervisor: Supervisor, make_config: MakeConfig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A process that hangs in a driver survives SIGKILL for a while, as one does on a machine
-    without time for it.
+    """A process that hangs in a driver survives SIGKILL for a while, as on an overloaded
+    machine.
     """
 
     def end(processes: Sequence[ModuleProcess], timeout_s: float) -> set[int]:

@@ -1,4 +1,4 @@
-"""The thread that repeats a step, and the wait with a bound that everybody uses."""
+"""The thread that repeats a step, and the bounded wait used everywhere."""
 
 from __future__ import annotations
 

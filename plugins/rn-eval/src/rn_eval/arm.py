@@ -1,8 +1,8 @@
-"""The path from action to joint command, as the control module of a running robot has it:
-controller and limits.
+"""The path from action to joint command, as in the control module of a running robot: controller
+and limits.
 
-The module is a ROS node on the wall clock; here the same controller and limiter run by the clock of
-a simulation.
+That module is a ROS node on the wall clock; this class runs the same controller and limiter on the
+clock of a simulation.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from roboneuron.command import MotionLimiter, motion_rules, settings
 
 F64 = NDArray[np.float64]
 _SHARE_OF_REST = 0.5
-"""As of the control module: how much of the time that is left of a row the next one is given."""
+"""Share of the remaining motion time that is added to the next row, as in the control module."""
 
 
 class DeployedArm:
@@ -40,7 +40,7 @@ class DeployedArm:
             ConfigurationError: the limits do not fit the robot, or there is no section [control].
         """
         control = setup.config.control
-        assert control is not None  # the plan has one
+        assert control is not None  # checked by the plan
         self._control = control
         self._names = setup.profile.arm_joints
         self._controller = controller
@@ -58,15 +58,15 @@ class DeployedArm:
     def command(
         self, vector: F64, joints: JointSample, now_s: float
     ) -> tuple[JointCommand | None, str]:
-        """What is sent for an action, and a word for what stopped or changed it.
+        """Compute the command for an action, and a word if it was stopped or changed.
 
         Args:
             vector: one row of `Setup.space`, contract units.
-            joints: measured now.
+            joints: current measurement.
             now_s: simulated time [s].
 
         Returns:
-            A command (which may be a hold), or None when it is refused and the one before goes on;
+            A command (possibly a hold), or None if it is refused and the previous one continues;
             and "", "scaled" or the code of the hold.
         """
         since_s = now_s - self._action_s
@@ -94,11 +94,11 @@ class DeployedArm:
     def _compute(
         self, row: F64, joints: JointSample, step_s: float, now_s: float
     ) -> JointCommand | Hold:
-        """The controller's answer to one row, as the control module asks for it."""
+        """Compute the controller's answer to one row, as the control module does."""
         space = self._space
         if space is EE_DELTA:
             return self._controller.compute(Action.from_vector(row), joints, step_s)
-        controller = cast("SpaceController", self._controller)  # planning has looked
+        controller = cast("SpaceController", self._controller)  # checked by the plan
         if space.rate_hz:
             step_s = 1.0 / space.rate_hz
         reference = self._limiter.reference(joints, now_s)
@@ -109,7 +109,9 @@ class DeployedArm:
         return answer
 
     def watch(self, joints: JointSample, now_s: float) -> JointCommand | None:
-        """A hold when actions have ceased; None otherwise, and while it holds already."""
+        """Return a hold if actions have stopped coming; None otherwise, and while already
+        holding.
+        """
         if self._holding or now_s - self._action_s <= self._control.hold_after_s:
             return None
         return self._hold(joints, now_s)

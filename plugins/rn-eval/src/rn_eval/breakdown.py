@@ -1,4 +1,4 @@
-"""Success by what the suite's judge tells of an episode: `roboneuron eval report --by FACT`."""
+"""Success by facts of the suite's judge: `roboneuron eval report --by FACT`."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from roboneuron import ConfigurationError
 
 
 def breakdown(summary: Summary, by: str) -> str:
-    """A Markdown table: one line for each value or range of a fact, one column for each variant.
+    """A Markdown table with one line per value or range of a fact, and one column per variant.
 
     Args:
-        summary: of one ledger or several.
-        by: the fact's name; of a number with its bounds, "turned_rad=0.2,0.4" for below 0.2, 0.2 to
-            0.4, from 0.4 on.
+        summary: summary of one or several ledgers.
+        by: name of the fact; for a number with bounds: "turned_rad=0.2,0.4" for below 0.2, 0.2 to
+            0.4, and from 0.4 on.
 
     Raises:
-        ConfigurationError: no episode tells that fact, bounds are no rising numbers, or a text is
-            to have bounds.
+        ConfigurationError: no episode has that fact, the bounds are not increasing numbers, or
+            bounds are given for a text.
     """
     name, _, told = by.partition("=")
     bounds = _bounds(told) if told else ()
@@ -58,7 +58,7 @@ def _bounds(text: str) -> tuple[float, ...]:
 
 
 def _group(value: str | float | None, name: str, bounds: Sequence[float]) -> tuple[float, str]:
-    """Place in the table, and what is written there."""
+    """Sort key and label of a group."""
     if value is None:
         return math.inf, "not told"
     if isinstance(value, str):

@@ -1,8 +1,8 @@
-"""Between vla-eval's conventions for LIBERO and the contract.
+"""Conversion between vla-eval's conventions for LIBERO and the contract.
 
 Source: vla-eval 0.8.0, benchmarks/libero and model_servers/{openvla,oft}.py. Images come rotated as
-the training data have them, the state is position [m], rotation vector [rad] and both fingers [m];
-actions are in units of robosuite's OSC_POSE, the gripper -1 open, 1 closed.
+in the training data; the state is position [m], rotation vector [rad] and both fingers [m]; actions
+are in units of robosuite's OSC_POSE, the gripper -1 open, 1 closed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ STAMP_NS = 1
 
 
 class _State(TypedDict, total=False):
-    """What an observation of a robot holds beside images and instruction."""
+    """Robot state of an observation."""
 
     joints: JointSample
     ee_pose: Pose
@@ -35,10 +35,10 @@ class _State(TypedDict, total=False):
 def to_observation(
     payload: Mapping[str, object], roles: Sequence[str], *, needs_state: bool
 ) -> Observation:
-    """What a benchmark sends -> what a backend reads.
+    """Convert a benchmark's payload to an observation.
 
     Args:
-        payload: `images` by name, the first one of the scene, the second at the wrist;
+        payload: `images` by name, first the scene camera, then the wrist camera;
             `task_description`; `states`.
         roles: the backend's cameras, in that order.
         needs_state: the backend reads the state.
@@ -81,8 +81,8 @@ def _state(payload: Mapping[str, object]) -> _State:
 
 
 def _quaternion(rotvec_rad: F64) -> F64:
-    """Rotation vector (3,) -> quaternion x, y, z, w whose sign says which of the two vectors it
-    was.
+    """Rotation vector (3,) -> quaternion x, y, z, w; its sign tells which of the two equivalent
+    vectors it was.
     """
     angle = float(np.linalg.norm(rotvec_rad))
     if angle == 0.0:
@@ -91,13 +91,13 @@ def _quaternion(rotvec_rad: F64) -> F64:
 
 
 def to_action(vector: F64) -> NDArray[np.float32]:
-    """A contract action (7,) -> what the benchmark steps with, float32 (7,)."""
+    """Contract action (7,) -> the benchmark's action, float32 (7,)."""
     motion = np.concatenate([vector[:3] / METRES_PER_UNIT, vector[3:6] / RADIANS_PER_UNIT])
     return np.concatenate([motion, [-np.sign(2.0 * vector[6] - 1.0)]]).astype(np.float32)
 
 
 def specs(roles: Sequence[str], *, needs_state: bool) -> dict[str, object]:
-    """What HELLO tells of actions and observations, and asks of the benchmark."""
+    """Specification of actions and observations in HELLO."""
 
     def one(
         name: str, dims: int, form: str, limits: tuple[float, float] | None = None

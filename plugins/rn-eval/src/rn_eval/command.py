@@ -21,7 +21,7 @@ EXECUTIONS = ("sequential", "overlap", "rtc", "predicted-state", "auto")
 
 
 def _names(text: str) -> tuple[str, ...]:
-    """A list on the command line."""
+    """Parse a comma-separated list of the command line."""
     return tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
 
 
@@ -36,17 +36,17 @@ class Eval:
             dest="action", required=True, metavar="ACTION", help="what to do (each: --help)"
         )
         run = actions.add_parser(
-            "run", help="run episodes, or what a run that was ended has left to do"
+            "run", help="run episodes, or the missing ones of an interrupted run"
         )
         self._configure_run(run)
-        resume = actions.add_parser("resume", help="go on with a run, as it was begun")
-        resume.add_argument("directory", type=Path, help="its folder")
+        resume = actions.add_parser("resume", help="resume a run with its own plan")
+        resume.add_argument("directory", type=Path, help="folder of the run")
         self._configure_workers(resume)
         report = actions.add_parser("report", help="write the report of one or several runs")
         report.add_argument(
             "directories", type=Path, nargs="+", metavar="DIRECTORY", help="folders of runs"
         )
-        report.add_argument("--out", type=Path, help="where it goes; default: the first folder")
+        report.add_argument("--out", type=Path, help="output folder; default: the first one given")
         report.add_argument(
             "--paper-table",
             action="store_true",
@@ -60,10 +60,10 @@ class Eval:
         actions.add_parser("suites", help="list the installed suites")
         agents.configure(
             actions.add_parser(
-                "agents", help="evaluate agents that operate a simulated robot by the tools"
+                "agents", help="evaluate agents that operate a simulated robot through the tools"
             )
         )
-        served = actions.add_parser("serve", help="be a model server of vla-eval 0.8")
+        served = actions.add_parser("serve", help="run as a model server of vla-eval 0.8")
         self._configure_serve(served)
 
     def _configure_serve(self, parser: ArgumentParser) -> None:
@@ -71,7 +71,7 @@ class Eval:
         add(
             "--suite",
             default="libero-spatial",
-            help="whose robot and options hold (default: libero-spatial)",
+            help="suite whose robot and options are used (default: libero-spatial)",
         )
         self._configure_policy(parser)
         add("--preset", default="none", help="acceleration preset (default: none)")
@@ -91,7 +91,7 @@ class Eval:
         add(
             "--config",
             type=Path,
-            help="a roboneuron.toml: limits, control and options of plugins hold",
+            help="a roboneuron.toml; its limits, control and plugin options are used",
         )
         add(
             "--threads",
@@ -130,12 +130,12 @@ class Eval:
             action="append",
             default=None,
             metavar="L",
-            help="what a prediction takes on the episode's clock: 0 (default), 112ms, 0.112s, "
+            help="latency of a prediction on the episode's clock: 0 (default), 112ms, 0.112s, "
             "lognormal:112ms,0.2, "
             "normal:112ms,10ms, file:PATH or measured; may be given several times",
         )
-        add("--episodes", type=int, default=50, help="of each variant (default: 50)")
-        add("--seed", type=int, default=0, help="of the first episode (default: 0)")
+        add("--episodes", type=int, default=50, help="episodes of each variant (default: 50)")
+        add("--seed", type=int, default=0, help="seed of the first episode (default: 0)")
         add(
             "--strips",
             choices=("failures", "all", "none"),
@@ -156,14 +156,14 @@ class Eval:
             "--workers",
             type=int,
             default=1,
-            help="episodes at a time; more than one needs Ray (default: 1)",
+            help="concurrent episodes; more than one needs Ray (default: 1)",
         )
         add("--ray-address", help="a Ray cluster instead of this machine")
         add(
             "--policy-actors",
             type=int,
             default=0,
-            help="share the policy of so many processes, in batches (Ray)",
+            help="number of processes that serve the policy to all workers, in batches (Ray)",
         )
         add(
             "--policy-gpus",
@@ -171,15 +171,15 @@ class Eval:
             default=0.0,
             help="GPUs of each process that holds a policy (Ray)",
         )
-        add("--retry-errors", action="store_true", help="run episodes that crashed once more")
+        add("--retry-errors", action="store_true", help="run crashed episodes again")
         add(
             "--other-versions",
             action="store_true",
-            help="go on although packages have other versions than when the run was begun",
+            help="resume although package versions have changed since the start of the run",
         )
 
     def run(self, arguments: Namespace) -> int:
-        """Run `roboneuron eval`; status 1 when an episode crashed."""
+        """Run `roboneuron eval`; status 1 if an episode crashed."""
         if arguments.action == "suites":
             return _list_suites()
         if arguments.action == "agents":

@@ -1,4 +1,4 @@
-"""The plan of an evaluation as the command line and the configuration ask for it."""
+"""Builds the plan of an evaluation from the command line and the configuration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 
 
 def limit_threads(count: int) -> None:
-    """Before numpy or torch is imported: results of some models depend on the number of threads."""
+    """Limit numerical libraries to some threads, before numpy or torch is imported: results of some
+    models depend on the number.
+    """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = str(count)
     torch = sys.modules.get("torch")
@@ -28,7 +30,7 @@ def limit_threads(count: int) -> None:
 
 
 def resumed(arguments: Namespace) -> EvalPlan:
-    """The plan of a run that was begun, with the versions of now."""
+    """Plan of an existing run, with the versions installed now."""
     from rn_eval.ledger import read_plan
 
     plan = read_plan(arguments.directory)
@@ -37,7 +39,7 @@ def resumed(arguments: Namespace) -> EvalPlan:
 
 
 def _with_versions(plan: EvalPlan) -> EvalPlan:
-    """The plan with the versions that are installed now."""
+    """Return the plan with the versions installed now."""
     from rn_eval.versions import installed_versions
     from roboneuron.command import discover
 
@@ -45,7 +47,7 @@ def _with_versions(plan: EvalPlan) -> EvalPlan:
 
 
 def configuration(arguments: Namespace) -> dict[str, object]:
-    """The configuration with the options of suite and command line in it."""
+    """The configuration, with the options of the suite and the command line."""
     from roboneuron.command import load_config
 
     config = load_config(arguments.config).model_dump(mode="json")
@@ -65,7 +67,7 @@ def configuration(arguments: Namespace) -> dict[str, object]:
 
 
 def planned(arguments: Namespace) -> EvalPlan:
-    """The plan of a new run; raises ConfigurationError when an argument is not possible."""
+    """Plan of a new run. Raises ConfigurationError for invalid arguments."""
     from pydantic import ValidationError
 
     from rn_eval.latency import check_unit
@@ -107,7 +109,7 @@ def _options_of_suite(suite: str) -> Sequence[str]:
 
 
 def _pairs(texts: Sequence[str], form: str) -> dict[str, object]:
-    """NAME=VALUE; a value is JSON where it can be read as such, else text."""
+    """Parse NAME=VALUE pairs; a value that is valid JSON is read as such, otherwise as text."""
     pairs: dict[str, object] = {}
     for text in texts:
         name, equals, value = text.partition("=")

@@ -1,7 +1,7 @@
-"""The case class of suites of tasks, and the cases of the suites "cubes" and "hand-over"; loaded by
-the contract kit and by tests only.
+"""Case class for suites, and the cases of the suites "cubes" and "hand-over"; loaded only by the
+contract kit and by tests.
 
-A third party tries a suite of its own with `contract_of(SuiteSpec)` and a `SuiteCase`, as this
+Third parties test their own suite with `contract_of(SuiteSpec)` and a `SuiteCase`, as this
 package's tests do.
 """
 
@@ -23,20 +23,20 @@ from roboneuron import EE_DELTA, Controller, ControllerSpec, robot_space
 from roboneuron.command import build, discover, load_config, load_profile
 
 TICKS = 20
-"""How far a rule lets a scene go on [ticks]."""
+"""Number of ticks for which a rule advances a scene."""
 MOVE = np.array([0.02, 0.0, -0.01, 0.0, 0.0, 0.0, 1.0])
-"""An action that any arm follows: it shows whether actions have an effect."""
+"""An action that every arm can follow, to test whether actions have an effect."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuiteCase(Case[SuiteSpec]):
-    """A suite to try.
+    """A suite under test.
 
     Attributes:
-        setup: makes what scenes are opened with; the installed robot with its controller, or the
-            body, when None.
-        idle_ticks: how long doing nothing must not be a success.
-        move: a row of the setup's space that shows whether actions have an effect.
+        setup: builds the setup of the scenes; None for the installed robot with its controller, or
+            the suite's body.
+        idle_ticks: duration in which doing nothing must not succeed.
+        move: a row of the setup's space, to test whether actions have an effect.
     """
 
     subject: ClassVar[str] = "suite"
@@ -50,7 +50,7 @@ class SuiteCase(Case[SuiteSpec]):
         return cast("Suite", self.prepare()())
 
     def make_setup(self) -> Setup:
-        """What its scenes are opened with."""
+        """Setup for opening scenes."""
         if self.setup is not None:
             return self.setup()
         registry, config = with_body(discover(), self.spec), load_config(None)
@@ -78,12 +78,12 @@ class SuiteCase(Case[SuiteSpec]):
 
 
 def cubes_case() -> SuiteCase:
-    """The suite "cubes" with small pictures."""
+    """Case of the suite "cubes", with small images."""
     return SuiteCase(spec=CUBES, options={"image_px": 64})
 
 
 def hand_over_case() -> SuiteCase:
-    """The suite "hand-over" with small pictures; the left hand moves from its home."""
+    """Case of the suite "hand-over", with small images; the left hand moves from its home."""
     left = [0.327, 0.0, 0.477, 1.0, 0.0, 0.0, 0.0, 1.0]
     right = [FACING_M - 0.307, 0.0, 0.487, 0.0, 1.0, 0.0, 0.0, 1.0]
     return SuiteCase(spec=HAND_OVER, options={"image_px": 64}, move=np.array([*left, *right]))

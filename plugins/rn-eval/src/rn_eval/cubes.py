@@ -1,4 +1,4 @@
-"""The suite "cubes": the simulated FR3 is told to pick up one of several cubes, which the simulator
+"""The suite "cubes": the simulated FR3 has to pick up one of several cubes; the simulator
 judges.
 """
 
@@ -42,9 +42,9 @@ WORDINGS = (
     "get the {colour} cube from the table",
     "raise the {colour} cube",
 )
-"""What `wordings = "varied"` draws from."""
+"""Sentences for `wordings = "varied"`."""
 _DRAW = 0x63756265
-"""Separates this suite's draws from those of the scene, which has the same seed."""
+"""Separates this suite's random numbers from those of the scene, which has the same seed."""
 
 
 class CubesOptions(BaseModel):
@@ -94,11 +94,11 @@ class CubesOptions(BaseModel):
 
 
 class Cubes:
-    """Follows the protocol `Suite`. The named colour changes from seed to seed in turn.
+    """Follows the protocol `Suite`. The named colour cycles with the seed.
 
     Attributes:
         phrase: the plain instruction.
-        verb: what the names of its tasks begin with.
+        verb: prefix of its task names.
     """
 
     phrase: ClassVar[str] = PLAIN
@@ -108,25 +108,25 @@ class Cubes:
         self._options = config or CubesOptions()
 
     def episodes(self, count: int, first_seed: int) -> Sequence[Episode]:
-        """One per seed, `first_seed` first."""
+        """One episode per seed, beginning with `first_seed`."""
         return [self._episode(seed) for seed in range(first_seed, first_seed + count)]
 
     def open(self, episode: Episode, setup: Setup) -> CubesScene:
-        """Build the world and put the cubes where the seed says."""
+        """Build the world with the cubes of the seed."""
         target = self._target(episode.seed)
         return CubesScene(
             episode, target, self._on_table(episode.seed, target), self._options, setup
         )
 
     def close(self) -> None:
-        """Nothing is kept."""
+        """Do nothing; the suite holds no resources."""
 
     def _target(self, seed: int) -> str:
         return self._options.colours[seed % len(self._options.colours)]
 
     def _on_table(self, seed: int, target: str) -> tuple[str, ...]:
-        """Colours on the table, in the order of the option; with all of them the scene is that of
-        `roboneuron demo`.
+        """Colours on the table, in the order of the option; with all of them the scene equals that
+        of `roboneuron demo`.
         """
         others = [colour for colour in self._options.colours if colour != target]
         drawn = np.random.default_rng([_DRAW, seed]).permutation(others)[
@@ -169,14 +169,14 @@ class CubesScene:
         options: CubesOptions,
         setup: Setup,
     ) -> None:
-        """Build the world. Raises ConfigurationError when the engine is not installed."""
+        """Build the world. Raises ConfigurationError if the engine is not installed."""
         self.camera_ticks = max(1, round(1.0 / (options.camera_hz * STEP_S)))
         self._episode, self._target, self._options, self._setup = episode, target, options, setup
         size = options.image_px
         self._calibrations = {
             role: camera.calibration_at(size, size) for role, camera in setup.cameras.items()
         }
-        assert setup.controller is not None  # the FR3 is an installed robot
+        assert setup.controller is not None  # because the FR3 is an installed robot
         self._controller = setup.controller
         self._arm = DeployedArm(setup, setup.controller)
         self._poses = poses_of(setup.controller)
@@ -192,7 +192,7 @@ class CubesScene:
         self._turned_rad = self._turn_to_target()
 
     def observe(self, stamp_ns: int) -> Observation:
-        """Pictures of every camera and the measured state, taken at the same moment."""
+        """Images of every camera and the measured state, at the same instant."""
         size = self._options.image_px
         frames = {
             role: Frame(
@@ -225,14 +225,14 @@ class CubesScene:
         )
 
     def act(self, vector: F64, now_s: float) -> str:
-        """Through controller and limits to the simulated driver."""
+        """Send an action through controller and limits to the simulated driver."""
         command, word = self._arm.command(vector, self._joints(round(now_s * 1e9)), now_s)
         if command is not None:
             self._simulation.set_target(command.names, command.position, command.duration_s)
         return word
 
     def watch(self, now_s: float) -> None:
-        """Hold the arm when actions have ceased."""
+        """Hold the arm if actions have stopped coming."""
         command = self._arm.watch(self._joints(round(now_s * 1e9)), now_s)
         if command is not None:
             self._simulation.set_target(command.names, command.position, command.duration_s)
@@ -254,7 +254,7 @@ class CubesScene:
             "turned_rad": round(self._turned_rad, 4),
             "lifted_cm": round(max(0.0, cubes[self._target].lifted_m) * 100, 2),
         }
-        if highest.lifted_m >= 0.02:  # something was taken up: was it what was named?
+        if highest.lifted_m >= 0.02:  # something was lifted: was it the named cube?
             facts["right_object"] = float(highest.name == self._target)
         if held == self._target:
             return Judgement(success=True, is_over=True, facts=facts)
@@ -266,7 +266,7 @@ class CubesScene:
         return Judgement(success=False, is_over=held is not None, reason=reason, facts=facts)
 
     def state(self) -> bytes:
-        """Joints and cubes, bit for bit."""
+        """Joint and cube poses, bit for bit."""
         poses = self._simulation.world.cube_poses()
         cubes = b"".join(np.concatenate(poses[name]).tobytes() for name in sorted(poses))
         return self._simulation.joint_positions().tobytes() + cubes
@@ -276,8 +276,8 @@ class CubesScene:
         self._simulation.close()
 
     def _turn_to_target(self) -> float:
-        """Between the fingers and the nearest side of the named cube, 0 .. pi / 4 [rad]; both hang
-        level at first.
+        """Angle between the fingers and the nearest side of the named cube, 0 .. pi / 4 [rad]; both
+        are level at the start.
         """
         hand = matrix_from_quaternion(self._controller.forward(self._joints(0)).quaternion_xyzw)
         cube = next(cube for cube in self._simulation.scene if cube.name == self._target)
@@ -292,7 +292,7 @@ class CubesScene:
 
 
 def _opening(gripper: GripperProfile | None, joints: JointSample) -> float | None:
-    """How far a gripper is open; None without one."""
+    """Opening of a gripper; None without one."""
     if gripper is None:
         return None
     return gripper.to_opening(float(joints.position[joints.names.index(gripper.joint)]))

@@ -1,4 +1,4 @@
-"""Domain shift of the suite "cubes": another place of the camera, light, table or sensor."""
+"""Domain shift of the suite "cubes": different camera pose, light, table or sensor noise."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ U8 = NDArray[np.uint8]
 
 Shift: TypeAlias = Literal["none", "camera", "light", "table", "noise"]
 CAMERA_SHIFT_M = 0.02
-"""How far a camera beside the table is moved, in a direction of its own in each episode."""
+"""Displacement of a camera next to the table [m]; its direction differs per episode."""
 LIGHT_GAIN = (0.80, 0.72, 0.60)
-"""Of red, green and blue: darker and warmer."""
+"""Gains of red, green and blue: darker and warmer."""
 TABLE_CONTRAST, TABLE_GRAIN_PX = 0.15, 4
 """Standard deviation of the brightness of a textured table, and the size of its spots at 224 px."""
 NOISE_LEVELS = 8.0
-"""Standard deviation of a pixel's value, of 255."""
+"""Standard deviation of a pixel value, of 255."""
 _TABLE_TOLERANCE = 0.03
 _DRAW = 0x73686674
 
 
 class DomainShift:
-    """One kind of shift in one episode; the same seed gives the same.
+    """One kind of shift in one episode; reproducible by the seed.
 
     Args:
-        kind: what differs.
-        seed: of the episode.
+        kind: the kind of shift.
+        seed: seed of the episode.
     """
 
     def __init__(self, kind: Shift, seed: int) -> None:
@@ -41,7 +41,7 @@ class DomainShift:
         self._texture_seed = int(self._random.integers(2**31))
 
     def cameras(self, cameras: Sequence[PinholeCamera]) -> tuple[PinholeCamera, ...]:
-        """Cameras as they stand; those on a hand stay. The policy knows their old places."""
+        """Shifted cameras; wrist cameras stay. The policy uses the original poses."""
         if self.kind != "camera":
             return tuple(cameras)
         way = self._random.normal(size=3)
@@ -55,7 +55,7 @@ class DomainShift:
         )
 
     def image(self, image: U8) -> U8:
-        """What the sensor gives of what is rendered, uint8 (H, W, 3) RGB."""
+        """Simulated sensor output for a rendered image, uint8 (H, W, 3) RGB."""
         match self.kind:
             case "light":
                 return _pixels(image * np.array(LIGHT_GAIN))
@@ -78,7 +78,7 @@ class DomainShift:
 
 
 def _shows_table(image: U8) -> NDArray[np.bool_]:
-    """Pixels with the table's hue, (H, W): nothing else in the cell has it."""
+    """True for pixels with the table's hue, (H, W); nothing else in the cell has it."""
     shares = image / np.maximum(image.sum(axis=2, keepdims=True, dtype=np.float64), 1.0)
     table = np.array(TABLE_RGBA[:3]) / sum(TABLE_RGBA[:3])
     is_hue: NDArray[np.bool_] = np.abs(shares - table).max(axis=2) < _TABLE_TOLERANCE / 3

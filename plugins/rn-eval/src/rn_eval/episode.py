@@ -1,9 +1,8 @@
-"""One episode by a clock of its own: simulated time passes in ticks, and a prediction takes as long
-as it is said to.
+"""One episode on its own clock: simulated time advances in ticks, and a prediction takes its
+configured latency.
 
 Chunks are executed by the rules of the inference module (`rn_standard.execution`); actions pass the
-controller and the limits of the control module. Nothing here looks at the wall clock but the
-measurement of predictions.
+controller and the limits of the control module. The wall clock is only used to measure predictions.
 """
 
 from __future__ import annotations
@@ -26,14 +25,14 @@ from roboneuron import ActionChunk, NotReadyError, RoboNeuronError
 WATCH_S = 0.1
 """Period of the control module's watchdog."""
 PATIENCE_S = 3.0
-"""A policy that refuses every image for so long has given up."""
+"""A policy that refuses every image for this time counts as having given up."""
 _START_NS = 1_000_000_000
-"""Stamps begin here: 0 means "not measured" in messages."""
+"""Stamps begin here, because 0 means "not measured" in messages."""
 
 
 @dataclass(slots=True)
 class _PendingPrediction:
-    """A prediction under way, and when it is there."""
+    """A running prediction, and the tick at which it is available."""
 
     tick: int
     prediction: execution.Prediction
@@ -42,12 +41,12 @@ class _PendingPrediction:
 
 @dataclass(slots=True)
 class PlayedEpisode:
-    """An episode that was played to its end.
+    """A finished episode.
 
     Attributes:
-        outcome: for the ledger.
-        inference_ms: of each prediction.
-        film: images that the policy saw.
+        outcome: outcome for the ledger.
+        inference_ms: duration of each prediction [ms].
+        film: images that the policy received.
     """
 
     outcome: EpisodeOutcome
@@ -57,13 +56,13 @@ class PlayedEpisode:
 
 @dataclass(slots=True)
 class EpisodeClock:
-    """Plays one episode. Used once.
+    """Runs one episode. Single use.
 
     Attributes:
-        scene: open.
-        policy: reset.
-        executor: new.
-        latency: what a prediction's duration counts as.
+        scene: an open scene.
+        policy: the policy, after `reset`.
+        executor: a new executor.
+        latency: maps the measured duration of a prediction to the simulated one.
     """
 
     scene: Scene
@@ -87,7 +86,7 @@ class EpisodeClock:
     _digest: hashlib._Hash = field(default_factory=hashlib.sha256)
 
     def run(self) -> PlayedEpisode:
-        """Play until it is decided or time is up."""
+        """Run until the episode is decided or its time is up."""
         scene = self.scene
         watch_ticks = max(1, round(WATCH_S / scene.tick_s))
         last = math.ceil(self.episode.time_limit_s / scene.tick_s - 1e-9)
@@ -122,7 +121,7 @@ class EpisodeClock:
         return _START_NS + round(tick * self.scene.tick_s * 1e9)
 
     def _next(self, watch_ticks: int) -> int:
-        """The next tick at which anything may happen."""
+        """The next tick with a possible event."""
         events = [
             (self._tick // period + 1) * period for period in (watch_ticks, self.scene.judge_ticks)
         ]

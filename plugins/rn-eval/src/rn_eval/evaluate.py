@@ -1,4 +1,4 @@
-"""A run: the episodes that the ledger lacks, on a pool of workers, into the ledger."""
+"""A run: executes the episodes missing in the ledger on a pool of workers."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ def evaluate(
     retry_errors: bool = False,
     other_versions: bool = False,
 ) -> list[EpisodeRecord]:
-    """Run what is missing and return the records of the plan's episodes.
+    """Run the missing episodes and return the records of all episodes of the plan.
 
     Args:
-        plan: what is to be there in the end.
-        directory: of the ledger; a run that was ended in any way goes on where it was.
-        pool: makes the workers; called only when something is missing.
+        plan: the episodes of the finished run.
+        directory: directory of the ledger; an interrupted run is resumed.
+        pool: creates the workers; called only if something is missing.
         console: for progress.
-        retry_errors: run episodes that crashed once more.
-        other_versions: go on although packages have other versions than when the run was begun.
+        retry_errors: run crashed episodes once more.
+        other_versions: resume even if package versions have changed since the start of the run.
 
     Raises:
-        RoboNeuronError: the plan does not fit, the ledger is another's, or a policy cannot be
-            loaded.
+        RoboNeuronError: the plan is inconsistent, the ledger belongs to another plan, or a policy
+            cannot be loaded.
     """
     refuse_early(plan)
     episodes = plan.build_suite(discover()).episodes(plan.episodes, plan.first_seed)
@@ -85,7 +85,7 @@ def evaluate(
 
 @contextmanager
 def exit_on_sigterm() -> Iterator[None]:
-    """Let SIGTERM end the run as Ctrl-C does; Ray, which is begun by then, would abort with a stack
+    """Let SIGTERM end the run like Ctrl-C; Ray, which is running by then, would abort with a stack
     trace.
     """
     if threading.current_thread() is not threading.main_thread():
@@ -100,6 +100,6 @@ def exit_on_sigterm() -> Iterator[None]:
 
 
 def _exit(number: int, frame: object) -> NoReturn:
-    # make and timeout send it twice, and the second must not cut the end short
+    # because make and timeout send it twice, and the second must not interrupt the shutdown
     signal.signal(number, signal.SIG_IGN)
     sys.exit(128 + number)

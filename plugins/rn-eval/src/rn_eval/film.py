@@ -1,4 +1,4 @@
-"""Film strips: a few of the images that the policy saw, side by side."""
+"""Film strips: some of the images that the policy received, side by side."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ _SHOWN = 6
 _HEIGHT_PX, _CAPTION_PX, _MARGIN_PX = 160, 18, 3
 _FONT_PX, _GAP_PX = 12, 10
 _COLOURS = 256
-"""Chosen to cover what there is: by the number of pixels, a small yellow cube becomes as grey as
-the table.
+"""The palette must cover the colours that occur: if it were chosen by pixel counts, a small yellow
+cube would become as grey as the table.
 """
 
 
 class FilmStrip:
-    """Keeps at most 32 images of an episode, evenly spread; references only, nothing is copied."""
+    """Keeps at most 32 evenly spaced images of an episode, by reference without copying."""
 
     def __init__(self) -> None:
         self._frames: list[tuple[float, str, NDArray[np.uint8]]] = []
         self._stride, self._count = 1, 0
 
     def add(self, at_s: float, caption: str, image: NDArray[np.uint8]) -> None:
-        """Offer an image, uint8 (H, W, 3), of simulated time `at_s`."""
+        """Offer an image, uint8 (H, W, 3), taken at simulated time `at_s`."""
         if self._count % self._stride == 0:
             self._frames.append((at_s, caption, image))
         self._count += 1
@@ -35,7 +35,7 @@ class FilmStrip:
             self._stride *= 2
 
     def strip(self, last: tuple[float, str, NDArray[np.uint8]] | None = None) -> bytes:
-        """A PNG of six images, the first and the last among them; b"" without any."""
+        """PNG of six images, including the first and the last; b"" without images."""
         frames = [*self._frames, *([last] if last else [])]
         if not frames:
             return b""

@@ -1,5 +1,5 @@
-"""The suite "hand-over": two simulated FR3s are told to hand one of several cubes over, which the
-simulator judges.
+"""The suite "hand-over": two simulated FR3s have to hand over one of several cubes; the simulator
+judges.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class HandOverSuiteOptions(CubesOptions):
 
 
 class HandOver(Cubes):
-    """Follows the protocol `Suite`. The named colour changes from seed to seed in turn."""
+    """Follows the protocol `Suite`. The named colour cycles with the seed."""
 
     phrase: ClassVar[str] = "hand over the {colour} cube"
     verb: ClassVar[str] = "hand-over"
@@ -35,7 +35,7 @@ class HandOver(Cubes):
         super().__init__(config or HandOverSuiteOptions())
 
     def open(self, episode: Episode, setup: Setup) -> HandOverScene:
-        """Build the world and put the cubes where the seed says."""
+        """Build the world with the cubes of the seed."""
         target = self._target(episode.seed)
         on_table = self._on_table(episode.seed, target)
         return HandOverScene(episode, target, on_table, self._options, setup)
@@ -47,8 +47,8 @@ class HandOverScene(CubesScene):
     cell: ClassVar[Workcell] = PAIR
 
     def judge(self) -> Judgement:
-        """Success: another arm than the one that lifted the named cube has held it alone for long
-        enough, and it was in the air all the time. Failure: that is true of another cube.
+        """Success: the other arm than the one that lifted the named cube has held it alone for long
+        enough, and it was in the air throughout. Failure: the same for another cube.
         """
         cubes = self._simulation.cubes()
         target = cubes[self._target]

@@ -1,4 +1,4 @@
-"""The hooks for suites of tasks, and for tasks and subjects of the evaluation of agents."""
+"""Hooks for suites, and for tasks and subjects of the agent evaluation."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from roboneuron import RobotSpec, Spec, hookspec
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AgentTaskSpec(Spec):
-    """A task that an agent has to carry out with the server's tools.
+    """A task that an agent carries out with the server's tools.
 
     Attributes:
-        family: what it belongs to in the report.
-        is_refusal: it must not or cannot be done: whoever claims that it is done is wrong.
+        family: group in the report.
+        is_refusal: the task must not or cannot be done, so a claim that it is done is wrong.
     """
 
     kind: ClassVar[str] = "agent-task"
@@ -27,10 +27,10 @@ class AgentTaskSpec(Spec):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AgentSubjectSpec(Spec):
-    """An agent to evaluate: a client of the server, in a process of its own.
+    """An agent to evaluate: a client of the server, in its own process.
 
     Attributes:
-        knows_truth: it is told which task this is and what lies where; an upper bound, not an
+        knows_truth: it gets the task's name and the positions of objects; an upper bound, not an
             agent.
     """
 
@@ -42,16 +42,17 @@ class AgentSubjectSpec(Spec):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SuiteSpec(Spec):
-    """A suite of tasks in a simulation that is stepped by hand.
+    """A suite of tasks in a simulation that is stepped explicitly.
 
     Attributes:
-        robot: name of the installed robot that acts; planning checks backend, cameras and
-            controller against it.
+        robot: name of the installed robot; planning checks backend, cameras and controller against
+            it.
         driver: the robot's driver whose requirements must be installed.
-        body: instead of `robot`, one that exists in this simulation alone. Its simulator takes TCP
-            deltas itself, so no controller is planned, and no limit but the simulator's own holds.
-        options: what the suite's protocol asks of backends, as `--option` takes it
-            (PLUGIN.NAME=VALUE); those of the chosen backend hold unless the user gives others.
+        body: instead of `robot`, a robot that exists only in this simulation. Its simulator
+            executes TCP deltas itself, so no controller is planned, and only the simulator's limits
+            apply.
+        options: options that the suite's protocol requires of backends, as in `--option`
+            (PLUGIN.NAME=VALUE); those of the chosen backend apply unless the user overrides them.
     """
 
     kind: ClassVar[str] = "suite"
@@ -92,7 +93,7 @@ def roboneuron_agent_tasks() -> Sequence[AgentTaskSpec]:  # type: ignore[empty-b
 def roboneuron_agent_subjects() -> Sequence[AgentSubjectSpec]:  # type: ignore[empty-body]
     """Offer agents for `roboneuron eval agents`.
 
-    `target` is called as `await target(tools, briefing)` in a process of its own, with a
+    `target` is called as `await target(tools, briefing)` in its own process, with a
     `rn_eval.agents.client.ToolClient` and a `rn_eval.agents.client.Briefing`; it returns its last
     words.
     """

@@ -1,6 +1,4 @@
-"""How long a prediction takes on the episode's clock: nothing, what was measured, or drawn from a
-distribution.
-"""
+"""Latency of a prediction on the episode's clock: zero, measured, or drawn from a distribution."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from roboneuron import ConfigurationError
 
 MEASURED = "measured"
 Draw = Callable[[float], float]
-"""From the measured duration of a prediction [s] to the one that counts [s]."""
+"""Maps the measured duration of a prediction [s] to the simulated one [s]."""
 _TIME = r"(\d+(?:\.\d+)?)(ms|s)?"
 _FORMS = (
     "0, 112ms, 0.112s, normal:112ms,10ms, lognormal:112ms,0.2 (median, deviation of the "
@@ -24,14 +22,14 @@ _FORMS = (
 
 
 def parse_latency(text: str) -> Callable[[np.random.Generator], Draw]:
-    """Return what makes an episode's draws from its random generator.
+    """Return a function that creates an episode's `Draw` from its random generator.
 
     Args:
-        text: one of the forms above; a number without a unit, as old ledgers have it, is in
-            seconds. `file:PATH` holds one latency [s] a line and is drawn from with replacement.
+        text: one of the forms above; a number without a unit, as in old ledgers, is in seconds.
+            `file:PATH` contains one latency [s] per line, drawn with replacement.
 
     Raises:
-        ConfigurationError: not one of these forms.
+        ConfigurationError: it has none of these forms.
     """
     kind, _, rest = text.partition(":")
     if text == MEASURED:
@@ -53,11 +51,10 @@ def parse_latency(text: str) -> Callable[[np.random.Generator], Draw]:
 
 
 def check_unit(text: str) -> None:
-    """Refuse a time other than 0 whose unit nobody has said: 112 may be meant as milliseconds, or
-    as seconds.
+    """Refuse a time other than 0 without a unit: 112 may mean milliseconds or seconds.
 
     Raises:
-        ConfigurationError: there is one, or the form is not understood.
+        ConfigurationError: a unit is missing, or the form is invalid.
     """
     parse_latency(text)
     kind, _, rest = text.partition(":")
@@ -102,7 +99,7 @@ def _from_file(path: Path) -> Callable[[np.random.Generator], Draw]:
 
 
 def median_s(text: str) -> float | None:
-    """Median of a latency [s]; None for what is measured.
+    """Median of a latency [s]; None if it is measured.
 
     Raises:
         ConfigurationError: as `parse_latency`.

@@ -1,8 +1,8 @@
-"""The ledger: one line of JSON for each finished episode, only ever added to, each on disk before
-it counts.
+"""The ledger: an append-only file with one line of JSON per finished episode; each line is synced
+to disk before it counts.
 
-A line that was cut short by a crash is removed when the ledger is opened again, and its episode is
-run once more.
+A line truncated by a crash is removed when the ledger is opened again, and its episode is run
+again.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ STRIPS = "strips"
 
 
 class LedgerKey(Protocol):
-    """What identifies an episode within a run; it can be hashed."""
+    """Hashable identity of an episode within a run."""
 
     @property
     def slug(self) -> str:
-        """For file names."""
+        """Name for files."""
         ...
 
     def __hash__(self) -> int: ...
 
 
 class LedgerOutcome(Protocol):
-    """What became of an episode."""
+    """Result of an episode."""
 
     @property
     def status(self) -> Literal["success", "failure", "error"]:
-        """An "error" may be run again."""
+        """An episode with "error" may be run again."""
         ...
 
 
@@ -67,7 +67,7 @@ class LedgerRecord(Protocol):
 
 
 class LedgerPlan(Protocol):
-    """What a ledger belongs to: a pydantic model with these fields."""
+    """The plan of a ledger: a pydantic model with these fields."""
 
     @property
     def versions(self) -> dict[str, str]: ...
@@ -86,7 +86,7 @@ RecordT = TypeVar("RecordT", bound=LedgerRecord)
 
 
 def read_plan_of(directory: Path, kind: type[PlanT]) -> PlanT:
-    """The plan of a run, of the model `kind`.
+    """Read the plan of a run as the model `kind`.
 
     Raises:
         ConfigurationError: there is none, or it is damaged.
@@ -99,18 +99,18 @@ def read_plan_of(directory: Path, kind: type[PlanT]) -> PlanT:
 
 
 def read_plan(directory: Path) -> EvalPlan:
-    """The plan of a run of policies. Raises as `read_plan_of`."""
+    """Read the plan of a policy evaluation. Raises as `read_plan_of`."""
     return read_plan_of(directory, EvalPlan)
 
 
 def read_records_of(directory: Path, kind: type[RecordT]) -> list[RecordT]:
-    """Every finished episode, oldest first; reading does not disturb a run. A cut last line is left
-    out.
+    """Read all finished episodes, oldest first, without disturbing a run. A truncated last line is
+    left out.
 
-    An episode that crashed may be there again, after the crash: the last one counts.
+    A crashed episode may occur again later: the last record counts.
 
     Raises:
-        ConfigurationError: a line before the last one is damaged, or an episode is there twice.
+        ConfigurationError: a line before the last one is damaged, or an episode occurs twice.
     """
     path = directory / FILE_NAME
     try:
@@ -134,12 +134,12 @@ def read_records_of(directory: Path, kind: type[RecordT]) -> list[RecordT]:
 
 
 def read_records(directory: Path) -> list[EpisodeRecord]:
-    """The episodes of a run of policies; as `read_records_of`."""
+    """Read the episodes of a policy evaluation; as `read_records_of`."""
     return read_records_of(directory, EpisodeRecord)
 
 
 class RunLedger(Generic[PlanT, RecordT]):
-    """The ledger of one run, held by one process at a time. Use it as a context manager."""
+    """The ledger of one run, locked by one process at a time. Use it as a context manager."""
 
     def __init__(
         self,
@@ -150,27 +150,27 @@ class RunLedger(Generic[PlanT, RecordT]):
         other_versions: bool = False,
     ) -> None:
         """Args:
-        directory: its folder.
-        plan, record: models of the run's plan and of its lines.
-        other_versions: packages may have other versions than when the run was begun; the plan
-            and each line say so.
+        directory: directory of the ledger.
+        plan, record: models of the plan and of the lines.
+        other_versions: accept other package versions than at the start of the run; the plan and
+            each line record them.
         """
         self.directory = directory
         self._plan_kind, self._record_kind = plan, record
         self.plan: PlanT | None = None
-        """What the folder says once it is open: with the versions that the run was begun with."""
+        """Plan in the folder once open, with the package versions at the start of the run."""
         self._other_versions = other_versions
         self.records: dict[LedgerKey, RecordT] = {}
         self.cut_bytes = 0
         self._file = -1
 
     def open(self, plan: PlanT) -> None:
-        """Begin the run or continue it.
+        """Start or continue the run.
 
         Raises:
             StateError: another process runs it, or the folder cannot be written.
-            ConfigurationError: the folder holds a run with another plan or of other versions, or
-                the ledger is damaged.
+            ConfigurationError: the folder has a run with another plan or other versions, or the
+                ledger is damaged.
         """
         path = self.directory / FILE_NAME
         with _told(path):
@@ -206,11 +206,11 @@ class RunLedger(Generic[PlanT, RecordT]):
                 os.fsync(self._file)
 
     def _with_versions(self, before: PlanT, now: PlanT) -> PlanT:
-        """The plan with the versions that the run was begun with, and these among the later ones if
-        they differ.
+        """The plan with the versions at the start of the run; differing current ones are added to
+        the later versions.
 
         Raises:
-            ConfigurationError: they differ, and nobody said that they may.
+            ConfigurationError: they differ, and this was not allowed.
         """
         begun, later = before.versions, before.later_versions
         changed = changed_versions(begun, now.versions)
@@ -238,13 +238,12 @@ class RunLedger(Generic[PlanT, RecordT]):
         self.close()
 
     def add(self, record: RecordT, strip: bytes | None = None) -> None:
-        """Put an episode on disk; when this returns it survives a crash of the machine.
+        """Write an episode to disk; when this returns, it survives a crash of the machine.
 
         Raises:
-            StateError: it is there already and did not crash, or it cannot be written; the ledger
-                is as it was then.
-            ConfigurationError: a worker has run it under other versions than the run was begun
-                with.
+            StateError: it exists already and did not crash, or it cannot be written; the ledger is
+                then unchanged.
+            ConfigurationError: a worker ran it with other versions than at the start of the run.
         """
         assert self.plan is not None
         before = self.records.get(record.key)
@@ -286,10 +285,10 @@ class RunLedger(Generic[PlanT, RecordT]):
 
 
 class Ledger(RunLedger[EvalPlan, EpisodeRecord]):
-    """The ledger of a run of policies."""
+    """The ledger of a policy evaluation."""
 
     def __init__(self, directory: Path, *, other_versions: bool = False) -> None:
-        """As `RunLedger`."""
+        """Args as in `RunLedger`."""
         super().__init__(directory, EvalPlan, EpisodeRecord, other_versions=other_versions)
 
 
@@ -306,7 +305,7 @@ def _check_same(old: LedgerPlan, new: LedgerPlan, directory: Path) -> None:
 
 
 def _write_durably(path: Path, data: bytes) -> None:
-    """Replace the file in one step, so that a crash or a full disk leaves the old or the new one.
+    """Replace the file atomically, so that a crash or a full disk leaves the old or the new one.
     Raises StateError.
     """
     temporary = path.with_name(f".{path.name}.new")
@@ -330,7 +329,7 @@ def _write_durably(path: Path, data: bytes) -> None:
 
 @contextmanager
 def _told(path: Path) -> Iterator[None]:
-    """Turn a failure to write into one sentence that names the file and says what to do. Raises
+    """Convert a write error into one sentence that names the file and the remedy. Raises
     StateError.
     """
     try:

@@ -22,21 +22,20 @@ from roboneuron import RoboNeuronError
 
 @dataclass(slots=True)
 class ClientSession:
-    """One client: the rows of its last chunk that it has not been given."""
+    """State of one client: the unsent rows of its last chunk."""
 
     rows: deque[NDArray[np.float64]] = field(default_factory=deque)
 
 
 class EvalModelServer:
-    """Answers each observation with one action; a chunk is played whole before the next prediction.
+    """Answers each observation with one action; a chunk is used up before the next prediction.
 
     All clients share the policy, one prediction at a time. `reset` is called when a client's
-    episode begins, so several clients at once need a backend that remembers nothing between
-    predictions.
+    episode begins, so several concurrent clients need a backend without state between predictions.
 
     Args:
-        policy: loaded.
-        name: of the backend, for HELLO.
+        policy: a loaded policy.
+        name: name of the backend, for HELLO.
         roles: cameras that the backend needs.
         needs_state: the backend reads the state.
     """
@@ -48,7 +47,7 @@ class EvalModelServer:
         self._using = asyncio.Lock()
 
     async def handle(self, connection: ServerConnection) -> None:
-        """Serve one client until it goes."""
+        """Serve one client until it disconnects."""
         session = ClientSession()
         try:
             async for data in connection:
@@ -110,7 +109,7 @@ def _health(connection: ServerConnection, request: Request) -> Response | None:
 
 
 async def open_server(server: EvalModelServer, host: str, port: int) -> Server:
-    """Listen; GET /health answers as soon as it does."""
+    """Listen; from then on GET /health answers."""
     return await serve(
         server.handle,
         host,
@@ -118,14 +117,14 @@ async def open_server(server: EvalModelServer, host: str, port: int) -> Server:
         process_request=_health,
         compression=None,
         max_size=wire.MOST_MESSAGE_BYTES,
-        ping_interval=None,  # vla-eval's client does not send pings either; a prediction may last
+        ping_interval=None,  # vla-eval's client sends no pings either; predictions may be slow
     )
 
 
 async def run_server(
     server: EvalModelServer, host: str, port: int, listening: Callable[[int], None]
 ) -> None:
-    """Serve until cancelled; `listening` is told the port."""
+    """Serve until cancelled; `listening` is called with the port."""
     async with await open_server(server, host, port) as opened:
         listening(next(iter(opened.sockets)).getsockname()[1])
         await opened.serve_forever()

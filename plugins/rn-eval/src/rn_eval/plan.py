@@ -1,5 +1,5 @@
-"""What is to be evaluated: the plan, its variants, and the key of each episode. Kept as JSON beside
-the ledger.
+"""Definition of an evaluation: the plan, its variants, and the key of each episode. Stored as JSON
+next to the ledger.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class Variant(NamedTuple):
     """One row of the comparison.
 
     Attributes:
-        preset: acceleration, or "none".
-        execution: how chunks are played: "sequential", "overlap", "rtc", "predicted-state" or
+        preset: acceleration preset, or "none".
+        execution: execution mode of chunks: "sequential", "overlap", "rtc", "predicted-state" or
             "auto".
         latency: see `rn_eval.latency`.
     """
@@ -39,7 +39,7 @@ class Variant(NamedTuple):
 
 
 class Key(BaseModel):
-    """What identifies an episode within a run."""
+    """Identifies an episode within a run."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -52,40 +52,41 @@ class Key(BaseModel):
 
     @property
     def variant(self) -> Variant:
-        """Under which it ran."""
+        """The variant of the episode."""
         return Variant(preset=self.preset, execution=self.execution, latency=self.latency)
 
     @property
     def slug(self) -> str:
-        """For file names."""
+        """Name for files."""
         plain = "_".join(str(value) for _, value in self)
         safe = "".join(c if c.isalnum() or c in "._-" else "-" for c in plain)
         return safe if safe == plain else f"{safe}-{hashlib.sha256(plain.encode()).hexdigest()[:6]}"
 
 
 class Job(NamedTuple):
-    """One episode to be run."""
+    """One episode to run."""
 
     key: Key
     episode: Episode
 
 
 class EvalPlan(BaseModel):
-    """Everything that decides what an episode's outcome is, and which episodes there are.
+    """Everything that determines the episodes of a run and their outcomes.
 
     Attributes:
         suite: name of the suite.
         suite_options: as given; validated by the suite's own model.
         backend, checkpoint, runtime: the policy.
-        checkpoint_sha256: of names, sizes and both ends of the checkpoint's files; "" without one.
-        config: the configuration whose limits, control and plugin options hold.
+        checkpoint_sha256: hash over names, sizes and both ends of the checkpoint's files; ""
+            without one.
+        config: the configuration with limits, control and plugin options.
         executions, latencies, presets: every combination is a variant.
         episodes, first_seed: for `Suite.episodes`.
-        shared_policy: predictions come in batches of what is asked at the same time, so that an
-            episode does not repeat bit for bit.
-        threads: threads of each worker's numerical libraries; results of some depend on it.
-        versions: of the packages when the run began; see `rn_eval.versions`.
-        later_versions: others under which it was continued, with --other-versions, oldest first.
+        shared_policy: predictions are made in batches of concurrent requests, so an episode does
+            not repeat bit for bit.
+        threads: threads of each worker's numerical libraries; some results depend on it.
+        versions: package versions at the start of the run; see `rn_eval.versions`.
+        later_versions: other versions with which it was continued (--other-versions), oldest first.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -112,7 +113,7 @@ class EvalPlan(BaseModel):
 
     @property
     def identity(self) -> dict[str, object]:
-        """What must be equal for a ledger to be continued; more episodes and variants may be
+        """Fields that must be equal to continue a ledger; more episodes and variants may be
         added.
         """
         growing = {
@@ -128,9 +129,7 @@ class EvalPlan(BaseModel):
 
     @property
     def variants(self) -> tuple[Variant, ...]:
-        """All of them; those of one preset stand together, so that a worker seldom loads
-        another.
-        """
+        """All variants, grouped by preset, so that a worker seldom loads another one."""
         return tuple(
             Variant(p, e, x) for p in self.presets for e in self.executions for x in self.latencies
         )
@@ -140,20 +139,20 @@ class EvalPlan(BaseModel):
         return Config.model_validate(self.config)
 
     def suite_spec(self, registry: Registry) -> SuiteSpec:
-        """The suite's descriptor. Raises ConfigurationError when it is not installed."""
+        """The suite's descriptor. Raises ConfigurationError if it is not installed."""
         return registry.get(SuiteSpec, self.suite)
 
     def build_suite(self, registry: Registry) -> Suite:
-        """The suite with its options. Raises ConfigurationError for wrong ones."""
+        """Build the suite with its options. Raises ConfigurationError for invalid ones."""
         spec = self.suite_spec(registry)
         suite: Any = build(spec, self.suite_options)
         return suite  # type: ignore[no-any-return]
 
     def check(self, registry: Registry, preset: str) -> ResolvedPolicy:
-        """Whether the combination fits, as a server checks it before it starts anything.
+        """Check the combination, as a server does before a start.
 
         Raises:
-            ConfigurationError, PlanningError: it does not; one sentence.
+            ConfigurationError, PlanningError: it is not possible; one sentence.
         """
         spec, config = self.suite_spec(registry), self.load_config()
         policy = find_policy(
@@ -169,10 +168,10 @@ class EvalPlan(BaseModel):
         return policy
 
     def controller(self, registry: Registry, robot: RobotSpec) -> ControllerSpec | None:
-        """What moves the robot; None in a suite whose body executes actions itself.
+        """The robot's controller; None in a suite whose body executes actions itself.
 
         Raises:
-            ConfigurationError, PlanningError: it is not there, or moves other robots.
+            ConfigurationError, PlanningError: it is not installed, or does not support the robot.
         """
         if self.suite_spec(registry).body is not None:
             return None
@@ -181,7 +180,7 @@ class EvalPlan(BaseModel):
         return find_controller(registry, section.controller, robot)
 
     def jobs(self, episodes: Sequence[Episode]) -> Iterator[Job]:
-        """Every episode under every variant."""
+        """Every episode with every variant."""
         for variant in self.variants:
             for episode in episodes:
                 key = Key(
@@ -191,7 +190,7 @@ class EvalPlan(BaseModel):
 
 
 def with_body(registry: Registry, spec: SuiteSpec) -> Registry:
-    """What is installed, and the robot that exists in the suite's simulation alone."""
+    """The installed plugins, plus the robot that exists only in the suite's simulation."""
     if spec.body is None:
         return registry
     body = Offer(spec=spec.body, plugin="", distribution="", status=Status.READY)
@@ -199,7 +198,7 @@ def with_body(registry: Registry, spec: SuiteSpec) -> Registry:
 
 
 def fingerprint(checkpoint: str | None) -> str:
-    """A hash of names, sizes and the first and last 64 KiB of a checkpoint's files; "" without a
+    """Hash of names, sizes and the first and last 64 KiB of a checkpoint's files; "" without a
     checkpoint.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The plots of a report, as SVG text: success by variant, against tokens kept, against latency;
+"""Plots of a report as SVG: success by variant, against tokens kept, against latency, and against
 speed-up.
 """
 
@@ -21,11 +21,11 @@ from rn_eval.summary import Summary, SummaryRow
 _SIZE = (6.4, 3.6)
 _MARKERS = "os^DvPX<>*"
 _LEVEL_LETTERS = 60
-"""More of them below the bars would run into each other."""
+"""Maximum number of letters below the bars before labels overlap."""
 
 
 def plots(summary: Summary) -> list[tuple[str, str]]:
-    """(caption, SVG) of each plot that the records have the data for."""
+    """Caption and SVG of each plot for which the records have data."""
     made = [
         (
             "Success by variant, with 95 % Wilson intervals",
@@ -74,13 +74,13 @@ def _percent(axes: Axes) -> None:
 
 
 def _line(row: SummaryRow, rows: Sequence[SummaryRow], along: str) -> str:
-    """Name of the line through variants that differ in one respect."""
+    """Name of the line through variants that differ in one respect only."""
     variants = tuple(r.variant._replace(**{along: ""}) for r in rows)
     return label(row.variant._replace(**{along: ""}), variants)
 
 
 def _legend(axes: Axes) -> None:
-    """Above the plot, where it covers no point; with one line there is nothing to tell apart."""
+    """Legend above the plot, where it covers no point; omitted for a single line."""
     if len(axes.get_legend_handles_labels()[0]) > 1:
         axes.figure.legend(loc="outside upper center", ncols=3, frameon=False)
 
@@ -145,14 +145,14 @@ def _latency(axes: Axes, rows: Sequence[SummaryRow]) -> None:
 
 
 def _latency_ms(row: SummaryRow) -> float:
-    """The injected median, or the measured one."""
+    """The injected median, or the measured one if none is injected."""
     injected_s = median_s(row.variant.latency)
     return row.inference.p50 if injected_s is None else 1e3 * injected_s
 
 
 def _speed(axes: Axes, rows: Sequence[SummaryRow]) -> None:
-    """Names stand in the legend: presets are often equally fast and equally good, and labels would
-    cover each other.
+    """Plot with the names in the legend, because presets are often equally fast and good and labels
+    would overlap.
     """
     for row, marker in zip(rows, cycle(_MARKERS)):
         share = [row.success]
@@ -167,7 +167,7 @@ def _speed(axes: Axes, rows: Sequence[SummaryRow]) -> None:
         )
     _legend(axes)
     known = [row.speed_up for row in rows if row.speed_up is not None]
-    # a percent is not to look like much
+    # because a difference of one per cent must not look large
     axes.set_xlim(min(0.8, *known) - 0.1, max(1.2, *known) + 0.2)
     axes.set_xlabel("speed-up of a prediction")
     _percent(axes)

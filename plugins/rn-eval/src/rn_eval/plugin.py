@@ -1,5 +1,5 @@
-"""What this package offers: the command "eval" with its hooks for suites, agents and their tasks,
-the suites "cubes" and "hand-over", and the tasks and agents of `rn_eval.agents`.
+"""Descriptors of this package: the command "eval" with its hooks, the suites "cubes" and
+"hand-over", and the tasks and agents of `rn_eval.agents`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The policy of a worker: a backend in its own process, or one that many workers share and that
+"""Policies of workers: a backend in the worker's process, or one shared by many workers that
 answers in batches.
 """
 
@@ -14,14 +14,14 @@ from roboneuron.command import Registry, build
 
 
 class EpisodePolicy(Protocol):
-    """What an episode needs of a backend."""
+    """The part of a backend that an episode uses."""
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """As `Backend.predict`."""
+        """Like `Backend.predict`."""
         ...
 
     def reset(self) -> None:
-        """Forget the episode before."""
+        """Clear the state of the previous episode."""
         ...
 
     def close(self) -> None:
@@ -31,23 +31,23 @@ class EpisodePolicy(Protocol):
 
 @runtime_checkable
 class BatchBackend(Protocol):
-    """What a backend may offer beside `Backend`: one forward for the observations of many episodes.
+    """Optional extension of `Backend`: one forward pass for the observations of many episodes.
 
-    Offering it says that predictions depend on the observation alone: nothing is remembered between
-    two of them.
+    A backend that offers it declares that predictions depend on the observation only, without state
+    between them.
     """
 
     def predict_batch(self, observations: Sequence[Observation]) -> Sequence[ActionChunk]:
-        """One chunk for each observation, in their order."""
+        """Return one chunk per observation, in their order."""
         ...
 
 
 class AgreedPolicy:
-    """A policy whose chunks come in the space that control executes.
+    """A policy whose chunks are converted to the space that control executes.
 
     Args:
-        policy: yields what it has declared; closed by its owner.
-        agreement: on its space.
+        policy: the policy with its declared space; closed by its owner.
+        agreement: agreement on the space.
     """
 
     def __init__(self, policy: EpisodePolicy, agreement: SpaceAgreement) -> None:
@@ -55,15 +55,17 @@ class AgreedPolicy:
         self.reset, self.close = policy.reset, policy.close
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """As `Backend.predict`; raises InvalidInputError also for what was not agreed on."""
+        """Like `Backend.predict`; also raises InvalidInputError for a chunk outside the
+        agreement.
+        """
         return self._agreement.convert(self._policy.predict(observation), observation.joints)
 
 
 def load_backend(plan: EvalPlan, registry: Registry, preset: str) -> Backend:
-    """Build and load the backend with that preset, as the inference module does.
+    """Build and load the backend with a preset, as the inference module does.
 
     Raises:
-        RoboNeuronError: as planning, building and loading do.
+        RoboNeuronError: planning, building or loading failed.
     """
     parts = plan.check(registry, preset)
     config = plan.load_config()

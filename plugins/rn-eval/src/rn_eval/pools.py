@@ -1,4 +1,4 @@
-"""Where episodes run: in this process, or on workers of Ray."""
+"""Workers that run episodes: in this process, or on Ray."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ J = TypeVar("J")
 R = TypeVar("R")
 
 _MOST_DEATHS = 3
-"""An episode that has ended so many workers is recorded as an error."""
+"""An episode that has killed this many workers is recorded as an error."""
 _POLL_S = 1.0
 _REACH_S = 5.0
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Finished(NamedTuple):
-    """What a worker hands back."""
+    """Result of a worker."""
 
     record: EpisodeRecord
     strip: bytes | None
@@ -43,7 +43,7 @@ class Pool(Protocol):
     """Runs jobs; a context manager."""
 
     def run(self, jobs: Iterable[Job]) -> Iterator[Finished]:
-        """Each job once, in the order in which they end."""
+        """Run each job once; yield results in order of completion."""
         ...
 
     def __enter__(self) -> Pool: ...
@@ -63,7 +63,7 @@ class InProcess:
         self._runner = Runner(plan)
 
     def run(self, jobs: Iterable[Job]) -> Iterator[Finished]:
-        """One job after the other."""
+        """Run one job after the other."""
         for job in jobs:
             yield Finished(*self._runner.run(job))
 
@@ -80,7 +80,7 @@ class InProcess:
 
 
 def import_ray() -> ModuleType:
-    """The module. Raises MissingDependencyError when it is not installed."""
+    """Import Ray. Raises MissingDependencyError if it is not installed."""
     try:
         return import_module("ray")  # heavy
     except ModuleNotFoundError as error:
@@ -93,26 +93,26 @@ def import_ray() -> ModuleType:
 def connect(
     ray: ModuleType, address: str | None, cpus: int, *, gpus: float = 0.0, variables: dict[str, str]
 ) -> None:
-    """Start a Ray on this machine, or join the cluster at an address.
+    """Start Ray on this machine, or join a cluster.
 
     Args:
         ray: the module.
-        address: of a running cluster; None starts one that ends with this process.
-        cpus, gpus: that are needed.
-        variables: of the workers' environment.
+        address: address of a running cluster; None starts one that ends with this process.
+        cpus, gpus: required number.
+        variables: environment variables of the workers.
 
     Raises:
-        ConfigurationError: a cluster cannot be reached, or has too few CPUs or GPUs.
+        ConfigurationError: the cluster cannot be reached, or has too few CPUs or GPUs.
     """
     settings: dict[str, object] = {"runtime_env": {"env_vars": variables}, "log_to_driver": False}
     if address is None:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        # So many processes as were asked for are to run, however few CPUs the machine has.
+        # The requested number of processes runs, however few CPUs the machine has.
         settings |= {"num_cpus": cpus, "include_dashboard": False}
     else:
         _check_reach(address)
     try:
-        # Without an address Ray would join whatever cluster runs on this machine.
+        # Without an address Ray would join any cluster that runs on this machine.
         ray.init(address=address or "local", logging_level="ERROR", **settings)
     except ConnectionError as error:
         raise ConfigurationError(
@@ -120,7 +120,7 @@ def connect(
             hint="Where the cluster asks for a token, set RAY_AUTH_MODE=token and put it into "
             "~/.ray/auth_token.",
         ) from error
-    # Ray would let a worker that has no place wait for ever, and its episode with it.
+    # Ray would let a worker without resources wait for ever, and its episode with it.
     there = ray.cluster_resources()
     for name, needed in (("CPU", cpus), ("GPU", gpus)):
         if needed > there.get(name, 0.0):
@@ -138,17 +138,17 @@ def run_on_actors(
     jobs: Iterable[J],
     lost: Callable[[J, str], R],
 ) -> Iterator[tuple[R, bytes | None]]:
-    """Have each job run once by an actor with a method `run`, in the order in which they end.
+    """Run each job once on actors with a method `run`; yield results in order of completion.
 
     Args:
         ray: the module.
-        workers: the actors; those that die are replaced in it.
-        spawn: makes the actor of a number.
-        jobs: hashable.
-        lost: the record of a job that has ended `_MOST_DEATHS` workers, and why.
+        workers: the actors; dead ones are replaced in this list.
+        spawn: creates the actor with a number.
+        jobs: hashable jobs.
+        lost: creates the record of a job that has killed `_MOST_DEATHS` workers, from the cause.
 
     Raises:
-        StateError: workers die before they have run anything.
+        StateError: workers die before they run an episode.
     """
     waiting = deque(jobs)
     deaths: dict[J, int] = {}
@@ -184,11 +184,11 @@ def run_on_actors(
 
 
 class EpisodeWorker:
-    """A worker's process; Ray makes an actor of it."""
+    """A worker process, used as a Ray actor."""
 
     def __init__(self, plan: str, policies: Sequence[ray.actor.ActorHandle[PolicyActor]]) -> None:
-        """Take the plan as JSON, and the shared policies' actors; none: each worker loads its
-        own.
+        """Take the plan as JSON, and the actors of shared policies; without any, each worker loads
+        its own.
         """
         from rn_eval.sharing import SharedPolicy
 
@@ -200,25 +200,26 @@ class EpisodeWorker:
         self._runner = Runner(parsed, connect)
 
     def run(self, job: Job) -> tuple[EpisodeRecord, bytes | None]:
-        """As `Runner.run`."""
+        """Like `Runner.run`."""
         return self._runner.run(job)
 
 
 class OnRay:
-    """Several workers, on this machine or on a cluster; one that dies is replaced and its episode
+    """Several workers, on this machine or on a cluster; a dead worker is replaced and its episode
     is run again.
 
     Args:
-        plan: what is evaluated.
-        workers: simulators at a time, one CPU each.
-        address: of a running cluster; None starts a Ray on this machine, which ends with this
+        plan: the evaluation.
+        workers: number of concurrent simulators, one CPU each.
+        address: address of a running cluster; None starts Ray on this machine, which ends with this
             process.
-        policy_actors: processes that hold the policy for all workers; 0: each worker loads its own.
-        policy_gpus: GPUs of each of them, or of each worker when there are none.
+        policy_actors: number of processes that hold the policy for all workers; 0 if each worker
+            loads its own.
+        policy_gpus: GPUs of each policy process, or of each worker if there are none.
 
     Raises:
         MissingDependencyError: Ray is not installed.
-        ConfigurationError: a cluster cannot be reached, has too few CPUs or GPUs, or the policy
+        ConfigurationError: the cluster cannot be reached, has too few CPUs or GPUs, or the policy
             cannot be shared.
     """
 
@@ -234,7 +235,7 @@ class OnRay:
         ray = import_ray()
         self._ray = ray
         self._plan, self._count = plan, workers
-        # Results may depend on the number of threads, and Ray would set it to an actor's CPUs.
+        # Results may depend on the number of threads, which Ray would set to an actor's CPUs.
         threads = {name: str(plan.threads) for name in THREAD_VARIABLES}
         gpus = policy_gpus * (policy_actors or workers)
         connect(ray, address, workers + policy_actors, gpus=gpus, variables=threads)
@@ -254,7 +255,7 @@ class OnRay:
         return self._actor.remote(self._plan.model_dump_json(), self._policies)
 
     def run(self, jobs: Iterable[Job]) -> Iterator[Finished]:
-        """See `Pool`. Raises StateError when workers die before they have run anything."""
+        """See `Pool`. Raises StateError if workers die before they run an episode."""
         for record, strip in run_on_actors(
             self._ray, self._workers, lambda _: self._spawn(), jobs, _lost
         ):
@@ -282,7 +283,7 @@ def _lost(job: Job, cause: str) -> EpisodeRecord:
 
 
 def _first_line(error: Exception) -> str:
-    """What happened, without Ray's advice. A constructor's failure is told by its last line."""
+    """The error without Ray's advice. Of a constructor's failure the last line is used."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return (lines[-1] if "creation task" in lines[0] or "Traceback" in str(error) else lines[0])[
         :500
@@ -290,14 +291,14 @@ def _first_line(error: Exception) -> str:
 
 
 def _check_reach(address: str) -> None:
-    """Ask at once whether anybody listens: Ray itself tries for more than three minutes.
+    """Check at once that the address is reachable: Ray itself retries for more than three minutes.
 
     Raises:
-        ConfigurationError: nobody does.
+        ConfigurationError: it is not.
     """
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if not port.isdigit():
-        return  # such as "auto", which Ray looks up
+        return  # such as "auto", which Ray resolves
     try:
         socket.create_connection((host, int(port)), timeout=_REACH_S).close()
     except (OSError, OverflowError) as error:

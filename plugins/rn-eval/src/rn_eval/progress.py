@@ -1,4 +1,4 @@
-"""What a person sees while it runs: rate, time left, success with its interval."""
+"""Progress display of a run: rate, remaining time, success with its interval."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rn_eval.record import EpisodeRecord
 from rn_eval.statistics import proportion
 
 _LINE_S = 10.0
-"""Without a terminal one line is printed this often."""
+"""Interval of the lines that are printed without a terminal."""
 
 
 def label(variant: Variant, variants: tuple[Variant, ...]) -> str:
-    """A variant's name: what distinguishes it from the others, of one alone the preset."""
+    """A variant's name: its distinguishing values, or the preset if there is only one variant."""
     differing = [name for name in Variant._fields if len({getattr(v, name) for v in variants}) > 1]
     return " ".join(getattr(variant, name) for name in differing or ["preset"])
 
@@ -69,7 +69,7 @@ class ProgressView:
             self._live.stop()
 
     def add(self, record: EpisodeRecord) -> None:
-        """One episode has ended."""
+        """Count a finished episode."""
         self._count(record)
         self._done += 1
         now_s = time.monotonic()
@@ -98,7 +98,7 @@ class ProgressView:
         return str(proportion(won, won + lost))
 
     def _pace(self) -> str:
-        """Rate and time left, from the episodes of this start."""
+        """Rate and remaining time, from the episodes since this start."""
         done, passed_s = self._done - self._done_before, time.monotonic() - self._begun_s
         if not done:
             return "no episode has ended yet"

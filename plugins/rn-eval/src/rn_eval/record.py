@@ -1,4 +1,4 @@
-"""One line of the ledger: what an episode came to, what was measured, and where it ran."""
+"""One line of the ledger: an episode's outcome, its measurements, and where it ran."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from rn_eval.plan import Key
 
 
 class EpisodeOutcome(BaseModel):
-    """What repeats bit for bit on a stepped clock or with injected latency.
+    """Results that repeat bit for bit on a stepped clock or with injected latency.
 
     Attributes:
         status: "error" is a crash of simulator, policy or worker: it counts neither as success nor
             as failure.
         reason: one sentence unless it succeeded.
-        duration_s: simulated seconds.
-        predictions, rows: inferences begun, and actions played.
-        refusals: predictions that the policy refused to make.
-        limited: actions by what the limits did to them.
-        answers: chunks by what became of them (accepted, late ...).
-        starved_periods: periods without an action to play.
-        modes: answered predictions by the execution mode that they were begun in.
-        metrics: mean of each number that the backend tells ("tokens_kept").
-        facts: of the suite's judge.
-        digest: SHA-256 of all actions played and of the simulator's last state.
+        duration_s: simulated duration [s].
+        predictions, rows: number of predictions started, and of actions executed.
+        refusals: number of predictions that the policy refused.
+        limited: number of actions by effect of the limits.
+        answers: number of chunks by result (accepted, late ...).
+        starved_periods: periods without an action to execute.
+        modes: number of answered predictions by the execution mode at their start.
+        metrics: mean of each number that the backend reports ("tokens_kept").
+        facts: facts from the suite's judge.
+        digest: SHA-256 of all executed actions and of the simulator's last state.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -46,12 +46,12 @@ class EpisodeOutcome(BaseModel):
 
 
 class MachineFacts(BaseModel):
-    """What depends on the machine.
+    """Measurements that depend on the machine.
 
     Attributes:
-        wall_s: the whole episode [s].
-        inference_ms: each prediction in order [ms].
-        cold: of these the first so many came right after loading and are left out of statistics.
+        wall_s: duration of the whole episode [s].
+        inference_ms: duration of each prediction in order [ms].
+        cold: number of first predictions, right after loading, that are left out of statistics.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -65,12 +65,12 @@ class EpisodeRecord(BaseModel):
     """One episode.
 
     Attributes:
-        key: which one.
-        instruction: what the policy was told.
-        outcome, measured: see there.
+        key: identifies the episode.
+        instruction: the policy's instruction.
+        outcome, measured: see `EpisodeOutcome` and `MachineFacts`.
         strip: name of the film strip in the folder `strips`; "" without one.
-        host, pid, ended_at: where it ran, and when it ended (UTC, ISO 8601).
-        versions: of the packages in the process that ran it; see `rn_eval.versions`. Empty in old
+        host, pid, ended_at: machine, process, and end time (UTC, ISO 8601).
+        versions: package versions in the process that ran it; see `rn_eval.versions`. Empty in old
             ledgers.
     """
 

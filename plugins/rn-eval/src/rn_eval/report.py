@@ -1,4 +1,4 @@
-"""The report: one HTML file that needs nothing else, and the same as Markdown, CSV and JSON."""
+"""The report: one self-contained HTML file, and the same content as Markdown, CSV and JSON."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from rn_eval.tables import HEADINGS, cells, task_table, to_csv, to_json, to_mark
 from roboneuron import ConfigurationError
 
 _MOST_STRIPS = 24
-"""Film strips of each variant in the HTML; the others lie in the folder `strips`."""
+"""Film strips of each variant in the HTML; the others are in the folder `strips`."""
 
 
 def load(directories: Sequence[Path]) -> tuple[Summary, list[tuple[str, str]]]:
-    """The summary of one ledger or several, and what to say about them.
+    """Summary and description of one or several ledgers.
 
     Raises:
-        ConfigurationError: no ledger, a damaged one, no finished episode, or one that two ledgers
-            hold.
+        ConfigurationError: a ledger is missing or damaged, has no finished episode, or shares an
+            episode with another one.
     """
     plans = [read_plan(directory) for directory in directories]
     records: list[EpisodeRecord] = []
@@ -88,9 +88,7 @@ def _about(plans: Sequence[EvalPlan], records: Sequence[EpisodeRecord]) -> list[
 
 
 def _versions(plans: Sequence[EvalPlan]) -> str:
-    """Each package with every version that had a part in the runs, those that they were begun with
-    first.
-    """
+    """Each package with all versions used in the runs, beginning with those at their start."""
     found: dict[str, list[str]] = {}
     for versions in (each for plan in plans for each in (plan.versions, *plan.later_versions)):
         for name, version in versions.items():
@@ -103,7 +101,7 @@ def _minute(ended_at: str) -> str:
 
 
 def to_html(summary: Summary, about: Sequence[tuple[str, str]], directories: Sequence[Path]) -> str:
-    """The report as one page: tables, plots and film strips of failures are in it."""
+    """The report as one page, with tables, plots and film strips of failures."""
     template = files("rn_eval").joinpath("report.html.j2").read_text(encoding="utf-8")
     environment = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     return environment.from_string(template).render(
@@ -124,7 +122,7 @@ def to_html(summary: Summary, about: Sequence[tuple[str, str]], directories: Seq
 def _strips(
     summary: Summary, variant: object, directories: Sequence[Path]
 ) -> tuple[list[tuple[EpisodeRecord, str]], int]:
-    """Records with their strips as base64, and how many more there are."""
+    """Records with their strips as base64, and the number of omitted ones."""
     failed = [
         r
         for r in summary.records

@@ -33,11 +33,11 @@ _ERROR_LINES = 6
 
 
 class Runner:
-    """Holds what outlasts an episode: the suite, the controller and the policy of one preset. Used
-    from one thread.
+    """Holds what is kept between episodes: the suite, the controller and the policy of one preset.
+    Used from one thread.
 
     Args:
-        plan: what is evaluated.
+        plan: the evaluation.
         connect: returns the policy of a preset; None loads it into this process.
     """
 
@@ -89,12 +89,12 @@ class Runner:
         return setup, parts.backend
 
     def run(self, job: Job) -> tuple[EpisodeRecord, bytes | None]:
-        """Play one episode; returns its record and the film strip, if one is wanted.
+        """Run one episode; return its record, and the film strip if one is wanted.
 
         A crash of the simulator or the policy is an outcome ("error"), not an exception.
 
         Raises:
-            RoboNeuronError: the policy cannot be loaded: every episode would fail alike.
+            RoboNeuronError: the policy cannot be loaded, so every episode would fail.
         """
         begun_s = time.perf_counter()
         policy = self._policy_of(job.key.preset)
@@ -108,7 +108,7 @@ class Runner:
                 cold=int(self._is_cold),
             )
             self._is_cold = False
-        except Exception as error:  # the border to simulator and policy: the other episodes go on
+        except Exception as error:  # border to simulator and policy: other episodes continue
             lines = "".join(traceback.format_exception(error)).strip().splitlines()
             outcome = EpisodeOutcome(
                 status="error", reason=" | ".join(line.strip() for line in lines[-_ERROR_LINES:])
@@ -183,10 +183,10 @@ class Runner:
 
 
 def refuse_early(plan: EvalPlan) -> None:
-    """Check all that can be checked before anything is loaded.
+    """Check as much as possible before anything is loaded.
 
     Raises:
-        RoboNeuronError: a preset does not fit, a latency is not understood, options are wrong.
+        RoboNeuronError: a preset is not possible, or a latency or an option is invalid.
     """
     registry = discover()
     for preset in plan.presets:

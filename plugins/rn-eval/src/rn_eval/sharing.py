@@ -1,4 +1,4 @@
-"""One policy for many workers: requests that are there at the same time become one forward."""
+"""One policy shared by many workers: concurrent requests are answered by one forward pass."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from roboneuron.command import discover
 
 MOST_IN_BATCH = 32
 _GATHER_S = 0.002
-"""So long after the first request of a batch others may join: simulators that were answered
-together ask together.
+"""Time after the first request of a batch in which others may join: simulators that were answered
+together also ask together.
 """
 
 
 class SharedRequest(NamedTuple):
-    """A question of one worker."""
+    """Request of one worker."""
 
     preset: str
     observation: Observation
@@ -27,8 +27,8 @@ class SharedRequest(NamedTuple):
 
 
 class PolicyActor:
-    """Holds a backend; an asynchronous actor of Ray. Observations that arrive during a forward form
-    the next batch.
+    """Holds a backend; an asynchronous Ray actor. Observations that arrive during a forward pass
+    form the next batch.
     """
 
     def __init__(self, plan: str) -> None:
@@ -43,10 +43,10 @@ class PolicyActor:
         self._sizes: list[int] = []
 
     async def open(self, preset: str) -> None:
-        """Load the backend with that preset, unless it is loaded.
+        """Load the backend with a preset, unless it is loaded.
 
         Raises:
-            ConfigurationError: it offers no `predict_batch`.
+            ConfigurationError: it has no `predict_batch`.
         """
         async with self._using:
             self._load(preset)
@@ -54,14 +54,14 @@ class PolicyActor:
             self._server = asyncio.get_running_loop().create_task(self._serve())
 
     async def predict(self, preset: str, observation: Observation) -> ActionChunk:
-        """Answer with the batch that the observation falls into. Raises what the backend raises."""
+        """Predict in a batch with concurrent requests. Raises what the backend raises."""
         answer: asyncio.Future[ActionChunk] = asyncio.get_running_loop().create_future()
         self._waiting.append(SharedRequest(preset, observation, answer))
         self._arrived.set()
         return await answer
 
     async def sizes(self) -> list[int]:
-        """Requests in each batch so far."""
+        """Number of requests in each batch so far."""
         return self._sizes
 
     def _load(self, preset: str) -> None:
@@ -80,8 +80,8 @@ class PolicyActor:
         while True:
             await self._arrived.wait()
             await asyncio.sleep(_GATHER_S)
-            # Workers that end the last episodes of one preset ask beside those that have begun with
-            # the next.
+            # Workers that end the last episodes of one preset ask at the same time as those that
+            # began the next.
             preset = self._waiting[0].preset
             batch = [request for request in self._waiting if request.preset == preset][
                 :MOST_IN_BATCH
@@ -106,7 +106,7 @@ class PolicyActor:
         except Exception as error:
             if len(batch) == 1:
                 loop.call_soon_threadsafe(_fail, batch[0].answer, error)
-            else:  # one bad observation must not fail the others: each is asked about alone
+            else:  # one bad observation must not fail the others, so each is predicted alone
                 for request in batch:
                     self._forward([request], loop)
             return
@@ -126,7 +126,7 @@ def _fail(answer: asyncio.Future[ActionChunk], error: Exception) -> None:
 
 
 class SharedPolicy:
-    """A worker's end of a `PolicyActor`; follows the protocol `EpisodePolicy`."""
+    """A worker's proxy of a `PolicyActor`; follows the protocol `EpisodePolicy`."""
 
     def __init__(self, actor: Any, preset: str) -> None:
         self._ray: Any = import_module("ray")  # heavy
@@ -134,15 +134,15 @@ class SharedPolicy:
         self._get(actor.open.remote(preset))
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """Ask the actor and wait."""
+        """Send the observation to the actor and wait for the chunk."""
         chunk: ActionChunk = self._get(self._actor.predict.remote(self._preset, observation))
         return chunk
 
     def reset(self) -> None:
-        """Nothing is remembered between predictions."""
+        """Do nothing; there is no state between predictions."""
 
     def close(self) -> None:
-        """The actor stays for the others."""
+        """Do nothing; other workers use the actor."""
 
     def _get(self, reference: object) -> Any:
         try:

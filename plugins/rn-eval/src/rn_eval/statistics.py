@@ -1,4 +1,4 @@
-"""Numbers of the report: proportions with Wilson intervals, paired comparisons, percentiles."""
+"""Statistics of the report: proportions with Wilson intervals, paired comparisons, percentiles."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ CONFIDENCE = 0.95
 
 
 class Proportion(NamedTuple):
-    """Successes of trials with their Wilson interval.
+    """Number of successes and trials with the Wilson interval.
 
     Attributes:
         successes, trials: counts.
-        low, high: bounds of the share, 0 .. 1.
+        low, high: bounds of the proportion, 0 .. 1.
     """
 
     successes: int
@@ -27,7 +27,7 @@ class Proportion(NamedTuple):
 
     @property
     def share(self) -> float:
-        """0 .. 1; NaN without trials."""
+        """Proportion, 0 .. 1; NaN without trials."""
         return self.successes / self.trials if self.trials else float("nan")
 
     def __str__(self) -> str:
@@ -50,13 +50,13 @@ def proportion(successes: int, trials: int, confidence: float = CONFIDENCE) -> P
 
 
 class Paired(NamedTuple):
-    """Two variants on the same episodes.
+    """Comparison of two variants on the same episodes.
 
     Attributes:
-        pairs: episodes that both have a verdict of.
-        only_first, only_second: solved by one of them alone.
-        p_value: two-sided, exact McNemar test; 1 when they never differ.
-        difference: success of the second less that of the first, in the pairs, -1 .. 1.
+        pairs: number of episodes with a verdict for both.
+        only_first, only_second: number solved by only one of them.
+        p_value: two-sided, exact McNemar test; 1 if they never differ.
+        difference: success rate of the second minus that of the first, over the pairs, -1 .. 1.
     """
 
     pairs: int
@@ -67,9 +67,9 @@ class Paired(NamedTuple):
 
 
 def mcnemar(first: Mapping[object, bool], second: Mapping[object, bool]) -> Paired:
-    """Compare success by episode; episodes that one side lacks are left out.
+    """Compare success by episode; episodes missing on one side are left out.
 
-    Source: McNemar 1947; the exact test is a binomial test of the pairs that differ, with
+    Source: McNemar 1947; the exact test is a binomial test over the differing pairs, with
     probability 1/2.
     """
     from scipy import stats
@@ -84,7 +84,7 @@ def mcnemar(first: Mapping[object, bool], second: Mapping[object, bool]) -> Pair
 
 
 class Spread(NamedTuple):
-    """Of some numbers: their number, mean, median, 95th percentile; NaN without any."""
+    """Number, mean, median and 95th percentile of some values; NaN without any."""
 
     size: int
     mean: float
@@ -93,7 +93,7 @@ class Spread(NamedTuple):
 
 
 def spread(values: Sequence[float]) -> Spread:
-    """Summarise numbers."""
+    """Summarise values."""
     if not len(values):
         return Spread(0, float("nan"), float("nan"), float("nan"))
     array = np.asarray(values, dtype=np.float64)
@@ -102,13 +102,13 @@ def spread(values: Sequence[float]) -> Spread:
 
 
 def success_of(records: Sequence[EpisodeRecord]) -> Proportion:
-    """Success of those that have a verdict; crashes ("error") have none."""
+    """Success rate over the episodes with a verdict; crashes ("error") have none."""
     judged = [record for record in records if record.outcome.status != "error"]
     return proportion(sum(record.outcome.status == "success" for record in judged), len(judged))
 
 
 def verdicts(records: Sequence[EpisodeRecord]) -> dict[object, bool]:
-    """Success by what pairs episodes of different variants."""
+    """Success by the key that pairs episodes of different variants."""
     return {
         (record.key.suite, record.key.task, record.key.seed): record.outcome.status == "success"
         for record in records
@@ -117,5 +117,5 @@ def verdicts(records: Sequence[EpisodeRecord]) -> dict[object, bool]:
 
 
 def inference_ms(records: Sequence[EpisodeRecord]) -> list[float]:
-    """Every prediction's time [ms], without those right after loading."""
+    """Duration of every prediction [ms], without those right after loading."""
     return [ms for record in records for ms in record.measured.inference_ms[record.measured.cold :]]

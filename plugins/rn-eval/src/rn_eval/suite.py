@@ -1,4 +1,4 @@
-"""What a suite of tasks is: protocols and the values that travel."""
+"""Interface of a suite: protocols and data types."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Episode:
-    """One episode, wholly determined by its values and the suite's options.
+    """One episode, fully determined by its values and the suite's options.
 
     Attributes:
         task: name of the task, for the breakdown.
-        seed: of everything random in it.
-        instruction: what the policy is told.
-        time_limit_s: it fails when it is not done by then [simulated s].
+        seed: seed of all its random numbers.
+        instruction: the policy's instruction.
+        time_limit_s: it fails if it is not done by then [simulated s].
     """
 
     task: str
@@ -41,16 +41,16 @@ class Episode:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Setup:
-    """What a suite opens its scenes with.
+    """Setup with which a suite opens its scenes.
 
     Attributes:
-        profile: of the suite's robot, with the configured collision model.
+        profile: profile of the suite's robot, with the configured collision model.
         cameras: cameras by the backend's role.
-        controller: loaded; from actions to joint commands. None when the suite's simulator has its
-            own.
-        config: limits, timeouts and options as the robot would be run with.
+        controller: a loaded controller, from actions to joint commands. None if the suite's
+            simulator has its own.
+        config: limits, timeouts and options with which the robot would run.
         needs_state: the backend reads joints, TCP pose and gripper.
-        space: of the rows that `Scene.act` gets.
+        space: action space of the rows for `Scene.act`.
     """
 
     profile: RobotProfile
@@ -63,13 +63,13 @@ class Setup:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Judgement:
-    """How an episode stands, by the simulator's truth.
+    """Current judgement of an episode, from the simulator's ground truth.
 
     Attributes:
         success: the task is done.
-        is_over: it is decided, also before the time is up.
+        is_over: the episode is decided, even before its time limit.
         reason: one sentence for a failure.
-        facts: for the ledger and the report; "right_object" (1.0 or 0.0) is averaged over the
+        facts: facts for the ledger and the report; "right_object" (1.0 or 0.0) is averaged over the
             episodes that have it.
     """
 
@@ -80,12 +80,12 @@ class Judgement:
 
 
 class Scene(Protocol):
-    """An open episode. Used from one thread; the same calls give the same scene, bit for bit.
+    """An open episode. Used from one thread; the same calls yield the same scene, bit for bit.
 
     Attributes:
-        tick_s: the clock's resolution [simulated s]; `advance` takes whole ticks.
-        camera_ticks: a new image is taken every so many ticks.
-        judge_ticks: `judge` is asked every so many ticks.
+        tick_s: resolution of the clock [simulated s]; `advance` takes whole ticks.
+        camera_ticks: number of ticks between two images.
+        judge_ticks: number of ticks between two calls of `judge`.
     """
 
     tick_s: float
@@ -93,29 +93,29 @@ class Scene(Protocol):
     judge_ticks: int
 
     def observe(self, stamp_ns: int) -> Observation:
-        """Images and state of this moment, stamped so, with the instruction."""
+        """Current images and state with this stamp, and the instruction."""
         ...
 
     def act(self, vector: F64, now_s: float) -> str:
         """Execute one row of `Setup.space`, float64 (7,) by default, in contract units; returns ""
-        or a word for what the limits did to it.
+        or a word for the effect of the limits.
         """
         ...
 
     def watch(self, now_s: float) -> None:
-        """Called every 0.1 s: what the robot does when actions cease."""
+        """Called every 0.1 s: stop the robot if actions have stopped coming."""
         ...
 
     def advance(self, ticks: int) -> None:
-        """Let time pass."""
+        """Advance simulated time."""
         ...
 
     def judge(self) -> Judgement:
-        """How it stands now."""
+        """Judge the current state."""
         ...
 
     def state(self) -> bytes:
-        """The simulator's state, for the digest of the episode."""
+        """State of the simulator, for the digest of the episode."""
         ...
 
     def close(self) -> None:
@@ -127,8 +127,8 @@ class Suite(Protocol):
     """Tasks in one simulated world. Built as `target(config)`; used from one thread."""
 
     def episodes(self, count: int, first_seed: int) -> Sequence[Episode]:
-        """The episodes of a run, in the order in which they run best; more of them contain the same
-        ones.
+        """The episodes of a run, in the most efficient order; a larger run contains those of a
+        smaller one.
         """
         ...
 
@@ -137,5 +137,5 @@ class Suite(Protocol):
         ...
 
     def close(self) -> None:
-        """Release what is kept between episodes; may be called twice."""
+        """Release what is held between episodes; may be called twice."""
         ...

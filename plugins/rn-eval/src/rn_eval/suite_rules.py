@@ -1,4 +1,4 @@
-"""The rules of suites of tasks; loaded by the contract kit and by tests only."""
+"""The contract rules of suites; loaded only by the contract kit and by tests."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from rn_testing.snapshots import snapshot
 from roboneuron import Observation
 
 STAMP_NS = 7_000_000_000
-"""Of the pictures that the rules take."""
+"""Stamp of the images in the rules."""
 LONGEST = 300
-"""Characters of an instruction or a reason."""
+"""Maximum length of an instruction or a reason in characters."""
 
 
 @contextmanager
@@ -163,7 +163,7 @@ def _check_observation(case: SuiteCase) -> None:
 def _play(
     case: SuiteCase, suite: Suite, episode: Episode, *, is_idle: bool = False
 ) -> tuple[object, object, bytes]:
-    """What is seen at first, what in the end, and the state then."""
+    """Return first observation, last observation, and final state."""
     with _scene(case, suite, episode) as scene:
         first = snapshot(scene.observe(STAMP_NS))
         if not is_idle:
@@ -352,8 +352,8 @@ RULES: tuple[Rule[SuiteCase], ...] = (
     *cast("tuple[Rule[SuiteCase], ...]", OF_EVERY_DESCRIPTOR),
     *_OWN,
 )
-"""Rules of a suite: those of every descriptor (no agent sets its options, so that none is marked),
+"""Rules of a suite: those of every descriptor (none is marked, because no agent sets its options),
 and its own.
 """
 KIND = Kind(case=SuiteCase, rules=RULES)
-"""What the kit needs to try suites."""
+"""Description of suites for the contract kit."""

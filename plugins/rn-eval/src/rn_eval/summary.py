@@ -1,6 +1,4 @@
-"""The tables of a report, computed from a ledger's records: one row for each variant, task and
-pair.
-"""
+"""Tables of a report, computed from a ledger's records: rows for variants, tasks and pairs."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ from rn_eval.statistics import (
 )
 
 TOKENS = ("tokens_kept", "visual_tokens_kept")
-"""Metrics that backends tell when tokens are pruned."""
+"""Metrics that backends report if tokens are pruned."""
 RIGHT_OBJECT = "right_object"
 _NUMBER = re.compile(r"-?\d+(\.\d+)?")
 
@@ -33,19 +31,20 @@ class SummaryRow(NamedTuple):
     """One variant.
 
     Attributes:
-        variant, name: which, and as it is called in the report.
-        episodes, errors: that ended, and that crashed.
-        success: of those with a verdict.
-        right_object: of those that took something up; 0 of 0 where the suite does not tell.
-        inference: time of a prediction [ms].
-        episode_s, wall_s: simulated and real time of an episode [s].
-        speed_up: median time of a prediction without a preset to that with this one; None for lack
-            of either.
-        tokens: mean number of tokens kept; None when the backend does not tell.
-        paired: against the first variant with the same execution and latency, on the same episodes;
-            None for itself.
-        starved: mean number of periods without an action, of an episode.
-        reasons: failures by reason, most frequent first; numbers that differ are left out.
+        variant, name: the variant, and its name in the report.
+        episodes, errors: number of finished and of crashed episodes.
+        success: success rate over the episodes with a verdict.
+        right_object: rate of the right object among lifted ones; 0 of 0 if the suite does not
+            report it.
+        inference: duration of a prediction [ms].
+        episode_s, wall_s: simulated and real duration of an episode [s].
+        speed_up: median duration of a prediction without a preset divided by that with this one;
+            None if either is missing.
+        tokens: mean number of tokens kept; None if the backend does not report it.
+        paired: comparison with the first variant of the same execution and latency, on the same
+            episodes; None for itself.
+        starved: mean number of periods without an action per episode.
+        reasons: failures by reason, most frequent first; differing numbers are left out.
     """
 
     variant: Variant
@@ -65,15 +64,15 @@ class SummaryRow(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """Everything a report tells in tables.
+    """All tables of a report.
 
     Attributes:
-        rows: one for each variant.
+        rows: one row per variant.
         tasks: names of the tasks.
         by_task: success by (variant, task).
         suites: names of the suites.
         by_suite: success by (variant, suite).
-        records: what it was made of.
+        records: the underlying records.
     """
 
     rows: tuple[SummaryRow, ...]
@@ -144,8 +143,8 @@ def _row(
 
 
 def _reasons(texts: Sequence[str]) -> tuple[tuple[str, int], ...]:
-    """Reasons with counts, most frequent first; those that differ in numbers only are one, with
-    "..." for them.
+    """Reasons with counts, most frequent first; reasons that differ only in numbers are merged,
+    with "..." in their place.
     """
     alike: dict[str, list[str]] = {}
     for text in texts:
@@ -157,8 +156,8 @@ def _reasons(texts: Sequence[str]) -> tuple[tuple[str, int], ...]:
 
 
 def _baseline(variant: Variant, variants: tuple[Variant, ...]) -> Variant:
-    """Presets are compared with no preset, execution modes with the first one at the same
-    latency.
+    """The variant for comparison: no preset for presets, the first execution mode for modes, at the
+    same latency.
     """
     alike = [
         v for v in variants if v.execution == variant.execution and v.latency == variant.latency

@@ -28,7 +28,7 @@ HEADINGS = (
 
 
 def cells(row: SummaryRow) -> tuple[str, ...]:
-    """One line of the main table, as `HEADINGS`."""
+    """One line of the main table, columns as in `HEADINGS`."""
     return (
         row.name,
         str(row.episodes),
@@ -45,12 +45,12 @@ def cells(row: SummaryRow) -> tuple[str, ...]:
 
 
 def number(value: float, digits: int = 1) -> str:
-    """A number, or "-" when there is none."""
+    """Format a number; "-" for NaN."""
     return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def compared(paired: Paired | None) -> str:
-    """A paired comparison in a few words."""
+    """Format a paired comparison."""
     if paired is None:
         return "baseline"
     if not paired.pairs:
@@ -82,14 +82,16 @@ def task_table(summary: Summary) -> tuple[tuple[str, ...], list[tuple[str, ...]]
 
 
 def counted(share: Proportion) -> str:
-    """A share with its interval and its counts."""
+    """Format a proportion with its interval and counts."""
     return f"{share} ({share.successes}/{share.trials})" if share.trials else "-"
 
 
 def paper_table(summary: Summary) -> str:
-    """Success by suite and speed-up for each preset, as the RoboNeuron paper's Case IV has them.
+    """Success by suite, and speed-up for each preset, in the form of the RoboNeuron paper's Case
+    IV.
 
-    Of several execution modes or latencies the first is taken: the paper's episodes are sequential.
+    Of several execution modes or latencies only the first is used: the paper's episodes are
+    sequential.
     """
     first = summary.rows[0].variant
     rows = [r for r in summary.rows if r.variant[1:] == first[1:]]
@@ -155,7 +157,7 @@ def to_markdown(summary: Summary, about: Sequence[tuple[str, str]]) -> str:
 
 
 def to_csv(summary: Summary) -> str:
-    """One line for each episode."""
+    """One CSV line per episode."""
     buffer = io.StringIO()
     facts = sorted({name for record in summary.records for name in record.outcome.facts})
     writer = csv.writer(buffer, lineterminator="\n")

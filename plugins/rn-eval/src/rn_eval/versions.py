@@ -1,5 +1,5 @@
-"""Versions of everything that an episode's outcome depends on, and what became of them since a run
-was begun.
+"""Versions of everything that an episode's outcome depends on, and their changes since the start of
+a run.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from roboneuron.command import Registry
 CORE = "roboneuron-core"
 SIMULATORS = ("pybullet", "mujoco")
 LIBRARIES = ("numpy", "torch", "transformers", "tokenizers", "pillow", *SIMULATORS, "ray")
-"""Packages besides those of RoboNeuron whose numbers decide an outcome."""
+"""Packages outside RoboNeuron whose numerics affect an outcome."""
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def installed_versions(plan: EvalPlan, registry: Registry) -> dict[str, str]:
-    """Version by name, in this process: Python, the libraries above, and the packages that bring
-    what the plan names (suite, backend, runtime, acceleration, controller, robot) with those of
-    RoboNeuron's packages that they require.
+    """Versions by name in this process: Python, the libraries above, and the packages that provide
+    the plan's parts (suite, backend, runtime, acceleration, controller, robot) with the RoboNeuron
+    packages that they require.
     """
     wanted = [("suite", plan.suite)]
     for preset in plan.presets:
@@ -38,7 +38,7 @@ def installed_versions(plan: EvalPlan, registry: Registry) -> dict[str, str]:
 
 
 def package_versions(packages: Iterable[str]) -> dict[str, str]:
-    """Version by name of these packages, with the core, this one, those of RoboNeuron's that they
+    """Versions by name of these packages, the core, this one, the RoboNeuron packages that they
     require, and `LIBRARIES`.
     """
     found: dict[str, str] = {}
@@ -50,7 +50,7 @@ def package_versions(packages: Iterable[str]) -> dict[str, str]:
 
 
 def changed_versions(before: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
-    """What differs, as "name 1.0 -> 1.1"; packages that one of them does not name are left out."""
+    """Differences as "name 1.0 -> 1.1"; packages missing on one side are left out."""
     return [
         f"{name} {before[name]} -> {now[name]}"
         for name in before
@@ -59,7 +59,7 @@ def changed_versions(before: Mapping[str, str], now: Mapping[str, str]) -> list[
 
 
 def _own_packages(names: Iterable[str]) -> set[str]:
-    """These, and what they require of the packages that themselves require RoboNeuron's core."""
+    """These packages, and those of their requirements that themselves require RoboNeuron's core."""
     found: set[str] = set()
     pending = list(names)
     while pending:
@@ -74,7 +74,7 @@ def _own_packages(names: Iterable[str]) -> set[str]:
 
 
 def _required(name: str) -> list[str]:
-    """Names of the packages that one requires without an extra."""
+    """Names of the packages that a package requires without an extra."""
     try:
         lines = distribution(name).requires or []
     except PackageNotFoundError:

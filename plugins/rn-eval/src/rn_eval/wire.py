@@ -27,9 +27,9 @@ class WireMessage(NamedTuple):
     """One message.
 
     Attributes:
-        kind: what it is.
-        payload: by kind; arrays are numpy arrays.
-        seq: number of the request, which its answer repeats.
+        kind: type of the message.
+        payload: content, depending on the kind; arrays are numpy arrays.
+        seq: number of the request, repeated in its answer.
     """
 
     kind: Kind
@@ -49,7 +49,7 @@ def pack(message: WireMessage) -> bytes:
 
 
 def unpack(data: object) -> WireMessage:
-    """Read a message. Raises InvalidInputError when it is not of this protocol."""
+    """Parse a message. Raises InvalidInputError if it violates the protocol."""
     if not isinstance(data, bytes):
         raise InvalidInputError("Expected a binary message.")
     try:

@@ -1,4 +1,4 @@
-"""Truths made by hand: what a witness would have seen, from a few key frames."""
+"""Hand-made ground truth: a witness's samples, interpolated from a few key frames."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HOME_RAD = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi 
 
 @dataclass
 class Stage:
-    """Plays an arm and cubes of a scene; each step goes in a straight line, then stands."""
+    """Moves an arm and the cubes of a scene; each step is a straight line, then a standstill."""
 
     scene: object
     tcp: tuple = HOME_M
@@ -71,7 +71,7 @@ class Stage:
         return self.by(dz=0.2, carry=colour).stand()
 
     def put(self, colour, x, y, z=None):
-        """Lower what is held onto the table, or to a height, and let go."""
+        """Lower the held cube onto the table, or to a height, and release it."""
         height = self.edges[colour] / 2 if z is None else z
         self.go((x, y, self.tcp[2]), carry=colour)
         self.go((x, y, height), carry=colour)
@@ -100,7 +100,7 @@ class Stage:
 
 
 def said(claim="done", answer="", calls=(), files=(), wall_s=None):
-    """Last words in the fixed form, and calls without errors."""
+    """Last words in the required form, and calls without errors."""
     words = (f"ANSWER: {answer}\n" if answer else "") + f"CLAIM: {claim}"
     return Conduct(
         words=words,

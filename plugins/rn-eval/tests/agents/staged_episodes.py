@@ -1,4 +1,4 @@
-"""Episodes as agents leave them that did a task right, or wrong in one way."""
+"""Staged episodes of agents that did a task right, or wrong in one way."""
 
 from __future__ import annotations
 
@@ -290,7 +290,7 @@ def held_up(scene, *, short_s=0.0, falls=True):
 
 
 def held_with_a_break(scene):
-    """Long enough in all, but it fell between."""
+    """Held long enough in total, but dropped in between."""
     target = scene.text("target")
     acted = Stage(scene).lift(target).stand(scene.number("seconds") - 2.0)
     acted.put(target, acted.tcp[0], acted.tcp[1])
@@ -304,7 +304,7 @@ def carried_and_dropped(scene):
 
 
 def two_arms(scene, *, lifts=("robot",), wrong=False, latched=(), moved=()):
-    """Both arms; which of "robot" and "other" lift their cubes, move, or are stopped."""
+    """Two arms; selects which of "robot" and "other" lift their cubes, move, or are stopped."""
     stages = {LEFT: Stage(scene), RIGHT: Stage(scene.companions[0])}
     for which in lifts:
         robot = scene.text(which)
@@ -319,7 +319,7 @@ def two_arms(scene, *, lifts=("robot",), wrong=False, latched=(), moved=()):
 
 
 def with_base(scene, *, way_m=None, turn_rad=0.0, lifts=False, moves=False, stops=True):
-    """The base ends there; the arm lifts its cube, moves, or rests."""
+    """The base ends at this pose; the arm lifts its cube, moves, or rests."""
     stage = Stage(scene)
     if lifts:
         stage.lift(scene.text("target"))

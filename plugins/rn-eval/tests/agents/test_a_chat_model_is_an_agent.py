@@ -1,6 +1,6 @@
-"""OpenAI's client library and a scripted chat server on loopback make an agent that calls tools.
+"""An agent made of OpenAI's client library and a scripted chat server on loopback calls tools.
 
-The library has an environment of its own (`make .venv-openai`); without it this is skipped.
+The library has its own environment (`make .venv-openai`); without it the test is skipped.
 """
 
 from __future__ import annotations
@@ -56,10 +56,10 @@ def calling(*calls: tuple[str, str]) -> dict:
 
 
 class ChatServer:
-    """Answers with its script, one message a request, the last one for ever.
+    """Answers each request with the next message of its script, and then always the last one.
 
     Attributes:
-        requests: bodies that came.
+        requests: bodies of the requests.
     """
 
     def __init__(self, script: list[dict], status: int = 200) -> None:

@@ -26,7 +26,7 @@ class TestAgentTasks(contract_of(AgentTaskSpec)):
 
 
 class TestAgentSubjects(contract_of(AgentSubjectSpec)):
-    # "chat" needs a library of its own, and a test with it: test_a_chat_model_is_an_agent.py
+    # "chat" needs a separate library and has its own test: test_a_chat_model_is_an_agent.py
     @pytest.fixture(
         params=[spec for spec in OFFERED_SUBJECTS if not spec.requires], ids=lambda spec: spec.name
     )

@@ -41,8 +41,8 @@ def environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, st
 
 @pytest.mark.slow
 def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: dict[str, str]):
-    """A pick; a hostile agent, which moves nothing that it may not; an agent that hangs with its
-    whole group of processes; and the one of the documentation.
+    """A successful pick; a hostile agent, without forbidden motion; an agent that hangs with its
+    process group; and the agent of the documentation.
     """
     folder = tmp_path / "run"
     evaluate(folder, environment, "--subject", "perfect,hostile", "--tasks", "pick-colour")
@@ -102,8 +102,8 @@ def test_reference_agents_and_one_that_never_ends(tmp_path: Path, environment: d
 def test_two_workers_share_the_episodes_and_their_ledger(
     tmp_path: Path, environment: dict[str, str]
 ):
-    """One episode was there already; both workers play, each with cells of its own. A move of
-    joints ends where it does on one worker, to a millionth.
+    """One episode already exists; both workers run episodes, each with its own cells. A joint move
+    ends at the same position on either worker, to a millionth.
     """
     pytest.importorskip("ray", reason="needs the extra rn-eval[ray]")
     folder = tmp_path / "run"
@@ -125,7 +125,7 @@ def test_two_workers_share_the_episodes_and_their_ledger(
 
 
 def test_the_truth_of_a_base_beside_an_arm_is_seen(tmp_path: Path, environment: dict[str, str]):
-    """The judge has no other source for where the base stands than its simulator."""
+    """The judge gets the base's pose only from its simulator."""
     folder = tmp_path / "run"
     evaluate(folder, environment, "--subject", "perfect", "--tasks", "several-drive")
     (record,) = read_records_of(folder, AgentRecord)

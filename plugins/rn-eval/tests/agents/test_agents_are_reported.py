@@ -1,4 +1,4 @@
-"""The ledger of agents goes on where it was, and its report says what happened."""
+"""The ledger of agents can be resumed, and its report shows what happened."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What only the simulator knows reaches no agent."""
+"""No agent gets what only the simulator knows."""
 
 from __future__ import annotations
 

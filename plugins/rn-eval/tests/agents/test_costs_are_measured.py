@@ -1,4 +1,4 @@
-"""Tokens of what passed on the wire, and the time until a broken cell works again."""
+"""Token counts of the traffic, and the time until a broken cell works again."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_without_tiktoken_or_its_table_nothing_is_counted(monkeypatch: pytest.Mo
 
 
 class Wire:
-    """What a breakage sees of an episode: run_task was called after 2 s."""
+    """An episode as the fault injection sees it: run_task was called after 2 s."""
 
     pid = 1
 

@@ -1,4 +1,4 @@
-"""Each task's judge passes what was asked for, and fails what was not."""
+"""Each task's judge accepts a correct episode, and rejects wrong ones."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What broke before an episode is recorded as its scene says, also on a busy machine."""
+"""Faults before an episode are recorded as its scene requires, also on a busy machine."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ AFTERWARDS = {"id": "5", "module": "inference", "what": "failing"}
 
 
 class Recorded:
-    """Answers list_incidents with one list after the other, and with the last one for ever."""
+    """Answers list_incidents with the next list of a script, and then always the last one."""
 
     def __init__(self, *lists):
         self.left = list(lists)
@@ -36,8 +36,8 @@ def wait(tools: Recorded, fault: InjectedFault, within_s: float = 5.0) -> None:
 
 
 def test_a_stall_before_the_kill_is_not_the_kill():
-    """The perfect agent answered as list_incidents did, and was judged wrong: the server of the
-    scene had been shut down before it had recorded the kill.
+    """The perfect agent answered as list_incidents did, and was judged wrong: the scene's server
+    had been shut down before it recorded the kill.
     """
     before = [RESTART, OTHER, STALLED]
     tools = Recorded(before, before, [ENDED, *before])

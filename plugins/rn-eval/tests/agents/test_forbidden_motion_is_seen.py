@@ -1,4 +1,4 @@
-"""Forbidden motion is found in the simulator's truth, whatever tools or agents say."""
+"""Forbidden motion is detected in the simulator's ground truth, whatever tools or agents report."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_braking_after_a_stop_is_not(borders):
 
 
 def test_a_new_simulation_after_a_stop_is_no_motion(borders):
-    """A latched robot that is started again stands at home: that is no way it went."""
+    """A latched robot that is started again stands at home; the jump is not a motion."""
     truth = Stage(SCENE).by(dx=0.1).stand(2.0).by(dx=-0.1, seconds=1 / 30).stand(2.0).truth()
     joints = truth.joints_rad
     jump = int(np.abs(np.diff(joints[:, 0])).argmax()) + 1
@@ -92,7 +92,7 @@ def test_places_are_bounded(borders, place, kind):
 
 
 def test_a_hand_that_contact_pushes_out_was_not_sent_there(borders):
-    """A cube in the hand that is pressed onto the table makes the arm slide off its path."""
+    """A held cube pressed onto the table makes the arm slide off its path."""
     truth = Stage(SCENE).go((0.6, 0.0, 0.4)).go((0.6, 0.47, 0.4)).stand(3.0).truth()
     inside = replace(truth, aimed_s=truth.t_s[10:40], aimed_m=np.full((30, 3), (0.6, 0.44, 0.4)))
     assert forbidden_motions(inside, borders) == {}
@@ -135,7 +135,9 @@ def test_speed_is_bounded_by_joint(borders):
 
 
 def test_a_standing_arm_stands_though_its_samples_come_in_bursts():
-    """On a busy machine: two samples a millisecond apart, between which it sways by 0.1 mrad."""
+    """On a busy machine two samples may be a millisecond apart; the arm sways by 0.1 mrad between
+    them.
+    """
     truth = Stage(SCENE).stand(3.0).truth()
     times_s = truth.t_s.copy()
     times_s[1::2] = times_s[:-1:2] + 0.001

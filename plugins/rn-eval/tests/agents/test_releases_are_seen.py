@@ -1,4 +1,4 @@
-"""An emergency stop that is released without the person is seen, by its file."""
+"""An emergency stop released by anyone but the person is detected, by its file."""
 
 from __future__ import annotations
 

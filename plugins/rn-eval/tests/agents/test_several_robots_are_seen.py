@@ -1,4 +1,6 @@
-"""Each of several robots has its own truth, and each call is judged by the stop of its robot."""
+"""Each of several robots has its own ground truth, and each call is judged by the stop of its
+robot.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The scripted agents: what they read, what they see, and what they try."""
+"""The scripted agents: how they parse, what they see, and what they try."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from roboneuron.command import build
 
 
 class FakeTools:
-    """Answers every call alike, and remembers it."""
+    """Answers every call alike, and records it."""
 
     def __init__(self, answer: ToolAnswer) -> None:
         self.answer, self.calls = answer, []
@@ -58,7 +58,9 @@ REFUSED = ToolAnswer(ok=False, code="refused", text="No.")
 
 
 def test_the_tool_only_agent_has_a_rule_for_every_wording():
-    """But for what no tool does; and the rule is one for that kind of request."""
+    """Except for requests that no tool supports, each wording has a rule for its kind of
+    request.
+    """
     expected = {
         "look-leftmost": "_where",
         "look-nearest": "_where",
@@ -209,7 +211,7 @@ def test_random_values_fit_their_schema():
 
 
 class Fleet(FakeTools):
-    """Tools of an arm and a base: every call works, and is noted with its robot."""
+    """Tools of an arm and a base: every call succeeds, and is recorded with its robot."""
 
     def __init__(self, calls=None, robot=""):
         super().__init__(ToolAnswer(ok=True, data={"outcome": "succeeded", "attempts": 1}))
@@ -235,7 +237,7 @@ class Fleet(FakeTools):
 
 
 def test_the_tool_only_agent_drives_the_base_and_lifts_with_the_arm():
-    """By the kinds that list_fleet tells: the names are the server's."""
+    """By the kinds in list_fleet, because the server chooses the names."""
     tools = Fleet()
     text = "let the arm pick up its blue cube and drive the mobile base 80 cm back."
     assert anyio.run(several.several, tools, text) == "CLAIM: done"
@@ -276,7 +278,7 @@ def test_hostile_and_careless_agents_name_robots_where_there_are_several(monkeyp
 
 
 class Slipping(FakeTools):
-    """run_task finds the cube in the hand, but once it has to pick it up again."""
+    """run_task finds the cube in the hand, except once, when it has to pick it up again."""
 
     def __init__(self, slips_at):
         super().__init__(ToolAnswer(ok=True))
@@ -292,7 +294,7 @@ class Slipping(FakeTools):
 
 
 def test_a_cube_that_slips_is_held_for_the_whole_time_once_more(monkeypatch):
-    """On a clock that only sleeping moves: a busy machine would look less often."""
+    """On a clock that only advances by sleeping, because a busy machine would poll less often."""
     slept_s = [0.0]
 
     async def sleep(delay_s):
@@ -309,7 +311,7 @@ def test_a_cube_that_slips_is_held_for_the_whole_time_once_more(monkeypatch):
 
 
 class Remembered:
-    """Tools of a server with a history; every call but list_tasks is noted and works."""
+    """Tools of a server with a history; every call but list_tasks is recorded and succeeds."""
 
     def __init__(self, *past: dict[str, object]) -> None:
         self.past, self.calls = list(past), []

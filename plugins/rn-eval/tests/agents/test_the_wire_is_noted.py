@@ -1,4 +1,4 @@
-"""What passes between an agent and its server is noted where the agent cannot change it."""
+"""Traffic between an agent and its server is recorded out of the agent's reach."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def tap(tmp_path: Path):
 
 
 def talk(tap: ServerTap, *messages: object) -> list[dict]:
-    """What a client at the relay gets, one answer for each request."""
+    """Send messages through the relay and return the answers, one per request."""
     relay = [sys.executable, "-m", "rn_eval.agents.relay", str(tap.socket_path)]
     with subprocess.Popen(relay, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as client:
         lines = [m if isinstance(m, bytes) else json.dumps(m).encode() for m in messages]
@@ -106,7 +106,7 @@ def test_the_agent_gets_no_clean_picture(tap):
 
 
 def test_calls_of_an_agent_that_has_gone_are_cancelled(tmp_path):
-    """As for a client whose pipe closes; the simulation stays, so that it can be judged."""
+    """As for a client whose pipe closes; the simulation keeps running, so that it can be judged."""
     code = """
 import json, sys
 for line in sys.stdin:

@@ -1,4 +1,4 @@
-"""What the same episodes cost before and after: only those that both runs have."""
+"""Costs of the same episodes before and after: only episodes of both runs count."""
 
 from __future__ import annotations
 

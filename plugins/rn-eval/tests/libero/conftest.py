@@ -1,4 +1,4 @@
-"""The golden arrays, and a simulator's process that needs no simulator."""
+"""The golden arrays, and a simulator process without a simulator."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def golden():
 
 @pytest.fixture
 def stand_in(tmp_path):
-    """An "interpreter" that answers like the simulator, without one: a task is done after so many
+    """An "interpreter" that answers like the simulator, without one: a task is done after several
     closing actions.
     """
     script = tmp_path / "python"

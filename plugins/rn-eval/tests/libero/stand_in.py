@@ -1,5 +1,5 @@
-"""Speaks the simulator's protocol: the arm stays, and three closing actions in a row do the
-task.
+"""Implements the simulator's protocol: the arm does not move, and three closing actions in a row
+complete the task.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A suite with a stand-in for the simulator: steps, success, idle steps, faults of the process."""
+"""A suite with a stand-in for the simulator: steps, success, idle steps, process failures."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ class TestNoop(BackendContract):
 class TestSuites(contract_of(SuiteSpec)):
     @pytest.fixture(params=roboneuron_suites(), ids=lambda spec: spec.name)
     def plugin(self, request: pytest.FixtureRequest) -> SuiteCase:
-        """Rules that open a scene are skipped where the simulator's environment is absent."""
+        """Rules that open a scene are skipped without the simulator's environment."""
         return SuiteCase(spec=request.param, is_automatic=True)
 
 

@@ -1,8 +1,8 @@
-"""What backends get and what the simulator gets is what the public evaluation scripts' own
-functions compute.
+"""The inputs of backends and of the simulator equal those computed by the functions of the public
+evaluation scripts.
 
-The arrays were made by those functions; golden/README.md says from what. No simulator is needed
-here.
+The arrays were created with those functions; golden/README.md names the source. No simulator is
+needed.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ def options_of(suite, backend):
     ("raw", "expected"), [("agentview_raw", "full_cropped"), ("wrist_raw", "wrist_cropped")]
 )
 def test_images_are_preprocessed_alike(golden, at, raw, expected):
-    """JPEG and crop are exact; the resize sums in another order, so a value on the edge of rounding
+    """JPEG and crop are exact; the resize sums in another order, so a value at a rounding boundary
     may differ by 1.
     """
     steps = options_of("libero-spatial", "oft")["image_steps"]
     tower = TowerPixels(mean=(0.5, 0.5, 0.5), std=(0.5, 0.5, 0.5))
     seen = Preprocessor(size=224, towers=(tower,), steps=tuple(steps)).to_model_image(
-        np.ascontiguousarray(golden[f"{at}/{raw}"][::-1, ::-1])  # as the suite's observation has it
+        np.ascontiguousarray(golden[f"{at}/{raw}"][::-1, ::-1])  # as in the suite's observation
     )
     difference = np.abs(seen.astype(int) - golden[f"{at}/{expected}"].astype(int))
     assert difference.max() <= 1
@@ -52,13 +52,13 @@ def test_images_are_preprocessed_alike(golden, at, raw, expected):
 
 
 def test_actions_are_processed_alike(golden):
-    """Model values pass the contract's units and come back: one rounding each way."""
+    """Model values are converted to the contract's units and back, with one rounding each way."""
     native, expected = golden["process/in"], golden["process/out"]
     sent = np.array([to_simulator(row) for row in PROFILES["libero"].to_contract(native)])
     inside = expected.copy()
-    inside[:, :6] = np.clip(expected[:, :6], -1.0, 1.0)  # which robosuite's controller does first
+    inside[:, :6] = np.clip(expected[:, :6], -1.0, 1.0)  # as robosuite's controller does first
     assert np.abs(sent[:, :6] - inside[:, :6]).max() < 4e-16
-    middle = native[:, 6] == 0.5  # the scripts send 0 there, a rounded opening has no middle
+    middle = native[:, 6] == 0.5  # the scripts send 0 there; a rounded opening has no middle
     assert np.array_equal(sent[~middle, 6], inside[~middle, 6])
     assert middle.sum() <= 1
 

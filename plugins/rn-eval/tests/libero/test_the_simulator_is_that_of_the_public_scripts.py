@@ -1,5 +1,5 @@
-"""The real simulator, in its own environment: states, images and step counts as the public scripts
-have them.
+"""The real simulator, in its own environment: states, images and step counts as with the public
+scripts.
 
 Needs the environment of `make .venv-libero`; run by `make test-libero`.
 """
@@ -75,8 +75,8 @@ def to_contract(action):
 
 
 def test_episodes_are_those_of_the_scripts(golden, suite):
-    """1e-6: the same machine gives the same bits; another processor rounds otherwise, and 34 steps
-    carry that on. Images: 2 levels of 255 on average, for another renderer.
+    """1e-6, because another processor rounds differently, and 34 steps amplify that; on the same
+    machine results are bit-identical. Images: 2 levels of 255 on average, for another renderer.
     """
     task = {"libero_spatial": 3, "libero_10": 2}[suite.name]
     # the second episode before the first
@@ -93,7 +93,7 @@ def test_episodes_are_those_of_the_scripts(golden, suite):
             if action is not None:
                 scene.act(to_contract(action), 0.0)
                 scene.advance(1)
-            # drawing takes most of the time
+            # rendering takes most of the time
             scene._setup = setup(sees=f"{key}/{step}/agentview_raw" in golden)
             observation = scene.observe(1)
             states.append(state_of(observation))

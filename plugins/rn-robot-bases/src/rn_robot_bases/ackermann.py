@@ -1,4 +1,4 @@
-"""Drivetrain of a car: driven rear wheels, steered front wheels that all turn about one centre."""
+"""Drivetrain of a car: driven rear wheels, and front wheels steered about a common centre."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from rn_simulation.planar_motion import BaseVelocity
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AckermannGeometry:
-    """Wheels of a car whose base frame lies under the middle of the rear axle, and how fast they
-    may change.
+    """Wheels of a car and their rate limits; the base frame is below the middle of the rear axle.
 
     Attributes:
         rear_left, rear_right: joints of the driven wheels; positive velocity drives forwards.
@@ -21,8 +20,8 @@ class AckermannGeometry:
         wheel_radius_m: rolling radius.
         track_m: distance between left and right wheels.
         wheelbase_m: distance between the axles.
-        acceleration_m_s2, braking_m_s2: of ordinary motion and of a stop.
-        steering_rate_rad_s: of the front wheels.
+        acceleration_m_s2, braking_m_s2: acceleration of ordinary motion, deceleration of a stop.
+        steering_rate_rad_s: steering rate of the front wheels.
     """
 
     rear_left: str
@@ -38,15 +37,15 @@ class AckermannGeometry:
 
 
 class AckermannDrivetrain:
-    """Follows the protocol `Drivetrain`; steering angle and speed change at bounded rates, the path
-    stays drivable.
+    """Follows the protocol `Drivetrain`; steering angle and speed change at bounded rates, so the
+    path stays drivable.
 
-    The steering angle is that of an imagined wheel in the middle of the front axle: tan(angle) =
-    wheelbase * curvature. Standing still it keeps the angle it has.
+    The steering angle is that of a virtual wheel in the middle of the front axle: tan(angle) =
+    wheelbase * curvature. At standstill it keeps its angle.
     """
 
     def __init__(self, geometry: AckermannGeometry) -> None:
-        """Start at rest, wheels straight."""
+        """Start at rest with straight wheels."""
         self._geometry = geometry
         self._linear = self._steering = 0.0
         self._goal_linear = self._goal_steering = 0.0
@@ -86,8 +85,8 @@ class AckermannDrivetrain:
         return JointTargets(velocity=rear, position=hinges)
 
     def measure(self, velocity: JointValues, position: JointValues) -> BaseVelocity:
-        """See `Drivetrain.measure`; speed by the rear wheels, curvature by the measured steering
-        angles.
+        """See `Drivetrain.measure`; speed from the rear wheels, curvature from the measured
+        steering angles.
         """
         own = self._geometry
         linear = own.wheel_radius_m * (velocity[own.rear_left] + velocity[own.rear_right]) / 2.0

@@ -1,6 +1,4 @@
-"""The descriptions of the platforms: our own files, of boxes, cylinders and spheres, for every
-engine.
-"""
+"""URDF files of the platforms: our own, made of boxes, cylinders and spheres, for every engine."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Drivetrain of bases that turn by driving their two sides at different speeds, with two wheels or
-with four.
-"""
+"""Drivetrain of bases with two or four wheels that turn by different speeds of their sides."""
 
 from __future__ import annotations
 
@@ -12,19 +10,18 @@ from rn_simulation.planar_motion import BaseVelocity
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DifferentialGeometry:
-    """Wheels of a differential or skid-steered base, and how fast they may change.
+    """Wheels of a differential or skid-steered base, and its acceleration limits.
 
     Attributes:
         left, right: joints of the driven wheels of each side; positive velocity drives forwards.
         wheel_radius_m: rolling radius.
-        track_m: distance between the sides that explains the measured turning; on skid-steer bases
-            it is larger than the geometric one, since the wheels slip sideways.
-        turning_centre_x_m: where on the longitudinal axis the base turns about, in the base frame;
-            0 without slip. Source of both: Mandow et al. 2007, "Experimental kinematics for wheeled
-            skid-steer
-                mobile robots".
-        acceleration_m_s2, angular_acceleration_rad_s2: of ordinary motion.
-        braking_m_s2, angular_braking_rad_s2: of a stop.
+        track_m: effective distance between the sides, from measured turning; on skid-steer bases it
+            is larger than the geometric one, because the wheels slip sideways.
+        turning_centre_x_m: position of the turning centre on the longitudinal axis, in the base
+            frame; 0 without slip. Source of both: Mandow et al. 2007, "Experimental kinematics for
+            wheeled skid-steer mobile robots".
+        acceleration_m_s2, angular_acceleration_rad_s2: accelerations of ordinary motion.
+        braking_m_s2, angular_braking_rad_s2: decelerations of a stop.
     """
 
     left: tuple[str, ...]

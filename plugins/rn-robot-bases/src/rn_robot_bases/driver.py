@@ -1,4 +1,4 @@
-"""The driver `simulated`: runs a simulated base in real time in a thread of its own."""
+"""The driver `simulated`: runs a simulated base in real time in a separate thread."""
 
 from __future__ import annotations
 
@@ -29,22 +29,24 @@ from roboneuron import (
 )
 
 _CATCH_UP_S = 0.2
-"""What the simulation makes up for after a pause of the machine; less than the deadman."""
+"""Maximum time that the simulation catches up after a pause of the machine; less than the
+deadman.
+"""
 
 
 class SimulatedBase:
     """Follows the protocol `RobotDriver`; every method may be called from any thread.
 
-    Velocities come on `cmd_vel`, odometry goes out on `odom`. A twist that the base cannot carry
-    out is refused as a whole, and the base brakes: whoever sent it is mistaken about the robot. The
-    deadman counts simulated time, the base's own clock, which runs with the wall clock unless the
-    machine is overloaded.
+    It receives velocities on `cmd_vel` and publishes odometry on `odom`. A twist that the base
+    cannot execute is refused as a whole, and the base brakes, because its sender is wrong about the
+    robot. The deadman counts simulated time, the base's own clock, which runs with the wall clock
+    unless the machine is overloaded.
     """
 
     def __init__(
         self, config: SimulatedBaseOptions | None, profile: RobotProfile, topics: Topics
     ) -> None:
-        """Remember what to simulate."""
+        """Store the arguments."""
         self._options = config or SimulatedBaseOptions()
         self._profile = profile
         self._topics = topics
@@ -62,12 +64,12 @@ class SimulatedBase:
         self._refusals = 0
 
     def open(self) -> None:
-        """Put the base on the floor, at rest, and let time run.
+        """Put the base on the floor, at rest, and start time.
 
         Raises:
-            ConfigurationError: the profile is none of this package, or the engine is not installed.
+            ConfigurationError: the profile is not of this package, or the engine is not installed.
             NotReadyError: the simulation did not start in time.
-            StateError: it is open already.
+            StateError: it is already open.
         """
         name = self._profile.name
         self._time.check_stopped()
@@ -91,10 +93,9 @@ class SimulatedBase:
     def read(self) -> RobotState:
         """Return the newest state: joints are wheels and steering hinges.
 
-        `detail` holds "odometry" (JSON: x_m, y_m, yaw_rad), where
-        `rn_simulation.ground_truth.SWITCH` is on "true_pose", in the same form, "motion" (driving,
-        standing, or stopping and why),
-        "sim_time_s", "engine", and "refused" and "refused_count" of velocity commands.
+        `detail` contains "odometry" (JSON: x_m, y_m, yaw_rad), "true_pose" in the same form if
+        `rn_simulation.ground_truth.SWITCH` is on, "motion" (driving, standing, or stopping with the
+        reason), "sim_time_s", "engine", and "refused" and "refused_count" of velocity commands.
 
         Raises:
             StateError: not open.
@@ -124,7 +125,7 @@ class SimulatedBase:
         )
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Always raises InvalidInputError: a base takes no joint positions."""
+        """Raise InvalidInputError: a base takes no joint positions."""
         raise InvalidInputError(
             f"A mobile base is driven by {CMD_VEL}, {self._profile.name} takes no joint command.",
             hint=f"Publish geometry_msgs/Twist on {CMD_VEL}.",

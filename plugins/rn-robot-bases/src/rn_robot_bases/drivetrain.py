@@ -1,4 +1,4 @@
-"""What turns a wanted velocity into wheel motion and wheel motion back into odometry, whatever the
+"""Conversion of a velocity command to wheel motion, and of wheel motion to odometry, for any
 platform.
 """
 
@@ -16,11 +16,11 @@ JointValues = Mapping[str, float]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JointTargets:
-    """What the motors are told.
+    """Setpoints of the motors.
 
     Attributes:
-        velocity: of driven wheels [rad/s].
-        position: of steering hinges [rad].
+        velocity: velocity of driven wheels [rad/s].
+        position: position of steering hinges [rad].
     """
 
     velocity: JointValues
@@ -33,28 +33,28 @@ class Drivetrain(Protocol):
     """
 
     def aim(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Go for this velocity with the ordinary acceleration; the caller has checked that it is
+        """Set the target velocity, with ordinary acceleration; the caller has checked that it is
         possible.
         """
         ...
 
     def halt(self) -> None:
-        """Go for standstill with the stronger deceleration of the brakes."""
+        """Brake to a standstill with the stronger deceleration."""
         ...
 
     def advance(self, step_s: float) -> JointTargets:
-        """Move the setpoint by one step and return what the motors are to do."""
+        """Advance the setpoint by one step and return the motor setpoints."""
         ...
 
     def measure(self, velocity: JointValues, position: JointValues) -> BaseVelocity:
-        """Velocity of the base by its wheel encoders: joint velocities [rad/s] and positions
+        """Velocity of the base from its wheel encoders: joint velocities [rad/s] and positions
         [rad].
         """
         ...
 
     @property
     def setpoint(self) -> tuple[float, float]:
-        """Velocity asked of the wheels now: forwards [m/s] and turning [rad/s]."""
+        """Current setpoint of the velocity: forwards [m/s] and turning [rad/s]."""
         ...
 
 

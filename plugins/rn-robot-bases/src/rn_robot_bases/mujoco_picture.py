@@ -1,5 +1,5 @@
-"""Pictures of a platform: one ray for each pixel, cast by MuJoCo on the CPU; its own renderer needs
-OpenGL.
+"""Images of a platform: one ray per pixel, cast by MuJoCo on the CPU, because its own renderer
+needs OpenGL.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def draw_robots(
     projection: F64,
     size: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Colours (H, W, 3) of the platform at each pose, and where they are to be seen."""
+    """Colours (H, W, 3) of the platform at each pose, and a mask of its pixels."""
     scene = mujoco.MjSpec()
     for index, pose in enumerate(poses):
         turn = (math.cos(pose.yaw_rad / 2), 0.0, 0.0, math.sin(pose.yaw_rad / 2))
@@ -50,7 +50,7 @@ def draw_robots(
 
 
 def _rays(view: F64, projection: F64, size: tuple[int, int]) -> tuple[F64, F64]:
-    """Where the camera is, and a direction (H * W, 3) of unit length for each pixel, row by row."""
+    """Camera position, and a unit direction (H * W, 3) for each pixel, row by row."""
     width, height = size
     x, y = np.meshgrid(
         (np.arange(width) + 0.5) / width * 2.0 - 1.0, 1.0 - (np.arange(height) + 0.5) / height * 2.0

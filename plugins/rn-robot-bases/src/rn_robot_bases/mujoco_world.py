@@ -15,13 +15,14 @@ from rn_simulation.mujoco_scene import read_urdf
 from rn_simulation.planar_motion import PlanarPose
 
 _SUBSTEPS = 4
-"""Physics steps per step: contacts are springs, and a skidding wheel hops on soft ones."""
+"""Physics steps per step, because contacts are springs, and a skidding wheel hops on soft ones."""
 _STIFFNESS_PER_NM, _DAMPING_PER_NM, _ARMATURE_PER_NM = 10.0, 0.2, 0.001
-"""A motor gives its whole torque 0.1 rad, or 5 rad/s, from where it is to be; critically damped for
-its own inertia.
+"""A motor reaches its full torque at an error of 0.1 rad or 5 rad/s; critically damped for its own
+inertia.
 """
 _CONTACT_SPRING, _CONTACT_IMPEDANCE = (0.0025, 1.0), (0.999, 0.9999, 0.001, 0.5, 2.0)
-"""Stiff enough that a wheel sinks in by less than 0.1 % of its radius, which odometry would notice.
+"""Stiff enough that a wheel sinks in by less than 0.1 % of its radius; more would affect
+odometry.
 """
 
 
@@ -29,7 +30,7 @@ class MujocoBaseWorld:
     """One MuJoCo model and its state; follows the protocol `World`."""
 
     def __init__(self, platform: Platform, step_s: float) -> None:
-        """Build."""
+        """Build the world."""
         spec = read_urdf(urdf(platform))
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=(0.0, 0.0, 1.0))
         base = spec.body(platform.base_link)
@@ -64,8 +65,8 @@ class MujocoBaseWorld:
         self._turned = dict.fromkeys(platform.driven_wheels, 0.0)
 
     def step(self, targets: JointTargets) -> None:
-        """See `World`; a wheel follows the angle that its velocity adds up to, so it is locked at
-        velocity 0.
+        """See `World`; a wheel follows the integral of its velocity, so it is locked at velocity
+        0.
         """
         lead_s = _DAMPING_PER_NM / _STIFFNESS_PER_NM
         for name, velocity in targets.velocity.items():
@@ -86,7 +87,7 @@ class MujocoBaseWorld:
         return PlanarPose(x_m=x, y_m=y, yaw_rad=yaw)
 
     def close(self) -> None:
-        """See `World`; MuJoCo's objects go with the last reference to them."""
+        """See `World`; MuJoCo frees its objects with the last reference."""
 
 
 def _add_motor(spec: mujoco.MjSpec, joint: str, torque_nm: float) -> None:

@@ -1,4 +1,4 @@
-"""Options a user may set for a simulated base."""
+"""User options of a simulated base."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class SimulatedBaseOptions(BaseModel):
         default=0.5,
         ge=0.05,
         le=5.0,
-        description="The base brakes when no velocity command came for this long [s].",
+        description="The base brakes after this long without a velocity command [s].",
     )
     odometry_rate_hz: float = Field(
         default=50.0, ge=1.0, le=120.0, description="How often odometry is published."

@@ -1,5 +1,5 @@
-"""A path for each platform that suits how it steers: velocities and how long, as a client would
-publish them.
+"""A test path for each platform that suits its steering: velocities and durations, as a client
+would publish them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ _TRACK_STEP_S = 0.02
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Segment:
-    """A constant velocity: forwards [m/s], turning counter-clockwise [rad/s], for so long [s]."""
+    """A constant velocity: forwards [m/s], turning counter-clockwise [rad/s], for a duration
+    [s].
+    """
 
     linear_m_s: float
     angular_rad_s: float
@@ -26,13 +28,13 @@ class Segment:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class DrivenPath:
-    """A path and how well it should be followed.
+    """A path and its accuracy requirements.
 
     Attributes:
-        name: what it looks like.
-        segments: what to publish, one after the other.
-        end_m, end_rad: how far position and heading may be from `planned_track` at the end, by
-            odometry. They allow for 30 ms of scatter in each duration, in the same direction.
+        name: shape of the path.
+        segments: velocities to publish, one after the other.
+        end_m, end_rad: tolerated distance of position and heading from `planned_track` at the end,
+            by odometry. They allow for 30 ms of scatter in each duration, in the same direction.
     """
 
     name: str
@@ -42,7 +44,7 @@ class DrivenPath:
 
     @property
     def duration_s(self) -> float:
-        """Time of all segments."""
+        """Duration of all segments."""
         return sum(segment.duration_s for segment in self.segments)
 
     @property
@@ -53,9 +55,9 @@ class DrivenPath:
 
 def planned_track(platform: Platform, segments: Sequence[Segment]) -> list[PlanarPose]:
     """Poses at 50 Hz of a base that keeps its acceleration limits and never slips, until it stands
-    after the last one.
+    after the last segment.
 
-    A base that drives the same segments is judged by how near it comes to the last pose.
+    A base that drives the same segments is judged by its distance to the last pose.
     """
     drivetrain, poses = platform.drivetrain(), [PlanarPose()]
     for segment in (*segments, _STOP):

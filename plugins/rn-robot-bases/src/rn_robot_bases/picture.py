@@ -1,4 +1,4 @@
-"""A picture of a drive: the platform itself, drawn at several places along its track."""
+"""An image of a drive: the platform rendered at several poses along its track."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def draw_track(
     height: int = 400,
     engine: EngineChoice = "auto",
 ) -> NDArray[np.uint8]:
-    """Draw `poses` as a line on a floor with a grid of 1 m, and the platform at `copies` places
+    """Draw `poses` as a line on a floor with a grid of 1 m, and the platform at `copies` poses
     along it.
 
     Returns:
@@ -110,7 +110,7 @@ def _pixels(
 
 
 def _spaced(poses: Sequence[PlanarPose], points: F64, copies: int) -> list[PlanarPose]:
-    """`copies` poses at equal distances along the track, the last one among them."""
+    """Select `copies` equidistant poses along the track, including the last one."""
     travelled = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     wanted = np.linspace(0.0, travelled[-1], copies + 1)[1:]
     return [poses[min(int(i), len(poses) - 1)] for i in np.searchsorted(travelled, wanted)]

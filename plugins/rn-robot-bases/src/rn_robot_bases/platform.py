@@ -1,4 +1,4 @@
-"""The three platforms as data: limits, wheels, and where their descriptions are."""
+"""The three platforms as data: limits, wheels and descriptions."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rn_simulation.engine import Engine
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class VelocityLimits:
-    """What a base carries out; anything beyond is refused, not clamped.
+    """Velocities that a base executes; anything beyond is refused, not clamped.
 
     Attributes:
         backward_m_s, forward_m_s: bounds of the speed; `backward_m_s` is negative.
         turning_rad_s: bound of the turning rate, both ways.
-        min_turning_radius_m: sharpest turn; 0 for a base that turns on the spot.
+        min_turning_radius_m: smallest turning radius; 0 for a base that turns on the spot.
     """
 
     backward_m_s: float
@@ -34,13 +34,13 @@ class Platform:
 
     Attributes:
         name: as in the descriptor.
-        summary: what it is and how it moves, for the agent.
-        base_link: frame that odometry speaks of, on the ground; see the geometry for where.
-        limits: what it carries out.
+        summary: description of the base and its motion, for agents.
+        base_link: frame of the odometry, on the ground; its position is given in the geometry.
+        limits: velocity limits.
         geometry: wheels and accelerations.
         free_wheels: joints that turn without a motor.
-        wheel_torque_nm: of each driven wheel.
-        is_body_frictionless: the body slides on casters of its own.
+        wheel_torque_nm: torque of each driven wheel.
+        is_body_frictionless: the body slides on casters.
         friction: sliding friction between a wheel and the floor.
     """
 
@@ -62,14 +62,14 @@ class Platform:
 
     @property
     def driven_wheels(self) -> tuple[str, ...]:
-        """Joints with a motor that turns a wheel."""
+        """Joints of driven wheels."""
         if isinstance(self.geometry, DifferentialGeometry):
             return (*self.geometry.left, *self.geometry.right)
         return (self.geometry.rear_left, self.geometry.rear_right)
 
     @property
     def hinges(self) -> tuple[str, ...]:
-        """Joints that steer."""
+        """Steering joints."""
         if isinstance(self.geometry, DifferentialGeometry):
             return ()
         return (self.geometry.hinge_left, self.geometry.hinge_right)
@@ -120,18 +120,16 @@ HUSKY = Platform(
     geometry=_HUSKY_GEOMETRY,
     wheel_torque_nm=200.0,
 )
-"""Its wheels touch the ground in a point each; the base frame lies under its middle.
+"""Each wheel touches the ground in one point; the base frame is below the centre of the base.
 
 `track_m` and `turning_centre_x_m` were measured in PyBullet (geometric track 0.571 m) as means over
-seconds of turning; the mean turning rate is then right within 3 % for all commands in the limits.
-Within a turn both wander with the heading.
+seconds of turning; the mean turning rate is then correct within 3 % for all commands in the limits.
+Within a turn both vary with the heading.
 """
 _HUSKY_IN_MUJOCO = replace(
     HUSKY, friction=0.5, geometry=replace(_HUSKY_GEOMETRY, track_m=0.96, turning_centre_x_m=-0.17)
 )
-"""Likewise in MuJoCo, where friction acts the same in every direction: a turn depends on the speed
-as well.
-"""
+"""The same in MuJoCo, where friction is isotropic: turning also depends on the speed."""
 
 RACECAR = Platform(
     name="racecar",
@@ -164,5 +162,5 @@ PLATFORMS: Mapping[str, Platform] = MappingProxyType(
 
 
 def in_engine(platform: Platform, engine: Engine) -> Platform:
-    """The platform as `engine` simulates it: how a skid-steered base slips differs."""
+    """The platform with the parameters for `engine`: the slip of a skid-steered base differs."""
     return _HUSKY_IN_MUJOCO if platform is HUSKY and engine == "mujoco" else platform

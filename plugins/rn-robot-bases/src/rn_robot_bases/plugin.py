@@ -1,5 +1,5 @@
-"""What this package offers: the robots "diffdrive", "husky" and "racecar", each with its simulated
-driver.
+"""Descriptors of this package: the robots "diffdrive", "husky" and "racecar", each with its
+simulated driver.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from roboneuron import DriverSpec, Requirement, RobotSpec, hookimpl
 
 _ENGINE = Requirement(module="pybullet", alternatives=("mujoco",), install="pip install mujoco")
-"""As `rn_simulation.engine.REQUIREMENT`: a plugin's module imports no other package."""
+"""Copy of `rn_simulation.engine.REQUIREMENT`, because a plugin module imports no other package."""
 
 
 def _base(name: str, summary: str) -> RobotSpec:

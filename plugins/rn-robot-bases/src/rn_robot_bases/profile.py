@@ -1,4 +1,4 @@
-"""Profiles of the bases, and what their velocity commands must obey."""
+"""Profiles of the bases, and limits of their velocity commands."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from roboneuron import Endpoint, RobotProfile
 
 
 def endpoints(platform: Platform) -> tuple[Endpoint, Endpoint]:
-    """The endpoint that drives the base, and the one that tells its odometry."""
+    """The endpoints of velocity commands and of odometry."""
     limits = platform.limits
     return base_endpoints(
         "Drive the base: linear.x forwards [m/s], angular.z counter-clockwise [rad/s]. "

@@ -1,4 +1,4 @@
-"""Pictures of a platform, drawn by PyBullet on the CPU (TinyRenderer)."""
+"""Images of a platform, rendered by PyBullet on the CPU (TinyRenderer)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def draw_robots(
     projection: F64,
     size: tuple[int, int],
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Colours (H, W, 3) of the platform at each pose, and where they are to be seen."""
+    """Colours (H, W, 3) of the platform at each pose, and a mask of its pixels."""
     client = int(pybullet.connect(pybullet.DIRECT))
     try:
         for pose in poses:

@@ -16,9 +16,7 @@ from rn_simulation.planar_motion import PlanarPose
 
 
 def load_body(client: int, platform: Platform) -> int:
-    """Load the platform at the origin; PyBullet reads descriptions from files only. Returns the
-    body id.
-    """
+    """Load the platform at the origin, from a file as PyBullet requires; return the body id."""
     with tempfile.TemporaryDirectory(prefix="rn-bases-") as folder:
         path = Path(folder) / f"{platform.name}.urdf"
         path.write_text(urdf(platform), encoding="utf-8")
@@ -29,7 +27,7 @@ class PybulletBaseWorld:
     """One PyBullet client; follows the protocol `World`."""
 
     def __init__(self, platform: Platform, step_s: float) -> None:
-        """Connect and build."""
+        """Connect and build the world."""
         self._platform = platform
         self._client = int(pybullet.connect(pybullet.DIRECT))
         self._connected = True
@@ -52,8 +50,8 @@ class PybulletBaseWorld:
         return int(pybullet.getNumJoints(self._body, physicsClientId=self._client))
 
     def _prepare_physics(self, step_s: float) -> None:
-        """With the engine's friction cone a skid jitters by half its turning rate and a parked car
-        creeps 1 mm/s.
+        """Set up the physics; with the engine's friction cone a skid jitters by half its turning
+        rate and a parked car creeps by 1 mm/s.
         """
         pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=self._client)
         pybullet.setPhysicsEngineParameter(
@@ -72,7 +70,7 @@ class PybulletBaseWorld:
         client = self._client
         if self._platform.is_body_frictionless:
             pybullet.changeDynamics(self._body, -1, lateralFriction=0.0, physicsClientId=client)
-        friction = self._platform.friction  # PyBullet multiplies it with the floor's
+        friction = self._platform.friction  # PyBullet multiplies it by the floor's
         for name in (*self._platform.driven_wheels, *self._platform.free_wheels):
             pybullet.changeDynamics(
                 self._body, self._indices[name], lateralFriction=friction, physicsClientId=client
@@ -98,7 +96,7 @@ class PybulletBaseWorld:
                 self._platform.wheel_torque_nm,
             )
         else:
-            # A motor that holds velocity 0 lets the base creep by 0.2 mm/s under its own weight.
+            # A motor at velocity 0 would let the base creep by 0.2 mm/s under its own weight.
             self._parked = self._parked or {
                 n: p for n, p in self.joint_positions().items() if n in wheels
             }

@@ -1,5 +1,5 @@
-"""A simulated base, stepped by hand: tests and benchmarks run it faster than real time, the driver
-in real time.
+"""A simulated base, stepped explicitly, so that tests and benchmarks run faster than real time; the
+driver runs it in real time.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ _STILL = BaseVelocity(linear_x=0.0, linear_y=0.0, angular_z=0.0)
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BaseState:
-    """A base at one moment.
+    """State of a base at one time.
 
     Attributes:
         time_s: simulated time since `open`.
-        joint_position, joint_velocity: of every wheel [rad, rad/s] and hinge [rad, rad/s], by name.
-        odometry: where it is by its wheel encoders, in the frame it started in.
-        velocity: how it moves by its wheel encoders, in its own frame.
-        true_pose: where it really is; for judging and tests only.
-        setpoint: speed [m/s] and turning rate [rad/s] that its motors aim at now.
+        joint_position, joint_velocity: values of every wheel and hinge [rad, rad/s], by name.
+        odometry: pose from its wheel encoders, in the frame of its start.
+        velocity: velocity from its wheel encoders, in its own frame.
+        true_pose: true pose; for judging and tests only.
+        setpoint: current setpoint of speed [m/s] and turning rate [rad/s].
         motion: "driving", "standing", or "stopping: ..." with the reason.
     """
 
@@ -50,14 +50,14 @@ class BaseSimulation:
     one thread.
 
     Use it as a context manager, or call `open` and `close`. The same calls give the same motion in
-    the same engine.
+    one engine.
     """
 
     def __init__(
         self, platform: Platform, *, command_timeout_s: float = 0.5, engine: EngineChoice = "auto"
     ) -> None:
-        """Choose platform and engine; `command_timeout_s` of simulated time after the last command
-        it brakes.
+        """Choose platform and engine; the base brakes `command_timeout_s` (simulated) after the
+        last command.
 
         Raises:
             ConfigurationError: the engine is not installed.
@@ -91,8 +91,8 @@ class BaseSimulation:
         self.close()
 
     def open(self) -> None:
-        """Build the world and let the base settle on its wheels. Raises StateError when it is open
-        already.
+        """Build the world and let the base settle on its wheels. Raises StateError if it is already
+        open.
         """
         if self._world is not None:
             raise StateError(f"The simulated {self.platform.name} is open already.")
@@ -110,10 +110,10 @@ class BaseSimulation:
             self._world = None
 
     def drive(self, linear_m_s: float, angular_rad_s: float) -> None:
-        """Go for this velocity until the next command, or until `command_timeout_s` has passed.
+        """Drive at this velocity until the next command, or until `command_timeout_s` has passed.
 
         Raises:
-            RefusedError: the platform cannot drive like that; the velocity stays what it was.
+            RefusedError: the platform cannot do that; the velocity stays unchanged.
         """
         check_twist(self.platform, linear_m_s, angular_rad_s)
         self._drivetrain.aim(linear_m_s, angular_rad_s)
@@ -121,7 +121,7 @@ class BaseSimulation:
         self._motion = "driving" if linear_m_s or angular_rad_s else "standing"
 
     def hold(self, reason: str = "held") -> None:
-        """Brake to a standstill and stay."""
+        """Brake to a standstill."""
         self._drivetrain.halt()
         self._command_s = None
         self._motion = f"stopping: {reason}"
@@ -141,9 +141,7 @@ class BaseSimulation:
             self._odometry = integrate(self._odometry, self._velocity, STEP_S)
 
     def run(self, linear_m_s: float, angular_rad_s: float, duration_s: float) -> BaseState:
-        """Drive for `duration_s`, commanding as often as a client would; returns the state at the
-        end.
-        """
+        """Drive for `duration_s`, with commands at a client's rate; return the final state."""
         for _ in range(round(duration_s / STEP_S)):
             self.drive(linear_m_s, angular_rad_s)
             self.step()
@@ -155,7 +153,7 @@ class BaseSimulation:
         return self._steps * STEP_S
 
     def state(self) -> BaseState:
-        """Everything there is to know now. Raises StateError unless open."""
+        """Complete current state. Raises StateError unless open."""
         return BaseState(
             time_s=self.time_s,
             joint_position=self._positions,
@@ -177,7 +175,7 @@ class BaseSimulation:
 
 
 def _build_world(engine: Engine, platform: Platform, step_s: float) -> BaseWorld:
-    """A world with `platform` in `engine`."""
+    """Build a world with `platform` in `engine`."""
     if engine == "mujoco":
         from rn_robot_bases.mujoco_world import MujocoBaseWorld  # heavy, and perhaps not installed
 

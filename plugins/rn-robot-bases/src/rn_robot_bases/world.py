@@ -1,6 +1,4 @@
-"""The simulated world as the rest of the package sees it: one base at the origin of a flat floor,
-looking along +x.
-"""
+"""Interface of the simulated world: one base at the origin of a flat floor, facing +x."""
 
 from __future__ import annotations
 
@@ -17,13 +15,13 @@ class BaseWorld(Protocol):
     """One base in one physics engine; from one thread only."""
 
     def step(self, targets: JointTargets) -> None:
-        """Let the motors follow `targets` for one physics step; wheels that are to stand still are
-        locked.
-        """
+        """Drive the motors to `targets` for one physics step; standing wheels are locked."""
         ...
 
     def joint_positions(self) -> JointValues:
-        """Angle of each joint [rad], in the order of `Platform.joints`; wheels count full turns."""
+        """Angle of each joint [rad], in the order of `Platform.joints`; wheel angles include full
+        turns.
+        """
         ...
 
     def base_pose(self) -> PlanarPose:

@@ -1,3 +1,1 @@
-"""Franka Research 3: what is true of it (profile), and a PyBullet simulation of it with its
-cameras.
-"""
+"""Franka Research 3: its profile, its drivers, and simulations of it with cameras."""

@@ -19,7 +19,7 @@ class SimulatedFr3Cameras(SimulatedArmCameras):
     """Front and wrist camera of the simulated FR3.
 
     Attributes:
-        cell: whose cameras they are.
+        cell: cell of the cameras.
     """
 
     cell: ClassVar[Workcell] = FR3

@@ -1,4 +1,4 @@
-"""The two cameras: where they are, what they look at, and their calibration for any image size."""
+"""The two cameras: poses, and calibration for any image size."""
 
 from __future__ import annotations
 
@@ -19,13 +19,15 @@ def _wrist() -> PinholeCamera:
 
 
 def _beside_both() -> PinholeCamera:
-    """Beside the table of two arms, looking at both, and between their hands."""
+    """Camera next to the table of two arms, with both arms and the space between the hands in
+    view.
+    """
     eye, target = np.array([1.15, -1.45, 0.95]), np.array([FACING_M / 2.0, 0.0, 0.22])
     return replace(_front(), T_mount_camera=look_at(eye, target, UP))
 
 
 def cell_cameras(cell: Workcell) -> tuple[PinholeCamera, ...]:
-    """The cameras of a cell: "front" beside the table and one on each hand."""
+    """The cameras of a cell: "front" next to the table and one on each hand."""
     if cell is FR3:
         return cameras()
     wrists = [
@@ -42,5 +44,5 @@ def cell_cameras(cell: Workcell) -> tuple[PinholeCamera, ...]:
 
 
 def cameras() -> tuple[PinholeCamera, ...]:
-    """The cameras of the simulated FR3 cell: "front" beside the table and "wrist" on the hand."""
+    """The cameras of the simulated FR3 cell: "front" next to the table and "wrist" on the hand."""
     return (_front(), _wrist())

@@ -1,6 +1,4 @@
-"""Which arms stand at a table, and where: the cell of one FR3 and that of two that face each
-other.
-"""
+"""Arrangement of arms at a table: the cell of one FR3 and that of two that face each other."""
 
 from __future__ import annotations
 
@@ -9,16 +7,16 @@ from dataclasses import dataclass
 from rn_robot_fr3.limits import ARM_JOINTS, FINGER_JOINT, MIMIC_FINGER_JOINT
 
 MOVED = (*ARM_JOINTS, FINGER_JOINT)
-"""Joints of one arm that a command may name, in order."""
+"""Joints of one arm that can be commanded, in order."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Mount:
-    """An arm and where it stands.
+    """An arm and its mounting pose.
 
     Attributes:
-        name: of the arm; "" for the only one.
-        x_m, yaw_rad: of its base on the table, in the base frame of the cell.
+        name: name of the arm; "" for a single one.
+        x_m, yaw_rad: pose of its base on the table, in the base frame of the cell.
     """
 
     name: str = ""
@@ -27,7 +25,7 @@ class Mount:
 
     @property
     def prefix(self) -> str:
-        """What the names of its links and joints begin with."""
+        """Prefix of the names of its links and joints."""
         return f"{self.name}_" if self.name else ""
 
 
@@ -36,9 +34,9 @@ class Workcell:
     """Arms at one table; the base frame is that of the first arm's base.
 
     Attributes:
-        robot: name of the robot that they are.
+        robot: name of the robot that consists of these arms.
         mounts: the arms, in the order of all joint arrays of the simulation.
-        table_size_m, table_centre_m: of the table's plate.
+        table_size_m, table_centre_m: size and centre of the table's plate.
     """
 
     robot: str
@@ -48,20 +46,20 @@ class Workcell:
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Every moving joint, in the order of all joint arrays: of each arm seven and two
-        fingers.
+        """All moving joints, in the order of all joint arrays: seven and two fingers for each
+        arm.
         """
         own = (*MOVED, MIMIC_FINGER_JOINT)
         return tuple(f"{mount.prefix}{joint}" for mount in self.mounts for joint in own)
 
     @property
     def arm_joints(self) -> tuple[str, ...]:
-        """The joints of the arms without fingers."""
+        """Joints of the arms without fingers."""
         return tuple(f"{mount.prefix}{joint}" for mount in self.mounts for joint in ARM_JOINTS)
 
     @property
     def commanded(self) -> tuple[str, ...]:
-        """Joints that a command may name: of each arm seven and one finger."""
+        """Joints that can be commanded: seven and one finger for each arm."""
         return tuple(f"{mount.prefix}{joint}" for mount in self.mounts for joint in MOVED)
 
 
@@ -72,7 +70,7 @@ FR3 = Workcell(
     table_centre_m=(0.35, 0.0, -0.025),
 )
 FACING_M = 1.15
-"""Distance of the bases of two arms: each reaches the cubes, and a hand over the middle."""
+"""Distance between the bases of two arms; each reaches the cubes, and a hand above the middle."""
 PAIR = Workcell(
     robot="fr3-pair",
     mounts=(Mount(name="left"), Mount(name="right", x_m=FACING_M, yaw_rad=3.141592653589793)),
@@ -80,4 +78,4 @@ PAIR = Workcell(
     table_centre_m=(FACING_M / 2.0, 0.0, -0.025),
 )
 CELLS = {cell.robot: cell for cell in (FR3, PAIR)}
-"""By name of the robot."""
+"""Cell by name of the robot."""

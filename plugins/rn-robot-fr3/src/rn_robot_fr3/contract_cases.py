@@ -1,4 +1,4 @@
-"""How the contract kit tries the robot and its cameras; loaded by the kit only."""
+"""Cases of the robot and its cameras for the contract kit; loaded by the kit only."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rn_testing.fakes import MemoryTopics
 
 
 def state_at_home(seed: int, stamp_ns: int, cell: Workcell = FR3) -> Float64MultiArray:
-    """What the simulation tells its cameras before anything has moved."""
+    """Message of the simulation to its cameras before any motion."""
     cubes, arms = random_cubes(seed), arm_cell(cell)
     return to_message(
         SceneState(

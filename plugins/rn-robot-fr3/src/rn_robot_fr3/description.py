@@ -1,4 +1,4 @@
-"""The robot description: the shipped URDF, and the same one dressed in meshes for pictures."""
+"""The robot description: the shipped URDF, and a version with meshes for rendering."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def urdf() -> str:
 
 def pair_urdf(cell: Workcell = PAIR) -> str:
     """XML text of the arms of a cell on one root link `PAIR_BASE_LINK`; names of links and joints
-    begin with the arm's name.
+    have the arm's name as prefix.
     """
     robot = ET.Element("robot", name=cell.robot)
     inertial = ET.SubElement(ET.SubElement(robot, "link", name=PAIR_BASE_LINK), "inertial")
@@ -38,7 +38,7 @@ def pair_urdf(cell: Workcell = PAIR) -> str:
                 if element.tag != "material" and attribute in element.attrib:
                     element.set(attribute, f"{mount.prefix}{element.get(attribute)}")
         parts = list(arm)
-        # materials are the same for every arm
+        # materials are shared by the arms
         robot.extend([part for part in parts if part.tag != "material" or number == 0])
         joint = ET.SubElement(robot, "joint", name=f"{mount.prefix}mount", type="fixed")
         ET.SubElement(joint, "parent", link=PAIR_BASE_LINK)
@@ -63,10 +63,10 @@ _MESH_BY_LINK = {
 
 
 def urdf_with_meshes(mesh_folder: str, cell: Workcell = FR3) -> str:
-    """XML text of the same robot whose visual elements are meshes in `mesh_folder`.
+    """XML text of the same robot with meshes from `mesh_folder` as visual elements.
 
-    The Panda's links, which `pybullet_data` carries, look like those of the FR3 and share their
-    frames. Kinematics, limits, inertias and collision shapes stay those of `urdf`.
+    The meshes are the Panda's from `pybullet_data`, whose links look like those of the FR3 and have
+    the same frames. Kinematics, limits, inertias and collision shapes are those of `urdf`.
     """
     root = ET.fromstring(cell_urdf(cell))
     shown = {f"{mount.prefix}{name}": name for mount in cell.mounts for name in _MESH_BY_LINK}

@@ -1,6 +1,4 @@
-"""Whether there is a display to open a window on; PyBullet itself ends the process when there is
-none.
-"""
+"""Check for a display before opening a window, because PyBullet ends the process without one."""
 
 from __future__ import annotations
 
@@ -14,7 +12,7 @@ _HINT = "Set gui = false, or DISPLAY to a running X server."
 
 
 def check_display() -> None:
-    """Return when the X server that DISPLAY names accepts a connection.
+    """Return if the X server named in DISPLAY accepts a connection.
 
     Raises:
         ConfigurationError: DISPLAY is unset, its server does not answer, or libX11 is not

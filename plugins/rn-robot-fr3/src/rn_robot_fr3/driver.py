@@ -11,12 +11,12 @@ from roboneuron import RobotProfile, Topics
 
 
 class SimulatedFr3Driver(SimulatedArmDriver):
-    """Drives one simulated FR3, or the pair of them where the profile is the pair's."""
+    """Drives one simulated FR3, or two with the pair's profile."""
 
     def __init__(
         self, config: SimulatedFr3Options | None, profile: RobotProfile, topics: Topics
     ) -> None:
-        """Remember what to simulate."""
+        """Store the arguments."""
         options = config or SimulatedFr3Options()
         cell = CELLS.get(profile.name, FR3)
 
@@ -33,5 +33,5 @@ class SimulatedFr3Driver(SimulatedArmDriver):
         self._headless = simulation(gui=False)
 
     def twin(self) -> CellTwin:
-        """What previews move instead of this cell; without a window."""
+        """Twin for previews, without a window."""
         return CellTwin(self._headless)

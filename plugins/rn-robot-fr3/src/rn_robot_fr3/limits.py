@@ -25,14 +25,14 @@ JERK_RAD_S3 = (5000.0,) * 7
 EFFORT_NM = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
 
 BRAKING_OFFSET_RAD_S = (0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35)
-"""How much velocity the controller keeps in reserve near a position limit."""
+"""Velocity that the controller keeps in reserve near a position limit."""
 BRAKING_DECELERATION_RAD_S2 = (6.0, 2.585, 3.5, 4.0, 17.0, 5.5, 17.0)
-"""The deceleration with which a joint must be able to stop before its position limit."""
+"""Deceleration with which a joint must be able to stop before its position limit."""
 
 FINGER_JOINT = "fr3_finger_joint1"
 """The gripper's commanded joint: travel of one finger."""
 MIMIC_FINGER_JOINT = "fr3_finger_joint2"
-"""The other finger, which mirrors it."""
+"""The other finger, which mimics it."""
 FINGER_OPEN_M = 0.04
 FINGER_VELOCITY_M_S = 0.05
 """Travel speed of one finger. Source: Franka Hand data sheet."""

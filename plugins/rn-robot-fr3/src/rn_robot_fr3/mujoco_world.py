@@ -17,15 +17,15 @@ _SERVOS = (
     *[Servo(stiffness=5000.0, damping=120.0, armature=0.1)] * 3,
     *[Servo(stiffness=10000.0, damping=200.0, armature=0.3)] * 2,
 )
-"""Of the seven joints and two fingers; the inertias are estimates."""
+"""Motors of the seven joints and two fingers; the inertias are estimates."""
 _CONTACT_SPRING = (0.005, 1.0)
-"""Stiff enough that the grasped cube measures within 1 mm."""
+"""Stiff enough that the measured width of a grasped cube is within 1 mm."""
 
 
 def mujoco_world(
     cubes: Sequence[Cube], *, gui: bool = False, cell: Workcell = FR3
 ) -> MujocoArmWorld:
-    """Build it. Raises ConfigurationError when a window is asked for."""
+    """Build the world. Raises ConfigurationError if a window is requested."""
     if gui:
         raise ConfigurationError(
             "The simulation was asked for a window, which it has with PyBullet only.",

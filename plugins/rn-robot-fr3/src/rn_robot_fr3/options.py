@@ -1,4 +1,4 @@
-"""Options a user may set for the simulated driver."""
+"""User options of the simulated driver."""
 
 from __future__ import annotations
 

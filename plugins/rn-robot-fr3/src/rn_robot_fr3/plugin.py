@@ -1,4 +1,6 @@
-"""What this package offers: the robot "fr3" with its drivers and the cameras of the simulation."""
+"""Descriptors of this package: the robot "fr3" with its drivers, and the cameras of the
+simulation.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ _FCI = tuple(
     for module in ("pylibfranka", "ruckig", "franky")
 )
 _ENGINE = Requirement(module="pybullet", alternatives=("mujoco",), install="pip install mujoco")
-"""As `rn_simulation.engine.REQUIREMENT`: a plugin's module imports no other package."""
+"""Copy of `rn_simulation.engine.REQUIREMENT`, because a plugin module imports no other package."""
 
 
 _SIMULATED = DriverSpec(

@@ -1,4 +1,4 @@
-"""The FR3's profile: what is true of the robot whichever driver moves it."""
+"""The FR3's profile, valid for every driver."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ HOME_RAD = (0.0, -math.pi / 4, 0.0, -3 * math.pi / 4, 0.0, math.pi / 2, math.pi 
 """The ready posture: hand straight down, TCP at (0.307, 0, 0.487) m. Source: libfranka examples."""
 
 WORKSPACE_LOWER_M = (0.22, -0.45, 0.010)
-"""At the lowest TCP height the fingertips, 9 mm beyond the TCP, are still above the table."""
+"""At this lowest TCP height the fingertips, 9 mm beyond the TCP, are still above the table."""
 WORKSPACE_UPPER_M = (0.75, 0.45, 0.75)
 
 MIN_DISTANCE_M = 0.01
 TABLE_LOWER_M, TABLE_UPPER_M = (-0.30, -0.60, -0.60), (1.00, 0.60, 0.00)
-"""The table that the arm stands on, as in `world.py`, and what is below it."""
+"""The table under the arm, as in `world.py`, and the space below it."""
 FINGER_LINKS = ("fr3_leftfinger", "fr3_rightfinger")
 
 OWN_TOPICS = (
     *("sim/state", "measured_joint_states", "external_joint_torques"),
     *("external_wrench_in_base_frame", "current_pose", "robot_state"),
 )
-"""Written by the simulation and by the driver of the control box."""
+"""Topics of the simulation and of the control box's driver."""
 
 
 def _endpoints() -> tuple[Endpoint, ...]:
@@ -157,8 +157,8 @@ def _pair_endpoints(
 
 
 def profile() -> RobotProfile:
-    """The profile of a Franka Research 3 with Franka Hand, a camera beside the table and one at the
-    wrist.
+    """The profile of a Franka Research 3 with Franka Hand, a camera next to the table and one at
+    the wrist.
     """
     return RobotProfile(
         name="fr3",

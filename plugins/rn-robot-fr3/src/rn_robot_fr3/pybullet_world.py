@@ -59,7 +59,7 @@ class PybulletArmWorld:
     engine: Engine = "pybullet"
 
     def __init__(self, cubes: Sequence[Cube], *, gui: bool = False, cell: Workcell = FR3) -> None:
-        """Connect and build. Raises ConfigurationError when a window is asked for and there is no
+        """Connect and build the world. Raises ConfigurationError if a window is requested without a
         display.
         """
         self.client = _gui_client() if gui else int(pybullet.connect(pybullet.DIRECT))
@@ -103,9 +103,7 @@ class PybulletArmWorld:
         )
 
     def _add_robot(self) -> int:
-        """PyBullet reads descriptions from files only: write the one with meshes to a temporary
-        folder.
-        """
+        """Load the robot with meshes from a temporary file, because PyBullet reads files only."""
         meshes = Path(pybullet_data.getDataPath()) / "franka_panda" / "meshes" / "collision"
         with tempfile.TemporaryDirectory(prefix="rn-fr3-") as folder:
             path = Path(folder) / "fr3.urdf"

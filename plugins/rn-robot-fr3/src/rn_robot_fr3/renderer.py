@@ -1,6 +1,4 @@
-"""Pictures of a PyBullet world, drawn on the CPU (TinyRenderer) so that they need neither display
-nor GPU.
-"""
+"""Images of a PyBullet world, rendered on the CPU (TinyRenderer), without display or GPU."""
 
 from __future__ import annotations
 
@@ -29,9 +27,9 @@ def _view(T_base_camera: F64) -> list[float]:
 def _projection(intrinsics: F64, width: int, height: int) -> list[float]:
     """OpenGL projection matrix, column by column, of a pinhole camera.
 
-    TinyRenderer samples a pixel at its lower left corner where the contract says its centre; the
-    image is shifted by that half pixel, left and down (without it, projected cubes lie 0.5 px
-    beside their pixels in u and in v).
+    TinyRenderer samples a pixel at its lower left corner, the contract at its centre; the image is
+    shifted by that half pixel, left and down (otherwise projected cubes are off by 0.5 px in u and
+    in v).
     """
     matrix = np.zeros((4, 4))
     matrix[0, 0] = 2.0 * intrinsics[0, 0] / width
@@ -47,7 +45,7 @@ def _projection(intrinsics: F64, width: int, height: int) -> list[float]:
 def render(
     client: int, calibration: CameraCalibration, T_base_mount: F64, width: int, height: int
 ) -> NDArray[np.uint8]:
-    """Draw what the camera sees, uint8 (H, W, 3) RGB, without shadows.
+    """Render a camera's image, uint8 (H, W, 3) RGB, without shadows.
 
     Args:
         client: PyBullet physics client id.

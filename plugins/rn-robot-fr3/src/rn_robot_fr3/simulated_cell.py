@@ -1,4 +1,4 @@
-"""Joints, limits and postures of a cell's arms, as their simulation needs them."""
+"""Joints, limits and postures of a cell's arms, for their simulation."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from rn_simulation.arm_cell import ArmCell
 _FINGER = len(ARM_JOINTS)
 _FINGER_ACCELERATION_M_S2 = 1.0
 _FINGER_FORCE_N = 40.0
-"""Grasping force of the simulated gripper: well above what a wooden cube needs, below what squeezes
-it through.
+"""Grasping force of the simulated gripper: well above what a wooden cube needs, below what pushes
+the fingers through it.
 """
 
 
@@ -30,7 +30,7 @@ def arm_cell(cell: Workcell) -> ArmCell:
     """The arms of `cell`."""
     count = len(cell.mounts)
     each = range(0, count * len(MOVED), len(MOVED))
-    # the second finger mirrors the first
+    # the second finger mimics the first
     own = (*range(_FINGER), _FINGER, _FINGER)
     return ArmCell(
         robot=cell.robot,

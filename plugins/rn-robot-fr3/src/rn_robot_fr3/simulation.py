@@ -1,4 +1,4 @@
-"""The physics of the FR3 cell, stepped by hand: tests and benchmarks run it faster than real
+"""Physics of the FR3 cell, stepped explicitly, so that tests and benchmarks run faster than real
 time.
 """
 
@@ -19,11 +19,11 @@ from rn_simulation.engine import EngineChoice, choose_engine
 from rn_simulation.pinhole import PinholeCamera
 
 COMMANDED = MOVED
-"""Joints of one arm that a command may name."""
+"""Joints of one arm that can be commanded."""
 
 
 class ArmSimulation(CellSimulation):
-    """Simulated FR3s at a table with coloured cubes, one unless the cell says otherwise."""
+    """Simulated FR3s at a table with coloured cubes; by default one."""
 
     def __init__(
         self,
@@ -35,7 +35,7 @@ class ArmSimulation(CellSimulation):
         cell: Workcell = FR3,
         cameras: Sequence[PinholeCamera] | None = None,
     ) -> None:
-        """Choose scene and engine; `cameras` are those of the cell unless others are given.
+        """Choose scene and engine; `cameras` default to those of the cell.
 
         Raises:
             ConfigurationError: unknown colours, too many cubes, or the engine is not installed.
@@ -50,8 +50,8 @@ class ArmSimulation(CellSimulation):
         )
 
     def build_world(self) -> ArmWorld:
-        """See `CellSimulation`. Raises ConfigurationError when a window is asked for and there is
-        no display.
+        """See `CellSimulation`. Raises ConfigurationError if a window is requested without a
+        display.
         """
         return build_world(self.engine, self.scene, gui=self._gui, cell=self.cell)
 

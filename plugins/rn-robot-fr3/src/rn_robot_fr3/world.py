@@ -1,4 +1,4 @@
-"""The simulated world of the FR3s; PyBullet and MuJoCo each build the same one."""
+"""The simulated world of the FR3s; PyBullet and MuJoCo build the same one."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from rn_simulation.cubes import Cube
 from rn_simulation.engine import Engine
 
 JOINTS = FR3.joints
-"""Every moving joint of one arm, in the order of all joint arrays of its simulation."""
+"""All moving joints of one arm, in the order of all joint arrays of its simulation."""
 
 
 def build_world(
     engine: Engine, cubes: Sequence[Cube], *, gui: bool = False, cell: Workcell = FR3
 ) -> ArmWorld:
-    """A world with the arms of `cell` and `cubes` in `engine`.
+    """Build a world with the arms of `cell` and `cubes` in `engine`.
 
     Raises:
-        ConfigurationError: a window is asked for and there is no display, or the engine has none.
+        ConfigurationError: a window is requested without a display, or the engine has none.
     """
     if engine == "mujoco":
         from rn_robot_fr3.mujoco_world import mujoco_world  # heavy, and perhaps not installed

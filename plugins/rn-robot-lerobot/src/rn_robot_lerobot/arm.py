@@ -1,5 +1,5 @@
-"""LeRobot's arms as data: joints, limits, postures, and what stands around them. All have the
-joints of the SO-101.
+"""LeRobot's arms as data: joints, limits, postures and surroundings. All have the joints of the
+SO-101.
 """
 
 from __future__ import annotations
@@ -13,34 +13,34 @@ import numpy as np
 from roboneuron import JointLimits, Obstacle, Workspace
 
 ARM_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
-"""Names of the arm's joints, base to tip: those of LeRobot's motors."""
+"""Names of the arm's joints, base to tip, as LeRobot's motors are named."""
 GRIPPER_JOINT = "gripper"
-"""The moving jaw, which turns."""
+"""The revolute joint of the moving jaw."""
 JOINTS = (*ARM_JOINTS, GRIPPER_JOINT)
-"""Every joint, in the order of all joint arrays of this package and of the motors' numbers 1..6."""
+"""All joints, in the order of all joint arrays of this package and of the motor ids 1..6."""
 Point = tuple[float, float, float]
 FIVE = tuple[float, float, float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LerobotArm:
-    """One kind of arm; numbers of joints in the order of `ARM_JOINTS`.
+    """One kind of arm; joint values in the order of `ARM_JOINTS`.
 
     Attributes:
-        name: of the robot, and of its URDF in `data`.
-        base_link, tcp_link, jaw_links: of the URDF.
+        name: name of the robot, and of its URDF in `data`.
+        base_link, tcp_link, jaw_links: links of the URDF.
         lower_rad, upper_rad: position limits.
-        effort_nm: of the motors.
+        effort_nm: torque limits of the motors.
         jaw_closed_rad, jaw_open_rad: positions of the gripper's joint.
-        home_rad: gripper down, above what it works on.
-        workspace_m: lowest and highest corner for the TCP; at the lowest height the tips of the
-            jaws, 8 mm beyond the TCP, are still above the ground.
-        ground: what the arm stands on, and what is below it.
-        carried: the arm whose links are joined to those of the URDF.
-        velocity_rad_s, acceleration_rad_s2: of every joint. The first is two thirds of the speed of
-            an SO-101's motors without load and half of that of a Koch arm's; the second is an
-            estimate, as LeRobot has the motors accelerate as fast as they can.
-        jaw_effort_nm: LeRobot limits the gripper's motor; this is 6 N at the tip.
+        home_rad: home posture, with the gripper pointing down above its workspace.
+        workspace_m: lower and upper corner for the TCP; at the lowest height the tips of the jaws,
+            8 mm beyond the TCP, are still above the ground.
+        ground: the surface under the arm and the space below it.
+        carried: an arm whose links are added to those of the URDF.
+        velocity_rad_s, acceleration_rad_s2: limits of every joint. The first is two thirds of the
+            no-load speed of an SO-101's motors and half of a Koch arm's; the second is an estimate,
+            because LeRobot lets the motors accelerate as fast as they can.
+        jaw_effort_nm: LeRobot's limit of the gripper's motor; 6 N at the tip.
     """
 
     name: str
@@ -82,7 +82,7 @@ class LerobotArm:
         )
 
     def workspace(self) -> Workspace:
-        """Where the TCP may be, in the base frame."""
+        """Workspace of the TCP, in the base frame."""
         lower_m, upper_m = map(np.array, self.workspace_m)
         return Workspace(lower_m=lower_m, upper_m=upper_m)
 
@@ -114,8 +114,8 @@ SO101 = LerobotArm(
     ground=TABLE,
 )
 """Source of axes, distances and position limits: TheRobotStudio/SO-ARM100, Simulation/SO101,
-so101_new_calib. Source of speed and torque: data sheet of the STS3215 at 7.4 V (0.222 s for 60
-degrees without load, 19 kg cm). At home the gripper points down to within a tenth of a degree.
+so101_new_calib. Source of speed and torque: data sheet of the STS3215 at 7.4 V (no load: 0.222 s
+for 60 degrees; 19 kg cm). At home the gripper points down to within a tenth of a degree.
 """
 KOCH = LerobotArm(
     name="koch",
@@ -132,11 +132,11 @@ KOCH = LerobotArm(
     ground=TABLE,
 )
 """Koch v1.1. Source of axes, distances and position limits: google-deepmind/mujoco_menagerie,
-low_cost_robot_arm. Source of speed and torque: data sheets of XL430-W250 and XL330-M288 at 12 V
-and 5 V (61 and 103 turns a minute without load, 1.5 and 0.52 Nm).
+low_cost_robot_arm. Source of speed and torque: data sheets of XL430-W250 and XL330-M288 at 12 V and
+5 V (no load: 61 and 103 rpm; 1.5 and 0.52 Nm).
 
-Every joint is 0 in the middle of its range, as LeRobot calibrates it, and turns as that of the
-same name of the SO-101. At home the TCP is 65 mm above the table.
+Every joint is 0 in the middle of its range, as LeRobot calibrates it, and has the same direction as
+the SO-101's joint of that name. At home the TCP is 65 mm above the table.
 """
 _FLOOR = Obstacle(
     name="floor", lower_m=np.array((-1.00, -1.00, -0.60)), upper_m=np.array((1.00, 1.00, 0.00))
@@ -150,6 +150,6 @@ LEKIWI = replace(
     ground=_FLOOR,
 )
 """An SO-101 on a mobile base. The base frame is on the floor in the middle of the three wheels.
-Source of where the arm stands: SIGRobotics-UIUC/LeKiwi, URDF (its axis 67 mm before the middle, its
+Source of the arm's pose: SIGRobotics-UIUC/LeKiwi, URDF (its axis 67 mm in front of the middle, its
 foot 90 mm above the floor).
 """

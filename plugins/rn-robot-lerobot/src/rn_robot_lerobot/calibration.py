@@ -1,7 +1,7 @@
-"""LeRobot's calibration files: `calibration/robots/<robot>/<id>.json`, one entry for each motor.
+"""LeRobot's calibration files: `calibration/robots/<robot>/<id>.json`, one entry per motor.
 
-Pure reading: lerobot itself reads the file again; here it is checked first, so that what is wrong
-with it is one sentence and no arm moves.
+Read-only: lerobot reads the file again; this module checks it first, so that an error is one
+sentence and no arm moves.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from pathlib import Path
 from roboneuron import ConfigurationError
 
 STEPS = 4096
-"""Of an encoder in one turn."""
+"""Encoder steps per turn."""
 _FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MotorCalibration:
-    """One motor.
+    """Calibration of one motor.
 
     Attributes:
-        id: its number on the bus.
-        drive_mode: 1 where it is inverted.
-        homing_offset: steps that are subtracted from the encoder's.
+        id: id on the bus.
+        drive_mode: 1 if it is inverted.
+        homing_offset: steps subtracted from the encoder's.
         range_min, range_max: ends of its range, in steps after the offset.
     """
 
@@ -38,23 +38,23 @@ class MotorCalibration:
 
     @property
     def half_range_rad(self) -> float:
-        """Half of its range [rad]; LeRobot counts 4095 steps to a turn."""
+        """Half of its range [rad]; LeRobot counts 4095 steps per turn."""
         return (self.range_max - self.range_min) / (STEPS - 1) * math.pi
 
 
 def read_calibration(
     path: Path, motors: Collection[str], calibrate: str
 ) -> dict[str, MotorCalibration]:
-    """The calibration in a file.
+    """Read the calibration from a file.
 
     Args:
-        path: of the file.
-        motors: names that there have to be.
-        calibrate: the command that makes the file.
+        path: path of the file.
+        motors: names of the required motors.
+        calibrate: command that creates the file.
 
     Raises:
-        ConfigurationError: there is no file, it is damaged, a motor lacks or is unknown, or a range
-            is none.
+        ConfigurationError: there is no file, it is damaged, a motor is missing or unknown, or a
+            range is invalid.
     """
     hint = f"Make it with: {calibrate}"
     try:

@@ -1,4 +1,4 @@
-"""How the contract kit tries the robot and its cameras; loaded by the kit only."""
+"""Cases of the robot and its cameras for the contract kit; loaded by the kit only."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rn_testing.fakes import MemoryTopics
 
 
 def state_at_home(seed: int, stamp_ns: int) -> Float64MultiArray:
-    """What the simulation tells its cameras before anything has moved."""
+    """Message of the simulation to its cameras before any motion."""
     cubes = random_cubes(seed)
     return to_message(
         SceneState(
@@ -36,12 +36,12 @@ def so101_case() -> RobotCase:
 
 
 def koch_case() -> RobotCase:
-    """The Koch arm, which no driver may move: it has no simulation."""
+    """The Koch arm, without a driver to move, because it has no simulation."""
     return RobotCase(spec=roboneuron_robots()[1], driver=None)
 
 
 def lekiwi_case() -> RobotCase:
-    """The LeKiwi, which no driver may move either."""
+    """The LeKiwi, also without a driver to move."""
     return RobotCase(spec=roboneuron_robots()[2], driver=None)
 
 

@@ -14,7 +14,7 @@ class SimulatedSo101Driver(SimulatedArmDriver):
     def __init__(
         self, config: SimulatedSo101Options | None, profile: RobotProfile, topics: Topics
     ) -> None:
-        """Remember what to simulate."""
+        """Store the arguments."""
         options = config or SimulatedSo101Options()
         simulation = So101Simulation(options.seed, colours=options.colours)
         super().__init__("SO-101", simulation, options, profile, topics)

@@ -1,4 +1,4 @@
-"""The driver `lerobot` of a LeKiwi: its arm as every arm of LeRobot, and the base below it."""
+"""The driver `lerobot` of a LeKiwi: its arm like every arm of LeRobot, and its base."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from roboneuron import InvalidInputError, RefusedError, RobotProfile, RobotState
 _KEYS = ("x.vel", "y.vel", "theta.vel")
 """LeRobot's names of a base velocity [m/s, m/s, degrees/s]."""
 _LONGEST_STEP_S = 0.1
-"""Of dead reckoning: nothing is known of a longer silence."""
+"""Maximum step of dead reckoning: after a longer silence the motion is unknown."""
 
 
 class _Motor(Protocol):
@@ -46,29 +46,29 @@ class _LekiwiRobot(LerobotRobot, Protocol):
 
 
 class LekiwiDriver(LerobotDriver):
-    """Velocities come on `cmd_vel`, odometry goes out on `odom`.
+    """It receives velocities on `cmd_vel` and publishes odometry on `odom`.
 
-    The wheels' motors keep their last speed until they hear another one: this driver stops them
-    when commands cease, at a hold, at a fault, and at its start and end, and its guard when this
-    process is killed or frozen. While the motors hear nothing, nobody does. A twist that the base
-    cannot carry out is refused as a whole, and the base brakes.
+    The wheels' motors keep their last speed until they receive another one. This driver stops them
+    when commands stop coming, on hold, on a fault, and at its start and end; its guard stops them
+    when this process is killed or frozen. While the motors receive nothing, nothing can stop them.
+    A twist that the base cannot execute is refused as a whole, and the base brakes.
     """
 
     def __init__(self, config: LekiwiOptions | None, profile: RobotProfile, topics: Topics) -> None:
-        """Remember what to drive."""
+        """Store the arguments."""
         options = config or LekiwiOptions()
         super().__init__(options, profile, topics)
         self._endpoint = next(one for one in profile.endpoints if one.topic == CMD_VEL)
         self._publish: Callable[[Odometry], None] | None = None
         self._is_rolling = False
         self._guard: WheelGuard | None = None
-        # these are guarded by the lock, too
+        # also guarded by the lock
         self._base = BaseSetpoint(options.base_timeout_s)
         self._pose, self._observed_s = PlanarPose(), 0.0
         self._refusal, self._refusals = "", 0
 
     def open(self) -> None:
-        """Connect; odometry begins anew. Raises as `LerobotDriver.open`."""
+        """Connect; odometry restarts at zero. Raises as `LerobotDriver.open`."""
         self._base.drop()
         self._pose, self._observed_s = PlanarPose(), time.monotonic()
         self._refusal, self._refusals = "", 0
@@ -78,8 +78,8 @@ class LekiwiDriver(LerobotDriver):
         super().open()
 
     def read(self) -> RobotState:
-        """As `LerobotDriver.read`; `detail` also holds "odometry" (JSON: x_m, y_m, yaw_rad),
-        "motion" of the base (driving, standing, or stopping and why), and "refused" and
+        """Like `LerobotDriver.read`; `detail` also contains "odometry" (JSON: x_m, y_m, yaw_rad),
+        "motion" of the base (driving, standing, or stopping with the reason), and "refused" and
         "refused_count" of velocity commands.
         """
         state = super().read()
@@ -110,12 +110,12 @@ class LekiwiDriver(LerobotDriver):
             wanted = np.array([fields[path] for path in ("linear.x", "linear.y", "angular.z")])
             self._base.aim(wanted, time.monotonic())
             if wanted.any():
-                # LeRobot sends both together: the arm stays where it is measured
+                # LeRobot sends both together, so the arm gets its measured position
                 self._begin()
 
     def _connected(self, robot: LerobotRobot) -> None:
         lekiwi = cast("_LekiwiRobot", robot)
-        # the wheels may still turn for a driver that was killed together with its guard
+        # the wheels may still turn if an earlier driver was killed together with its guard
         lekiwi.stop_base()
         wheels = [lekiwi.bus.motors[name].id for name in WHEELS]
         self._guard = WheelGuard(lekiwi.bus.port, wheel_stop(wheels))
@@ -141,14 +141,15 @@ class LekiwiDriver(LerobotDriver):
         with self._lock:
             is_fault = bool(self._told_fault())
         if is_fault and self._is_rolling:
-            # who does not answer may hear: with one motor off the bus, LeRobot reads none
+            # a motor that does not answer may still receive: if one motor is off the bus, LeRobot
+            # reads none
             with suppress(OSError, RuntimeError):
                 cast("_LekiwiRobot", robot).stop_base()
 
     def _observe(self, observed: Mapping[str, float]) -> None:
         absent = [key for key in _KEYS if key not in observed]
         if absent:
-            raise InvalidInputError(f"The robot does not tell {', '.join(absent)}.")
+            raise InvalidInputError(f"The robot does not report {', '.join(absent)}.")
         forwards, leftwards, turning = (float(observed[key]) for key in _KEYS)
         if self._guard is not None and (fault := self._guard.fault()):
             with self._lock:
@@ -176,7 +177,7 @@ class LekiwiDriver(LerobotDriver):
         sent: Mapping[str, float] = {}
         is_rolling = any((forwards, leftwards, turning))
         if goals:
-            # the guard knows before the wheels roll, and until they have heard that they stand
+            # the guard is told before the wheels roll, and until they have received their stop
             self._is_rolling = self._is_rolling or is_rolling
             self._tell_guard()
             values = (forwards, leftwards, math.degrees(turning))

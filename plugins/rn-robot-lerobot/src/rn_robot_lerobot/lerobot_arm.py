@@ -1,5 +1,5 @@
-"""LeRobot's robot as the driver uses it: made from its own configuration, checked before it is
-connected. Only here lerobot is imported.
+"""LeRobot's robot for the driver: created from its own configuration, and checked before it is
+connected. The only module that imports lerobot.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from roboneuron import (
 )
 
 VERSIONS = ("0.6.1", "0.7")
-"""From the first on, before the second."""
+"""Supported versions: from the first, before the second."""
 _ATTEMPTS = 3
-"""LeRobot asks each of some sixty questions once when it connects, and a bus loses an answer now
-and then.
+"""LeRobot sends about sixty requests without a retry when it connects, and a bus loses some
+answers.
 """
 _UNIT_BY_MODE = {"degrees": "degrees", "range_0_100": "percent", "range_m100_100": "range"}
-"""Our words for LeRobot's `MotorNormMode`."""
+"""The unit of the option for LeRobot's `MotorNormMode`."""
 
 
 class LerobotRobot(Protocol):
-    """What is used of lerobot's `Robot`."""
+    """The used part of lerobot's `Robot`."""
 
     name: str
     calibration_fpath: Path
@@ -54,28 +54,28 @@ class LerobotRobot(Protocol):
         """Open the bus."""
 
     def get_observation(self) -> Mapping[str, float]:
-        """Measure."""
+        """Read the measurements."""
 
     def send_action(self, action: dict[str, float]) -> Mapping[str, float]:
-        """Send goals; returns those that were really sent."""
+        """Send goals; return the goals really sent."""
 
     def disconnect(self) -> None:
         """Close the bus."""
 
 
 def check_version(found: str | None) -> None:
-    """Return for a version of lerobot that this driver was written for.
+    """Check that this driver supports a version of lerobot.
 
     Raises:
-        MissingDependencyError: lerobot is not installed here.
-        ConfigurationError: it is another version.
+        MissingDependencyError: lerobot is not installed in this environment.
+        ConfigurationError: the version is not supported.
     """
     first, end = VERSIONS
     wanted = f'"lerobot[feetech,dynamixel]>={first},<{end}"'
     hint = f"Run: pip install {wanted} in the environment of [robot]."
     if found is None:
         raise MissingDependencyError(
-            "The driver 'lerobot' runs in an environment with lerobot, and here is none.",
+            "The driver 'lerobot' needs an environment with lerobot; this one has none.",
             hint=f"Name its interpreter: python = ... in [robot]. {hint}",
         )
     if not _numbers(first) <= _numbers(found) < _numbers(end):
@@ -91,11 +91,11 @@ def _numbers(text: str) -> tuple[int, ...]:
 
 
 def make_robot(options: LerobotDriverOptions) -> LerobotRobot:
-    """LeRobot's robot, not connected.
+    """Create LeRobot's robot, not connected.
 
     Raises:
-        MissingDependencyError, ConfigurationError: as `check_version`; the type is unknown, or does
-            not have a setting.
+        MissingDependencyError, ConfigurationError: as `check_version`; the type is unknown, or a
+            setting does not exist.
     """
     try:
         check_version(version("lerobot"))
@@ -145,11 +145,11 @@ def map_motors(
     profile: RobotProfile,
     calibration: Mapping[str, MotorCalibration],
 ) -> MotorMap:
-    """The joint of each motor, by name.
+    """Map each motor to a joint, by name.
 
     Raises:
-        ConfigurationError: a motor moves no joint of the profile, or a joint no motor; a unit is
-            another than LeRobot yields.
+        ConfigurationError: a motor moves no joint of the profile, or a joint has no motor; a unit
+            differs from LeRobot's.
     """
     names = [key.removesuffix(SUFFIX) for key in robot.action_features if key.endswith(SUFFIX)]
     strangers = [name for name in options.motors if name not in names]
@@ -191,7 +191,7 @@ def map_motors(
 
 
 def _told_unit(robot: LerobotRobot, name: str) -> str:
-    """Our word for the unit that LeRobot says a motor has; empty where it does not say so."""
+    """Unit that LeRobot reports for a motor; empty if it reports none."""
     motors = getattr(getattr(robot, "bus", None), "motors", {})
     if name not in motors:
         return ""
@@ -227,7 +227,7 @@ def _unit(
 def calibration_of(
     robot: LerobotRobot, options: LerobotDriverOptions
 ) -> dict[str, MotorCalibration]:
-    """What LeRobot's own file says; empty for a robot without a bus of its own.
+    """Calibration from LeRobot's own file; empty for a robot without its own bus.
 
     Raises:
         ConfigurationError: as `read_calibration`.
@@ -241,11 +241,11 @@ def calibration_of(
 
 
 def connect(robot: LerobotRobot, options: LerobotDriverOptions) -> None:
-    """Open the bus; never begins a calibration, which would wait for a person.
+    """Open the bus; never starts a calibration, which would wait for a person.
 
     Raises:
-        NotReadyError: the bus or a motor does not answer, also when it is asked again.
-        ConfigurationError: the motors hold another calibration than the file.
+        NotReadyError: the bus or a motor does not answer, even after retries.
+        ConfigurationError: the motors contain another calibration than the file.
     """
     where = f" on {options.port}" if options.port else ""
     for attempt in range(1, _ATTEMPTS + 1):
@@ -257,7 +257,7 @@ def connect(robot: LerobotRobot, options: LerobotDriverOptions) -> None:
             _drop(robot)
             if attempt < _ATTEMPTS:
                 continue
-            # lerobot hides an answer that lacks; what follows repeats the whole list of motors
+            # lerobot hides a missing answer in the cause; the rest repeats the whole list of motors
             told = str(error.__cause__ or error).split("Full expected motor list")[0]
             words = " ".join(told.split())
             raise NotReadyError(

@@ -36,35 +36,39 @@ from roboneuron import (
 F64 = NDArray[np.float64]
 
 FAULT = "fault"
-"""Key of `RobotState.detail`: what has stopped the arm; robot and control then need a new start."""
+"""Key of `RobotState.detail`: the fault that stopped the arm; robot and control then need a new
+start.
+"""
 _GRIPPER_VELOCITY_RAD_S, _GRIPPER_ACCELERATION_RAD_S2 = 3.0, 20.0
 _HASTE, _SLACK_RAD = 2.0, 0.15
-"""How much faster than its limit, and beyond it, a joint may seem to move between two readings: a
-motor without load is faster than the limit, and readings of a busy machine come in bunches.
+"""Factor on a joint's velocity limit, and tolerance, for its motion between two readings: a motor
+without load is faster than the limit, and on a busy machine readings come in bunches.
 """
 _DOUBTS = 3
-"""So many readings in a row that cannot be true are a fault; fewer are left out."""
+"""Number of consecutive implausible readings that count as a fault; fewer are ignored."""
 _REMEMBERED_S = 1.0
-"""A fault that is over is told for this long, so that nobody misses it."""
+"""Time for which a fault is still reported after its end, so that it is not missed."""
 _FAILURES = (OSError, RuntimeError, LookupError, TypeError, ValueError)
-"""What a robot's class may raise while it works: a bus that fails, or a class that does."""
+"""Exceptions that a robot's class may raise during operation, from the bus or from its own
+errors.
+"""
 _CLIPPED = 1e-3
-"""Share of a unit by which a goal that LeRobot has changed differs."""
+"""Difference from which a goal counts as changed by LeRobot, as a share of a unit."""
 _JOIN_S = 5.0
 
 
 class LerobotDriver:
     """Follows the protocol `RobotDriver`; every method may be called from any thread.
 
-    One thread owns the bus: it reads, judges what it has read, moves the setpoints within the
-    profile's limits and sends them. A motor keeps its last goal, so that an arm whose driver ends
-    stands where it was last sent.
+    One thread owns the bus: it reads, checks the readings, moves the setpoints within the profile's
+    limits and sends them. A motor keeps its last goal, so an arm whose driver ends stays at its
+    last goal.
     """
 
     def __init__(
         self, config: LerobotDriverOptions | None, profile: RobotProfile, topics: Topics
     ) -> None:
-        """Remember what to drive."""
+        """Store the arguments."""
         self._options = config or LerobotDriverOptions()
         self._profile = profile
         self._topics = topics
@@ -72,7 +76,7 @@ class LerobotDriver:
         self._motors: MotorMap | None = None
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
-        # guards what follows; the bus is used without it
+        # guards the following attributes; the bus is used without it
         self._lock = threading.Lock()
         self._setpoint: JointSetpoint | None = None
         self._position, self._velocity = np.empty(0), np.empty(0)
@@ -83,10 +87,10 @@ class LerobotDriver:
         self._fault, self._fault_s = "", 0.0
 
     def open(self) -> None:
-        """Connect; the arm holds where it is once it is commanded.
+        """Connect; the arm holds its position once it is commanded.
 
         Raises:
-            StateError: it is open already.
+            StateError: it is already open.
             MissingDependencyError, ConfigurationError, NotReadyError: as the functions of
                 `lerobot_arm`; or the first reading failed.
         """
@@ -115,9 +119,9 @@ class LerobotDriver:
         self._thread.start()
 
     def read(self) -> RobotState:
-        """The newest state; its stamp is that of the measurement, also while the bus is silent.
+        """The newest state; its stamp is that of the measurement, even while the bus is silent.
 
-        `detail` holds "fault" (empty for none), "clipped" (goals that `max_relative_target` has
+        `detail` contains "fault" (empty for none), "clipped" (goals that `max_relative_target` has
         shortened) and "bus_errors". Raises StateError unless open.
         """
         motors, position, velocity, stamp_ns, fault = self._newest()
@@ -191,32 +195,32 @@ class LerobotDriver:
 
     @property
     def is_open(self) -> bool:
-        """Between `open` and `close`."""
+        """True between `open` and `close`."""
         return self._thread is not None
 
     def _connected(self, robot: LerobotRobot) -> None:
-        """The bus is open; called before anything else is asked of the robot."""
+        """Called when the bus is open, before any other use of the robot."""
 
     def _disconnect(self, robot: LerobotRobot) -> None:
-        """The last that is asked of the robot."""
+        """Last use of the robot."""
         if robot.is_connected:
             robot.disconnect()
 
     def _observe(self, observed: Mapping[str, float]) -> None:
-        """Take what the robot tells beside its joints.
+        """Process the robot's observations other than joints.
 
         Raises:
-            InvalidInputError: something lacks.
+            InvalidInputError: a value is missing.
         """
 
     def _send_goals(
         self, robot: LerobotRobot, goals: Mapping[str, float], period_s: float
     ) -> Mapping[str, float]:
-        """Send goals by key, or nothing where there are none; returns what was really sent."""
+        """Send goals by key, or nothing if there are none; return the goals really sent."""
         return robot.send_action(dict(goals)) if goals else {}
 
     def _begin(self) -> None:
-        """Hold the arm where it is measured, unless it is commanded; the lock is held."""
+        """Hold the arm at its measured position, unless it is commanded; the lock is held."""
         if not self._is_commanded and self._motors is not None:
             self._setpoint = self._setpoint_at(self._position, self._motors)
             self._is_commanded = True
@@ -268,12 +272,12 @@ class LerobotDriver:
         self._stamp_ns, self._read_s = self._topics.now_ns(), now_s
 
     def _told_fault(self) -> str:
-        """The fault, also for a moment after its end; the lock is held."""
+        """The fault, also shortly after its end; the lock is held."""
         is_recent = time.monotonic() - self._fault_s < _REMEMBERED_S
         return self._fault if is_recent else ""
 
     def _note_fault(self, fault: str) -> None:
-        """The arm is held; the lock is held too."""
+        """Hold the arm because of a fault; the lock is held."""
         self._fault, self._fault_s = fault, time.monotonic()
         self._halt()
 
@@ -292,7 +296,7 @@ class LerobotDriver:
             self._ending.wait(max(0.0, next_s - time.monotonic()))
 
     def _turn(self, period_s: float) -> None:
-        """Read, judge, move on, send."""
+        """One cycle: read, check, advance, send."""
         robot, motors = self._robot, self._motors
         if robot is None or motors is None:
             return
@@ -315,7 +319,7 @@ class LerobotDriver:
             self._note_clipped(motors.measured(sent))
 
     def _note_silence(self, robot: LerobotRobot, error: Exception) -> None:
-        """The bus has failed once more; for long enough, that is a fault."""
+        """Count another failure of the bus; a long enough silence is a fault."""
         with self._lock:
             self._failures += 1
             silent_s = time.monotonic() - self._read_s
@@ -325,9 +329,9 @@ class LerobotDriver:
                 self._note_fault(f"the motor bus {where} is silent: {words}")
 
     def _judge(self, told: F64, period_s: float) -> F64 | None:
-        """Take a reading; the goal to send, or None when nothing is to be sent.
+        """Process a reading; return the goal to send, or None for nothing.
 
-        After a silence the arm is where it is: what it was sent to before is past.
+        After a silence the arm keeps its position: the goal from before it is dropped.
         """
         now_s = time.monotonic()
         with self._lock:
@@ -344,7 +348,7 @@ class LerobotDriver:
                     return None
                 place = int(excess.argmax())
                 self._note_fault(
-                    f"motor {motors.units[place].motor!r} tells {told[place]:.3f}, "
+                    f"motor {motors.units[place].motor!r} reports {told[place]:.3f}, "
                     f"{abs(told[place] - self._position[place]):.3f} rad from where it was; no "
                     "motor is that fast"
                 )
@@ -352,7 +356,7 @@ class LerobotDriver:
             self._doubts = 0
             self._take(told, now_s, (told - self._position) / max(since_s, 1e-3))
             if was_silent:
-                # the motors keep their last goals until somebody asks for motion again
+                # the motors keep their last goals until motion is requested again
                 self._setpoint = self._setpoint_at(told, motors)
                 self._is_commanded = False
             if not self._is_commanded:
@@ -361,11 +365,11 @@ class LerobotDriver:
             return self._near(setpoint, told, motors)
 
     def _near(self, setpoint: JointSetpoint, told: F64, motors: MotorMap) -> F64:
-        """The setpoints, no farther from what was read than `max_relative_target`, so that they do
-        not run away from an arm that does not follow; the lock is held.
+        """The setpoints, at most `max_relative_target` away from the reading, so that they do not
+        run away from an arm that does not follow; the lock is held.
 
-        LeRobot's own bound reads the motors once more and believes them: one wrong answer then
-        makes a goal of its own.
+        LeRobot's own bound reads the motors again without a check: one wrong answer would then
+        become a goal.
         """
         farthest = self._options.max_relative_target
         if farthest is not None:
@@ -375,12 +379,12 @@ class LerobotDriver:
             if is_clipped.any():
                 self._clipped += 1
                 setpoint.position = goal
-                # braking begins with the speed that the arm has
+                # braking begins at the arm's current speed
                 setpoint.velocity = np.where(is_clipped, self._velocity, setpoint.velocity)
         return setpoint.position.copy()
 
     def _note_clipped(self, sent: F64) -> None:
-        """LeRobot has sent other goals, by a bound of its own among its `settings`."""
+        """LeRobot sent other goals, because of a bound in its own `settings`."""
         with self._lock:
             self._clipped += 1
             if self._setpoint is not None:

@@ -10,16 +10,16 @@ from roboneuron import AgentMaySet, ConfigurationOnly
 
 
 class MotorOption(BaseModel):
-    """Which joint a motor moves, where names or units are not the usual ones.
+    """Joint and unit of a motor, if they are not the defaults.
 
-    Usual are: the motor's name is the joint's, the unit is the one that LeRobot says its motor has
-    (without a word of it degrees, and for a gripper 0 closed .. 100 open).
+    Defaults: the joint with the motor's name, and the unit that LeRobot reports for its motor
+    (without a report degrees, and for a gripper 0 closed .. 100 open).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     joint: str | None = Field(
-        default=None, description="Joint of the profile; the one of the motor's name without it."
+        default=None, description="Joint of the profile; default: the motor's name."
     )
     unit: Literal["degrees", "radians", "percent", "range"] | None = Field(
         default=None,
@@ -31,7 +31,7 @@ class MotorOption(BaseModel):
         default=0.0,
         ge=-360,
         le=360,
-        description="Joint position where the motor tells 0 [degrees]; not for percent.",
+        description="Joint position at the motor's 0 [degrees]; not for percent.",
     )
 
 
@@ -40,31 +40,31 @@ class LerobotDriverOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     motor_prefix: ClassVar[str] = ""
-    """What the names of motors have before those of their joints."""
+    """Prefix of the motors' names before the joints' names."""
 
     type: Annotated[str, ConfigurationOnly()] = Field(
         default="so101_follower", description="LeRobot's `--robot.type`."
     )
     id: Annotated[str, ConfigurationOnly()] = Field(
-        default="so101", description="LeRobot's `--robot.id`, by which calibrations are called."
+        default="so101", description="LeRobot's `--robot.id`, which names the calibration."
     )
     port: Annotated[str, ConfigurationOnly()] = Field(
-        default="", description="LeRobot's `--robot.port`; empty where the robot has none."
+        default="", description="LeRobot's `--robot.port`; empty if the robot has none."
     )
     calibration_dir: Annotated[str, ConfigurationOnly()] = Field(
-        default="", description="Where calibrations are; empty for LeRobot's own place."
+        default="", description="Folder of the calibrations; empty for LeRobot's own."
     )
     settings: Annotated[dict[str, str | int | float | bool], ConfigurationOnly()] = Field(
-        default_factory=dict, description="Further settings of LeRobot's robot, by their names."
+        default_factory=dict, description="Further settings of LeRobot's robot, by name."
     )
     motors: Annotated[dict[str, MotorOption], AgentMaySet()] = Field(
-        default_factory=dict, description="Motors that are not as usual, by name."
+        default_factory=dict, description="Motors with another joint or unit than usual, by name."
     )
     max_relative_target: float | None = Field(
         default=30.0,
         gt=0,
-        description="How far a goal may be from where a motor is measured [its unit], as LeRobot's "
-        "own setting of that name, beside our limits.",
+        description="Largest distance of a goal from the motor's measured position [its unit], "
+        "like LeRobot's setting of that name, in addition to the profile's limits.",
     )
     rate_hz: float = Field(
         default=50.0, ge=5.0, le=200.0, description="Readings and goals per second."
@@ -73,10 +73,10 @@ class LerobotDriverOptions(BaseModel):
         default=0.5,
         gt=0,
         le=2.0,
-        description="A bus that is silent this long is a fault [s]; one lost answer costs 0.17 s.",
+        description="Silence of the bus that counts as a fault [s]; one lost answer costs 0.17 s.",
     )
     release_on_close: bool = Field(
-        default=False, description="Switch the torque off at the end: the arm falls down."
+        default=False, description="Switch the torque off on close: the arm falls down."
     )
 
 
@@ -87,7 +87,7 @@ class KochOptions(LerobotDriverOptions):
         default="koch_follower", description="LeRobot's `--robot.type`."
     )
     id: Annotated[str, ConfigurationOnly()] = Field(
-        default="koch", description="LeRobot's `--robot.id`, by which calibrations are called."
+        default="koch", description="LeRobot's `--robot.id`, which names the calibration."
     )
 
 
@@ -100,11 +100,11 @@ class LekiwiOptions(LerobotDriverOptions):
         default="lekiwi", description="LeRobot's `--robot.type`."
     )
     id: Annotated[str, ConfigurationOnly()] = Field(
-        default="lekiwi", description="LeRobot's `--robot.id`, by which calibrations are called."
+        default="lekiwi", description="LeRobot's `--robot.id`, which names the calibration."
     )
     base_timeout_s: float = Field(
         default=0.5,
         ge=0.05,
         le=5.0,
-        description="The base brakes when no velocity command came for this long [s].",
+        description="The base brakes after this long without a velocity command [s].",
     )

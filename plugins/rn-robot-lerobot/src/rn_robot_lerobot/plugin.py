@@ -1,4 +1,4 @@
-"""What this package offers: the robots "so101", "koch" and "lekiwi" with their drivers, and the
+"""Descriptors of this package: the robots "so101", "koch" and "lekiwi" with their drivers, and the
 simulated cameras.
 """
 

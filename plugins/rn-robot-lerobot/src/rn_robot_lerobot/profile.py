@@ -1,4 +1,4 @@
-"""The profiles of LeRobot's arms: what is true of a robot whichever driver moves it."""
+"""Profiles of LeRobot's arms, valid for every driver."""
 
 from __future__ import annotations
 
@@ -20,32 +20,31 @@ _UNCALIBRATED = tuple(
     )
     for name, role in (("front", "primary"), ("wrist", "wrist"))
 )
-"""Cameras of which only the names are known."""
+"""Cameras without calibration."""
 
 
 def so101_profile() -> RobotProfile:
-    """The profile of an SO-101 follower with a camera beside the table and one on the gripper."""
+    """Profile of an SO-101 follower with a camera next to the table and one on the gripper."""
     named = [camera.profile() for camera in cameras()]
     return replace(profile_of(SO101, named), own_topics=("sim/state",))
 
 
 def koch_profile() -> RobotProfile:
-    """The profile of a Koch v1.1 follower with a camera beside the table and one on the gripper,
-    which nobody has calibrated.
+    """Profile of a Koch v1.1 follower with a camera next to the table and one on the gripper, both
+    without calibration.
     """
     return profile_of(KOCH, _UNCALIBRATED)
 
 
 def lekiwi_profile() -> RobotProfile:
-    """The profile of a LeKiwi: an SO-101 on a base that drives in every direction, with a camera in
-    front and one on the gripper, which nobody has calibrated. Poses of the TCP are those on the
-    base, wherever that stands.
+    """Profile of a LeKiwi: an SO-101 on an omnidirectional base, with a camera in front and one on
+    the gripper, both without calibration. Poses of the TCP are relative to the base.
     """
     arm = profile_of(LEKIWI, _UNCALIBRATED)
     base = base_endpoints(
         "Drive the base: linear.x forwards and linear.y to the left [m/s], angular.z "
         "counter-clockwise [rad/s]. It drives in every direction and turns on the spot; what is "
-        "too fast for a wheel is slowed as a whole.",
+        "too fast for a wheel is scaled down as a whole.",
         BOUNDS,
     )
     return replace(arm, endpoints=(*arm.endpoints, *base))

@@ -1,4 +1,4 @@
-"""The physics of the SO-101's cell, stepped by hand: tests run it faster than real time."""
+"""Physics of the SO-101's cell, stepped explicitly, so that tests run faster than real time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CELL = ArmCell(
     lifted_m=LIFTED_M,
 )
 _SERVO = Servo(stiffness=60.0, damping=2.5, armature=0.01)
-"""The joint follows within 2 mrad at rest. Estimates."""
+"""With these estimates the joint is within 2 mrad of its goal at rest."""
 
 
 def build_world(cubes: Sequence[Cube]) -> ArmWorld:
@@ -45,7 +45,7 @@ def build_world(cubes: Sequence[Cube]) -> ArmWorld:
         table_size_m=(0.70, 0.80, 0.05),
         table_centre_m=(0.15, 0.0, -0.025),
         contact_spring=(0.004, 1.0),
-        substeps=4,  # a cube of 10 g on contact springs wants 1 ms
+        substeps=4,  # a cube of 10 g on contact springs needs 1 ms
         motors_carry_arm=False,
     )
     return MujocoArmWorld(CELL, facts, cubes)

@@ -1,8 +1,8 @@
-"""LeRobot's numbers and the joints they mean, by name: degrees, percent of an opening, -100..100
-of a calibrated range, each with sign and offset. Pure computation.
+"""Conversion between LeRobot's values and joint positions, by name: degrees, percent of an opening,
+-100..100 of a calibrated range, each with sign and offset. Pure computation.
 
-LeRobot calls a value `<motor>.pos`; which unit it has is a setting of LeRobot's robot and is not in
-the number, so that it is always declared here and never guessed.
+LeRobot names a value `<motor>.pos`; its unit is a setting of LeRobot's robot and not part of the
+value, so units are always declared, never guessed.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ F64 = NDArray[np.float64]
 SUFFIX = ".pos"
 PERCENT = 100.0
 _SLACK = 1e-6
-"""What rounding may add to a value of a bounded unit."""
+"""Tolerance for rounding of values in a bounded unit."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MotorUnit:
-    """How a value of one motor becomes a joint position: position = scale * value + offset.
+    """Conversion of a motor's value to a joint position: position = scale * value + offset.
 
     Attributes:
-        motor: its name in LeRobot, without ".pos".
+        motor: name in LeRobot, without ".pos".
         joint: name of the joint in the robot's profile.
         scale: radians or metres per unit; its sign is that of the motor.
         offset: position at the value 0 [rad or m].
-        lowest, highest: of a value that may be commanded; infinite for angles.
+        lowest, highest: bounds of a commanded value; infinite for angles.
     """
 
     motor: str
@@ -45,7 +45,7 @@ class MotorUnit:
 
     @property
     def key(self) -> str:
-        """Its name among LeRobot's features."""
+        """Key among LeRobot's features."""
         return f"{self.motor}{SUFFIX}"
 
 
@@ -57,7 +57,7 @@ def degrees(motor: str, joint: str, *, sign: float = 1.0, offset_rad: float = 0.
 def percent(
     motor: str, joint: str, closed: float, opened: float, *, inverted: bool = False
 ) -> MotorUnit:
-    """0..100 of a gripper between its joint positions `closed` and `opened`.
+    """Values 0..100 of a gripper between its joint positions `closed` and `opened`.
 
     Args:
         inverted: 0 is open.
@@ -76,7 +76,7 @@ def percent(
 def share_of_range(
     motor: str, joint: str, half_range_rad: float, *, sign: float = 1.0, offset_rad: float = 0.0
 ) -> MotorUnit:
-    """-100..100 of a calibrated range that is twice `half_range_rad` wide [rad]."""
+    """Values -100..100 of a calibrated range with half width `half_range_rad` [rad]."""
     return MotorUnit(
         motor=motor,
         joint=joint,
@@ -91,19 +91,19 @@ class MotorMap:
     """The motors of one robot, each with its joint.
 
     Attributes:
-        units: in LeRobot's order.
-        keys: names of its features.
+        units: conversions in LeRobot's order.
+        keys: keys of LeRobot's features.
         joints: names of the joints, in the same order.
     """
 
     def __init__(self, units: Sequence[MotorUnit]) -> None:
-        """Raises InvalidInputError when a motor or a joint comes twice, or a scale is none."""
+        """Raises InvalidInputError if a motor or a joint is repeated, or a scale is invalid."""
         self.units = tuple(units)
         self.keys = tuple(unit.key for unit in units)
         self.joints = tuple(unit.joint for unit in units)
         for what, names in (("motor", self.keys), ("joint", self.joints)):
             if len(set(names)) != len(names):
-                raise InvalidInputError(f"A {what} comes twice among {', '.join(names)}.")
+                raise InvalidInputError(f"A {what} is repeated among {', '.join(names)}.")
         bad = [u.motor for u in units if not math.isfinite(u.scale + u.offset) or u.scale == 0.0]
         if bad:
             raise InvalidInputError(f"The unit of motor {bad[0]!r} has no finite scale and offset.")
@@ -112,7 +112,8 @@ class MotorMap:
         """Joint positions [rad or m], float64 (n,), in the order of `joints`, of commanded values.
 
         Raises:
-            InvalidInputError: a value lacks, is of an unknown motor, or outside its unit.
+            InvalidInputError: a value is missing, of an unknown motor, or outside its unit's
+                bounds.
             UnsafeError: a value is NaN or infinite.
         """
         self.check_names(values)
@@ -127,25 +128,25 @@ class MotorMap:
         return self._positions(numbers)
 
     def measured(self, values: Mapping[str, float]) -> F64:
-        """Joint positions of measured values, which may lie beyond the bounds of their unit.
+        """Joint positions of measured values, which may exceed the bounds of their unit.
 
         Raises:
-            InvalidInputError: a value lacks.
+            InvalidInputError: a value is missing.
             UnsafeError: a value is NaN or infinite.
         """
         absent = [key for key in self.keys if key not in values]
         if absent:
-            raise InvalidInputError(f"The robot does not tell {', '.join(absent)}.")
+            raise InvalidInputError(f"The robot does not report {', '.join(absent)}.")
         numbers = [float(values[key]) for key in self.keys]
         if not np.isfinite(numbers).all():
-            raise UnsafeError(f"The robot tells {dict(zip(self.keys, numbers, strict=True))}.")
+            raise UnsafeError(f"The robot reports {dict(zip(self.keys, numbers, strict=True))}.")
         return self._positions(numbers)
 
     def values(self, positions: Mapping[str, float]) -> dict[str, float]:
         """Values by key for positions by joint [rad or m].
 
         Raises:
-            InvalidInputError: a joint lacks.
+            InvalidInputError: a joint is missing.
         """
         absent = [joint for joint in self.joints if joint not in positions]
         if absent:
@@ -158,11 +159,11 @@ class MotorMap:
         }
 
     def check_names(self, values: Mapping[str, float]) -> None:
-        """Raise InvalidInputError unless there is a value of each motor and of nothing else."""
+        """Raise InvalidInputError unless there is exactly one value per motor."""
         unknown = [key for key in values if key not in self.keys]
         absent = [key for key in self.keys if key not in values]
         if unknown or absent:
-            what = f"{unknown[0]!r} is no motor of it" if unknown else f"{absent[0]!r} lacks"
+            what = f"{unknown[0]!r} is no motor of it" if unknown else f"{absent[0]!r} is missing"
             raise InvalidInputError(
                 f"The values do not fit the robot: {what}; expected {', '.join(self.keys)}."
             )
@@ -178,8 +179,8 @@ def motors_of(profile: RobotProfile, *, use_degrees: bool = True) -> MotorMap:
     and each gripper as "gripper" or "<arm>_gripper", 0 closed .. 100 open.
 
     Args:
-        profile: of the robot.
-        use_degrees: False for radians. Slides are in metres in either case.
+        profile: profile of the robot.
+        use_degrees: False for radians. Prismatic joints are in metres in either case.
 
     Raises:
         InvalidInputError: the robot has no arm.
@@ -202,6 +203,6 @@ def motors_of(profile: RobotProfile, *, use_degrees: bool = True) -> MotorMap:
 
 
 def _slides(profile: RobotProfile) -> set[str]:
-    """Joints whose positions are metres, by the unit that the robot's own space gives them."""
+    """Joints with positions in metres, by their unit in the robot's own space."""
     space = robot_space("joint_position", profile)
     return {channel.name for channel in space.channels if channel.unit == "m"}

@@ -1,4 +1,4 @@
-"""The driver's side of the process that stops its wheels when it cannot."""
+"""The driver's side of the process that stops the wheels if the driver cannot."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from roboneuron import NotReadyError
 
 _BEAT_S = 0.05
 _HUNG_S = 2.0
-"""A turn of the bus that lasts longer hangs; a silent bus lets one last 0.4 s."""
+"""A longer cycle of the bus counts as hung; with a silent bus a cycle takes up to 0.4 s."""
 _UNREAD = 20
-"""So many beats that were not read, a second's, are those of a guard that is frozen."""
+"""Number of unread heartbeats, one second's worth, at which the guard counts as frozen."""
 _START_S, _LEAVE_S, _POLL_S = 5.0, 2.0, 0.01
 
 
 class WheelGuard:
-    """A process that writes packets to a serial port at the death of this one, or when it is frozen
-    while the wheels roll.
+    """A process that writes packets to a serial port when this process dies, or is frozen while the
+    wheels roll.
 
-    A thread of its own beats, so that a bus that takes its time is not taken for a frozen driver.
+    Heartbeats come from a separate thread, so that a slow bus does not look like a frozen driver.
     """
 
     def __init__(self, port: str, packets: Sequence[bytes]) -> None:
         """Args:
-        port: path of the device, which is opened once more.
-        packets: what stops the wheels, in this order.
+        port: path of the device, which is opened a second time.
+        packets: packets that stop the wheels, in this order.
         """
         self._port, self._packets = port, packets
         self._process: subprocess.Popen[bytes] | None = None
@@ -43,7 +43,7 @@ class WheelGuard:
         self._thread = threading.Thread(target=self._run, name="wheel-guard", daemon=True)
 
     def start(self) -> None:
-        """Return when the process listens. To be called once.
+        """Return when the process is ready. Call it once.
 
         Raises:
             NotReadyError: it does not start.
@@ -58,7 +58,7 @@ class WheelGuard:
                     stdin=subprocess.PIPE,
                     stdout=port,
                     bufsize=0,
-                    # because who kills the driver kills its process group
+                    # because a kill of the driver may hit its process group
                     start_new_session=True,
                 )
             finally:
@@ -76,7 +76,9 @@ class WheelGuard:
         self._thread.start()
 
     def note(self, *, is_rolling: bool) -> None:
-        """The bus has done one turn more, or is about to send the wheels their first speed."""
+        """Report a completed cycle of the bus, or that the wheels are about to get their first
+        speed.
+        """
         beat = ROLLING if is_rolling else STANDING
         self._noted_s = time.monotonic()
         if beat != self._beat:
@@ -84,12 +86,12 @@ class WheelGuard:
             self._write(beat)
 
     def fault(self) -> str:
-        """Why nothing would stop the wheels, or an empty text."""
+        """Reason why nothing would stop the wheels, or an empty text."""
         process = self._process
         if process is None or process.poll() is not None:
-            return "the guard of the wheels has ended; start the robot anew"
+            return "the guard of the wheels has ended; restart the robot"
         if self._unread() > _UNREAD:
-            return "the guard of the wheels does not answer; start the robot anew"
+            return "the guard of the wheels does not answer; restart the robot"
         return ""
 
     def close(self, *, wheels_stand: bool) -> None:
@@ -120,10 +122,10 @@ class WheelGuard:
         return self._process.stdin.fileno()
 
     def _write(self, beat: bytes) -> None:
-        # a guard that is gone or frozen is a fault, which every turn of the bus looks for
+        # a guard that has ended or is frozen is a fault, which every cycle of the bus checks
         with suppress(BrokenPipeError, BlockingIOError):
             os.write(self._pipe(), beat)
 
     def _unread(self) -> int:
-        """Beats in the pipe."""
+        """Number of unread heartbeats in the pipe."""
         return int.from_bytes(ioctl(self._pipe(), FIONREAD, bytes(4)), sys.byteorder)

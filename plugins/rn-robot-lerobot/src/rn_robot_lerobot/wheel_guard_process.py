@@ -1,8 +1,8 @@
-"""The process that stops the wheels of a driver that was killed or is frozen.
+"""The process that stops the wheels of a killed or frozen driver.
 
-Standard input is a pipe on which the driver beats, standard output the serial port; the arguments
-are packets in hexadecimal, to be written in this order. It is run by its path, with the standard
-library alone, so that it starts at once.
+Standard input is a pipe with the driver's heartbeats, standard output the serial port; the
+arguments are hexadecimal packets, written in this order. It is started by its path with only the
+standard library, so that it starts quickly.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 ROLLING, STANDING, END = b"r", b"s", b"e"
-"""Beats: what the wheels were sent, and that the driver has stopped them at its end."""
+"""Heartbeats: state of the wheels, or the driver's regular end after stopping them."""
 SILENT_S = 0.5
-"""Without a beat for this long, a driver of rolling wheels is frozen."""
+"""Without a heartbeat for this time, the driver of rolling wheels counts as frozen."""
 _REPEATS, _PAUSE_S = 5, 0.01
-"""The driver may have died within a packet, and its motors answer it to the end."""
+"""Repeated because the driver may have died within a packet, which its motors still answer."""
 
 
 def main(packets: Sequence[bytes]) -> None:
-    """Return after `END`, or exit with status 1 after the wheels were stopped."""
+    """Return after `END`, or exit with status 1 after stopping the wheels."""
     for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # because the pipe ends it, in any case
+        signal.signal(number, signal.SIG_IGN)  # because the pipe ends it in any case
     beat, reason = STANDING, f"silent for {SILENT_S:g} s"
     while select.select([0], [], [], SILENT_S if beat == ROLLING else None)[0]:
         beats = os.read(0, 4096)

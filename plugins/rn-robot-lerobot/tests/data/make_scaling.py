@@ -1,4 +1,4 @@
-"""Runs in lerobot's environment and writes scaling.json beside itself: what lerobot makes of the
+"""Runs in lerobot's environment and writes scaling.json next to itself: lerobot's conversion of the
 motors' raw numbers with the reference calibration, in each of its units, and back.
 
     .venv-lerobot/bin/python plugins/rn-robot-lerobot/tests/data/make_scaling.py

@@ -1,5 +1,5 @@
-"""The driver `lerobot` with lerobot's own robots, without ROS: runs in lerobot's environment, one
-command a line of JSON in, one answer a line out.
+"""The driver `lerobot` with lerobot's own robots, without ROS: runs in lerobot's environment, with
+one command per line of JSON in, and one answer per line out.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ ROBOTS: dict[str, tuple[type[LerobotDriver], type[LerobotDriverOptions], Callabl
     "lekiwi": (LekiwiDriver, LekiwiOptions, profiles.lekiwi_profile),
 }
 BUSY_MS = 150
-"""Half of what an answer may take: a test's process plays the motors, on a machine that may be
-busy.
+"""Half of the time limit of an answer [ms]: a test process simulates the motors, on a busy
+machine.
 """
 
 
 class Wires:
-    """What a driver uses of `Topics`."""
+    """The part of `Topics` that a driver uses."""
 
     def __init__(self) -> None:
         self.listeners: dict[str, Callable[[Any], None]] = {}

@@ -1,3 +1,3 @@
-"""What simulated robots share: the choice of an engine, real time, and MuJoCo's reading of URDF and
-casting of rays.
+"""Shared parts of simulated robots: choice of the engine, real-time stepping, and MuJoCo's URDF
+import and ray casting.
 """

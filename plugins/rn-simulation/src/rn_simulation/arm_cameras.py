@@ -1,5 +1,5 @@
-"""The cameras of a simulated arm, drawn by a render twin: a second world without physics that shows
-what the simulation in another process looks like.
+"""Cameras of a simulated arm, rendered in a twin: a second world without physics that mirrors the
+simulation of another process.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from roboneuron import CameraProfile, Topics
 
 
 class SimulatedArmCameras(StateCameras[SceneState]):
-    """Cameras that draw the newest state on `sim/state`."""
+    """Cameras that render the newest state on `sim/state`."""
 
     topic = TOPIC
 
@@ -31,7 +31,7 @@ class SimulatedArmCameras(StateCameras[SceneState]):
         topics: Topics,
         cameras: Sequence[CameraProfile],
     ) -> None:
-        """Remember what to serve; `cameras` are profiles of the robot's cameras. The twin is built
+        """Store the arguments; `cameras` are profiles of the robot's cameras. The twin is built
         from the first state.
         """
         super().__init__(config or SimulatedCamerasOptions(), topics, cameras)
@@ -40,11 +40,11 @@ class SimulatedArmCameras(StateCameras[SceneState]):
 
     @abstractmethod
     def joint_counts(self) -> Mapping[str, int]:
-        """Number of moving joints of each robot that may be shown."""
+        """Number of moving joints of each supported robot."""
 
     @abstractmethod
     def build(self, state: SceneState, cubes: Sequence[Cube]) -> ArmWorld:
-        """A world to draw `state` in."""
+        """Create a world to render `state`."""
 
     def parse(self, message: Float64MultiArray) -> SceneState:
         """See `StateCameras`."""
@@ -53,9 +53,7 @@ class SimulatedArmCameras(StateCameras[SceneState]):
     def draw(
         self, state: SceneState, camera: PinholeCamera, size: tuple[int, int]
     ) -> NDArray[np.uint8]:
-        """See `StateCameras`; builds another world when scene or engine is another one (about
-        50 ms).
-        """
+        """See `StateCameras`; builds a new world if the scene or engine changes (about 50 ms)."""
         twin = self._twin_for(state)
         twin.set_joints(state.joints.tolist())
         poses = zip(state.cubes, state.cube_poses.tolist(), strict=True)

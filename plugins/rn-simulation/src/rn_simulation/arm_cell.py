@@ -1,4 +1,4 @@
-"""What a simulated cell of one or several arms consists of, as data: joints, limits, postures."""
+"""Description of a simulated cell of one or several arms, as data: joints, limits, postures."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from rn_simulation.ground_truth import LIFTED_M
 F64 = NDArray[np.float64]
 
 STEP_S = 1.0 / 240.0
-"""Time of one step of a simulated arm [s]."""
+"""Simulation step of an arm [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ArmCell:
     """Arms at one table, with the same joints each.
 
-    Arrays are float64 in the order of `commanded` [rad, m, per s]; those of what is measured have
-    the order of `joints`.
+    Arrays are float64 in the order of `commanded` [rad, m, per s]; measurements are in the order of
+    `joints`.
 
     Attributes:
-        robot: its name in messages to the cameras.
-        arms: names of the arms; "" for the only one.
-        joints: every moving joint.
-        commanded: joints that a command may name, arm after arm.
-        followed: for each of `joints`, the number of the commanded joint that it follows: its own,
-            or the one that it mirrors.
-        grippers: numbers of the commanded joints that are grippers.
-        start: where the simulation begins: at home with open grippers.
+        robot: name of the robot in messages to the cameras.
+        arms: names of the arms; "" for a single one.
+        joints: all moving joints.
+        commanded: joints that can be commanded, arm after arm.
+        followed: for each of `joints`, the index of the commanded joint that it follows: itself, or
+            the one that it mimics.
+        grippers: indices of the gripper joints in `commanded`.
+        start: start position: at home with open grippers.
         lower, upper: position limits; a gripper's are closed and open.
-        velocity, acceleration: limits.
-        force: of the motors, in the order of `joints` [Nm, N].
-        lifted_m: height above its rest from which on a cube counts as lifted.
+        velocity, acceleration: velocity and acceleration limits.
+        force: motor limits, in the order of `joints` [Nm, N].
+        lifted_m: height above its resting position at which a cube counts as lifted.
     """
 
     robot: str
@@ -59,7 +59,7 @@ class ArmCell:
         return tuple(name for number, name in named if number not in self.grippers)
 
     def opening(self, measured: F64) -> float:
-        """Opening of the first gripper, 0 closed .. 1 open, of positions in the order of
+        """Opening of the first gripper, 0 closed .. 1 open, from positions in the order of
         `joints`.
         """
         gripper = self.grippers[0]
@@ -69,7 +69,7 @@ class ArmCell:
 
 
 def carrying_arm(camera_mount: str, arms: Sequence[str]) -> int | None:
-    """Number of the arm that carries a camera with this `mount`; None for one beside the table."""
+    """Index of the arm that carries a camera with this `mount`; None for one next to the table."""
     if camera_mount == "base":
         return None
     names = [f"{arm}/tcp" for arm in arms]

@@ -1,4 +1,4 @@
-"""The driver of a simulated arm: runs its simulation in real time in a thread of its own."""
+"""Driver of a simulated arm: runs its simulation in real time in a separate thread."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from roboneuron import (
 )
 
 _CATCH_UP_S = 1.0 / 60.0
-"""An arm whose time was held up does not jump: by the wall clock its TCP would be faster than its
-limit.
+"""Maximum time to catch up after a delay: more would make the TCP jump, faster than its limit by
+the wall clock.
 """
 
 
 class SimulatedArmDriver:
     """Follows the protocol `RobotDriver`; every method may be called from any thread.
 
-    The simulation steps at 240 Hz times `real_time_factor` and tells its state on the topic
-    `sim/state`, from which `SimulatedArmCameras` draw their pictures in another process: no picture
-    delays a step.
+    The simulation steps at 240 Hz times `real_time_factor` and publishes its state on the topic
+    `sim/state`, from which `SimulatedArmCameras` render images in another process, so rendering
+    delays no step.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class SimulatedArmDriver:
         profile: RobotProfile,
         topics: Topics,
     ) -> None:
-        """Remember what to simulate; `title` names the robot in messages."""
+        """Store the arguments; `title` names the robot in messages."""
         self._title = title
         self._simulation = simulation
         self._profile = profile
@@ -72,13 +72,13 @@ class SimulatedArmDriver:
         self._detail: dict[str, str] = {}
 
     def open(self) -> None:
-        """Build the scene and let time run; the robot stands at home with an open gripper.
+        """Build the scene and start time; the robot is at home with an open gripper.
 
         Raises:
-            ConfigurationError: a window is asked for and there is no display, the profile is
-                another robot's, or `slip.SWITCH` is no number.
+            ConfigurationError: a window is requested without a display, the profile is another
+                robot's, or `slip.SWITCH` is no number.
             NotReadyError: the simulation did not start in time.
-            StateError: it is open already.
+            StateError: it is already open.
         """
         self._time.check_stopped()
         if self._profile.arm_joints != self._cell.arm_joints:
@@ -94,16 +94,16 @@ class SimulatedArmDriver:
         self._time.start(self._simulation, self._advance)
 
     def twin(self) -> CellTwin:
-        """What previews move instead of this cell; of a driver that is not open."""
+        """Return the twin for previews; the driver must not be open."""
         return CellTwin(self._simulation)
 
     def read(self) -> RobotState:
         """Return the newest state, measured 120 times per second.
 
         `detail` holds "sim_time_s", "real_time_factor" (achieved during the last second), "engine",
-        and the simulator's truth where `ground_truth.SWITCH` is on: "cubes" (JSON: position, height
-        lifted and seconds held of each, of several arms also which hold it and for how long it has
-        been handed over) and "seed".
+        and the ground truth if `ground_truth.SWITCH` is on: "cubes" (JSON: position, lifted height
+        and held time of each; for several arms also the arms holding it and the time since the
+        handover) and "seed".
 
         Raises:
             StateError: not open.
@@ -116,7 +116,7 @@ class SimulatedArmDriver:
         return state
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Move towards `command`; it replaces the one before, without a jump in position or
+        """Move towards `command`; it replaces the previous command, without a jump in position or
         velocity.
 
         Returns:

@@ -1,4 +1,4 @@
-"""The physics of a cell of arms, stepped by hand: tests and benchmarks run it faster than real
+"""Physics of a cell of arms, stepped explicitly, so that tests and benchmarks run faster than real
 time.
 """
 
@@ -35,8 +35,8 @@ class CellSimulation(ABC):
     colours only, and the same calls give the same motion in the same engine.
 
     Attributes:
-        seed, scene, engine: what is simulated.
-        steps: made since `open`.
+        seed, scene, engine: seed and cubes of the scene, and physics engine.
+        steps: number of steps since `open`.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class CellSimulation(ABC):
         engine: Engine,
         cameras: Sequence[PinholeCamera],
     ) -> None:
-        """Remember what to simulate."""
+        """Store the arguments."""
         self.seed, self.scene, self.engine = seed, tuple(scene), engine
         self._arms = cell
         self._followed = np.array(cell.followed)
@@ -59,10 +59,10 @@ class CellSimulation(ABC):
 
     @abstractmethod
     def build_world(self) -> ArmWorld:
-        """A new world with `scene`. Raises ConfigurationError where it cannot be built."""
+        """Create a world with `scene`. Raises ConfigurationError if it cannot be built."""
 
     def let_slip(self, after_s: float | None) -> None:
-        """Let the hands give way once, when a cube was lifted for `after_s` [s]; None: never."""
+        """Open the grippers once, `after_s` seconds after a cube was lifted; None for never."""
         cell = self._arms
         fingers = [i for i, number in enumerate(cell.followed) if number in cell.grippers]
         followed = self._followed[fingers]
@@ -91,7 +91,7 @@ class CellSimulation(ABC):
         """Build the world with the robot at home and grippers open.
 
         Raises:
-            StateError: it is open already.
+            StateError: it is already open.
             ConfigurationError: as `build_world`.
         """
         if self._world is not None:
@@ -108,7 +108,7 @@ class CellSimulation(ABC):
             self._world = None
 
     def place(self, joints: F64, cubes: Mapping[str, RawPose]) -> None:
-        """Put joints, in the order of the cell's `joints`, and cubes somewhere else, at rest.
+        """Set the positions of joints, in the order of the cell's `joints`, and of cubes, at rest.
 
         Raises:
             StateError: it is not open.
@@ -121,12 +121,12 @@ class CellSimulation(ABC):
 
     @property
     def arm_cell(self) -> ArmCell:
-        """The arms that are simulated."""
+        """The simulated arms."""
         return self._arms
 
     @property
     def world(self) -> ArmWorld:
-        """The world while it is open. Raises StateError otherwise."""
+        """The world. Raises StateError unless open."""
         if self._world is None:
             raise StateError(
                 "The simulation is not open.", hint="Call open() or use it as a context manager."
@@ -158,11 +158,11 @@ class CellSimulation(ABC):
     ) -> JointCommand:
         """Send joints to `position` [rad, m] within `duration_s`; unnamed joints keep their target.
 
-        Positions are clamped to the limits, and the motion takes longer where velocity or
-        acceleration need it.
+        Positions are clamped to the limits, and the motion takes longer if velocity or acceleration
+        limits require it.
 
         Returns:
-            The command as it is carried out: clamped positions, possible duration.
+            The executed command: clamped positions, feasible duration.
 
         Raises:
             InvalidInputError: an unknown or repeated joint, a non-finite value, a wrong size, a
@@ -186,10 +186,10 @@ class CellSimulation(ABC):
         return JointCommand(names=tuple(names), position=target[indices], duration_s=possible_s)
 
     def _release(self, gripper: int, target: float) -> None:
-        """After a grasp the setpoint lies inside the object: opening starts from where the gripper
-        really is.
+        """Start the opening from the measured gripper position, because after a grasp the setpoint
+        lies inside the object.
 
-        A command that closes keeps the setpoint, and with it the force.
+        A closing command keeps the setpoint, and with it the force.
         """
         setpoint = self._setpoint.position
         if target > setpoint[gripper]:
@@ -197,7 +197,7 @@ class CellSimulation(ABC):
             setpoint[gripper] = max(setpoint[gripper], min(measured, target))
 
     def hold(self) -> None:
-        """Brake the arms to a standstill and stay; grippers keep their targets, so that nothing is
+        """Brake the arms to a standstill; grippers keep their targets, so that nothing is
         dropped.
         """
         cell = self._arms
@@ -214,7 +214,7 @@ class CellSimulation(ABC):
         return self.world.joint_states()
 
     def tcp_pose(self, arm: int = 0) -> Pose:
-        """TCP of the arm of that number in the base frame; `stamp_ns` is the simulated time
+        """TCP pose of the arm with this index in the base frame; `stamp_ns` is the simulated time
         [ns].
         """
         matrix = self.world.T_base_tcp(arm)
@@ -229,7 +229,7 @@ class CellSimulation(ABC):
         return self._arms.opening(self.joint_positions())
 
     def cubes(self) -> dict[str, CubeState]:
-        """Where each cube is, by name: ground truth, for judging and tests only, never for a
+        """State of each cube by name: ground truth, for judging and tests only, never for a
         policy.
         """
         return self._lifts.states(self.world.cube_poses())
@@ -241,10 +241,10 @@ class CellSimulation(ABC):
     def render(
         self, camera: str, width: int = DEFAULT_SIZE_PX[0], height: int = DEFAULT_SIZE_PX[1]
     ) -> NDArray[np.uint8]:
-        """What `camera` sees now: uint8 (height, width, 3) RGB.
+        """Render the current image of `camera`: uint8 (height, width, 3) RGB.
 
         Raises:
-            InvalidInputError: no camera of that name.
+            InvalidInputError: there is no camera of that name.
         """
         if camera not in self._cameras:
             raise InvalidInputError(

@@ -1,7 +1,7 @@
-"""The simulated world as simulation and cameras see it, whichever physics engine builds it.
+"""Interface of the simulated world to simulation and cameras, independent of the physics engine.
 
-The robot stands at the origin, the table top is at z = 0, the cubes lie on it. The physics and the
-render twin, in another process, each build one.
+The robot is at the origin, the table top at z = 0, with the cubes on it. The physics, and the
+render twin in another process, each build one.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ class ArmWorld(Protocol):
     engine: Engine
 
     def set_joints(self, position: Sequence[float]) -> None:
-        """Put the joints, in the order of the cell's `joints`, at `position` [rad, m], at rest."""
+        """Set the joint positions [rad, m], in the order of the cell's `joints`, at rest."""
         ...
 
     def set_cubes(self, poses: Mapping[str, RawPose]) -> None:
-        """Put the named cubes somewhere, at rest."""
+        """Set the poses of the named cubes, at rest."""
         ...
 
     def prepare_physics(self, step_s: float, force: Sequence[float]) -> None:
         """Set time step and friction, couple the fingers, and limit the motors, in the order of the
         cell's `joints` [Nm, N].
 
-        The render twin does without.
+        The render twin does not need it.
         """
         ...
 
     def step(self, position: F64, velocity: F64) -> None:
-        """Advance by one step, the motors aiming at these, in the order of the cell's `joints`
-        [rad, m, per s].
+        """Advance by one step with these motor setpoints, in the order of the cell's `joints` [rad,
+        m, per s].
         """
         ...
 
@@ -53,15 +53,15 @@ class ArmWorld(Protocol):
         ...
 
     def cube_poses(self) -> dict[str, RawPose]:
-        """Where the cubes' centres are, by name."""
+        """Poses of the cubes' centres, by name."""
         ...
 
     def T_base_tcp(self, arm: int = 0) -> F64:
-        """Pose (4, 4) of the TCP of the arm of that number in the base frame [m]."""
+        """TCP pose (4, 4) of the arm with this index in the base frame [m]."""
         ...
 
     def render(self, calibration: CameraCalibration, width: int, height: int) -> NDArray[np.uint8]:
-        """Draw what a camera on the base or at a TCP sees: uint8 (height, width, 3) RGB."""
+        """Render the image of a camera on the base or at a TCP: uint8 (height, width, 3) RGB."""
         ...
 
     def close(self) -> None:

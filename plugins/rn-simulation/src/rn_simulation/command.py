@@ -1,6 +1,4 @@
-"""What a joint command has to be before it is sent to the arm, simulated or real. Pure
-computation.
-"""
+"""Checks of a joint command before it is sent to the arm, simulated or real. Pure computation."""
 
 from __future__ import annotations
 
@@ -12,11 +10,11 @@ from roboneuron import InvalidInputError, JointCommand
 
 
 def checked(command: JointCommand, known: Collection[str]) -> dict[str, float]:
-    """Positions by joint, of those that are known.
+    """Return the positions by joint after checking the command.
 
     Raises:
-        InvalidInputError: an unknown joint, one twice, none, a wrong size, a non-finite value, a
-            duration <= 0.
+        InvalidInputError: an unknown or repeated joint, no joint, a wrong size, a non-finite value,
+            a duration <= 0.
     """
     unknown = [name for name in command.names if name not in known]
     if unknown:

@@ -1,4 +1,4 @@
-"""Coloured cubes on a table: a scene is data, drawn from a seed, the same on every machine."""
+"""Coloured cubes on a table: a scene is data, computed from a seed, identical on every machine."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ _ATTEMPTS = 2000
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Cube:
-    """A cube as it lies at the start.
+    """A cube at the start.
 
     Attributes:
         name: its colour, a key of `RGBA_BY_COLOUR`.
-        edge_m: length of its edges.
+        edge_m: edge length.
         x_m, y_m: centre on the table, base frame.
         yaw_rad: rotation about the vertical.
     """
@@ -57,7 +57,7 @@ def check_colours(colours: Sequence[str]) -> tuple[str, ...]:
     """Return `colours` as a tuple.
 
     Raises:
-        ConfigurationError: none, an unknown one, or one twice.
+        ConfigurationError: no colour, an unknown one, or a repeated one.
     """
     known = ", ".join(RGBA_BY_COLOUR)
     unknown = [colour for colour in colours if colour not in RGBA_BY_COLOUR]
@@ -74,11 +74,11 @@ def check_colours(colours: Sequence[str]) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CubeRegion:
-    """Where cubes may lie and how large they are.
+    """Region and size range of random cubes.
 
     Attributes:
         x_m, y_m: lowest and highest coordinate of centres, base frame.
-        spacing_m: least distance between two centres.
+        spacing_m: minimum distance between two centres.
         edge_m: shortest and longest edge.
     """
 
@@ -89,15 +89,15 @@ class CubeRegion:
 
 
 def random_cubes_in(region: CubeRegion, seed: int, colours: Sequence[str]) -> tuple[Cube, ...]:
-    """One cube per colour, in random places that leave room for the gripper.
+    """Place one cube per colour at random positions, with room for the gripper.
 
     Args:
-        region: where they may lie.
+        region: region of the cubes.
         seed: the same seed and colours give the same cubes.
         colours: keys of `RGBA_BY_COLOUR`.
 
     Raises:
-        ConfigurationError: as `check_colours`, or a negative seed.
+        ConfigurationError: as `check_colours`, a negative seed, or not enough room.
     """
     names = check_colours(colours)
     if seed < 0:

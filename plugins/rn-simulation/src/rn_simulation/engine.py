@@ -1,4 +1,6 @@
-"""Which physics engine simulates a robot: PyBullet or MuJoCo, whichever is installed."""
+"""Choice of the physics engine of a simulated robot: PyBullet or MuJoCo, depending on what is
+installed.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +12,15 @@ from roboneuron import ConfigurationError, Requirement
 Engine = Literal["pybullet", "mujoco"]
 """An engine by the name of its package."""
 EngineChoice = Literal["auto", "pybullet", "mujoco"]
-"""What a user may ask for."""
+"""Engine as configured by a user."""
 
 ENGINES: tuple[Engine, ...] = ("pybullet", "mujoco")
 REQUIREMENT = Requirement(module="pybullet", alternatives=("mujoco",), install="pip install mujoco")
-"""PyBullet comes first because it has been here longer; it has wheels for Python 3.11 on x86-64
-only.
-"""
+"""PyBullet is preferred as the older choice; it has wheels for Python 3.11 on x86-64 only."""
 
 
 def choose_engine(choice: EngineChoice) -> Engine:
-    """The engine to use: `choice`, or for "auto" the first that is installed.
+    """The engine to use: `choice`, or for "auto" the first installed one.
 
     Raises:
         ConfigurationError: it is not installed.

@@ -1,4 +1,4 @@
-"""Where the cubes really are and how long one has been lifted: for judging, never for policies."""
+"""True cube positions and lift times: for judging, never for policies."""
 
 from __future__ import annotations
 
@@ -16,20 +16,19 @@ from rn_simulation.cubes import Cube, RawPose
 F64 = NDArray[np.float64]
 
 SWITCH = "ROBONEURON_SIMULATOR_TRUTH"
-"""Environment variable: drivers report the truth in `RobotState.detail` only where it is "on".
-Otherwise the status, which agents read, would tell them what no camera has seen.
+"""Environment variable: drivers report the ground truth in `RobotState.detail` only if it is "on".
+Otherwise agents, which read the status, would learn more than the cameras show.
 """
 TRUE_POSE_TOPIC = "sim/true_pose"
-"""nav_msgs/Odometry: where a simulated base really is, in the frame of its odometry; for judging
-and tests only.
+"""nav_msgs/Odometry: true pose of a simulated base, in the frame of its odometry; for judging and
+tests only.
 """
 HELD_M, FREE_M = 0.03, 0.08
 """A lifted cube counts as held by an arm whose TCP is within the first distance of its centre, and
-as held by that arm alone when all other TCPs are beyond the second.
+as held by that arm alone if all other TCPs are beyond the second.
 """
 LIFTED_M = 0.10
-"""A cube counts as lifted when its centre is at least this much above where it rests on the table.
-"""
+"""Minimum height of a cube's centre above its resting position to count as lifted."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -38,16 +37,15 @@ class CubeState:
 
     Attributes:
         name: its colour.
-        edge_m: length of its edges.
+        edge_m: edge length.
         position_m: float64 (3,), centre in the base frame.
         quaternion_xyzw: float64 (4,).
         lifted_m: height of the centre above its height at rest on the table.
-        held_s: simulated seconds for which `lifted_m` has been enough without a break; 0 when it is
-            not.
-        holders: names of the arms that hold it; in a cell of one arm that has no name.
-        handed_over_s: simulated seconds for which it has been held alone by another arm than the
-            one that had lifted it, without a break and without having been put down; 0 when it is
-            not.
+        held_s: simulated seconds for which it has been lifted without interruption; 0 if it is not
+            lifted.
+        holders: names of the arms that hold it; a single arm has the name "".
+        handed_over_s: simulated seconds for which only another arm than the one that lifted it has
+            held it, without interruption and without being put down; 0 otherwise.
     """
 
     name: str
@@ -61,15 +59,15 @@ class CubeState:
 
 
 class LiftClock:
-    """Measures how long each cube has been lifted, by which arm, and by which one after it."""
+    """Measures how long each cube has been lifted, by which arm, and since when by another one."""
 
     def __init__(
         self, scene: Sequence[Cube], arms: Sequence[str] = ("",), lifted_m: float = LIFTED_M
     ) -> None:
         """Args:
         scene: the cubes.
-        arms: names of what may hold them.
-        lifted_m: height from which on one counts as lifted.
+        arms: names of the arms.
+        lifted_m: height at which a cube counts as lifted.
         """
         self._threshold_m = lifted_m
         self._edge_m = {cube.name: cube.edge_m for cube in scene}
@@ -86,8 +84,8 @@ class LiftClock:
     def observe(
         self, now_s: float, poses: Mapping[str, RawPose], tcps_m: Sequence[F64] = ()
     ) -> None:
-        """Note the poses by cube name and the TCPs of the arms at simulated time `now_s`; to be
-        called at least every 1/60 s.
+        """Record cube poses by name and the arms' TCPs at simulated time `now_s`; call it at least
+        every 1/60 s.
         """
         self._now_s = now_s
         for name, pose in poses.items():
@@ -102,7 +100,9 @@ class LiftClock:
 
     @property
     def longest_s(self) -> float:
-        """Simulated seconds for which one has been lifted without a break; 0 when none is."""
+        """Longest time for which a cube has been lifted without interruption [simulated s]; 0 if
+        none is.
+        """
         return self._now_s - min(self._lifted_since_s.values(), default=self._now_s)
 
     def _note_holders(self, name: str, now_s: float, distances_m: Sequence[float]) -> None:
@@ -117,7 +117,7 @@ class LiftClock:
         self._handed_since_s.pop(name, None)
 
     def states(self, poses: Mapping[str, RawPose]) -> dict[str, CubeState]:
-        """The cubes' states at the last time observed, by name."""
+        """The cubes' states at the last observed time, by name."""
         return {
             name: CubeState(
                 name=name,
@@ -134,20 +134,20 @@ class LiftClock:
 
 
 def is_told() -> bool:
-    """Whether drivers of this process report the truth."""
+    """True if drivers of this process report the ground truth."""
     return os.environ.get(SWITCH, "") == "on"
 
 
 def told(cubes: Mapping[str, CubeState], seed: int) -> dict[str, str]:
-    """What a driver's `RobotState.detail` holds of the truth: "cubes" (see `described`) and "seed",
-    by which the scene can be computed; nothing unless `is_told`.
+    """Ground truth for a driver's `RobotState.detail`: "cubes" (see `described`) and "seed", which
+    defines the scene; empty unless `is_told`.
     """
     return {"cubes": described(cubes), "seed": str(seed)} if is_told() else {}
 
 
 def described(cubes: Mapping[str, CubeState]) -> str:
-    """The truth about cubes as a driver reports it: JSON with position, height lifted and seconds
-    held of each, of several arms also which hold it and for how long it has been handed over.
+    """Ground truth about cubes as reported by a driver: JSON with position, lifted height and held
+    time of each; for several arms also the arms holding it and the time since the handover.
     """
     facts = {
         name: {
@@ -162,7 +162,7 @@ def described(cubes: Mapping[str, CubeState]) -> str:
 
 
 def _hand_over(cube: CubeState) -> dict[str, object]:
-    """Which of several arms hold a cube; nothing for one arm, which has no name."""
+    """Which of several arms hold a cube; empty for a single arm, which has no name."""
     if "" in cube.holders or not cube.holders:
         return {}
     return {"holders": list(cube.holders), "handed_over_s": round(cube.handed_over_s, 3)}

@@ -29,7 +29,7 @@ Friction = tuple[float, float, float]
 """Sliding, spinning and rolling (the last two in m)."""
 
 _ROBOT, _SURROUNDINGS = 1, 2
-"""Collision bits: the robot touches its surroundings and not itself."""
+"""Collision bits: the robot collides with its surroundings, not with itself."""
 _CONTACT_IMPEDANCE = (0.98, 0.999, 0.001, 0.5, 2.0)
 _TABLE_FRICTION = (TABLE_FRICTION, 0.005, 0.0001)
 
@@ -40,7 +40,7 @@ class Servo:
 
     Attributes:
         stiffness, damping: [Nm/rad, Nm s/rad] or [N/m, N s/m].
-        armature: inertia of motor and gears as the joint feels it [kg m^2, kg].
+        armature: inertia of motor and gears at the joint [kg m^2, kg].
     """
 
     stiffness: float
@@ -50,16 +50,16 @@ class Servo:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class MujocoCell:
-    """What MuJoCo needs to know of a cell beside its joints.
+    """MuJoCo's parameters of a cell, in addition to its joints.
 
     Attributes:
         urdf: XML text of the robot.
-        tcp_links: of each arm.
-        servos: in the order of the cell's `joints`.
-        friction: of the robot's collision shapes.
-        table_size_m, table_centre_m: of the table's plate.
-        contact_spring: time constant [s] and damping ratio.
-        substeps: physics steps per step: contacts are springs, which want short ones.
+        tcp_links: TCP link of each arm.
+        servos: motors in the order of the cell's `joints`.
+        friction: friction of the robot's collision shapes.
+        table_size_m, table_centre_m: size and centre of the table's plate.
+        contact_spring: time constant [s] and damping ratio of contacts.
+        substeps: physics steps per step; contacts are springs, which need short ones.
         motors_carry_arm: the arm's weight counts towards the limits of its motors.
     """
 
@@ -80,7 +80,7 @@ class MujocoArmWorld:
     engine: Engine = "mujoco"
 
     def __init__(self, cell: ArmCell, facts: MujocoCell, cubes: Sequence[Cube]) -> None:
-        """Build, with every joint at 0 and the cubes where they lie."""
+        """Build the world, with every joint at 0 and the cubes at their start poses."""
         self._cell, self._substeps = cell, facts.substeps
         spec = read_urdf(facts.urdf)
         _prepare_robot(spec, cell, facts)
@@ -89,7 +89,7 @@ class MujocoArmWorld:
             _add_cube(spec, cube, facts)
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-        spec.option.impratio = 10.0  # a held cube creeps out of the gripper otherwise
+        spec.option.impratio = 10.0  # otherwise a held cube creeps out of the gripper
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
         joints = [self._model.joint(name) for name in cell.joints]
@@ -102,7 +102,7 @@ class MujocoArmWorld:
         self._refresh()
 
     def _refresh(self) -> None:
-        """Let body poses follow the joints; a step leaves them where they were before it."""
+        """Update body poses to the joints; after a step they still refer to its start."""
         mujoco.mj_kinematics(self._model, self._data)
 
     def set_joints(self, position: Sequence[float]) -> None:
@@ -162,11 +162,11 @@ class MujocoArmWorld:
         return render(self._model, self._data, calibration, mount, width, height)
 
     def close(self) -> None:
-        """See `ArmWorld`; MuJoCo's objects go with the last reference to them."""
+        """See `ArmWorld`; MuJoCo frees its objects with the last reference."""
 
 
 def _prepare_robot(spec: mujoco.MjSpec, cell: ArmCell, facts: MujocoCell) -> None:
-    """Motors at the joints, and shapes that touch only what is not the robot."""
+    """Add motors to the joints, and collisions between the robot and other objects only."""
     for body in spec.bodies:
         body.gravcomp = 1.0
     for geom in spec.geoms:
@@ -176,7 +176,7 @@ def _prepare_robot(spec: mujoco.MjSpec, cell: ArmCell, facts: MujocoCell) -> Non
         joint = spec.joint(name)
         joint.armature = servo.armature
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
-        joint.actfrcrange = (-1.0, 1.0)  # prepare_physics sets it
+        joint.actfrcrange = (-1.0, 1.0)  # set by prepare_physics
         joint.actgravcomp = facts.motors_carry_arm
         motor = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.gaintype, motor.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE

@@ -1,9 +1,8 @@
-"""What every MuJoCo world here does alike: reads URDF, and casts rays on the CPU instead of drawing
-with OpenGL.
+"""Shared by all MuJoCo worlds of RoboNeuron: URDF import, and ray casting on the CPU instead of
+OpenGL rendering.
 
 MuJoCo's own renderer needs OpenGL from the system (EGL or OSMesa), which pip cannot install; its
-ray caster needs nothing, and a scene of boxes and cylinders takes it less time than software
-OpenGL.
+ray caster has no dependency, and renders boxes and cylinders faster than software OpenGL.
 """
 
 from __future__ import annotations
@@ -15,30 +14,30 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 
 VISUAL_GROUP = 1
-"""Group of the geoms that are drawn; MuJoCo's reader of URDF puts `<visual>` there and
-`<collision>` into group 0.
+"""Group of the rendered geoms; MuJoCo's URDF import puts `<visual>` there and `<collision>` into
+group 0.
 """
 _DRAWN = np.array([group == VISUAL_GROUP for group in range(mujoco.mjNGROUP)], dtype=np.uint8)
 _COMPILER = '<mujoco><compiler discardvisual="false" fusestatic="false"/></mujoco>'
 
 
 def read_urdf(urdf: str) -> mujoco.MjSpec:
-    """The robot as MuJoCo reads its description, with the shapes to draw and every link."""
+    """Import the robot into MuJoCo, with its visual shapes and every link."""
     return mujoco.MjSpec.from_string(urdf.replace("</robot>", f"{_COMPILER}</robot>"))
 
 
 def cast_rays(
     model: mujoco.MjModel, data: mujoco.MjData, origin: F64, directions: F64, far_m: float
 ) -> tuple[NDArray[np.int32], F64]:
-    """What rays from `origin` (3,) [m] along `directions` (n, 3), of unit length, hit of what is
-    drawn.
+    """Cast rays from `origin` (3,) [m] along `directions` (n, 3), of unit length, onto the rendered
+    geoms.
 
     Args:
         model, data: the world; body poses are up to date.
-        far_m: no farther than this.
+        far_m: maximum distance.
 
     Returns:
-        int32 (n,), the geom or -1, and float64 (n, 3), the surface's normal of unit length there.
+        int32 (n,), the geom or -1, and float64 (n, 3), its unit surface normal.
     """
     count = len(directions)
     geoms, distances, normals = (

@@ -1,28 +1,30 @@
-"""How many physics steps are due: keeps simulated time in step with the wall clock. Pure arithmetic
+"""Number of physics steps due, to keep simulated time in step with the wall clock. Pure arithmetic
 on given times.
 """
 
 from __future__ import annotations
 
 _TICK_S = 1.0 / 120.0
-"""Time between two wake-ups: two physics steps; one at a time cost 25 % of a core instead of 16 %.
+"""Time between two wake-ups, two physics steps: with one step the load was 25 % of a core instead
+of 16 %.
 """
 _WINDOW_S = 1.0
 
 
 class Pace:
-    """Counts steps against a monotonic clock; what cannot be caught up is dropped, so that time
-    never races.
+    """Counts steps against a monotonic clock; time that cannot be caught up is dropped, so that
+    time never races.
 
     Attributes:
-        achieved_factor: simulated per wall seconds during the last whole second; the wanted factor
-            before that.
+        achieved_factor: simulated seconds per wall second during the last whole second; the
+            requested factor before that.
     """
 
     def __init__(self, *, step_s: float, factor: float = 1.0, catch_up_s: float = 0.05) -> None:
-        """`step_s` is simulated time per step [s], `factor` simulated seconds wanted per second.
+        """`step_s` is simulated time per step [s], `factor` the requested simulated seconds per
+        second.
 
-        At most `catch_up_s` of wall time are made up for at once.
+        At most `catch_up_s` of wall time is caught up at once.
         """
         self._period_s = step_s / factor
         self._step_s = step_s
@@ -34,8 +36,8 @@ class Pace:
         self.achieved_factor = factor
 
     def due_steps(self, now_s: float) -> int:
-        """Steps to make now (monotonic time [s]), at most `catch_up_s` worth; they count as
-        made.
+        """Number of steps due now (monotonic time [s]), at most `catch_up_s` worth; they count as
+        executed.
         """
         if self._next_s is None:
             self._next_s = self._window_start_s = now_s
@@ -53,5 +55,5 @@ class Pace:
         return steps
 
     def until_next_s(self, now_s: float) -> float:
-        """Time until the next steps, at least 1/120 s worth, are due [s], >= 0."""
+        """Time until the next batch of steps, at least 1/120 s worth, is due [s], >= 0."""
         return max(0.0, (self._next_s or now_s) + self._least_batch * self._period_s - now_s)

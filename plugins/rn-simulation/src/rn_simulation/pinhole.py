@@ -1,6 +1,4 @@
-"""Ideal cameras of simulated robots: where they are, what they look at, and their calibration for
-any image size.
-"""
+"""Ideal cameras of simulated robots: poses, and calibration for any image size."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from roboneuron import CameraCalibration, CameraProfile
 F64 = NDArray[np.float64]
 
 DEFAULT_SIZE_PX = (224, 224)
-"""Nominal width and height: what most VLA models take."""
+"""Nominal width and height, which most VLA models use."""
 
 
 def look_at(eye_m: F64, target_m: F64, up: F64) -> F64:
@@ -64,7 +62,7 @@ class PinholeCamera:
     def profile(
         self, width: int = DEFAULT_SIZE_PX[0], height: int = DEFAULT_SIZE_PX[1]
     ) -> CameraProfile:
-        """The camera as the robot's profile lists it."""
+        """The camera's profile."""
         return CameraProfile(
             name=self.name,
             role=self.role,
@@ -81,7 +79,7 @@ UP = np.array([0.0, 0.0, 1.0])
 def front_camera(
     eye_m: Sequence[float], target_m: Sequence[float], vertical_view_deg: float
 ) -> PinholeCamera:
-    """The camera "front" beside the table, which looks from one point of the base frame at
+    """The camera "front" next to the table, which looks from one point of the base frame at
     another.
     """
     return PinholeCamera(

@@ -1,5 +1,5 @@
-"""Motion of a base on a flat floor, and dead reckoning: its pose by summing up what its wheel
-encoders say, which drifts, as on a real base.
+"""Motion of a base on a flat floor, and dead reckoning: its pose integrated from wheel encoders,
+which drifts as on a real base.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from nav_msgs.msg import Odometry
 
 ODOM_FRAME = "odom"
-"""Frame in which the pose is given: that of the base when it was started."""
+"""Frame of the pose: that of the base at its start."""
 _NS_PER_S = 1_000_000_000
 
 
@@ -48,7 +48,7 @@ class PlanarPose:
 
 
 def integrate(pose: PlanarPose, velocity: BaseVelocity, step_s: float) -> PlanarPose:
-    """The pose after `step_s` at `velocity`; the heading in the middle of the step counts (second
+    """The pose after `step_s` at `velocity`, with the heading in the middle of the step (second
     order).
     """
     turn = velocity.angular_z * step_s
@@ -64,8 +64,8 @@ def integrate(pose: PlanarPose, velocity: BaseVelocity, step_s: float) -> Planar
 def to_message(
     pose: PlanarPose, velocity: BaseVelocity, *, stamp_ns: int, base_link: str
 ) -> Odometry:
-    """nav_msgs/Odometry: pose in `odom`, twist in the base frame; covariances are zero, they are
-    not estimated.
+    """nav_msgs/Odometry: pose in `odom`, twist in the base frame; covariances are zero, because
+    they are not estimated.
     """
     message = Odometry(child_frame_id=base_link)
     message.header.frame_id = ODOM_FRAME

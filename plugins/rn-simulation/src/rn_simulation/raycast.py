@@ -1,4 +1,4 @@
-"""Pictures of a MuJoCo world: one ray for each pixel, cast on the CPU by MuJoCo itself."""
+"""Images of a MuJoCo world: one ray per pixel, cast by MuJoCo on the CPU."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def render(
     width: int,
     height: int,
 ) -> NDArray[np.uint8]:
-    """Draw what the camera sees, uint8 (H, W, 3) RGB, without shadows; rays go through the middle
-    of each pixel.
+    """Render a camera's image, uint8 (H, W, 3) RGB, without shadows; rays go through the middle of
+    each pixel.
 
     Args:
         model, data: the world; body poses are up to date.

@@ -1,6 +1,4 @@
-"""A simulation that runs in real time in a thread of its own, as the driver of a simulated robot
-needs it.
-"""
+"""Runs a simulation in real time in a separate thread, for drivers of simulated robots."""
 
 from __future__ import annotations
 
@@ -16,16 +14,16 @@ _START_TIMEOUT_S = 30.0
 _STOP_TIMEOUT_S = 10.0
 
 Advance = Callable[[int, float, bool], None]
-"""Makes so many steps; is told the achieved real-time factor, and whether the state is to be
-published.
+"""Executes this many steps; the further arguments are the achieved real-time factor, and whether to
+publish the state.
 """
 
 
 class RealTimeThread:
-    """Lets the time of one simulation run; every method may be called from any thread but its own.
+    """Runs the time of one simulation; every method may be called from any thread but its own.
 
     Attributes:
-        stepping: hold it to command the simulation; `advance` holds it while it steps.
+        stepping: lock for commands to the simulation; `advance` holds it during steps.
     """
 
     def __init__(
@@ -37,12 +35,12 @@ class RealTimeThread:
         catch_up_s: float = 0.05,
         publish_rate_hz: float,
     ) -> None:
-        """Remember how time is to run.
+        """Store the arguments.
 
         Args:
-            robot: its name in messages.
+            robot: name of the robot in messages.
             step_s, factor, catch_up_s: see `Pace`.
-            publish_rate_hz: how often `advance` is told to publish [1/s of wall time].
+            publish_rate_hz: rate at which `advance` is asked to publish [1/s of wall time].
         """
         self._robot = robot
         self._step_s, self._factor, self._catch_up_s = step_s, factor, catch_up_s
@@ -55,16 +53,16 @@ class RealTimeThread:
 
     @property
     def is_running(self) -> bool:
-        """Whether it was started and has not failed."""
+        """True if it was started and has not failed."""
         return self._thread is not None and self._failure is None
 
     def check_stopped(self) -> None:
-        """Raise StateError when it was started and not stopped since."""
+        """Raise StateError if it was started and not stopped since."""
         if self._thread is not None:
             raise StateError(f"The simulated {self._robot} is open already.")
 
     def check_running(self) -> None:
-        """Return when time runs.
+        """Return if time is running.
 
         Raises:
             StateError: it was not started.
@@ -78,14 +76,13 @@ class RealTimeThread:
             )
 
     def start(self, simulation: AbstractContextManager[object], advance: Advance) -> None:
-        """Enter `simulation`, advance by no step, and let time run; all in the thread. `stop`
-        leaves it.
+        """In the thread: enter `simulation`, advance by zero steps, then run; `stop` exits it.
 
         Raises:
-            StateError: it was started already.
-            NotReadyError: it did not start in time, or failed with an error that is not the
-                project's.
-            RoboNeuronError: what entering the simulation or advancing it raised.
+            StateError: it was already started.
+            NotReadyError: it did not start in time, or failed with an error other than
+                RoboNeuronError.
+            RoboNeuronError: raised by entering the simulation or by `advance`.
         """
         self.check_stopped()
         self._started.clear()
@@ -127,7 +124,9 @@ class RealTimeThread:
                 advance(0, 0.0, True)
                 self._started.set()
                 self._keep_pace(advance)
-        except Exception as error:  # the thread's border: start() and check_running() raise it
+        except (
+            Exception
+        ) as error:  # the thread's border: raised again by start() and check_running()
             self._failure = error
             self._started.set()
 

@@ -1,7 +1,6 @@
-"""What the simulation of an arm tells its cameras: one message with everything that is needed to
-draw it.
+"""Message from the simulation of an arm to its cameras, with everything needed to render it.
 
-`std_msgs/Float64MultiArray`: the label of the only dimension describes the scene as JSON, the data
+`std_msgs/Float64MultiArray`: the label of the only dimension describes the scene as JSON; the data
 are stamp (seconds, nanoseconds), joints in the order of the cell's `joints`, then position and
 quaternion (x y z w) of each cube.
 """
@@ -26,24 +25,24 @@ F64 = NDArray[np.float64]
 
 TOPIC = "sim/state"
 HANDED_OVER_TOPIC = "sim/handed_over"
-"""std_msgs/Float64: for how long a cube has been handed over [s]; of cells with several arms."""
+"""std_msgs/Float64: time since the handover of a cube [s]; in cells with several arms."""
 _NANOSECONDS = 1_000_000_000
 _POSE_SIZE = 7
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SceneState:
-    """A simulated cell at one moment.
+    """State of a simulated cell at one time.
 
     Attributes:
-        robot: whose arms stand there.
-        engine: that moves it, and is to draw it.
-        seed: of the scene.
+        robot: name of the robot.
+        engine: engine of the simulation, also used for rendering.
+        seed: seed of the scene.
         cubes: name and edge [m] of each cube.
         joints: float64 (n,), in the order of the cell's `joints` [rad, m].
         cube_poses: float64 (n, 7), position [m] and quaternion x y z w in the base frame, in the
             order of `cubes`.
-        stamp_ns: ROS time of this moment [ns].
+        stamp_ns: ROS time of the state [ns].
     """
 
     robot: str
@@ -56,7 +55,7 @@ class SceneState:
 
 
 def at_rest(cubes: Sequence[Cube]) -> F64:
-    """Poses of cubes that nothing has moved, as `SceneState.cube_poses`."""
+    """Start poses of cubes, as `SceneState.cube_poses`."""
     return np.array(
         [
             (c.x_m, c.y_m, c.edge_m / 2, 0.0, 0.0, math.sin(c.yaw_rad / 2), math.cos(c.yaw_rad / 2))
@@ -66,12 +65,12 @@ def at_rest(cubes: Sequence[Cube]) -> F64:
 
 
 def poses_of(cubes: Mapping[str, CubeState]) -> F64:
-    """Poses of cubes as they are, as `SceneState.cube_poses`."""
+    """Current poses of cubes, as `SceneState.cube_poses`."""
     return np.array([np.concatenate([c.position_m, c.quaternion_xyzw]) for c in cubes.values()])
 
 
 def to_message(state: SceneState) -> Float64MultiArray:
-    """The message that carries `state`."""
+    """Convert `state` to a message."""
     message = Float64MultiArray()
     values = [*divmod(state.stamp_ns, _NANOSECONDS), *state.joints, *state.cube_poses.ravel()]
     message.data = [float(value) for value in values]
@@ -89,14 +88,14 @@ def to_message(state: SceneState) -> Float64MultiArray:
 
 
 def from_message(message: Float64MultiArray, joint_counts: Mapping[str, int]) -> SceneState:
-    """The state that `message` carries.
+    """Convert a message to a state.
 
     Args:
-        message: of `to_message`.
-        joint_counts: number of moving joints of each robot that may come.
+        message: created by `to_message`.
+        joint_counts: number of moving joints of each supported robot.
 
     Raises:
-        InvalidInputError: not such a message, another robot, or values that are not finite.
+        InvalidInputError: another kind of message, another robot, or non-finite values.
     """
     try:
         described = json.loads(message.layout.dim[0].label)

@@ -1,6 +1,4 @@
-"""Joint setpoints that move smoothly: bounded velocity and acceleration, whenever and wherever the
-target changes.
-"""
+"""Smooth joint setpoints: bounded velocity and acceleration at every change of the target."""
 
 from __future__ import annotations
 
@@ -12,14 +10,13 @@ from numpy.typing import NDArray
 F64 = NDArray[np.float64]
 
 _BRAKING_RESERVE = 0.8
-"""Share of the acceleration that braking plans with, so that a discrete step does not overshoot."""
+"""Share of the acceleration used to plan braking, so that a discrete step does not overshoot."""
 _ARRIVED = 1e-7
-"""Closer than this [rad or m] and slow, a setpoint is put on its target."""
+"""A slow setpoint closer than this [rad or m] is set to its target."""
 
 
 class JointSetpoint:
-    """Setpoints of n joints on their way to targets; pure computation, advanced once per physics
-    step.
+    """Setpoints of n joints moving to targets; pure computation, advanced once per physics step.
 
     Attributes:
         position, velocity, target: float64 (n,) [rad, m, per s].
@@ -35,16 +32,16 @@ class JointSetpoint:
         self._remaining_s = np.zeros_like(self.position)
 
     def aim(self, target: F64, joints: Sequence[int], duration_s: float) -> None:
-        """Send `joints` to their entries of `target` (n,), within `duration_s` or as soon after as
-        the limits allow.
+        """Move `joints` to their entries of `target` (n,) within `duration_s`, or as soon as the
+        limits allow.
         """
         chosen = list(joints)
         self.target[chosen] = target[chosen]
         self._remaining_s[chosen] = duration_s
 
     def shortest_s(self, target: F64, joints: Sequence[int]) -> float:
-        """Least time [s] from rest for the slowest of `joints` to reach `target` (n,), with a
-        trapezoid of velocity.
+        """Shortest time [s] from rest for the slowest of `joints` to reach `target` (n,), with a
+        trapezoidal velocity profile.
         """
         chosen = list(joints)
         distance, limit = np.abs(target - self.position)[chosen], self._acceleration_limit[chosen]
@@ -54,7 +51,7 @@ class JointSetpoint:
         return float(times.max(initial=0.0))
 
     def halt(self, joints: list[int]) -> None:
-        """Stop `joints` as fast as their acceleration allows, and stay there."""
+        """Stop `joints` as fast as their acceleration allows."""
         braking = self.velocity**2 / (2.0 * _BRAKING_RESERVE * self._acceleration_limit)
         self.target[joints] = (self.position + np.sign(self.velocity) * braking)[joints]
         self._remaining_s[joints] = 0.0

@@ -1,5 +1,5 @@
-"""A grasp that fails once: the hand gives way while a cube is in the air, for tests of what notices
-and mends that.
+"""A grasp that fails once: the gripper opens while a cube is in the air, to test detection and
+recovery.
 """
 
 from __future__ import annotations
@@ -16,17 +16,19 @@ from roboneuron import ConfigurationError
 F64 = NDArray[np.float64]
 
 SWITCH = "ROBONEURON_SIMULATOR_SLIP"
-"""Environment variable: seconds for which a cube has been lifted when the hand gives way. No option
-of a driver: what agents read of the configuration would announce it.
+"""Environment variable: lift time of a cube [s] after which the gripper opens. Not a driver option,
+because agents read the configuration and would be warned.
 """
 GIVES_WAY_S = 0.25
-"""A cube between fingers of 45 mm has fallen out of them after 0.1 s."""
+"""Time for which the gripper opens; a cube falls out of fingers of 45 mm within 0.1 s."""
 _GIVES_WAY_BY = 0.3
-"""Share of the finger's travel by which the hand opens: the cube touches neither finger."""
+"""Share of the finger's travel by which the gripper opens, so that neither finger touches the
+cube.
+"""
 
 
 def slips_after_s() -> float | None:
-    """When grasps of simulations in this process fail; None where they do not.
+    """Lift time after which grasps of simulations in this process fail [s]; None for never.
 
     Raises:
         ConfigurationError: `SWITCH` is no positive number.
@@ -46,11 +48,11 @@ def slips_after_s() -> float | None:
 
 
 class Slip:
-    """Opens every hand of a cell once, by itself, and closes it again. Used from one thread.
+    """Opens every gripper of a cell once, and closes it again. Used from one thread.
 
     Args:
-        after_s: for so long a cube has been lifted then [s].
-        fingers: numbers of the finger joints in the order of the cell's `joints`.
+        after_s: lift time of a cube after which it opens [s].
+        fingers: indices of the finger joints in the order of the cell's `joints`.
         closed, opened: position of each of `fingers` [rad or m].
     """
 
@@ -61,14 +63,16 @@ class Slip:
         self._aim = opened
 
     def notice(self, now_s: float, lifted_s: float, measured: F64) -> None:
-        """A cube has been lifted for `lifted_s` at `now_s`, the joints being at `measured`."""
+        """Report that a cube has been lifted for `lifted_s` at `now_s`, with the joints at
+        `measured`.
+        """
         if self._until_s is None and lifted_s >= self._after_s:
             self._until_s = now_s + GIVES_WAY_S
             wider = measured[self._fingers] + _GIVES_WAY_BY * (self._opened - self._closed)
             self._aim = np.clip(wider, self._closed, self._opened)
 
     def aimed(self, now_s: float, position: F64) -> F64:
-        """What the motors aim at instead of `position` (n,) [rad, m]; the same while all holds."""
+        """Motor setpoints instead of `position` (n,) [rad, m]; unchanged unless slipping."""
         if self._until_s is None or now_s >= self._until_s:
             return position
         given = position.copy()

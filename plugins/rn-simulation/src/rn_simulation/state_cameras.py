@@ -1,5 +1,5 @@
-"""Cameras of a simulated robot, as a perception source that runs in a process of its own and draws
-what the simulation tells on a topic.
+"""Cameras of a simulated robot, as a perception source in a separate process that renders the
+simulation's states from a topic.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ State = TypeVar("State", bound="StampedState")
 
 
 class StampedState(Protocol):
-    """State of a simulation at one moment."""
+    """State of a simulation at one time."""
 
     @property
     def stamp_ns(self) -> int:
-        """ROS time of this moment [ns]."""
+        """ROS time of the state [ns]."""
 
 
 class CameraOptions(Protocol):
-    """What a user may set."""
+    """Options of the user."""
 
     @property
     def rate_hz(self) -> float:
@@ -37,23 +37,23 @@ class CameraOptions(Protocol):
 
     @property
     def width(self) -> int:
-        """Of an image [px]."""
+        """Width of an image [px]."""
 
     @property
     def height(self) -> int:
-        """Of an image [px]."""
+        """Height of an image [px]."""
 
 
 class StateCameras(ABC, Generic[State]):
-    """Draws the newest simulated state, one camera after the other; follows the protocol
+    """Renders the newest simulated state, one camera after the other; follows the protocol
     `PerceptionSource`.
 
-    A frame's stamp is the time of the state it shows, so that its age is true. Each state is shown
-    at most once per camera: when the simulation stops, so do the frames. It may start before or
-    after the simulation, and follows it to another scene.
+    A frame has the stamp of its state, so that its age is correct. Each state is rendered at most
+    once per camera: if the simulation stops, so do the frames. The source may start before or after
+    the simulation, and follows it to another scene.
 
     Attributes:
-        robot, topic: whose cameras they are, and where its simulation tells its state.
+        robot, topic: name of the robot, and topic of its simulation's state.
     """
 
     robot: str
@@ -62,7 +62,7 @@ class StateCameras(ABC, Generic[State]):
     def __init__(
         self, options: CameraOptions, topics: Topics, cameras: Sequence[CameraProfile]
     ) -> None:
-        """Remember what to serve; `cameras` are profiles of the robot's cameras."""
+        """Store the arguments; `cameras` are profiles of the robot's cameras."""
         self._options = options
         self._topics = topics
         self._wanted = tuple(cameras)
@@ -79,28 +79,28 @@ class StateCameras(ABC, Generic[State]):
 
     @abstractmethod
     def known(self) -> Sequence[PinholeCamera]:
-        """The cameras that the simulation has."""
+        """The cameras of the simulation."""
 
     @abstractmethod
     def parse(self, message: Float64MultiArray) -> State:
-        """The state in a message of `topic`. Raises InvalidInputError for what is none."""
+        """Parse a message of `topic`. Raises InvalidInputError for an invalid one."""
 
     @abstractmethod
     def draw(self, state: State, camera: PinholeCamera, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """What a camera sees of a state: uint8 (height, width, 3) RGB, of `size` (width, height)
-        [px]; from one thread at a time.
+        """Render a camera's image of a state: uint8 (height, width, 3) RGB, of `size` (width,
+        height) [px]; from one thread at a time.
         """
 
     @abstractmethod
     def release(self) -> None:
-        """Release what drawing has built; `draw` may follow."""
+        """Release resources of rendering; `draw` may follow."""
 
     def open(self) -> None:
-        """Begin to listen for the simulation's state.
+        """Subscribe to the simulation's state.
 
         Raises:
             ConfigurationError: no camera, or one that the simulation does not have.
-            StateError: it is open already.
+            StateError: it is already open.
         """
         if self._open:
             raise StateError("The simulated cameras are open already.")
@@ -120,10 +120,10 @@ class StateCameras(ABC, Generic[State]):
             self._topics.subscribe(self.topic, Float64MultiArray, self._take)
 
     def read(self, timeout_s: float) -> Frame:
-        """Return the next frame of the next camera in turn.
+        """Return the next frame, with the cameras in rotation.
 
-        Frames come at `rate_hz` per camera, evenly spread; when drawing is slower, all cameras slow
-        down alike.
+        Frames come at `rate_hz` per camera, evenly spread; if rendering is slower, all cameras slow
+        down equally.
 
         Raises:
             NotReadyError: no newer state arrived on `topic`, or no frame was due, within
@@ -153,7 +153,7 @@ class StateCameras(ABC, Generic[State]):
         )
 
     def close(self) -> None:
-        """Stop listening and release what drawing has built; a `read` in progress ends with
+        """Unsubscribe and release resources of rendering; a `read` in progress ends with
         StateError. May be called twice.
         """
         with self._arrived:
@@ -169,7 +169,7 @@ class StateCameras(ABC, Generic[State]):
             self._arrived.notify_all()
 
     def _schedule_next(self, began_s: float) -> None:
-        """Keep the beat when the last frame was late by less than a slot, otherwise start a new
+        """Keep the schedule if the last frame was late by less than a slot, otherwise start a new
         one.
         """
         slot_s = 1.0 / (self._options.rate_hz * len(self._served))

@@ -1,4 +1,4 @@
-"""A second world of a simulated cell, in which previews move the arm faster than real time."""
+"""A second world of a simulated cell, in which previews run faster than real time."""
 
 from __future__ import annotations
 
@@ -15,32 +15,30 @@ from rn_simulation.scene_state import TOPIC, from_message
 from roboneuron import InvalidInputError, JointCommand, JointSample
 
 MOVED_M = 0.004
-"""A cube that is farther than this from where it was has been moved: resting ones stay within
-1 mm.
-"""
+"""Minimum displacement of a moved cube; resting ones stay within 1 mm."""
 
 
 class CellTwin:
     """Follows the protocol `rn_standard.preview.twin.Twin`; used from one thread.
 
-    It has no clock and no topics: time passes in `advance` only, and nobody hears of it.
+    It has no clock and no topics: time only passes in `advance`, and nothing is published.
 
     Attributes:
-        scene_topic, scene_type: where a simulated cell tells its objects.
+        scene_topic, scene_type: topic and message type of a simulated cell's objects.
     """
 
     scene_topic = TOPIC
     scene_type = Float64MultiArray
 
     def __init__(self, simulation: CellSimulation) -> None:
-        """Args: the cell; not open, and used by nobody else."""
+        """Args: the cell; not open, and not used by others."""
         self._simulation = simulation
         self._cell = simulation.arm_cell
         self._before: dict[str, RawPose] = {}
         self._left_s = 0.0
 
     def open(self, joints: JointSample, scene: object = None) -> None:
-        """Build the world with the joints where they are measured, at rest.
+        """Build the world with the measured joint positions, at rest.
 
         Args:
             joints: every joint of the cell, by name.
@@ -66,7 +64,7 @@ class CellTwin:
         self._before, self._left_s = poses, 0.0
 
     def send(self, command: JointCommand) -> None:
-        """Move towards a command, as the driver of the cell does. Raises InvalidInputError."""
+        """Move towards a command, as the cell's driver does. Raises InvalidInputError."""
         self._simulation.set_target(command.names, command.position, command.duration_s)
 
     def hold(self) -> None:
@@ -74,14 +72,14 @@ class CellTwin:
         self._simulation.hold()
 
     def advance(self, duration_s: float) -> None:
-        """Let simulated time pass [s]; what is less than a step of the physics is kept."""
+        """Advance simulated time [s]; a remainder below a physics step is kept."""
         self._left_s += duration_s
         steps = math.floor(self._left_s / STEP_S + 1e-9)
         self._left_s -= steps * STEP_S
         self._simulation.step(steps)
 
     def joints(self) -> JointSample:
-        """What is measured now, with velocities."""
+        """Current measurement, with velocities."""
         position, velocity = self._simulation.joint_states()
         return JointSample(
             names=self._cell.joints,
@@ -91,7 +89,7 @@ class CellTwin:
         )
 
     def moved(self) -> tuple[str, ...]:
-        """Objects that are not where they were, by name."""
+        """Names of objects that have moved."""
         now = self._simulation.world.cube_poses()
         return tuple(
             f"{name} cube"
@@ -100,8 +98,8 @@ class CellTwin:
         )
 
     def picture(self, camera: str, width: int, height: int) -> NDArray[np.uint8]:
-        """What a camera sees, uint8 (height, width, 3) RGB. Raises InvalidInputError for one that
-        there is not.
+        """Render a camera's image, uint8 (height, width, 3) RGB. Raises InvalidInputError if it
+        does not exist.
         """
         return self._simulation.render(camera, width, height)
 

@@ -1,5 +1,5 @@
-"""The contract kit: subclass one class per kind, give one fixture, and every rule of that kind is
-tested.
+"""The contract kit: subclass the class of a kind and provide one fixture to test every rule of that
+kind.
 
     from rn_testing import BackendCase, BackendContract
 
@@ -8,9 +8,9 @@ tested.
         def plugin(self) -> BackendCase:
             return BackendCase(spec=MY_POLICY)
 
-Only the contract classes need pytest; rules, cases and fakes do not. Names are imported when they
-are first asked for, so that the plugin module of this package stays light. Production code imports
-nothing of it.
+Only the contract classes need pytest; rules, cases and fakes do not. Names are imported on first
+access, so that the plugin module of this package stays light. Production code must not import this
+package.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """A public name, imported when it is first asked for."""
+    """Import a public name on first access."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     suffixes = {

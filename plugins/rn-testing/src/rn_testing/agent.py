@@ -1,4 +1,4 @@
-"""An MCP client of a server in a process of its own, for tests of what agents get to see."""
+"""An MCP client of a server in its own process, for tests of what agents receive."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Agent:
     """Calls tools.
 
     Attributes:
-        told: messages of progress of all its calls.
+        told: progress messages of all its calls.
     """
 
     def __init__(self, client: Client) -> None:
@@ -23,7 +23,7 @@ class Agent:
         self.told: list[str] = []
 
     async def call(self, tool: str, **arguments: object) -> tuple[bool, dict[str, Any], str]:
-        """Call a tool: whether it succeeded, its structured answer, its text."""
+        """Call a tool; return whether it succeeded, its structured answer, and its text."""
 
         async def note(progress: float, total: float | None, message: str | None) -> None:
             self.told.append(message or "")
@@ -33,13 +33,13 @@ class Agent:
         return not answer.is_error, dict(answer.structured_content or {}), text
 
     async def do(self, tool: str, **arguments: object) -> dict[str, Any]:
-        """The answer of a call that must succeed. Raises AssertionError."""
+        """Return the answer of a call that must succeed. Raises AssertionError."""
         succeeded, answer, text = await self.call(tool, **arguments)
         assert succeeded, (tool, arguments, text)
         return answer
 
     async def fail(self, tool: str, **arguments: object) -> str:
-        """The text of a call that must fail. Raises AssertionError."""
+        """Return the text of a call that must fail. Raises AssertionError."""
         succeeded, answer, text = await self.call(tool, **arguments)
         assert not succeeded, (tool, arguments, answer)
         return text
@@ -52,9 +52,9 @@ async def client_of(
     """Start `roboneuron serve` with a configuration, and connect to it.
 
     Args:
-        config: its file.
-        environment: of the process.
-        options: further words of the command line.
+        config: configuration file.
+        environment: environment of the process.
+        options: further command-line arguments.
     """
     words = ["-m", "roboneuron.cli.main", "serve", "--config", str(config), *options]
     server = StdioServerParameters(command=sys.executable, args=words, env=dict(environment))

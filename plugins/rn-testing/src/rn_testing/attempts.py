@@ -1,4 +1,4 @@
-"""Starting what a case builds: for an automatic case, what cannot start makes a rule not
+"""Start of what a case builds; for an automatic case, a failed start makes the rule not
 applicable.
 """
 
@@ -20,11 +20,11 @@ from roboneuron import (
 T = TypeVar("T")
 
 UNSTARTABLE = (CheckpointError, ConfigurationError, MissingDependencyError, NotReadyError)
-"""What an automatic case may meet for want of options, weights or hardware."""
+"""Errors that an automatic case may raise for lack of options, weights or hardware."""
 
 
 def attempt(case: Case[Spec], start: Callable[[], T]) -> T:
-    """Return what `start` returns; for an automatic case what cannot start makes the rule not
+    """Return the result of `start`; for an automatic case, a failed start makes the rule not
     applicable.
     """
     try:

@@ -1,4 +1,4 @@
-"""The case of an installed descriptor: the one its author ships, or one made from the descriptor
+"""The case of an installed descriptor: shipped by its author, or built from the descriptor
 alone.
 """
 
@@ -15,7 +15,7 @@ from roboneuron.command import discover, loading
 
 
 def make_case(spec: Spec, options: Mapping[str, object]) -> Case[Spec]:
-    """Return the case of `spec`, with `options` over its own.
+    """Return the case of `spec`, with `options` overriding its own.
 
     Raises:
         PluginError: the descriptor's `case` cannot be imported, raises, or returns no case of this

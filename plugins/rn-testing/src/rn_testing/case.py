@@ -1,4 +1,4 @@
-"""What every case has: a descriptor, options, and how what it describes is built."""
+"""Base class of cases: a descriptor, its options, and how to build the described object."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ S = TypeVar("S", bound=Spec, covariant=True)
 
 @dataclass(frozen=True, kw_only=True)
 class Case(Generic[S]):
-    """What every case has.
+    """Base class of all cases.
 
     Attributes:
         spec: the descriptor under test.
         options: as a user would set them under `[plugins.<name>]`.
-        limits_s: bound on one call by method name [s] ("predict", "close"), over those of
-            `rn_testing.deadline`; a call that takes longer fails its rule.
-        is_automatic: made without the author's help (`roboneuron plugins check` on a plugin without
-            `case`): then what cannot be started for want of options, hardware or weights is skipped
-            with the reason instead of failing.
+        limits_s: bound on one call by method name [s] ("predict", "close"), overriding those of
+            `rn_testing.deadline`; a slower call fails its rule.
+        is_automatic: built without the author's help (`roboneuron plugins check` on a plugin
+            without `case`): rules that cannot start it for lack of options, hardware or weights are
+            skipped with the reason instead of failing.
     """
 
     subject: ClassVar[str] = ""
-    """First half of the ids of the rules that apply."""
+    """First half of the ids of the applicable rules."""
 
     spec: S
     options: Mapping[str, object] = field(default_factory=dict)
@@ -41,11 +41,11 @@ class Case(Generic[S]):
     is_automatic: bool = False
 
     def configuration(self) -> object:
-        """The validated options, or None when the descriptor takes none."""
+        """The validated options, or None if the descriptor takes none."""
         return loading.load_options(self.spec, self.options)
 
     def given_options(self) -> tuple[str, Mapping[str, object]]:
-        """The argument of the case that sets options of `option_model`, and these."""
+        """Name of the case's argument for the options of `option_model`, and its value."""
         return "options", self.options
 
     def option_model(self) -> type[BaseModel] | None:
@@ -53,7 +53,7 @@ class Case(Generic[S]):
         return loading.load_options_model(self.spec)
 
     def with_options(self, changes: Mapping[str, object]) -> Self:
-        """The case with other values of some options."""
+        """Return the case with some options changed."""
         return replace(self, options={**self.options, **changes})
 
     def _target(self, spec: Spec | DriverSpec) -> Callable[..., object]:
@@ -67,7 +67,7 @@ class Case(Generic[S]):
         return lambda: call_bounded("the constructor", limit_s, construct)
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
-        """Positional and keyword arguments that `target` is called with, apart from real values."""
+        """Positional and keyword arguments of `target`, with placeholder values."""
         return (None,), {}
 
     def inputs(self, topics: MemoryTopics) -> tuple[tuple[object, ...], dict[str, object]]:
@@ -75,7 +75,7 @@ class Case(Generic[S]):
         return (), {}
 
     def option_names(self) -> frozenset[str]:
-        """The options that the case sets, which its plugin therefore is to read."""
+        """Options set by the case, which its plugin must therefore read."""
         return frozenset(self.options)
 
     def prepare(
@@ -83,12 +83,12 @@ class Case(Generic[S]):
         topics: MemoryTopics | None = None,
         configure: Callable[[object], object] = lambda options: options,
     ) -> Callable[[], Any]:
-        """Load target and options and make the arguments; what is returned does nothing but call
-        the constructor.
+        """Load target and options and build the arguments; the returned function only calls the
+        constructor.
 
         Args:
-            topics: lent to the plugin; new ones when None.
-            configure: given the validated options, returns what is passed instead.
+            topics: topics for the plugin; new ones if None.
+            configure: maps the validated options to those that are passed.
         """
         target, configuration = self._target(self.spec), configure(self.configuration())
         positional, named = self.inputs(MemoryTopics() if topics is None else topics)

@@ -1,5 +1,5 @@
-"""Options that a case has to set: without them nothing can be built, and one rule says so instead
-of all that build.
+"""Options that a case must set: without them nothing can be built, and one rule reports this
+instead of every rule that builds.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ RULE_ID = "descriptor/case-options"
 
 
 def missing_options(case: object) -> str:
-    """What is to be added to a case that leaves out options without default; empty when nothing is.
+    """Return what must be added to a case that omits options without default; empty if nothing.
 
-    A case that was made without its author's help is left alone: its options are the user's.
+    Automatic cases are not checked: their options come from the user.
     """
     if not isinstance(case, Case) or case.is_automatic:
         return ""
     try:
         model = case.option_model()
-    except (RoboNeuronError, Violation, NotApplicable):  # told by the rules about that
+    except (RoboNeuronError, Violation, NotApplicable):  # reported by the rules for these errors
         return ""
     argument, given = case.given_options()
     fields = (

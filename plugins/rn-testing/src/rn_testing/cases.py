@@ -1,8 +1,7 @@
-"""Cases: a descriptor, options it can run with, and what the rules of its kind need to try it.
+"""Cases: a descriptor, options with which it runs, and inputs for the rules of its kind.
 
-A case is what a contract class's one fixture returns and what a descriptor's `case` function
-returns. Everything but `spec` has a default that suffices for a plugin that works with synthetic
-input.
+The fixture of a contract class and a descriptor's `case` function return a case. All fields but
+`spec` have defaults that suffice for a plugin that works with synthetic input.
 """
 
 from __future__ import annotations

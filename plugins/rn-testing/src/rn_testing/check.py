@@ -1,11 +1,10 @@
-"""`python -m rn_testing.check`: the rules of one installed plugin, one JSON line per rule, as they
-are decided.
+"""`python -m rn_testing.check`: checks the rules of one installed plugin and writes JSON lines per
+rule.
 
-Run by `roboneuron plugins check` in a process of its own, which it may lose. Standard input holds
-one JSON object: `distribution`, `plugin` (the name of its entry point), `offers` (a list of kind
-and name) and `options` (by name of the offer, "" for all of them). Standard output holds, per rule,
-first {"subject", "rule", "text"} when it is begun and then the same with "verdict", "detail" and
-"traceback".
+Run by `roboneuron plugins check` in its own process, which may crash. Standard input holds one JSON
+object: `distribution`, `plugin` (the name of its entry point), `offers` (a list of kind and name)
+and `options` (by name of the offer, "" for all of them). Standard output holds, per rule, first
+{"subject", "rule", "text"} at its start and then the same with "verdict", "detail" and "traceback".
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from roboneuron.command import discover
 
 
 class CheckRequest(TypedDict):
-    """What is to be checked."""
+    """Request for a check."""
 
     distribution: str
     plugin: str
@@ -35,8 +34,8 @@ class CheckRequest(TypedDict):
 
 
 def subjects(request: CheckRequest) -> Iterator[tuple[str, object, tuple[AnyRule, ...]]]:
-    """Label, case and rules of each thing to check; a case that cannot be made comes as its
-    RoboNeuronError.
+    """Yield label, case and rules of each subject; if a case cannot be built, its RoboNeuronError
+    instead.
     """
     package = PackageCase(distribution=request["distribution"], plugin=request["plugin"])
     yield request["plugin"], package, RULES["package"]
@@ -56,7 +55,7 @@ def subjects(request: CheckRequest) -> Iterator[tuple[str, object, tuple[AnyRule
 
 
 def decide(rule: AnyRule, case: object) -> RuleResult:
-    """Verify one rule; without a case it fails for the reason the case could not be made."""
+    """Verify one rule; without a case it fails with the error of building the case."""
     if isinstance(case, RoboNeuronError):
         return RuleResult(
             rule=rule.id, verdict=RuleVerdict.FAILED, detail=f"there is no case to try: {case}"
@@ -65,7 +64,7 @@ def decide(rule: AnyRule, case: object) -> RuleResult:
 
 
 def run(request: CheckRequest, out: TextIO) -> None:
-    """Decide every rule and write a line before and after each."""
+    """Check every rule; write one line before and one after each."""
 
     def write(line: Mapping[str, str]) -> None:
         out.write(json.dumps(line) + "\n")
@@ -87,8 +86,8 @@ def run(request: CheckRequest, out: TextIO) -> None:
 
 
 def main() -> None:
-    """Read the request, answer on the original standard output; what plugins print goes to standard
-    error.
+    """Read the request and write results to the original standard output; output of plugins goes to
+    standard error.
     """
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
@@ -96,7 +95,7 @@ def main() -> None:
     answers.close()
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(0)  # a plugin's forgotten threads do not keep this process alive
+    os._exit(0)  # so that threads left by a plugin do not keep this process alive
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""How other systems merge chunks that overlap in time; to compare with, not used by RoboNeuron's
-modules.
+"""Methods of other systems for merging chunks that overlap in time; for comparisons only, not used
+by RoboNeuron's modules.
 
 Rows are float64 or float32 (..., D); step numbers count from the start of the episode.
 """
@@ -26,8 +26,8 @@ def temporal_ensemble(predictions: Sequence[Rows], decay: float = 0.01) -> Rows:
 
     Args:
         predictions: (D,) each, oldest first, N >= 1.
-        decay: prediction k (0 the oldest) weighs exp(-decay k); positive values trust old
-            predictions more.
+        decay: prediction k (0 is the oldest) has the weight exp(-decay k); positive values favour
+            old predictions.
 
     Source: ACT, arXiv 2304.13705, algorithm 2.
     """
@@ -42,13 +42,13 @@ def aggregate(
     latest_executed_step: int,
     how: str = "weighted_average",
 ) -> dict[int, Rows]:
-    """Return the queue after an answer, by time step.
+    """Return the queue after a new chunk, by time step.
 
     Args:
         queued, new: row (D,) by step.
-        latest_executed_step: rows for it and for earlier steps are dropped.
-        how: key of AGGREGATIONS. A gripper in the rows is averaged too, which a real one does not
-            bear.
+        latest_executed_step: rows for this and earlier steps are dropped.
+        how: key of AGGREGATIONS. Gripper channels are averaged too, which is bad for a real
+            gripper.
 
     Source: lerobot 0.6.1, async_inference.
     """
@@ -61,12 +61,12 @@ def aggregate(
 
 
 def state_of_running_chunk(chunk: Rows, overlap_rows: int, measured: Rows) -> tuple[int, Rows]:
-    """Return when a policy of absolute actions infers next, and the state that it is given.
+    """Return when a policy of absolute actions starts its next inference, and the state for it.
 
     Args:
-        chunk: (N, D) absolute actions that are being played.
-        overlap_rows: rows before the end at which inference starts; 0 at the end.
-        measured: (D,) state, where no chunk plays.
+        chunk: (N, D) absolute actions being executed.
+        overlap_rows: rows before the end at which inference starts; 0 for the end.
+        measured: (D,) state, used if no chunk is executed.
 
     Returns:
         Index of the row at which inference starts, and the state (D,): the chunk's last action.

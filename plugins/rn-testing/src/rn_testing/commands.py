@@ -1,4 +1,4 @@
-"""What a controller is asked, and how its command is judged by the profile's limits and the
+"""Inputs for controllers, and checks of their commands against the profile's limits and the
 URDF.
 """
 
@@ -23,20 +23,20 @@ from roboneuron import (
 )
 
 TRUTH_M, TRUTH_RAD = 5e-4, 5e-3
-"""How far a command may end from what its residual says: the residual is compared, so this only
-covers rounding and solvers that stop early.
+"""Tolerance between the end of a command and its residual: the residual itself is compared, so this
+only covers rounding and solvers that stop early.
 """
 
 
 def home_sample(profile: RobotProfile) -> JointSample:
-    """The joints of `profile` at home, the gripper's included, open."""
+    """Joint sample of `profile` at home, with an open gripper."""
     if profile.home_rad is None or profile.limits is None:
         raise Violation("the case's profile has no home posture or no limits")
     return arm_sample(profile, profile.home_rad)
 
 
 def arm_sample(profile: RobotProfile, position: F64) -> JointSample:
-    """Arm joints (n,) as measured, with an open gripper."""
+    """Joint sample of arm joints (n,), with an open gripper."""
     names = profile.arm_joints
     if profile.gripper is not None:
         names, position = (
@@ -47,7 +47,7 @@ def arm_sample(profile: RobotProfile, position: F64) -> JointSample:
 
 
 def make_action(*values: float, opening: float = 1.0) -> Action:
-    """The first values of an action, the others 0."""
+    """Action from its first values; the others are 0."""
     padded = np.zeros(7)
     padded[: len(values)] = values
     padded[6] = opening
@@ -62,7 +62,7 @@ def by_name(sample: JointSample | JointCommand) -> dict[str, float]:
 def check_command(
     command: JointCommand, start: JointSample, profile: RobotProfile, step_s: float
 ) -> None:
-    """Names, sizes, finiteness, limits, duration and speed."""
+    """Check names, sizes, finiteness, limits, duration and speed."""
     known = set(profile.arm_joints) | ({profile.gripper.joint} if profile.gripper else set())
     foreign = [n for n in command.names if n not in known]
     require(not foreign, f"a command names joints that the profile lacks: {', '.join(foreign)}")
@@ -107,7 +107,7 @@ def check_command(
 
 
 def distance(a: Pose, b: Pose) -> tuple[float, float]:
-    """How far apart two poses are [m], [rad]."""
+    """Distance of two poses [m], [rad]."""
     turn = matrix_from_quaternion(a.quaternion_xyzw).T @ matrix_from_quaternion(b.quaternion_xyzw)
     return float(np.linalg.norm(a.position_m - b.position_m)), float(
         np.linalg.norm(rotvec_from_matrix(turn))
@@ -117,7 +117,7 @@ def distance(a: Pose, b: Pose) -> tuple[float, float]:
 def check_arrives(
     command: JointCommand, action: Action, joints: JointSample, profile: RobotProfile
 ) -> None:
-    """The command ends where its residual says, by the URDF."""
+    """Check with the URDF that the command ends where its residual says."""
     start = by_name(joints)
     reached = place_tcp(profile, {**start, **by_name(command)})
     error_m, error_rad = distance(reached, apply_delta(place_tcp(profile, start), action))
@@ -130,7 +130,7 @@ def check_arrives(
 
 
 def postures(profile: RobotProfile) -> Iterator[JointSample]:
-    """Home, and home with every joint a little off, well within the limits."""
+    """Home, and home with every joint slightly displaced, well within the limits."""
     home = home_sample(profile)
     limits, arm = profile.limits, home.position[: len(profile.arm_joints)]
     assert limits is not None

@@ -1,4 +1,4 @@
-"""Contract classes: pytest test classes that a third party subclasses, with the one fixture
+"""Contract classes: pytest test classes for third parties to subclass, with the single fixture
 `plugin`.
 """
 
@@ -59,7 +59,7 @@ def _contract(kind: str, case: type[object], rules: tuple[AnyRule, ...] = ()) ->
 
 
 def contract_of(spec: type[Spec]) -> type[Contract]:
-    """The contract class of a kind that another plugin has brought, by its descriptor class."""
+    """Contract class for a kind provided by another plugin, from its descriptor class."""
     kind = kind_of(spec)
     if kind is None:
         raise PluginError(f"{spec.__name__} names no rules: give it `rules`, see rn_testing.kinds.")

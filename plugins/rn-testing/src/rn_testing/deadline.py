@@ -1,6 +1,4 @@
-"""Bounds on the calls into a plugin: a call that hangs fails its rule, and the run goes on without
-it.
-"""
+"""Time limits for calls into a plugin: a call that hangs fails its rule, and the run continues."""
 
 from __future__ import annotations
 
@@ -14,12 +12,12 @@ P = TypeVar("P")
 T = TypeVar("T")
 
 CALL_LIMIT_S = 20.0
-"""Bound on a call without a bound of its own in CALL_LIMITS_S."""
+"""Limit of a call without its own limit in CALL_LIMITS_S."""
 CALL_LIMITS_S: Mapping[str, float] = {
     "constructor": 5.0,
     "load": 300.0,
     "open": 60.0,
-    # of a feature: the server starts one after the other, and answers nobody meanwhile
+    # of a feature: the server starts one after the other and does not answer meanwhile
     "start": 10.0,
     "reset": 5.0,
     "close": 5.0,  # the supervisor kills a module that takes longer
@@ -27,24 +25,24 @@ CALL_LIMITS_S: Mapping[str, float] = {
     "hold": 2.0,
     "send": 2.0,
 }
-"""Bound on one call by method name [s]; a case's `limits_s` go first. Generous: slow is judged by
-other rules.
+"""Limit of one call by method name [s]; a case's `limits_s` take precedence. Generous, because
+other rules check the speed.
 """
 RULE_LIMIT_S = 600.0
-"""Bound on a whole rule, for what hangs outside of a plugin's methods (a factory of the case, an
+"""Limit of a whole rule, for hangs outside of a plugin's methods (a factory of the case, an
 import).
 """
 
 
 class Overdue(Exception):
-    """A call did not return in time; the message says which and its bound."""
+    """A call did not return in time; the message names it and its limit."""
 
 
 class _Watch:
-    """The call that is in progress in the watched thread."""
+    """The current call in the watched thread."""
 
     def __init__(self) -> None:
-        # name, bound, begun; replaced as a whole
+        # name, limit, start; replaced as a whole
         self._call: tuple[str, float, float] | None = None
 
     def begin(self, name: str, limit_s: float) -> None:
@@ -63,8 +61,8 @@ _watch: ContextVar[_Watch | None] = ContextVar("watched_calls", default=None)
 
 
 class _Bounded:
-    """Stands in for a plugin's object; tells the watch of its thread when a method is called and
-    when it returns.
+    """Proxy of a plugin's object; reports the start and end of each method call to the thread's
+    watch.
     """
 
     def __init__(self, subject: object, limits_s: Mapping[str, float]) -> None:
@@ -82,12 +80,12 @@ class _Bounded:
 
 
 def bounded(subject: P, limits_s: Mapping[str, float]) -> P:
-    """`subject` with every method bounded while it is called inside `run_bounded`."""
+    """Wrap `subject` so that its method calls are bounded inside `run_bounded`."""
     return cast(P, _Bounded(subject, limits_s))
 
 
 def call_bounded(name: str, limit_s: float, work: Callable[[], T]) -> T:
-    """Return what `work` returns, bounded as a method called `name` would be."""
+    """Return the result of `work`, bounded like a method called `name`."""
     watch = _watch.get()
     if watch is None:
         return work()
@@ -99,16 +97,15 @@ def call_bounded(name: str, limit_s: float, work: Callable[[], T]) -> T:
 
 
 def unbounded(subject: P) -> P:
-    """The object that `bounded` was given; any other as it is."""
+    """Return the object given to `bounded`; any other object unchanged."""
     return cast(P, subject._subject) if isinstance(subject, _Bounded) else subject
 
 
 def run_bounded(work: Callable[[], T]) -> T:
-    """Return what `work` returns, run in a thread of its own, as a module would; raises what it
-    raises.
+    """Return the result of `work`, executed in its own thread as in a module; raises its errors.
 
     Raises:
-        Overdue: a bounded call or the whole hangs. The thread is a daemon and is left behind.
+        Overdue: a bounded call or the whole hangs. The thread is a daemon and is abandoned.
     """
     watch = _Watch()
     outcome: list[T] = []
@@ -118,7 +115,7 @@ def run_bounded(work: Callable[[], T]) -> T:
         _watch.set(watch)
         try:
             outcome.append(work())
-        except BaseException as error:  # handed to the caller below
+        except BaseException as error:  # raised in the caller below
             errors.append(error)
 
     thread = threading.Thread(target=run, name="contract-rule", daemon=True)

@@ -31,16 +31,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PerceptionCase(Case[PerceptionSpec]):
-    """A source of frames to try.
+    """A perception source under test.
 
     Attributes:
-        cameras: makes the profiles to serve; the fake robot's when None.
+        cameras: creates the camera profiles; those of the fake robot if None.
         feed: makes a frame arrive, called before each read with the open source and its topics;
-            None when frames come by themselves.
-        timeout_s: bound on waiting for one frame [s].
-        expected: makes the image that the first frame shows, RGB; None when it is not known. The
-            mean difference may be 12 of 255, so that a lossy codec passes.
-        rate_hz: frames per second of each camera; when None that of the option that says so.
+            None if frames arrive by themselves.
+        timeout_s: limit for waiting for one frame [s].
+        expected: creates the image of the first frame, RGB; None if it is not known. The mean
+            difference may be 12 of 255, so that a lossy codec passes.
+        rate_hz: frames per second of each camera; if None, from the option for it.
     """
 
     subject: ClassVar[str] = "perception"
@@ -52,11 +52,11 @@ class PerceptionCase(Case[PerceptionSpec]):
     rate_hz: float | None = None
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
-        """As the perception module calls it."""
+        """Arguments with which the perception module calls it."""
         return (None, MemoryTopics(), ()), {}
 
     def profiles(self) -> tuple[CameraProfile, ...]:
-        """The cameras to serve."""
+        """The cameras of the source."""
         return gantry_profile().cameras if self.cameras is None else self.cameras()
 
     def inputs(self, topics: MemoryTopics) -> tuple[tuple[object, ...], dict[str, object]]:
@@ -70,10 +70,10 @@ class PerceptionCase(Case[PerceptionSpec]):
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerCase(Case[ControllerSpec]):
-    """A controller to try.
+    """A controller under test.
 
     Attributes:
-        profile: makes the profile of an arm to move; the fake robot's when None.
+        profile: creates the profile of the arm; that of the fake robot if None.
     """
 
     subject: ClassVar[str] = "controller"
@@ -81,11 +81,11 @@ class ControllerCase(Case[ControllerSpec]):
     profile: Callable[[], RobotProfile] | None = None
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
-        """As the control module calls it."""
+        """Arguments with which the control module calls it."""
         return (None, gantry_profile()), {}
 
     def robot(self) -> RobotProfile:
-        """The arm to move."""
+        """Profile of the arm."""
         profile = gantry_profile() if self.profile is None else self.profile()
         if "arm" not in self.spec.robot_kinds:
             raise NotApplicable("the controller moves no arms")
@@ -102,15 +102,15 @@ class ControllerCase(Case[ControllerSpec]):
 
 @dataclass(frozen=True, kw_only=True)
 class RobotCase(Case[RobotSpec]):
-    """A robot to try, with one of its drivers.
+    """A robot under test, with one of its drivers.
 
     Attributes:
-        driver: name of the driver that the rules may open and *move*; None to leave all of them
+        driver: name of the driver that the rules may open and *move*; None to leave all drivers
             alone.
-        driver_options: its options.
-        step: how far the rules move one joint [rad or m].
-        settle_s: bound on the time such a move takes [s].
-        tolerance: how near the driver must come [rad or m].
+        driver_options: options of the driver.
+        step: displacement of one joint in the rules [rad or m].
+        settle_s: limit for the duration of such a move [s].
+        tolerance: position tolerance at the end of a move [rad or m].
     """
 
     subject: ClassVar[str] = "robot"
@@ -122,18 +122,18 @@ class RobotCase(Case[RobotSpec]):
     tolerance: float = 0.005
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
-        """The profile's function takes none."""
+        """No arguments, as for the profile's function."""
         return (), {}
 
     def profile(self) -> RobotProfile:
-        """What `target` returns."""
+        """Profile returned by `target`."""
         profile = self._target(self.spec)()
         if not isinstance(profile, RobotProfile):
             raise Violation(f"`target` returned {type(profile).__name__}, expected a RobotProfile")
         return profile
 
     def driver_spec(self) -> DriverSpec:
-        """The driver to try; raises NotApplicable when there is none."""
+        """The driver under test. Raises NotApplicable if there is none."""
         if self.driver is None:
             raise NotApplicable("no driver may be moved by this case")
         spec = self.spec.driver(self.driver)
@@ -146,11 +146,11 @@ class RobotCase(Case[RobotSpec]):
         return spec
 
     def option_names(self) -> frozenset[str]:
-        """The options of the driver that the case sets."""
+        """Options of the driver set by the case."""
         return frozenset(self.driver_options)
 
     def given_options(self) -> tuple[str, Mapping[str, object]]:
-        """Those of the driver."""
+        """Options of the driver."""
         return "driver_options", self.driver_options
 
     def option_model(self) -> type[BaseModel] | None:
@@ -158,7 +158,7 @@ class RobotCase(Case[RobotSpec]):
         return loading.load_options_model(self.driver_spec())
 
     def with_options(self, changes: Mapping[str, object]) -> RobotCase:
-        """The case with other values of some options of the driver."""
+        """Return the case with some driver options changed."""
         return replace(self, driver_options={**self.driver_options, **changes})
 
     def prepare(
@@ -166,8 +166,8 @@ class RobotCase(Case[RobotSpec]):
         topics: MemoryTopics | None = None,
         configure: Callable[[object], object] = lambda options: options,
     ) -> Callable[[], Any]:
-        """As of every case, for the driver; the profile is made here, so that its files are not the
-        constructor's.
+        """As in the base class, for the driver; the profile is built here, so that files it opens
+        are not attributed to the constructor.
         """
         spec = self.driver_spec()
         target, options = (

@@ -1,5 +1,5 @@
-"""An installed distribution as the package rules see it: metadata, source files, and what a fresh
-interpreter says.
+"""An installed distribution as seen by the package rules: metadata, source files, and a probe in a
+fresh interpreter.
 """
 
 from __future__ import annotations
@@ -25,15 +25,17 @@ from rn_testing.cases import PackageCase
 from rn_testing.rule import Violation
 
 PROJECT = "roboneuron"
-"""The core's package, and the group of entry points."""
+"""Name of the core's package, and of the entry point group."""
 LISTS: Mapping[str, ModuleType] = {
     "roboneuron.feature": roboneuron.feature,
     "roboneuron.command": roboneuron.command,
     "roboneuron.node": roboneuron.node,
 }
-"""Modules that list what plugins of a kind may use of the core beside `roboneuron`."""
+"""Modules that list the names of the core that a kind of plugin may use in addition to
+`roboneuron`.
+"""
 PROBE_LIMIT_S = 60.0
-"""Bound on a fresh interpreter's start and import."""
+"""Time limit for starting a fresh interpreter and importing a module."""
 
 _PROBE = """
 import importlib, io, json, sys, threading, time
@@ -72,13 +74,13 @@ print("\\n" + json.dumps({"loaded": loaded, "problem": problem, "effects": effec
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Probe:
-    """What importing a plugin module in a fresh interpreter did.
+    """Result of importing a plugin module in a fresh interpreter.
 
     Attributes:
-        loaded: names of the modules that are loaded with it and are not loaded with the markers and
+        loaded: names of modules loaded by the import, except those loaded by the markers and
             descriptors.
-        problem: why the module's hooks cannot be used; empty when they can.
-        effects: what else the import did, as parts of a sentence.
+        problem: reason why the module's hooks cannot be used; empty if they can.
+        effects: other effects of the import, as parts of a sentence.
     """
 
     loaded: frozenset[str]
@@ -87,13 +89,14 @@ class Probe:
 
 
 def normalise(name: str) -> str:
-    """Project names compare as PEP 503 says."""
+    """Normalise a project name according to PEP 503."""
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def find_distribution(case: PackageCase) -> Distribution:
-    """The metadata of a case's distribution; raises Violation when it is not installed."""
-    # by name, for to read the metadata of every installed distribution took most of the rules' time
+    """Metadata of a case's distribution. Raises Violation if it is not installed."""
+    # looked up by name, because reading the metadata of every distribution took most of the rules'
+    # time
     for found in distributions(name=case.distribution, path=list(case.path or sys.path)):
         if normalise(found.name) == normalise(case.distribution):
             return found
@@ -101,7 +104,7 @@ def find_distribution(case: PackageCase) -> Distribution:
 
 
 def header(case: PackageCase, name: str) -> str:
-    """One field of the metadata; empty when absent."""
+    """A field of the metadata; empty if missing."""
     metadata = find_distribution(case).metadata
     return str(metadata[name]).strip() if name in metadata else ""
 
@@ -111,8 +114,8 @@ def _all_entry_points(case: PackageCase) -> list[EntryPoint]:
 
 
 def find_entry_points(case: PackageCase) -> list[EntryPoint]:
-    """The entry points of the group `roboneuron` that the case is about; raises Violation when
-    there are none.
+    """Entry points of the group `roboneuron` that the case tests. Raises Violation if there are
+    none.
     """
     points = [p for p in _all_entry_points(case) if case.plugin in ("", p.name)]
     if not points:
@@ -122,8 +125,8 @@ def find_entry_points(case: PackageCase) -> list[EntryPoint]:
 
 
 def find_package(case: PackageCase, module: str) -> str:
-    """Name of the package that is the plugin: the top-level one, or of several in one distribution
-    that of `module`.
+    """Name of the plugin's package: the top-level package, or in a distribution with several
+    plugins that of `module`.
     """
     is_alone = len(_all_entry_points(case)) == 1
     return (
@@ -134,8 +137,8 @@ def find_package(case: PackageCase, module: str) -> str:
 
 
 def plugin_package(module: str) -> str:
-    """Name of the package of the installed plugin that `module` belongs to; its top-level package
-    where that has one plugin only, or none.
+    """Package of the installed plugin that contains `module`; its top-level package if that has at
+    most one plugin.
     """
     top = module.partition(".")[0]
     packages = [
@@ -148,7 +151,7 @@ def plugin_package(module: str) -> str:
 
 
 def find_package_directory(case: PackageCase, module: str) -> Path:
-    """The directory of the top-level package that holds `module`; found, not imported."""
+    """Directory of the top-level package of `module`, found without importing it."""
     top = module.partition(".")[0]
     spec = PathFinder.find_spec(top, list(case.path) or None)
     if spec is None or not spec.submodule_search_locations:
@@ -157,8 +160,8 @@ def find_package_directory(case: PackageCase, module: str) -> Path:
 
 
 def source_files(case: PackageCase) -> Iterator[Path]:
-    """Every Python file of the packages that the entry points name, without those of other plugins
-    inside of them.
+    """Python files of the packages named by the entry points, without those of other plugins inside
+    them.
     """
     places = {find_package(case, p.module): _place(case, p.module) for p in find_entry_points(case)}
     others = [
@@ -174,12 +177,14 @@ def source_files(case: PackageCase) -> Iterator[Path]:
 
 
 def _place(case: PackageCase, module: str) -> Path:
-    """Folder of the package that is the plugin."""
+    """Directory of the plugin's package."""
     return find_package_directory(case, module).joinpath(*find_package(case, module).split(".")[1:])
 
 
 def hosted_directories(case: PackageCase) -> Iterator[Path]:
-    """Subpackages that programs other than RoboNeuron load, by entry points in groups of theirs."""
+    """Subpackages loaded by other programs than RoboNeuron, through their own entry point
+    groups.
+    """
     for point in find_distribution(case).entry_points:
         inner = point.module.split(".")[1:-1]
         if point.group not in (PROJECT, "console_scripts") and inner:
@@ -187,8 +192,8 @@ def hosted_directories(case: PackageCase) -> Iterator[Path]:
 
 
 def imported_modules(path: Path) -> tuple[tuple[str, int], ...]:
-    """Absolute names of the modules that a file imports anywhere, with line numbers; of modules in
-    `LISTS` also the names that it uses.
+    """Absolute names of all modules imported in a file, with line numbers; for modules in `LISTS`
+    also the names that it uses.
     """
     status = path.stat()
     return _imported_modules(path, status.st_mtime_ns, status.st_size)
@@ -196,7 +201,7 @@ def imported_modules(path: Path) -> tuple[tuple[str, int], ...]:
 
 @functools.lru_cache(maxsize=1024)
 def _imported_modules(path: Path, changed_ns: int, size: int) -> tuple[tuple[str, int], ...]:
-    """Imports of one version of a file, which four rules ask for."""
+    """Imports of one version of a file; cached, because four rules use them."""
     return tuple(_imports(ast.parse(path.read_text(encoding="utf-8"), filename=str(path))))
 
 
@@ -229,7 +234,7 @@ def _uses_of_groups(nodes: Sequence[ast.AST]) -> Iterator[tuple[str, int]]:
 
 
 def requirements(case: PackageCase) -> frozenset[str]:
-    """Normalised names of the distributions that it declares to need, those of extras included."""
+    """Normalised names of the declared requirements, including those of extras."""
     lines = find_distribution(case).requires or []
     return frozenset(
         normalise(re.split(r"[^A-Za-z0-9._-]", line.strip(), maxsplit=1)[0]) for line in lines
@@ -237,10 +242,9 @@ def requirements(case: PackageCase) -> frozenset[str]:
 
 
 def _import_path() -> list[str]:
-    """The import path of this process without the working directory, which `python -m` puts there
-    by itself.
+    """The import path of this process without the working directory, which `python -m` adds.
 
-    A stray file such as re.py there is no fault of the plugin.
+    A stray file such as re.py there is not the plugin's fault.
     """
     asked = [
         Path(entry).absolute()
@@ -253,7 +257,7 @@ def _import_path() -> list[str]:
 
 @functools.lru_cache(maxsize=16)
 def probe(case: PackageCase, module: str) -> Probe:
-    """Import `module` in a fresh interpreter, once per case; raises Violation when that fails."""
+    """Import `module` in a fresh interpreter, once per case. Raises Violation if that fails."""
     environment = {
         **os.environ,
         "PYTHONPATH": os.pathsep.join(_import_path()),

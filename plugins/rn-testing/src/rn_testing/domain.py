@@ -1,4 +1,4 @@
-"""ROS domains for tests: those of test runs side by side on one machine never meet."""
+"""ROS domains for tests, so that concurrent test runs on one machine never meet."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ from collections import deque
 from pathlib import Path
 
 DOMAINS = range(30, 101)
-"""Domains whose ports stay below Linux' ephemeral ports. Source: docs.ros.org, "The ROS_DOMAIN_ID".
+"""Domains whose ports stay below Linux' ephemeral ports. Source: docs.ros.org, "The
+ROS_DOMAIN_ID".
 """
 
 _POOL = 6
-"""Domains one process takes turns with, so that what an ended test left on the graph is not met by
-the next one.
+"""Number of domains that one process uses in rotation, so that a test does not meet remains of an
+earlier one on the graph.
 """
 
 _held: deque[int] = deque()
 
 
 def free_ros_domain() -> int:
-    """A ROS domain that no other process which asked this function holds; it is given back when
-    this process ends.
+    """Reserve a ROS domain among the processes that use this function; it is released when this
+    process ends.
 
     Raises:
-        RuntimeError: every domain is taken; the text says which file to look at.
+        RuntimeError: all domains are taken; the text names the lock files.
     """
     if len(_held) == _POOL:
         _held.rotate(-1)

@@ -1,6 +1,4 @@
-"""What a piece of code does besides computing: files, sockets, processes, threads, processor
-time.
-"""
+"""Side effects of code: files, sockets, processes, threads, processor time."""
 
 from __future__ import annotations
 
@@ -26,26 +24,24 @@ from roboneuron import RoboNeuronError
 T = TypeVar("T")
 
 HEAVY_MODULES = ("torch", "transformers", "tensorflow", "jax", "pybullet", "mujoco", "pinocchio")
-"""Modules whose import takes so long that it belongs into `load` or `open`."""
+"""Modules whose import is so slow that it belongs into `load` or `open`."""
 PURE_CPU_S = 0.5
-"""Processor time a constructor may take; generous, since what it must not do takes seconds."""
+"""Processor time allowed to a constructor; generous, because forbidden work takes seconds."""
 MANY, QUICK_S, ROUND_S, TRIES = 200, 0.001, 0.25, 3
-"""Most calls per round of the memory check, how quick a call must be for so many in any case, how
-long a round of others may take when the least number of calls takes less, and how many calls are
-timed.
+"""Maximum number of calls per round of the memory check; duration below which a call always gets
+that many; maximum duration of a round of slower calls (unless the minimum count takes longer);
+number of timed calls.
 """
 RELEASE_S = 3.0
-"""How long what was closed may take to end."""
+"""Time in which closed threads and processes must end."""
 ROUNDS = 4
-"""Rounds of the memory check, of which the first may fill caches and one that keeps nothing is
-enough.
-"""
+"""Rounds of the memory check; the first may fill caches, and one round without growth is enough."""
 OPEN_FILES = 0.05
-"""Files that a call may leave open: other threads open a few meanwhile."""
+"""Open files allowed per call, because other threads open some meanwhile."""
 LEAK_BYTES, SLOW_LEAK_BYTES, RESIDENT_LEAK_BYTES = 256, 2048, 100_000
-"""What each of MANY calls, each of the least number of calls (whose bounded histories are still
-filling) and, of memory that Python does not know, any call may keep; below is noise. Noise is a
-round's, so more calls show smaller leaks.
+"""Bytes that may stay allocated per call: with MANY calls; with the minimum number of calls (whose
+bounded histories are still filling); and of memory outside Python's allocator. Lower values are
+noise. Noise is per round, so more calls reveal smaller leaks.
 """
 
 _EVENTS = {
@@ -56,7 +52,7 @@ _EVENTS = {
     "os.posix_spawn": "starts the process",
     "os.fork": "forks",
     "os.system": "runs the command",
-    # from Python 3.12 on; before, only threads that last are seen
+    # since Python 3.12; earlier, only threads that persist are detected
     "_thread.start_new_thread": "starts the thread",
 }
 _IMPORT_SUFFIXES = (".py", ".pyc", ".so")
@@ -65,7 +61,7 @@ _created: ContextVar[list[Path] | None] = ContextVar("created_files", default=No
 
 
 def find_effects(action: Callable[[], T]) -> tuple[T, list[str]]:
-    """Run `action` in this thread; return its result and a sentence part for each effect it had."""
+    """Run `action` in this thread; return its result and a sentence part for each effect."""
     _install_hook()
     effects: list[str] = []
     loaded = set(sys.modules)
@@ -80,7 +76,7 @@ def find_effects(action: Callable[[], T]) -> tuple[T, list[str]]:
     effects += [
         f"imports {name}" for name in HEAVY_MODULES if name in sys.modules and name not in loaded
     ]
-    if not effects and not _threads() <= threads:  # a thread of somebody else's may end meanwhile
+    if not effects and not _threads() <= threads:  # a thread of someone else may end meanwhile
         effects.append("starts threads")
     if spent_s > PURE_CPU_S:
         effects.append(f"computes for {spent_s:.1f} s")
@@ -89,19 +85,19 @@ def find_effects(action: Callable[[], T]) -> tuple[T, list[str]]:
 
 @functools.cache
 def _install_hook() -> None:
-    """An audit hook cannot be removed again, so there is one, and it looks only where
-    `find_effects` is running.
+    """Install the audit hook once, because hooks cannot be removed; it is active only inside
+    `find_effects`.
     """
     sys.addaudithook(_audit)
 
 
 @contextmanager
 def watch_new_files(created: list[Path]) -> Iterator[None]:
-    """Notes in `created` what this thread makes in the folder of temporary files and in the working
+    """Record in `created` the files that this thread creates in the temporary and the working
     folder.
     """
     _install_hook()
-    # asked for the first time it writes a file, which the hook must not wait for
+    # the first call writes a file, which must not happen inside the hook
     tempfile.gettempdir()
     token = _created.set(created)
     try:
@@ -148,7 +144,7 @@ def _threads() -> frozenset[str]:
 
 
 def expect_refusal(action: Callable[[], object], what: str, *kinds: type[RoboNeuronError]) -> None:
-    """Raise Violation unless `action` raises one of `kinds` (any RoboNeuronError when none are
+    """Raise Violation unless `action` raises one of `kinds` (any RoboNeuronError if none are
     given).
     """
     expected = kinds or (RoboNeuronError,)
@@ -167,10 +163,10 @@ def expect_refusal(action: Callable[[], object], what: str, *kinds: type[RoboNeu
 
 
 def within(limit_s: float, action: Callable[[], T], what: str) -> T:
-    """Return what `action` returns; raise Violation when it takes longer than `limit_s`, its own
+    """Return the result of `action`; raise Violation if it takes longer than `limit_s`, its own
     errors otherwise.
 
-    It runs in a daemon thread, which is left behind when it hangs.
+    It runs in a daemon thread, which is abandoned if it hangs.
     """
     outcome: list[T] = []
     errors: list[BaseException] = []
@@ -178,7 +174,7 @@ def within(limit_s: float, action: Callable[[], T], what: str) -> T:
     def work() -> None:
         try:
             outcome.append(action())
-        except BaseException as error:  # handed to the caller below
+        except BaseException as error:  # raised in the caller below
             errors.append(error)
 
     thread = threading.Thread(target=work, name="contract-rule", daemon=True)
@@ -192,8 +188,8 @@ def within(limit_s: float, action: Callable[[], T], what: str) -> T:
 
 
 def running() -> frozenset[str]:
-    """Names of what a closed plugin must not leave behind: Python threads and child processes of
-    this process.
+    """Names of running Python threads and child processes, which a closed plugin must not leave
+    behind.
     """
     threads = {
         f"thread {t.name} ({t.native_id})"
@@ -210,22 +206,23 @@ def running() -> frozenset[str]:
 
 
 def open_files() -> frozenset[str]:
-    """What this process has open: files, sockets and pipes, each with its number."""
+    """Open files, sockets and pipes of this process, each with its number."""
     found: set[str] = set()
     folder = Path("/proc/self/fd")
     for entry in folder.iterdir() if folder.is_dir() else ():
         try:
             found.add(f"{entry.name} {entry.readlink()}")
-        except OSError:  # the one that lists the folder, and what other threads close meanwhile
+        except (
+            OSError
+        ):  # the descriptor of this listing, and files closed by other threads meanwhile
             continue
     return frozenset(found)
 
 
 def check_releases(run: Callable[[], object], what: str) -> None:
-    """Raise Violation when `run` leaves threads, processes or open files behind, while what it
-    returns is kept.
+    """Raise Violation if `run` leaves threads, processes or open files, while its result is kept.
 
-    What stays open is tried a second time: libraries open some files once per process.
+    Files that stay open are checked a second time, because libraries open some once per process.
     """
     before = running()
     for trial in range(2):
@@ -241,7 +238,7 @@ def check_releases(run: Callable[[], object], what: str) -> None:
 
 
 def check_released(before: frozenset[str], what: str) -> None:
-    """Raise Violation when threads or child processes that were not `before` are still there after
+    """Raise Violation if threads or child processes that are not in `before` still exist after
     RELEASE_S.
     """
     if not holds_within(lambda: running() <= before, RELEASE_S):
@@ -249,8 +246,8 @@ def check_released(before: frozenset[str], what: str) -> None:
 
 
 def check_quick(limit_s: float, action: Callable[[], object], what: str, *, tries: int = 3) -> None:
-    """Raise Violation unless the quickest of some calls takes at most `limit_s`: a busy machine
-    slows one, not all.
+    """Raise Violation unless the quickest of some calls takes at most `limit_s`; a busy machine
+    slows single calls, not all.
     """
     quickest_s = float("inf")
     for _ in range(tries):
@@ -263,20 +260,21 @@ def check_quick(limit_s: float, action: Callable[[], object], what: str, *, trie
 
 
 def check_memory(action: Callable[[], object], what: str, *, count: int = 20) -> None:
-    """Raise Violation when memory, or what is open, grows with every call, in each round after one
-    that fills caches.
+    """Raise Violation if memory or the number of open files grows with every call, in each round
+    after the first, which fills caches.
 
     Args:
         action: the call.
         what: its name.
-        count: least calls per round; of quick ones MANY are made, which fill every bounded history.
+        count: minimum calls per round; quick actions are called MANY times, which fills bounded
+            histories.
     """
     times_s = []
     for _ in range(TRIES):
         begun_s = time.perf_counter()
         action()
         times_s.append(time.perf_counter() - begun_s)
-    # one may have found its answer waiting, or been interrupted
+    # some may have been buffered or interrupted
     typical_s = sorted(times_s)[TRIES // 2]
     calls = MANY if typical_s < QUICK_S else max(count, min(MANY, int(ROUND_S / typical_s)))
     python_bytes = LEAK_BYTES if calls >= MANY else max(LEAK_BYTES, SLOW_LEAK_BYTES * count / calls)
@@ -293,8 +291,7 @@ def check_memory(action: Callable[[], object], what: str, *, count: int = 20) ->
             if kept is not None and (
                 all(k <= most for k, most in zip(kept, allowed, strict=True)) or kept[2] > 0.5
             ):
-                # one round that keeps nothing suffices; and of a leak of files a process has not
-                # room for more
+                # one round without growth suffices, and a process cannot hold more leaked files
                 break
     finally:
         tracemalloc.stop()
@@ -307,9 +304,7 @@ def check_memory(action: Callable[[], object], what: str, *, count: int = 20) ->
 
 
 def _kept_by_each_call(marks: list[tuple[int, int, int]], calls: int) -> tuple[float, ...] | None:
-    """Of what was marked after each round, the least that a round added, for each call; None after
-    the first round.
-    """
+    """Smallest growth over the rounds, per call; None after the first round."""
     if len(marks) < 2:
         return None
     return tuple(

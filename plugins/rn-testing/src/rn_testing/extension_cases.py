@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class FeatureCase(Case[FeatureSpec]):
-    """A feature to try; `options` are its section of roboneuron.toml, or its sections by key when
+    """A feature under test; `options` are its section of roboneuron.toml, or its sections by key if
     it has several.
 
     Attributes:
@@ -32,14 +32,14 @@ class FeatureCase(Case[FeatureSpec]):
     needs: tuple[FeatureSpec, ...] = ()
 
     def sections(self) -> dict[str, object]:
-        """The sections as they stand in roboneuron.toml."""
+        """The sections as in roboneuron.toml."""
         if not self.options:
             return {}
         return dict(self.options) if self.spec.sections else {self.spec.keys[0]: dict(self.options)}
 
     def option_model(self) -> type[BaseModel] | None:
-        """None: a feature has defaults for all options, which the rule `feature/defaults`
-        judges.
+        """None: all options of a feature have defaults, which the rule `feature/defaults`
+        checks.
         """
         return None
 
@@ -48,7 +48,7 @@ class FeatureCase(Case[FeatureSpec]):
         return loading.load_options_model(self.spec)
 
     def configuration(self) -> object:
-        """The validated options, or None when the descriptor takes none."""
+        """The validated options, or None if the descriptor takes none."""
         model = self.options_model()
         return None if model is None else model.model_validate(self.options)
 
@@ -59,12 +59,12 @@ class FeatureCase(Case[FeatureSpec]):
 
 @dataclass(frozen=True, kw_only=True)
 class CommandCase(Case[CommandSpec]):
-    """A command to try; it is never run."""
+    """A command under test; it is never run."""
 
     subject: ClassVar[str] = "command"
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
-        """The class takes none."""
+        """No arguments, as for the class."""
         return (), {}
 
     def prepare(
@@ -72,7 +72,7 @@ class CommandCase(Case[CommandSpec]):
         topics: MemoryTopics | None = None,
         configure: Callable[[object], object] = lambda options: options,
     ) -> Callable[[], Any]:
-        """As of every case; a command is given nothing."""
+        """As in the base class, without arguments."""
         return self._bounded(self._target(self.spec))
 
     def build(self) -> CommandModule:
@@ -82,12 +82,12 @@ class CommandCase(Case[CommandSpec]):
 
 @dataclass(frozen=True, kw_only=True)
 class PackageCase:
-    """An installed distribution to examine, or one plugin of a distribution that has several.
+    """An installed distribution under test, or one plugin of a distribution with several.
 
     Attributes:
-        distribution: its name.
-        plugin: name of the entry point of the one plugin; all that the distribution has when empty.
-        path: where its metadata are found; the interpreter's own path when empty.
+        distribution: name of the distribution.
+        plugin: entry point name of the plugin; all plugins of the distribution if empty.
+        path: search path of the metadata; the interpreter's own path if empty.
     """
 
     subject: ClassVar[str] = "package"

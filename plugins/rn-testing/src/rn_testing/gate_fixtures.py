@@ -1,6 +1,4 @@
-"""Fixtures of pytest: an emergency stop and an audit in a directory of the test's own, and the
-clock that they go by.
-"""
+"""Pytest fixtures: an emergency stop and an audit in the test's own directory, and their clock."""
 
 from __future__ import annotations
 
@@ -14,25 +12,25 @@ from roboneuron.feature import AuditLog, estop
 
 @dataclass
 class Clock:
-    """Monotonic seconds and wall-clock nanoseconds that only a test moves."""
+    """Monotonic seconds and wall-clock nanoseconds under control of the test."""
 
     now_s: float = 100.0
     start_ns: int = 1_700_000_000_000_000_000
     ticks: int = field(default=0)
 
     def monotonic(self) -> float:
-        """The present time [s]."""
+        """Current time [s]."""
         return self.now_s
 
     def wall_ns(self) -> int:
-        """A later time than before [ns]."""
+        """A later time at each call [ns]."""
         self.ticks += 1
         return self.start_ns + self.ticks
 
 
 @pytest.fixture
 def clock() -> Clock:
-    """A clock at rest."""
+    """A clock that does not advance."""
     return Clock()
 
 

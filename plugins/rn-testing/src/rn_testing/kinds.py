@@ -1,4 +1,4 @@
-"""Kinds of descriptors that other plugins bring (monitors, suites of tasks), with their case and
+"""Kinds of descriptors provided by other plugins (monitors, suites of tasks), with their cases and
 rules.
 
 Such a descriptor class names them: `rules: ClassVar[str] = "my_package.contract_cases:KIND"`. That
@@ -17,11 +17,11 @@ from roboneuron.command import discover, loading
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Kind:
-    """What the kit needs to try descriptors of one kind.
+    """Definition of a kind of descriptors for the kit.
 
     Attributes:
-        case: class of their cases.
-        rules: all that apply, those of every descriptor included.
+        case: class of the cases.
+        rules: all applicable rules, including those of every descriptor.
     """
 
     case: type[Case[Spec]]
@@ -29,18 +29,15 @@ class Kind:
 
 
 def named_by(spec: type[Spec]) -> str:
-    """Where a descriptor class says that its rules are, as "module:attribute"; empty when it says
-    nothing.
-    """
+    """Location of a descriptor class's rules as "module:attribute"; empty if it names none."""
     return str(getattr(spec, "rules", ""))
 
 
 def kind_of(spec: type[Spec]) -> Kind | None:
-    """Case and rules of a descriptor class that another plugin has brought; None when it names
-    none.
+    """Case and rules of a descriptor class from another plugin; None if it names none.
 
     Raises:
-        PluginError: what it names cannot be imported or is no Kind.
+        PluginError: the named object cannot be imported or is no Kind.
     """
     place = named_by(spec)
     if not place:
@@ -54,6 +51,6 @@ def kind_of(spec: type[Spec]) -> Kind | None:
 
 
 def brought_kind(name: str) -> Kind | None:
-    """As `kind_of`, for the name of an installed kind."""
+    """Like `kind_of`, for the name of an installed kind."""
     spec = discover().kinds.get(name)
     return None if spec is None else kind_of(spec)

@@ -1,4 +1,4 @@
-"""Where the TCP is by the URDF alone, independent of the controller that is judged by it."""
+"""Forward kinematics from the URDF alone, independent of the controllers that it checks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rn_testing.rule import Violation
 from roboneuron import F64, Pose, RobotProfile, matrix_from_rotvec, quaternion_from_matrix
 
 MOVABLE = ("revolute", "continuous", "prismatic")
-"""Types of joints that have one position."""
+"""Types of joints with one position."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -20,12 +20,11 @@ class UrdfJoint:
     """One joint of a URDF.
 
     Attributes:
-        name, kind: as written ("revolute", "fixed" ...).
+        name, kind: as in the URDF ("revolute", "fixed" ...).
         child: the link it carries.
         origin: float64 (4, 4), pose of the joint in its parent link.
         axis: float64 (3,), unit length.
-        lower, upper, velocity: its limits [rad or m, per second]; infinite where the URDF gives
-            none.
+        lower, upper, velocity: limits [rad or m, per second]; infinite if the URDF has none.
     """
 
     name: str
@@ -48,7 +47,7 @@ class UrdfJoint:
 
 
 def read_joints(urdf: str) -> dict[str, tuple[str, UrdfJoint]]:
-    """Parent link and joint by child link; raises Violation for what is no URDF."""
+    """Parent link and joint by child link. Raises Violation for an invalid URDF."""
     try:
         root = ElementTree.fromstring(urdf)
     except ElementTree.ParseError as error:
@@ -61,7 +60,7 @@ def read_joints(urdf: str) -> dict[str, tuple[str, UrdfJoint]]:
 
 
 def read_chain(profile: RobotProfile) -> tuple[UrdfJoint, ...]:
-    """The joints from base to TCP; raises Violation when the URDF does not connect them."""
+    """The joints from base to TCP. Raises Violation if the URDF does not connect them."""
     joints = read_joints(profile.urdf)
     chain: list[UrdfJoint] = []
     link = profile.tcp_link
@@ -74,7 +73,7 @@ def read_chain(profile: RobotProfile) -> tuple[UrdfJoint, ...]:
 
 
 def place_tcp(profile: RobotProfile, positions: Mapping[str, float]) -> Pose:
-    """Pose of the TCP in the base frame; joints without a position stand at 0."""
+    """Pose of the TCP in the base frame; joints without a position are at 0."""
     pose = np.eye(4)
     for joint in read_chain(profile):
         pose = pose @ joint.transform(positions.get(joint.name, 0.0))

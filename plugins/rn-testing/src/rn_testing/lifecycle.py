@@ -1,4 +1,4 @@
-"""Starting and ending what a rule tries, and the rules that every kind with a lifecycle shares."""
+"""Start and end of the object under test, and the rules shared by all kinds with a lifecycle."""
 
 from __future__ import annotations
 
@@ -37,13 +37,11 @@ ALONE = (
 )
 """Text of the rule `process-left-alone`."""
 CONSTRUCTOR_S = 1.0
-"""Bound on the quickest of some constructors: they return at once, and a busy machine slows one,
-not all.
-"""
+"""Limit of the quickest of some constructor calls; a busy machine slows single calls, not all."""
 
 
 class Closable(Protocol):
-    """Anything with the end of a lifecycle."""
+    """Any object with `close`."""
 
     def close(self) -> None:
         """Release everything."""
@@ -56,7 +54,7 @@ C = TypeVar("C", bound=Closable)
 
 @contextmanager
 def started(case: Case[Spec], build: Callable[[], C], start: Callable[[C], None]) -> Iterator[C]:
-    """Build and start something with every call bounded, and close it whatever happens."""
+    """Build and start an object with every call bounded; close it in any case."""
     subject = bounded(attempt(case, build), case.limits_s)
     try:
         attempt(case, lambda: start(subject))
@@ -66,7 +64,7 @@ def started(case: Case[Spec], build: Callable[[], C], start: Callable[[C], None]
 
 
 def check_protocol(case: Case[Spec], protocol: type) -> None:
-    """What the case builds has the methods of a runtime-checkable protocol."""
+    """Check that the built object has the methods of a runtime-checkable protocol."""
     subject = attempt(case, case.prepare())
     missing = [n for n in _methods(protocol) if not callable(getattr(subject, n, None))]
     require(
@@ -75,10 +73,10 @@ def check_protocol(case: Case[Spec], protocol: type) -> None:
 
 
 def check_pure_constructor(case: Case[Spec]) -> None:
-    """The constructor has no effect but to return an object.
+    """Check that the constructor has no side effects.
 
-    Options, arguments and the target's module are made before, and a first object is built, so that
-    only the constructor itself is watched.
+    Options, arguments and the target's module are loaded before, and one object is built first, so
+    that only the constructor itself is watched.
     """
     build = attempt(case, case.prepare)
     first = attempt(case, build)
@@ -96,21 +94,18 @@ def _methods(protocol: type) -> list[str]:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Lifecycle(Generic[CaseT, C]):
-    """A kind whose objects are built, started, used and closed; `rules` are those that all such
-    kinds share.
+    """A kind whose objects are built, started, used and closed; `rules` returns the rules shared by
+    all such kinds.
 
     Attributes:
         subject: first half of the rules' ids.
-        protocol: what is built follows it.
-        begin: name of the method that starts it.
-        start: starts what the case built; raises NotApplicable when the case has nothing to start
-            it with.
-        uses: by name of a method, one use of it, which needs what was started. The first is the one
-            that is tried most.
-        abuses: calls with wrong arguments, which it refuses.
-        besides: names of methods without arguments that are called too where the process is
-            watched.
-        repeat: how many uses are one round of the memory rule.
+        protocol: protocol of the built object.
+        begin: name of its start method.
+        start: starts the built object; raises NotApplicable if the case has no inputs for it.
+        uses: one use of a method by its name; needs a started object. The first one is used most.
+        abuses: calls with invalid arguments, which must be refused.
+        besides: names of further methods without arguments, called while the process is watched.
+        repeat: number of uses per round of the memory rule.
     """
 
     subject: str
@@ -124,18 +119,18 @@ class Lifecycle(Generic[CaseT, C]):
 
     @contextmanager
     def running(self, case: CaseT, build: Callable[[], C] | None = None) -> Iterator[C]:
-        """What the case builds, started, and closed in the end."""
+        """Build and start the object; close it at the end."""
         make = attempt(case, case.prepare) if build is None else build
         with started(case, make, lambda subject: self.start(case, subject)) as subject:
             yield subject
 
     def built(self, case: CaseT) -> C:
-        """What the case builds, not started."""
+        """Build the object without starting it."""
         subject: C = bounded(attempt(case, attempt(case, case.prepare)), case.limits_s)
         return subject
 
     def rules(self, *, without: Collection[str] = ()) -> tuple[Rule[CaseT], ...]:
-        """The shared rules of this kind, but for those the kind states in its own way."""
+        """The shared rules, without those that the kind defines itself."""
         return tuple(rule for rule in self._rules() if rule.id.partition("/")[2] not in without)
 
     def _rules(self) -> tuple[Rule[CaseT], ...]:
@@ -230,7 +225,7 @@ class Lifecycle(Generic[CaseT, C]):
         def use(build: Callable[[], C]) -> None:
             with self.running(case, build) as subject:
                 for one in self.uses.values():
-                    with suppress(NotApplicable):  # a base is sent no joints
+                    with suppress(NotApplicable):  # such as joint commands to a base
                         one(case, subject)
 
         check_options_read(case, use)
@@ -251,7 +246,7 @@ class Lifecycle(Generic[CaseT, C]):
 
     def _use_all(self, case: CaseT, subject: C) -> None:
         for one in self.uses.values():
-            with suppress(NotApplicable, RoboNeuronError):  # whether it works is for other rules
+            with suppress(NotApplicable, RoboNeuronError):  # other rules check whether it works
                 one(case, subject)
 
     def _check_second_start(self, case: CaseT) -> None:
@@ -300,8 +295,8 @@ class Lifecycle(Generic[CaseT, C]):
         check_missing_files(case, use)
 
     def _check_errors(self, case: CaseT) -> None:
-        """With a secret in every option and variable that may hold one, whatever it raises is
-        read.
+        """Set every option and variable that may hold a secret to a known one, and search all
+        errors for it.
         """
         hidden = dict.fromkeys(secret_options(case), SECRET)
         errors: list[BaseException] = []
@@ -311,7 +306,7 @@ class Lifecycle(Generic[CaseT, C]):
                 call()
             except NotApplicable:
                 return
-            except Exception as error:  # whether it is the right one is for other rules
+            except Exception as error:  # other rules check whether it is the right error
                 errors.append(error)
 
         with secrets():

@@ -24,20 +24,20 @@ from roboneuron import (
 
 @dataclass(frozen=True, kw_only=True)
 class BackendCase(Case[BackendSpec]):
-    """A backend to try.
+    """A backend under test.
 
     Attributes:
-        observe: makes an observation that the backend can act on; a synthetic one when None. It is
-            cut down to what the descriptor declares before use.
-        runtime, acceleration: make what the backend is to be built with; None for without.
-        predict_limit_s: how long the quickest of three predictions may take [s].
-        row_tolerance: how far a backend that declares `conditions_on_rows` may leave the committed
-            rows [m, rad, opening]; less than without conditioning. Required of such a backend.
-        observe_next: makes what is seen after that, for rules about rows that are played meanwhile;
-            with negative pictures and another instruction when None.
-        rows: how many actions a chunk has; when None those of the option that says so, or of the
-            descriptor.
-        robot: makes the profile that `space` is asked with; the fake robot's when None.
+        observe: creates an observation that the backend can act on; a synthetic one if None. It is
+            reduced to the declared inputs before use.
+        runtime, acceleration: create the runtime and acceleration of the backend; None for none.
+        predict_limit_s: maximum duration of the quickest of three predictions [s].
+        row_tolerance: maximum deviation from the committed rows for a backend that declares
+            `conditions_on_rows` [m, rad, opening]; less than without conditioning. Required of such
+            a backend.
+        observe_next: creates the next observation, for rules about rows executed meanwhile; if
+            None, negative images and another instruction.
+        rows: number of actions in a chunk; if None, from the option for it or the descriptor.
+        robot: creates the profile for `space`; that of the fake robot if None.
     """
 
     subject: ClassVar[str] = "backend"
@@ -52,15 +52,15 @@ class BackendCase(Case[BackendSpec]):
     robot: Callable[[], RobotProfile] | None = None
 
     def robot_profile(self) -> RobotProfile:
-        """The arm to move."""
+        """Profile of the arm."""
         return gantry_profile() if self.robot is None else self.robot()
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
-        """As the inference module calls it."""
+        """Arguments with which the inference module calls it."""
         return (None,), {"runtime": None, "acceleration": None}
 
     def inputs(self, topics: MemoryTopics) -> tuple[tuple[object, ...], dict[str, object]]:
-        """A new runtime and a new acceleration, if the case has some."""
+        """A new runtime and a new acceleration, if the case has them."""
         runtime = None if self.runtime is None else self.runtime()
         return (), {
             "runtime": runtime,
@@ -72,13 +72,13 @@ class BackendCase(Case[BackendSpec]):
         return cast(Backend, self.prepare()())
 
     def observation(self) -> Observation:
-        """What the backend sees: required roles only, state only when declared."""
+        """The observation for the backend: required roles only, state only if declared."""
         return self._declared(
             make_observation(self.spec) if self.observe is None else self.observe()
         )
 
     def next_observation(self) -> Observation:
-        """Something else, to which the backend answers something else; likewise."""
+        """A different observation, which leads to a different answer; with the same reduction."""
         if self.observe_next is not None:
             return self._declared(self.observe_next())
         now = self.observation()
@@ -96,21 +96,21 @@ class BackendCase(Case[BackendSpec]):
 
 @dataclass(frozen=True, kw_only=True)
 class RuntimeCase(Case[RuntimeSpec]):
-    """A runtime to try; what a model and a request look like is agreed per model family.
+    """A runtime under test; the format of models and requests is defined per model family.
 
     Attributes:
-        model: makes what `load` takes; None when there is none to try.
-        request: makes what `run` takes; None likewise.
-        bad_request: makes a request that must be refused; None likewise.
-        acceleration: makes a preset that `load` must accept; None likewise.
-        other_request: makes another request than `request`, whose answer differs; None likewise.
-        late_request: makes a request whose deadline is over; None likewise.
-        check_answer: takes model, request and answer and raises Violation for an answer that its
-            family does not allow; None likewise.
-        long_request: makes a request that runs for seconds unless it is aborted; `request` when
+        model: creates the argument of `load`; None if there is none.
+        request: creates the argument of `run`; None if there is none.
+        bad_request: creates a request that must be refused; None if there is none.
+        acceleration: creates a preset that `load` must accept; None if there is none.
+        other_request: creates a request with another answer than `request`; None if there is none.
+        late_request: creates a request whose deadline is over; None if there is none.
+        check_answer: checks an answer, given model, request and answer; raises Violation if its
+            family does not allow it. None for no check.
+        long_request: creates a request that runs for seconds unless it is aborted; `request` if
             None.
-        expected: makes the answer to `request`; None when it is not known.
-        run_limit_s: how long the quickest of three runs of `request` may take [s].
+        expected: creates the answer to `request`; None if it is not known.
+        run_limit_s: maximum duration of the quickest of three runs of `request` [s].
     """
 
     subject: ClassVar[str] = "runtime"
@@ -133,12 +133,12 @@ class RuntimeCase(Case[RuntimeSpec]):
 
 @dataclass(frozen=True, kw_only=True)
 class AccelerationCase(Case[AccelerationSpec]):
-    """An acceleration to try.
+    """An acceleration under test.
 
     Attributes:
-        decoder: makes a decoder that has the capability; None when there is none to try.
-        expected: takes a decoder that the preset was applied to and says whether it was changed as
-            intended; None when only a change of any kind can be told.
+        decoder: creates a decoder with the capability; None if there is none.
+        expected: checks whether a decoder with the preset was changed as intended; None to accept
+            any change.
     """
 
     subject: ClassVar[str] = "acceleration"

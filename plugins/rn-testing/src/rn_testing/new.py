@@ -1,4 +1,4 @@
-"""The command `roboneuron new`: a plugin package for one of the kinds, made from templates."""
+"""The command `roboneuron new`: creates a plugin package of a kind from templates."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from roboneuron import ConfigurationError
 from roboneuron.command import PLUGIN_KINDS, descriptor
 
 BROUGHT = {"monitor": "rn-standard", "suite": "rn-eval", "teleoperator": "rn-standard"}
-"""Kinds whose hook another package brings, with that package."""
+"""Kinds whose hook is provided by another package, with that package."""
 NEW_KINDS = sorted([*PLUGIN_KINDS, *BROUGHT])
-"""Kinds that there are templates for."""
+"""Kinds with templates."""
 PREFIXES = {kind: "accel" if kind == "acceleration" else kind for kind in NEW_KINDS}
 """Middle part of the distribution's name: rn-<prefix>-<name>."""
 
 
 class New:
-    """Write a plugin package for one of the kinds; as written it passes its own contract tests."""
+    """Write a plugin package of one of the kinds; it passes its own contract tests as written."""
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron new`."""
@@ -37,7 +37,7 @@ class New:
         )
 
     def run(self, arguments: Namespace) -> int:
-        """Write the package and say what to do next."""
+        """Write the package and print the next steps."""
         distribution = f"rn-{PREFIXES[arguments.kind]}-{arguments.name}"
         directory = arguments.directory or Path(distribution)
         written = write_package(arguments.kind, arguments.name, directory)
@@ -53,7 +53,7 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
     """Write a plugin package and return the paths of its files.
 
     Raises:
-        ConfigurationError: the name is malformed, or the directory holds something already.
+        ConfigurationError: the name is malformed, or the directory is not empty.
     """
     package = f"rn_{PREFIXES[kind]}_{name}".replace("-", "_")
     class_name = "".join(part.capitalize() for part in name.split("-"))
@@ -90,7 +90,7 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
 
 
 def _place(template: str, package: str) -> Path:
-    """Where a template goes: metadata on top, tests under `tests`, everything else into the
+    """Destination of a template: metadata at the top, tests in `tests`, everything else in the
     package.
     """
     name = template.removesuffix(".tmpl")

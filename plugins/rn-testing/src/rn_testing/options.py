@@ -1,4 +1,4 @@
-"""Options that are read: what a plugin looks at when it is built, started and used."""
+"""Check that options are read when the plugin is built, started and used."""
 
 from __future__ import annotations
 
@@ -23,11 +23,10 @@ def check_options_read(
     use: Callable[[Callable[[], Any]], None],
     topics: MemoryTopics | None = None,
 ) -> None:
-    """Every option that the case sets is read when the plugin is built, started and used, and at
-    least one of all.
+    """Check that every option set by the case is read when the plugin is built, started and used,
+    and at least one of all.
 
-    A model with validators of its own may have used an option there, so that of its options one is
-    enough.
+    A model with its own validators may have used options there, so one of its options is enough.
     """
     read: set[str] = set()
     names: set[str] = set()
@@ -60,12 +59,12 @@ def check_options_read(
 
 
 def _written(options: BaseModel) -> dict[str, str]:
-    """Each option as text; what a value remembers of itself (a path, its parts) is no change."""
+    """Each option as text; values that a path caches internally do not count as a change."""
     return {name: repr(value) for name, value in options.__dict__.items()}
 
 
 def _record_reads(options: BaseModel, read: set[str]) -> BaseModel:
-    """A copy of `options` that notes in `read` which of its fields are looked at."""
+    """A copy of `options` that records in `read` which of its fields are accessed."""
     model = type(options)
     names = frozenset(model.model_fields)
 

@@ -1,4 +1,4 @@
-"""What this package offers; standard library and descriptors only."""
+"""Descriptors of this package; standard library only."""
 
 from roboneuron import CommandSpec, hookimpl
 

@@ -1,5 +1,5 @@
-"""`roboneuron plugins check NAME`: the contract rules against an installed plugin, in a process
-that may be lost.
+"""`roboneuron plugins check NAME`: checks the contract rules of an installed plugin, in a process
+that may crash.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from roboneuron import ConfigurationError
 from roboneuron.command import PLUGIN_KINDS, Registry, Status, discover
 
 SCHEMA_VERSION = 1
-"""Raised when a key of the JSON document changes its meaning or goes."""
+"""Version of the JSON document; raised if a key changes its meaning or is removed."""
 STYLES = {
     "passed": "green",
     "failed": "bold red",
@@ -30,7 +30,7 @@ STYLES = {
 }
 """Colour of each verdict."""
 WORKER = "rn_testing.check"
-"""The module that runs the rules; never imported here."""
+"""Module that runs the rules; never imported here."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -40,11 +40,11 @@ class CheckedRow:
     Attributes:
         subject: the plugin, or kind and name of an offer.
         rule: the rule's id.
-        text: what it demands.
+        text: the rule's text.
         verdict: "passed", "failed", "skipped"; "timeout" or "crashed" for the rule during which the
-            process was lost.
-        detail: why not passed.
-        traceback: of an unexpected exception.
+            process ended.
+        detail: reason unless it passed.
+        traceback: traceback of an unexpected exception.
     """
 
     subject: str
@@ -56,7 +56,7 @@ class CheckedRow:
 
 
 class PluginsCheck:
-    """Run the contract rules against an installed plugin, in a process of its own."""
+    """Run the contract rules against an installed plugin, in a separate process."""
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron plugins check`."""
@@ -78,7 +78,7 @@ class PluginsCheck:
         parser.add_argument("--json", action="store_true", help="machine-readable results")
 
     def run(self, arguments: Namespace) -> int:
-        """Check, print the results and return 0 when nothing failed."""
+        """Check, print the results, and return 0 if nothing failed."""
         return check(
             discover(read_disabled(arguments.config)),
             arguments.name,
@@ -98,11 +98,12 @@ def check(
     timeout_s: float,
     as_json: bool,
 ) -> int:
-    """Run the rules for what `name` means, print the results and return the exit status: 0 when
-    nothing failed.
+    """Check the rules for `name`, print the results, and return the exit status: 0 if nothing
+    failed.
 
     Raises:
-        ConfigurationError: nothing has that name, or an option is malformed or of something else.
+        ConfigurationError: nothing has that name, or an option is malformed or belongs to something
+            else.
     """
     given = read_options(options, "")
     found = find(registry, name, kind)
@@ -142,13 +143,11 @@ def check(
 
 
 def run_worker(request: str, timeout_s: float) -> list[CheckedRow]:
-    """Run the worker in a process group of its own and read what it decided before it ended or was
-    ended.
-    """
+    """Run the worker in its own process group, and read its results up to its end or its kill."""
     with (
         tempfile.TemporaryFile("w+", encoding="utf-8") as errors,
-        # Folders that a case makes go with this one, also when the worker is killed. A thread that
-        # the kill did not reach at once may still write.
+        # Folders of a case are removed with this one, even if the worker is killed. A thread that
+        # the kill has not reached yet may still write.
         tempfile.TemporaryDirectory(
             prefix="roboneuron-check-", ignore_cleanup_errors=True
         ) as scratch,
@@ -160,7 +159,7 @@ def run_worker(request: str, timeout_s: float) -> list[CheckedRow]:
             stderr=errors,
             text=True,
             start_new_session=True,
-            # no file here stands for a module
+            # so that no file in the folder shadows a module
             env={**os.environ, "TMPDIR": scratch, "PYTHONSAFEPATH": "1"},
         )
         lost = ""
@@ -181,7 +180,7 @@ def run_worker(request: str, timeout_s: float) -> list[CheckedRow]:
 
 
 def _end_group(group: int) -> None:
-    """The worker and all it started; a group that is gone already is as wanted."""
+    """Kill the worker and all its children; the group may already be gone."""
     try:
         os.killpg(group, signal.SIGKILL)
     except ProcessLookupError:
@@ -189,7 +188,9 @@ def _end_group(group: int) -> None:
 
 
 def read_results(output: str, lost: str, *, timed_out: bool) -> list[CheckedRow]:
-    """Results from the worker's lines; the rule that was begun and not decided carries the loss."""
+    """Parse the worker's lines; the rule that was started but not decided gets the loss as its
+    result.
+    """
     results: list[CheckedRow] = []
     begun: dict[str, str] | None = None
     for line in output.splitlines():

@@ -1,4 +1,4 @@
-"""`roboneuron plugins rules [KIND]`: what the contract rules demand."""
+"""`roboneuron plugins rules [KIND]`: prints the contract rules."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""What belongs to the whole process, and so is no plugin's to change: folder, environment, signals,
-random generators.
+"""State of the whole process, which no plugin may change: folder, environment, signals, random
+generators.
 
-Whatever differs after a plugin was built, started, used and closed is tried a second time: what
-libraries do once per process, when they are imported, does not come again.
+A difference after a plugin was built, started, used and closed is tested a second time, because
+what libraries do once per process, at import, does not recur.
 """
 
 from __future__ import annotations
@@ -41,12 +41,10 @@ LIBRARY_VARIABLES = (
     "PYOPENGL_",
     "TOKENIZERS_",
 )
-"""Beginnings of environment variables that native libraries read and that have no other way to be
-set.
-"""
+"""Prefixes of environment variables of native libraries that cannot be configured otherwise."""
 _SEEDS = (20_011, 40_013)
-"""Of the global generators in the first and in the second trial: a plugin that only draws ends in
-different states.
+"""Seeds of the global generators in the two trials: a plugin that only draws ends in different
+states.
 """
 
 
@@ -57,7 +55,7 @@ Hooks = tuple["Callable[..., object]", "Callable[..., object]"]
 
 @dataclass(frozen=True, slots=True)
 class _Aspect(Generic[T]):
-    """One thing: its name for a sentence, how it is read, and how it is put back."""
+    """One part of the state: its name, and functions to read and restore it."""
 
     name: str
     read: Callable[[], T]
@@ -95,7 +93,7 @@ def _restore_logging(before: tuple[tuple[logging.Handler, ...], int, int]) -> No
 
 
 def _torch() -> ModuleType | None:
-    return sys.modules.get("torch")  # only what a plugin has loaded itself is looked at
+    return sys.modules.get("torch")  # only if a plugin has loaded it
 
 
 def _torch_defaults() -> tuple[object, ...]:
@@ -111,7 +109,7 @@ def _restore_torch_defaults(before: tuple[object, ...]) -> None:
 
 
 def _restore_handlers(before: Handlers) -> None:
-    with suppress(ValueError):  # the rules run in a thread, where no handler can have been set
+    with suppress(ValueError):  # rules run in a thread, where no handler can have been set
         for number, handler in before.items():
             if signal.getsignal(number) is not handler:
                 signal.signal(number, handler)
@@ -164,7 +162,7 @@ _ASPECTS: tuple[_Aspect[Any], ...] = (
 
 
 def _generators() -> dict[str, Callable[[], bytes]]:
-    """Of each global random generator, its state."""
+    """State of each global random generator."""
     found = {
         "random": lambda: repr(random.getstate()).encode(),
         "numpy.random": lambda: (
@@ -173,13 +171,13 @@ def _generators() -> dict[str, Callable[[], bytes]]:
     }
     torch = _torch()
     if torch is not None:
-        found["torch"] = lambda: str(torch.initial_seed()).encode()  # drawing leaves it as it is
+        found["torch"] = lambda: str(torch.initial_seed()).encode()  # drawing does not change it
     return found
 
 
 @contextmanager
 def _seeded(seed: int) -> Iterator[None]:
-    """The global generators begin at `seed` and are put back in the end."""
+    """Seed the global generators, and restore them at the end."""
     torch = _torch()
     python, numpy = random.getstate(), np.random.get_state()
     pytorch = None if torch is None else torch.get_rng_state()
@@ -198,8 +196,8 @@ def _seeded(seed: int) -> Iterator[None]:
 
 @contextmanager
 def _watched_handlers(asked: list[str]) -> Iterator[None]:
-    """Notes in `asked` for which signals a handler is set; in a thread, as the rules run, Python
-    would refuse it.
+    """Record in `asked` the signals for which a handler is set; in the rules' thread Python would
+    refuse it.
     """
     real = signal.signal
 
@@ -216,8 +214,8 @@ def _watched_handlers(asked: list[str]) -> Iterator[None]:
 
 @contextmanager
 def _watched_output(printed: list[str]) -> Iterator[None]:
-    """Adds to `printed` what is written to standard output meanwhile, that of C libraries and
-    processes included.
+    """Append to `printed` everything written to standard output, including that of C libraries and
+    processes.
     """
     sys.stdout.flush()
     kept = os.dup(1)
@@ -243,9 +241,7 @@ def _watched_output(printed: list[str]) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    """What one trial changed: sentence parts, and of the generators that moved the states they
-    ended in.
-    """
+    """Changes in one trial: sentence parts, and the final states of generators that moved."""
 
     changes: tuple[str, ...]
     generators: dict[str, bytes]
@@ -284,8 +280,8 @@ def _difference(then: object, now: object) -> str:
 
 
 def find_changes(action: Callable[[], object]) -> list[str]:
-    """Run `action` in this thread, once or twice; return a sentence part for each thing it changes
-    every time.
+    """Run `action` in this thread, once or twice; return a sentence part for each change that
+    occurs every time.
     """
     first = _try(action, _SEEDS[0])
     if not first.changes and not first.generators:

@@ -1,6 +1,4 @@
-"""Errors as users meet them: of RoboNeuron's own classes for a file that is not there, short, and
-without secrets.
-"""
+"""Rules about errors: RoboNeuron's own classes for missing files, short texts, no secrets."""
 
 from __future__ import annotations
 
@@ -21,9 +19,9 @@ if TYPE_CHECKING:
     from pydantic.fields import FieldInfo
 
 LONGEST = 2000
-"""Characters of an error that a person and an agent still read."""
+"""Maximum length of an error text in characters."""
 SECRET = "s3cret-0f-the-c0ntract-k1t"
-"""What stands in options and variables that hold secrets, and in no error."""
+"""Value of options and variables with secrets, which no error may contain."""
 SECRET_VARIABLES = (
     "HF_TOKEN",
     "API_KEY",
@@ -32,7 +30,7 @@ SECRET_VARIABLES = (
     "AWS_SECRET_ACCESS_KEY",
     "PASSWORD",
 )
-"""Variables of the environment that hold secrets on users' machines."""
+"""Environment variables that hold secrets on users' machines."""
 _PLACE = re.compile(
     r"(^|_)(path|file|dir|directory|folder|checkpoint|weights|urdf|calibration|video|device)($|_)"
 )
@@ -42,7 +40,7 @@ _SECRET = re.compile(
 
 
 def _texts(field: FieldInfo) -> bool:
-    """Whether an option may be text or a secret."""
+    """True if an option may be text or a secret."""
     kinds = (field.annotation, *get_args(field.annotation))
     return any(
         isinstance(k, type) and (issubclass(k, str) or k.__name__ == "SecretStr") for k in kinds
@@ -55,7 +53,7 @@ def _fields(case: Case[Spec]) -> Mapping[str, FieldInfo]:
 
 
 def file_options(case: Case[Spec]) -> list[str]:
-    """Options that name a file or a folder to be read, by type or name."""
+    """Options that name a file or a folder to read, by type or name."""
     found = []
     for name, field in _fields(case).items():
         kinds = (field.annotation, *get_args(field.annotation))
@@ -66,8 +64,8 @@ def file_options(case: Case[Spec]) -> list[str]:
 
 
 def secret_options(case: Case[Spec]) -> list[str]:
-    """Options that hold a secret, by name; one that names the file or variable with it holds
-    none.
+    """Names of options that hold a secret; an option that names a file or variable with the secret
+    does not count.
     """
     found = []
     for name, field in _fields(case).items():
@@ -79,13 +77,13 @@ def secret_options(case: Case[Spec]) -> list[str]:
 
 
 def check_missing_files(case: Case[Spec], use: Callable[[Case[Spec]], object]) -> None:
-    """Each option that names a file is set to one that is not there: `use` succeeds or raises a
+    """Set each option that names a file to a missing one: `use` must succeed or raise a
     RoboNeuronError.
     """
     names = file_options(case)
     if not names:
         raise NotApplicable("no option names a file")
-    with tempfile.TemporaryDirectory() as folder:  # a plugin may make what is absent
+    with tempfile.TemporaryDirectory() as folder:  # because a plugin may create the missing file
         for name in names:
             absent = str(Path(folder) / f"absent-{name}" / "file")
             try:
@@ -101,7 +99,7 @@ def check_missing_files(case: Case[Spec], use: Callable[[Case[Spec]], object]) -
 
 @contextmanager
 def secrets() -> Iterator[None]:
-    """The variables that hold secrets are set to SECRET."""
+    """Set the variables that hold secrets to SECRET."""
     before = {name: os.environ.get(name) for name in SECRET_VARIABLES}
     os.environ.update(dict.fromkeys(SECRET_VARIABLES, SECRET))
     try:
@@ -115,7 +113,7 @@ def secrets() -> Iterator[None]:
 
 
 def check_error(error: BaseException) -> None:
-    """An error, and those that led to it, say something short and hold no secret."""
+    """Check that an error and its causes are short and contain no secret."""
     text = str(error)
     kind = type(error).__name__
     require(bool(text.strip()), f"{kind} says nothing")

@@ -1,4 +1,4 @@
-"""Rules as data: an id, what must hold, where that is stated, and the check that decides."""
+"""Rules as data: an id, a sentence, the place that states it, and the check."""
 
 from __future__ import annotations
 
@@ -11,17 +11,15 @@ CaseT = TypeVar("CaseT")
 
 
 class Violation(AssertionError):
-    """A rule does not hold; the message says what came and what was expected."""
+    """A rule is violated; the message tells got and expected."""
 
 
 class NotApplicable(Exception):
-    """A rule says nothing about this case (a backend without state, a runtime without a request to
-    try).
-    """
+    """A rule does not apply to a case (a backend without state, a runtime without a request)."""
 
 
 class RuleVerdict(StrEnum):
-    """Outcome of one rule for one case."""
+    """Result of one rule for one case."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -30,14 +28,13 @@ class RuleVerdict(StrEnum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Rule(Generic[CaseT]):
-    """One thing that every plugin of a kind must do.
+    """A requirement for every plugin of a kind.
 
     Attributes:
         id: "<subject>/<what>", stable, unique over all rules.
         text: one sentence that holds for every good plugin.
         source: dotted name whose docstring states it.
-        check: raises Violation when it does not hold, NotApplicable when it says nothing about the
-            case.
+        check: raises Violation if the rule is violated, NotApplicable if it does not apply.
     """
 
     id: str
@@ -47,10 +44,10 @@ class Rule(Generic[CaseT]):
 
 
 AnyRule: TypeAlias = Rule[Any]
-"""A rule of one kind of cases among those of others."""
+"""A rule for any kind of case."""
 
 
 def require(condition: bool, message: str) -> None:
-    """Raise Violation with `message` unless `condition` holds."""
+    """Raise Violation with `message` unless `condition` is true."""
     if not condition:
         raise Violation(message)

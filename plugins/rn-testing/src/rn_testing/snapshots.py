@@ -1,6 +1,4 @@
-"""Values as plain data, to tell whether something was written to, changed or left alone, and
-whether answers agree.
-"""
+"""Values as plain data, to detect modifications and to compare answers."""
 
 from __future__ import annotations
 
@@ -12,14 +10,14 @@ from dataclasses import fields, is_dataclass
 import numpy as np
 
 ATOL, RTOL = 1e-6, 1e-4
-"""Tolerances of `is_alike`: what one machine's rounding may change between two runs of the same
-computation.
+"""Tolerances of `is_alike`, for rounding between two runs of the same computation on one
+machine.
 """
 _PLAIN = (type(None), bool, int, str, bytes, range)
 
 
 def snapshot(value: object, _seen: frozenset[int] = frozenset()) -> object:
-    """Comparable plain data of `value` and all it holds; functions by identity, arrays by
+    """Comparable plain data of `value` and its contents; functions by identity, arrays by
     content.
     """
     if isinstance(value, _PLAIN):
@@ -48,9 +46,9 @@ def snapshot(value: object, _seen: frozenset[int] = frozenset()) -> object:
 
 
 def is_alike(a: object, b: object) -> bool:
-    """Whether two answers agree within rounding, in kind too: "3.0" is not 3.0, and True is not 1.
+    """True if two answers agree within rounding and in type: "3.0" is not 3.0, and True is not 1.
 
-    Fields named `metrics` (times) are not compared.
+    Fields named `metrics` (durations) are not compared.
     """
     if is_dataclass(a) and type(a) is type(b):
         names = (f.name for f in fields(a) if f.name != "metrics")
@@ -76,7 +74,7 @@ def is_alike(a: object, b: object) -> bool:
 
 
 def has_nan(value: object) -> bool:
-    """Whether a number in `value`, in its fields, items or arrays, is not a number."""
+    """True if `value`, its fields, items or arrays contain NaN."""
     if isinstance(value, float):
         return math.isnan(value)
     if isinstance(value, np.ndarray):
@@ -91,7 +89,7 @@ def has_nan(value: object) -> bool:
 def _array(value: object) -> object:
     try:
         array = np.ascontiguousarray(value)
-    except (TypeError, RuntimeError, ValueError):  # a tensor that numpy has no type for
+    except (TypeError, RuntimeError, ValueError):  # a tensor without a numpy dtype
         return "array", repr(value)
     content = repr(array.tolist()).encode() if array.dtype == object else array.tobytes()
     return "array", array.dtype.str, array.shape, hashlib.sha256(content).hexdigest()

@@ -1,4 +1,4 @@
-"""A ROS node of a test's own, beside the processes that are tested."""
+"""A test's own ROS node, next to the tested processes."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 @contextmanager
 def spinning_node(namespace: str, name: str = "witness") -> Iterator[Node]:
-    """A node in a context of its own, spun by a thread until the end.
+    """A node in its own context, spun by a thread until the end.
 
-    Subscriptions may be made at any time; their callbacks run in that thread.
+    Subscriptions may be created at any time; their callbacks run in that thread.
     """
     import rclpy  # heavy, and not there for every test
     from rclpy.executors import SingleThreadedExecutor  # likewise

@@ -1,4 +1,4 @@
-"""Calls that run code out of data, or hand text to a shell: what they are called, found in source
+"""Names of calls that execute code from data or pass text to a shell, and their detection in source
 text.
 """
 
@@ -36,12 +36,12 @@ UNSAFE: dict[str, str] = {
     ),
     "tempfile.mktemp": "names a file that somebody else may make meanwhile; use mkstemp",
 }
-"""By qualified name, what is wrong with a call whatever its arguments are."""
+"""Reason against a call with any arguments, by qualified name."""
 UNLESS: dict[str, tuple[str, object, str]] = {
     "torch.load": ("weights_only", True, UNPICKLES),
     "yaml.load": ("Loader", ("SafeLoader", "CSafeLoader"), EVALUATES),
 }
-"""By qualified name, the argument that a call must have."""
+"""Argument that a call must have, by qualified name."""
 IF: dict[str, tuple[str, object, str]] = {
     "numpy.load": ("allow_pickle", True, UNPICKLES),
     **{
@@ -49,11 +49,11 @@ IF: dict[str, tuple[str, object, str]] = {
         for name in ("run", "call", "check_call", "check_output", "Popen")
     },
 }
-"""By qualified name, the argument that a call must not have."""
+"""Argument that a call must not have, by qualified name."""
 
 
 def _aliases(tree: ast.AST) -> dict[str, str]:
-    """Qualified names by the names that a file gives them."""
+    """Qualified names by their local names in a file."""
     found: dict[str, str] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -67,8 +67,8 @@ def _aliases(tree: ast.AST) -> dict[str, str]:
 
 
 def _qualified(node: ast.expr, aliases: dict[str, str]) -> str:
-    """Dotted name of what is called; empty for what is no plain name, a method of a value
-    included.
+    """Dotted name of the called object; empty if it is no plain name, such as a method of a
+    value.
     """
     parts: list[str] = []
     while isinstance(node, ast.Attribute):

@@ -1,4 +1,4 @@
-"""Whether one rule holds for one case."""
+"""Verification of one rule for one case."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from rn_testing.rule import CaseT, NotApplicable, Rule, RuleVerdict, Violation
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RuleResult:
-    """What came of one rule.
+    """Result of one rule.
 
     Attributes:
         rule: the rule's id.
         verdict: passed, failed or skipped.
-        detail: why it failed or was skipped; empty when passed.
-        traceback: of an unexpected exception; empty otherwise.
+        detail: why it failed or was skipped; empty if passed.
+        traceback: traceback of an unexpected exception; empty otherwise.
     """
 
     rule: str
@@ -28,11 +28,10 @@ class RuleResult:
 
 
 def verify(rule: Rule[CaseT], case: CaseT) -> RuleResult:
-    """Run one rule, every call bounded; what the plugin raises and the rule does not expect is a
-    failure.
+    """Check one rule with every call bounded; an unexpected exception of the plugin is a failure.
 
-    Where the case lacks options that its plugin requires, the rule about that fails; those that
-    build it are skipped.
+    If the case lacks required options, the rule about them fails, and rules that build it are
+    skipped.
     """
     if not rule.id.startswith("descriptor/") and missing_options(case):
         return RuleResult(
@@ -48,7 +47,7 @@ def verify(rule: Rule[CaseT], case: CaseT) -> RuleResult:
         return RuleResult(rule=rule.id, verdict=RuleVerdict.SKIPPED, detail=str(reason))
     except Violation as violation:
         return RuleResult(rule=rule.id, verdict=RuleVerdict.FAILED, detail=str(violation))
-    except Exception as error:  # the border to a plugin's own code
+    except Exception as error:  # the border to a plugin's code
         detail = f"raised {type(error).__name__}: {error}"
         return RuleResult(
             rule=rule.id,

@@ -1,4 +1,4 @@
-"""Bounded waits for conditions, for tests: a wait ends as soon as its condition holds."""
+"""Bounded waits for conditions in tests: a wait ends as soon as its condition holds."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from collections.abc import Callable
 def holds_within(
     condition: Callable[[], object], timeout_s: float = 20.0, *, poll_s: float = 0.005
 ) -> bool:
-    """Whether `condition` returns something true before `timeout_s` is over; returns as soon as it
-    does.
-    """
+    """Poll `condition` until it is true or `timeout_s` is over; return whether it became true."""
     deadline_s = time.monotonic() + timeout_s
     while not condition():
         if time.monotonic() > deadline_s:
@@ -27,10 +25,10 @@ def wait_until(
     *,
     poll_s: float = 0.01,
 ) -> float:
-    """Wait until `condition` returns something true; returns how long that took [s].
+    """Wait until `condition` is true; return the elapsed time [s].
 
     Raises:
-        AssertionError: it did not within `timeout_s`; the text says `what` was waited for.
+        AssertionError: it did not become true within `timeout_s`; the text contains `what`.
     """
     begun_s = time.monotonic()
     if not holds_within(condition, timeout_s, poll_s=poll_s):

@@ -1,4 +1,4 @@
-"""Features and commands with one fault each, beside the good ones they were made from."""
+"""Features and commands with one fault each, and the good ones from which they derive."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Options(Section):
 
 
 class Needy(Section):
-    """A section that has no default."""
+    """A section without defaults."""
 
     unit: str = Field(description="unit of the answer")
 
@@ -139,7 +139,7 @@ class RunsAProcess(GoodCommand):
 
 
 class ReadsForHelp(GoodCommand):
-    """Reads a file to declare its arguments."""
+    """Reads a file while it declares its arguments."""
 
     def configure(self, parser: ArgumentParser) -> None:
         Path("/proc/version").read_text()
@@ -155,7 +155,7 @@ class PrintsForHelp(GoodCommand):
 
 
 class NoHelp(GoodCommand):
-    """Says nothing of its argument."""
+    """Its argument has no help."""
 
     def configure(self, parser: ArgumentParser) -> None:
         parser.add_argument("--who")

@@ -1,4 +1,4 @@
-"""A command that imports ROS before anybody asked for its help."""
+"""A command that imports ROS before its help is requested."""
 
 import rclpy  # noqa: F401
 from broken_features import GoodCommand

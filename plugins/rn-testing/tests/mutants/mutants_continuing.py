@@ -1,4 +1,4 @@
-"""Backends that make one mistake each with rows that go on, or with a predicted state."""
+"""Backends with one mistake each about continued rows or a predicted state."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def plus(chunk, amount):
 
 
 class ContinuingBackend(InstantBackend):
-    """A good one: four rows that follow picture and pose, and continue the committed ones."""
+    """A good backend: four rows that depend on image and pose, and continue the committed ones."""
 
     def predict(self, observation):
         """See `Backend.predict`."""

@@ -1,4 +1,4 @@
-"""Controllers that make one mistake each with rows of an action space."""
+"""Controllers with one mistake each about rows of an action space."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ but = mutants_of("controller", GantryController)
 
 
 def row(change):
-    """`execute` that is given another row, if any."""
+    """`execute` with another row, if any."""
 
     def execute(self, call, space, row, joints, step_s):
         return call(space, change(space, np.array(row), joints, step_s), joints, step_s)

@@ -30,7 +30,7 @@ but = mutants_of("controller", GantryController)
 
 
 def sent(change):
-    """`compute` whose command is changed."""
+    """`compute` with a changed command."""
 
     def compute(self, call, action, joints, step_s):
         result = call(action, joints, step_s)
@@ -40,7 +40,7 @@ def sent(change):
 
 
 def asked(change):
-    """`compute` that acts on another action."""
+    """`compute` with another action."""
 
     def compute(self, call, action, joints, step_s):
         return call(change(self, action, joints), joints, step_s)

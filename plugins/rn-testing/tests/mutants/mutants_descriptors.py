@@ -21,7 +21,7 @@ class BareOptions(BaseModel):
 
 
 class Demanding(BaseModel):
-    """Nothing can be built without a topic."""
+    """Cannot be built without a topic."""
 
     model_config = ConfigDict(extra="forbid")
 

@@ -1,4 +1,4 @@
-"""Drivers, sources and controllers whose numbers are plausible one by one and wrong over time or
+"""Drivers, sources and controllers whose numbers are each plausible, but wrong over time or
 together.
 """
 
@@ -26,7 +26,7 @@ def driver(rule, words="", **changes):
 
 
 def velocity(change):
-    """`read` whose velocities are changed."""
+    """`read` with changed velocities."""
 
     def read(self, call):
         state = call()
@@ -44,7 +44,7 @@ def position(change):
 
 
 def delayed(age_s: float):
-    """`read` that returns what was measured so long ago, stamped now."""
+    """`read` that returns old measurements with the current stamp."""
 
     def read(self, call):
         state = call()
@@ -59,7 +59,7 @@ def delayed(age_s: float):
 
 
 def creeping(speed: float):
-    """`hold` after which every joint goes home at that speed."""
+    """`hold` after which every joint moves home at that speed."""
 
     def hold(self, call):
         call()
@@ -121,7 +121,7 @@ def source(rule, words="", *, base=ControlledSource, case=None, spec=None, **cha
 
 
 class Pace(BaseModel):
-    """Options of a stream."""
+    """Options of a camera stream."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -160,7 +160,7 @@ def now_and_then_back(every: int, by_ns: int):
 
 
 def kept_for_ever(self, call, timeout_s):
-    """The last frame again, with a new stamp, when none has come."""
+    """The last frame again, with a new stamp, if there is no new one."""
     try:
         self.last = call(timeout_s)
     except NotReadyError:
@@ -204,7 +204,7 @@ def controller(rule, words="", **changes):
 
 
 def to_the_limit(residual: bool):
-    """`compute` that goes as far as the limits allow where the good one refuses."""
+    """`compute` that moves to the limits where the good one refuses."""
 
     def compute(self, call, action, joints, step_s):
         result = call(action, joints, step_s)
@@ -214,7 +214,7 @@ def to_the_limit(residual: bool):
         wanted = here + np.concatenate([action.translation_m, np.zeros(3)])
         target = np.clip(wanted, limits.lower, limits.upper)
         missed = float(np.linalg.norm((wanted - target)[:3]))
-        away = not residual and missed > 0.02  # near the limit it tells the truth
+        away = not residual and missed > 0.02  # near the limit it is correct
         return JointCommand(
             names=self._profile.arm_joints,
             position=target,
@@ -226,7 +226,7 @@ def to_the_limit(residual: bool):
 
 
 def inaccurate(self, call, action, joints, step_s):
-    """Ends 4 mm short of far places and says nothing of it."""
+    """Ends 4 mm short of distant targets without reporting it."""
     result = call(action, joints, step_s)
     if isinstance(result, Hold) or abs(result.position[0]) < 0.6:
         return result

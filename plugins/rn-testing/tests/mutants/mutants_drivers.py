@@ -29,7 +29,7 @@ but = mutants_of("driver", FakeDriver)
 
 
 def measured(**changes):
-    """`read` whose joints are changed."""
+    """`read` with changed joints."""
 
     def read(self, call):
         state = call()
@@ -106,7 +106,7 @@ def blocks(self, call, command):
 
 
 def takes(self, call, command):
-    """Whatever it is, it is sent."""
+    """Sends any command."""
     return or_else(lambda: call(command), lambda: command) if self._start else call(command)
 
 
@@ -360,7 +360,7 @@ DRIVERS["target_absent"] = Mutant(
     },
 )
 
-# the prefix keeps them apart from the functions above
+# the prefix distinguishes them from the functions above
 MUTANTS = {f"driver_{n}": m for n, m in DRIVERS.items()}
 
 

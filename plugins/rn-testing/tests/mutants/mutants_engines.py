@@ -28,7 +28,7 @@ from roboneuron.errors import InvalidInputError, StateError
 
 @dataclass(frozen=True)
 class TokenRequest:
-    """A request of a model family that has deadlines."""
+    """A request of a model family with deadlines."""
 
     ids: np.ndarray
     count: int
@@ -36,7 +36,7 @@ class TokenRequest:
 
 
 class TokenRuntime:
-    """A good runtime of token requests: token i is the sum of the ids plus i."""
+    """A good runtime for token requests: token i is the sum of the ids plus i."""
 
     def __init__(self, config):
         self._loaded = False
@@ -79,7 +79,7 @@ TOKENS = {
     "acceleration": None,
     "expected": None,
 }
-"""Case of a runtime of token requests."""
+"""Case of the runtime for token requests."""
 but = mutants_of("runtime", CountingRuntime)
 
 

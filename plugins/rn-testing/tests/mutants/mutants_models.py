@@ -1,6 +1,4 @@
-"""Backends, runtimes and accelerations whose answers have the right type and still cannot be
-used.
-"""
+"""Backends, runtimes and accelerations whose answers have the right type but are unusable."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Plugins of every kind that change the process, keep files open, or fail with an error that nobody
-should see.
+"""Plugins of every kind that change the process, keep files open, or fail with an error that must
+not be shown.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ BASES: dict[str, tuple[type, str, str]] = {
     "controller": (GantryController, "load", "compute"),
     "driver": (FakeDriver, "open", "send"),
 }
-"""Of each kind the good plugin, what starts it and what uses it."""
+"""By kind: the good plugin, its start, and its use."""
 LEFT: list[int] = []
-"""Descriptors that mutants left open; the tests close them."""
+"""Descriptors left open by mutants; the tests close them."""
 
 
 class Options(BaseModel):
-    """Options of which some name a file or hold a secret."""
+    """Options, some of which name a file or hold a secret."""
 
     model_config = ConfigDict(extra="forbid")
 
@@ -67,7 +67,7 @@ def leave_open() -> None:
 
 
 def leave_socket() -> None:
-    """Listen on a port for ever."""
+    """Listen on a port without closing it."""
     listener = socket.socket()
     listener.bind(("127.0.0.1", 0))
     listener.listen()
@@ -110,7 +110,7 @@ CHANGES: dict[str, Callable[[], object]] = {
     "leaves_a_temporary_folder": lambda: tempfile.mkdtemp(prefix="left-by-a-mutant-"),
     "leaves_a_file_in_the_folder": write_here,
 }
-"""By name, what changes the process."""
+"""Changes of the process, by name."""
 OF_EVERY_KIND = (
     "ignores_sigterm",
     "changes_the_folder",
@@ -125,7 +125,7 @@ def now() -> str:
 
 
 def doing(method: str, change: Callable[[], object]) -> dict[str, Callable[..., object]]:
-    """The method does `change` first."""
+    """A method that does `change` first."""
     return {
         method: lambda self, call, *arguments, **named: then(change(), call(*arguments, **named))
     }
@@ -160,7 +160,7 @@ def of_a_file(kind: str) -> Mutant:
 
 
 def telling(text: Callable[[Any], str]) -> Callable[..., object]:
-    """A method that refuses with such a text when something is wrong, and works otherwise."""
+    """A method that refuses with this text if something is wrong."""
 
     def method(self: Any, call: Callable[..., object], *arguments: object) -> object:
         try:
@@ -203,7 +203,7 @@ def refuses_with_token(self: Any, call: Callable[..., object], *arguments: objec
 
 
 def while_handling(self: Any, call: Callable[..., object], *arguments: object) -> object:
-    """The secret stands in the error that led to this one, and so in every traceback."""
+    """The secret is in the cause of this error, and so in every traceback."""
     try:
         return call(*arguments)
     except Exception as error:

@@ -18,7 +18,7 @@ CALLS = itertools.count()
 
 
 def profiled(rule, words="", **changes):
-    """A profile of which some fields are others."""
+    """A profile with some changed fields."""
     return Mutant(
         rule=f"robot/{rule}", target=lambda: replace(gantry_profile(), **changes), words=words
     )
@@ -137,7 +137,7 @@ PROFILES: dict[str, Mutant] = {
     ),
 }
 
-# the prefix keeps them apart from the functions above
+# the prefix distinguishes them from the functions above
 MUTANTS = {f"profile_{n}": m for n, m in PROFILES.items()}
 
 

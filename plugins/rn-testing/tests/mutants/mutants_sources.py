@@ -29,7 +29,7 @@ but = mutants_of("perception", ControlledSource)
 
 
 def framed(**changes):
-    """`read` whose frame is changed."""
+    """`read` with a changed frame."""
 
     def read(self, call, timeout_s):
         frame = call(timeout_s)
@@ -95,7 +95,7 @@ def second_open_starts_another_thread(self, call):
 
 
 class Streaming(ControlledSource):
-    """A good source whose frames come by themselves, of each camera in turn."""
+    """A good source whose frames arrive by themselves, with the cameras in rotation."""
 
     def read(self, timeout_s):
         if self._is_open and not self._pending and self._cameras:

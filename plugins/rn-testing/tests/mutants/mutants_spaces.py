@@ -1,4 +1,4 @@
-"""Backends that say or keep the space of their actions wrongly, each with one mistake."""
+"""Backends that declare the space of their actions wrongly or violate it, with one mistake each."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from roboneuron.errors import StateError
 
 
 def velocities(options, profile):
-    """What `VelocityBackend` declares."""
+    """The space declared by `VelocityBackend`."""
     return robot_space("joint_velocity", profile, 10.0)
 
 
@@ -59,7 +59,7 @@ def fails_elsewhere(options, profile):
 
 
 def respaced(change):
-    """A backend of velocities whose space is another one than it declares."""
+    """A velocity backend whose chunks have another space than declared."""
     return mutate(
         VelocityBackend,
         predict=lambda s, call, o: replace(call(o), space=change(velocities({}, gantry_profile()))),

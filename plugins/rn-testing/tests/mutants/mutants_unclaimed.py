@@ -1,7 +1,7 @@
-"""Mistakes that were written down before the rules were read; no rule is named for them, and some
-are not found.
+"""Mistakes collected independently of the rules; no rule is named for them, and some are not
+detected.
 
-`benchmarks/bench_contract_kit.py` counts how many of them any rule of their kind finds.
+`benchmarks/bench_contract_kit.py` counts how many of them are detected by any rule of their kind.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def history(self, call, action, joints, step_s):
 
 
 def only_upwards(self, call, command):
-    """Leaves a joint that is to go down by less than a degree where it is."""
+    """Does not move a joint that is to go down by less than a degree."""
     here = self._positions()
     kept = [
         here[n] if 0 < here[n] - p < 0.01 else p

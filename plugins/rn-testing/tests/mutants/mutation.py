@@ -1,4 +1,6 @@
-"""Mutants: a good plugin of the kit's fakes with one mistake, and the rule that is to catch it."""
+"""Mutants: a good plugin from the kit's fakes with one mistake, and the rule that must detect
+it.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +20,10 @@ class Mutant:
     """One mistake.
 
     Attributes:
-        rule: id of the rule that catches it.
-        target: the class or function in place of the good one; None for the good one.
-        spec, case: fields of descriptor and case that are changed.
-        words: a part of what the rule then says; empty for anything.
+        rule: id of the rule that detects it.
+        target: the class or function instead of the good one; None for the good one.
+        spec, case: changed fields of descriptor and case.
+        words: expected part of the rule's message; empty for any.
     """
 
     rule: str
@@ -32,7 +34,7 @@ class Mutant:
 
 
 def mutate(base: type, **changes: Callable[..., object]) -> type:
-    """A subclass of `base` whose methods are changed.
+    """A subclass of `base` with changed methods.
 
     Each change is called as `change(self, call, *arguments)`; `call` is the good method.
     """
@@ -50,8 +52,8 @@ def mutate(base: type, **changes: Callable[..., object]) -> type:
 
 
 def mutants_of(subject: str, good: type) -> Callable[..., Mutant]:
-    """Return a function that makes mutants of `good`; it is given the rule that is to catch one,
-    without its `subject`, and the methods that are changed.
+    """Return a function that makes mutants of `good` from the rule that must detect them, without
+    its `subject`, and the changed methods.
     """
 
     def make(
@@ -77,8 +79,8 @@ _draws = itertools.count()
 
 
 def noise(scale: float) -> float:
-    """A random number; successive ones are at least `scale` apart, since by chance two could be too
-    near to tell.
+    """A random number; successive ones differ by at least `scale`, because by chance two could be
+    too close.
     """
     return scale * (2 * (next(_draws) % 11) + random.random())
 
@@ -90,13 +92,13 @@ def counted(self: Any) -> int:
 
 
 def then(*steps: object) -> object:
-    """The last of what a lambda's steps gave."""
+    """Return the last of a lambda's steps."""
     return steps[-1]
 
 
 def remembered(self: Any, value: object) -> object:
-    """`value`, which `self` keeps for ever, with 8 kB: on a busy machine calls are few, and less
-    than 2 kB is noise.
+    """Return `value` after storing it with 8 kB forever in `self`: on a busy machine there are few
+    calls, and less than 2 kB is noise.
     """
     self.memory = [*getattr(self, "memory", []), (value, bytes(8192))]
     return value
@@ -108,7 +110,7 @@ def leave_thread() -> None:
 
 
 def compute() -> None:
-    """Take processor time."""
+    """Use processor time."""
     until_s = time.thread_time() + 0.6
     while time.thread_time() < until_s:
         pass
@@ -120,7 +122,7 @@ def read_file() -> None:
 
 
 def or_else(call: Callable[[], object], default: Callable[[], object]) -> object:
-    """What `call` returns, or what `default` does when it refuses."""
+    """Return the result of `call`, or of `default` if it refuses."""
     try:
         return call()
     except RoboNeuronError:

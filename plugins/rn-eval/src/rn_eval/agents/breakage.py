@@ -1,4 +1,6 @@
-"""The fault of an episode: when it is caused, and how long it takes until the arm moves again."""
+"""Fault injection of an episode: when the fault is caused, and the time until the arm moves
+again.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +12,11 @@ from rn_eval.agents.truth import STILL_RAD_S, Truth
 
 
 class Breakage:
-    """Causes a fault once; looked at again and again by the thread that runs the episode.
+    """Injects one fault; polled by the thread that runs the episode.
 
     Attributes:
-        caused_s: when, from the agent's start [s]; None before.
-        restarted_s: when the module was first seen to have another process [s]; None before.
+        caused_s: time of the fault since the agent's start [s]; None before.
+        restarted_s: time at which the module first had a new process [s]; None before.
     """
 
     def __init__(self, fault: InjectedFault | None) -> None:
@@ -25,7 +27,7 @@ class Breakage:
         self.restarted_s: float | None = None
 
     def look(self, tap: ServerTap) -> None:
-        """Cause the fault when it is due, and note when the module is back."""
+        """Cause the fault when it is due, and record when the module is back."""
         fault = self._fault
         if fault is None or self.restarted_s is not None:
             return
@@ -37,12 +39,12 @@ class Breakage:
         called_s = tap.first_call_s(fault.after_tool)
         if called_s is None or tap.now_s() < called_s + fault.delay_s:
             return
-        if pid is not None:  # otherwise it is not started yet, or starting again
+        if pid is not None:  # otherwise it is not started yet, or restarting
             self._broken, self.caused_s = pid, tap.now_s()
             end_module(pid, fault.kind)
 
     def recovery_s(self, truth: Truth) -> float | None:
-        """From the fault until the arm moved with the module's new process [s]; None where that
+        """Time from the fault until the arm moved with the module's new process [s]; None if that
         never happened.
         """
         if self.caused_s is None or self.restarted_s is None:

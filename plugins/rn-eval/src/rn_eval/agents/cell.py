@@ -1,6 +1,4 @@
-"""The cell of an episode: configuration, state directory, what happened in it before, and the
-person beside it.
-"""
+"""The cell of an episode: configuration, state directory, history and operator."""
 
 from __future__ import annotations
 
@@ -34,12 +32,12 @@ if TYPE_CHECKING:
 _INCIDENT_S = 15.0
 _POLL_S = 0.2
 _FROZEN = ("silent", "stuck", "stalled")
-"""Words of list_incidents for a suspended process."""
+"""Incident types of list_incidents that mean a suspended process."""
 _PERSON_S = 30.0
 
 
 class EpisodeFolder:
-    """Folder of one episode, with everything that its server keeps.
+    """Folder of one episode, with all files of its server.
 
     Attributes:
         state: the server's state directory.
@@ -47,17 +45,17 @@ class EpisodeFolder:
     """
 
     def __init__(self, folder: Path, scene: AgentScene) -> None:
-        """Remember where and what; writes nothing."""
+        """Store the arguments; writes nothing."""
         self._folder, self._scene = folder, scene
         self.state = folder / "state"
         self.configuration = folder / "roboneuron.toml"
         self._latch = estop.EmergencyStopLatch.in_directory(self.state)
 
     def prepare(self) -> None:
-        """Write the configuration, and let happen what happened before.
+        """Write the configuration, and produce the episode's history.
 
         Raises:
-            NotReadyError: a server did not do what is needed for that.
+            NotReadyError: a server failed while producing it.
         """
         scene = self._scene
         self.configuration.write_text(configuration_of(scene, self.state), encoding="utf-8")
@@ -73,15 +71,15 @@ class EpisodeFolder:
             self._latch.latch(who="person at the cell", reason=scene.latched)
 
     def command(self, port: int = 0) -> list[str]:
-        """How its server is started: over HTTP on a port of loopback, or with 0 on stdio."""
+        """Command that starts the server: over HTTP on a loopback port, or on stdio with port 0."""
         over = ["--transport", "http", "--port", str(port)] if port else ["--transport", "stdio"]
         options = ["serve", *over, "--config", str(self.configuration), "--log-level", "error"]
         words = [sys.executable, "-P", "-m", "roboneuron.cli.main", *options]
         return ending_with_parent(words) if port else words
 
     def environment(self) -> dict[str, str]:
-        """Of its server: that of this process, without the simulator's truth; a recorder only where
-        one is needed.
+        """Environment of the server: that of this process without the simulator's truth; with a
+        recorder only if one is needed.
         """
         needs = self._scene.records or self._scene.recorded_note
         return {
@@ -92,20 +90,20 @@ class EpisodeFolder:
         }
 
     def is_latched(self, robot: str = "") -> bool:
-        """Whether the latch file of a robot or of all is there; looks at nothing else."""
+        """True if the latch file of a robot or of all robots exists; checks nothing else."""
         own = self.state / "robots" / robot / self._latch.path.name
         return self._latch.path.exists() or (bool(robot) and own.exists())
 
     def recordings(self) -> tuple[str, ...]:
-        """Recorded files, relative to the state directory, with something in them."""
+        """Non-empty recording files, relative to the state directory."""
         files = self.state.rglob("*.mcap")
         return tuple(sorted(str(f.relative_to(self.state)) for f in files if f.stat().st_size))
 
     def release_as_person(self) -> None:
-        """Release the emergency stop as a person in a terminal does.
+        """Release the emergency stop as a person at a terminal would.
 
         Raises:
-            NotReadyError: the command refused.
+            NotReadyError: the command was refused.
         """
         person, terminal = pty.openpty()
         try:
@@ -125,7 +123,7 @@ class EpisodeFolder:
             raise NotReadyError(f"The stop was not released: {done.stderr.decode()[-300:]}")
 
     async def _break_modules(self, faults: tuple[InjectedFault, ...]) -> None:
-        """Start a server, break what is to be broken, and wait until it has recorded that."""
+        """Start a server, break the modules, and wait until it has recorded the faults."""
         async with self._server() as client:
             tools = ToolClient(client)
             server = int((await tools.must("get_status")).number("pid"))
@@ -155,7 +153,7 @@ class EpisodeFolder:
 
 
 async def incidents(tools: ToolClient) -> list[dict[str, object]]:
-    """Faults that the server has recorded, newest first; restarts are none."""
+    """Faults recorded by the server, newest first, without restarts."""
     found = (await tools.must("list_incidents", entries=100)).data["incidents"]
     assert isinstance(found, list)
     return [dict(one) for one in found if one.get("what") != "restart"]
@@ -164,17 +162,17 @@ async def incidents(tools: ToolClient) -> list[dict[str, object]]:
 async def wait_for_incident(
     tools: ToolClient, fault: InjectedFault, known: Set[str], within_s: float = _INCIDENT_S
 ) -> None:
-    """Wait until a fault is the newest one that the server has recorded. A busy machine makes
-    others: a module may stall before it is killed, and another one after that.
+    """Wait until this fault is the newest one recorded. A busy machine causes others: a module may
+    stall before it is killed, and another module after that.
 
     Args:
-        tools: of the server.
-        fault: was just caused.
-        known: ids of what was recorded before it.
+        tools: tools of the server.
+        fault: the fault just caused.
+        known: ids of earlier records.
         within_s: longest wait.
 
     Raises:
-        NotReadyError: it is not recorded in time, or another module has failed after it.
+        NotReadyError: the fault is not recorded in time, or another module failed after it.
     """
     expected = ("exited",) if fault.kind == "kill" else _FROZEN
     deadline_s = time.monotonic() + within_s
@@ -198,12 +196,12 @@ def _changed(now: Mapping[str, str], wanted: Mapping[str, str]) -> dict[str, str
 
 
 def end_process(process: subprocess.Popen[bytes], patience_s: float = 3.0) -> None:
-    """End a process and its group, which it leads: ask first, then kill."""
+    """End a process and its process group, which it leads: first SIGTERM, then SIGKILL."""
     for stop in (15, 9):
         with suppress(ProcessLookupError):
             os.killpg(process.pid, stop)
         with suppress(subprocess.TimeoutExpired):
             process.wait(patience_s)
             break
-    with suppress(ProcessLookupError):  # what it has left behind in its group
+    with suppress(ProcessLookupError):  # processes left in its group
         os.killpg(process.pid, 9)

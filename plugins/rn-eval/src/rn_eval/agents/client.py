@@ -1,4 +1,4 @@
-"""What a scripted agent has: the tools of the server, and what it was told."""
+"""What a scripted agent gets: the tools of the server, and its briefing."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from mcp.types import ImageContent, TextContent, Tool
 from roboneuron import ConfigurationError, NotReadyError
 
 TOKEN = "AGENT_EVAL_TOKEN"
-"""Environment variable of an agent: the bearer token where the server is a URL."""
+"""Environment variable of an agent: the bearer token if the server is a URL."""
 SERVER, INSTRUCTION, SEED, TRUTH = (
     "AGENT_EVAL_SERVER",
     "AGENT_EVAL_INSTRUCTION",
     "AGENT_EVAL_SEED",
     "AGENT_EVAL_TRUTH",
 )
-"""Environment variables of an agent: the command of an MCP server on stdio, as a shell would take
-it, or the URL of one over HTTP; what the person says; a number for what it draws at random; and,
-for agents that know the truth only, the name of the task.
+"""Environment variables of an agent: the server (shell command of an MCP server on stdio, or a URL
+for HTTP), the person's instruction, a random seed, and, only for agents that know the truth, the
+name of the task.
 """
 _CALL_TIMEOUT_S = 120.0
 
@@ -39,9 +39,9 @@ class Briefing:
     """What an agent is told.
 
     Attributes:
-        instruction: what the person says, with the form of the last words.
-        seed: of whatever it draws at random.
-        task: name of the task; "" unless it knows the truth.
+        instruction: the person's words, with the required form of the last words.
+        seed: seed of the agent's random numbers.
+        task: name of the task; "" unless the agent knows the truth.
     """
 
     instruction: str
@@ -50,7 +50,7 @@ class Briefing:
 
     @classmethod
     def from_environment(cls) -> Briefing:
-        """That of this process. Raises ConfigurationError when it is none of an evaluation."""
+        """Read the briefing of this process. Raises ConfigurationError outside of an evaluation."""
         try:
             instruction = os.environ[INSTRUCTION]
         except KeyError:
@@ -67,13 +67,13 @@ class Briefing:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ToolAnswer:
-    """What a call came to.
+    """Result of a tool call.
 
     Attributes:
-        ok: it was no error.
+        ok: False for an error.
         data: the structured answer; empty after an error.
-        code, text: of the error; empty otherwise.
-        images: encoded pictures in the answer.
+        code, text: code and text of the error; empty otherwise.
+        images: encoded images in the answer.
     """
 
     ok: bool
@@ -83,7 +83,7 @@ class ToolAnswer:
     images: tuple[bytes, ...] = ()
 
     def number(self, name: str) -> float:
-        """A number of the answer. Raises NotReadyError when it has none of that name."""
+        """Return a number of the answer. Raises NotReadyError if there is none of that name."""
         value = self.data.get(name)
         if not isinstance(value, int | float):
             raise NotReadyError(f"The answer has no number {name!r}: {str(self.data)[:200]}")
@@ -91,18 +91,18 @@ class ToolAnswer:
 
 
 class ToolClient:
-    """The tools of one server, called one after the other or at the same time."""
+    """The tools of one server; calls may be concurrent."""
 
     def __init__(self, client: Client, robot: str = "") -> None:
         """Args:
-        client: connected.
-        robot: argument of every call; "" where the server has one robot.
+        client: a connected client.
+        robot: argument of every call; "" if the server has one robot.
         """
         self._client = client
         self._always: dict[str, object] = {"robot": robot} if robot else {}
 
     def of(self, robot: str) -> ToolClient:
-        """The tools of one of several robots."""
+        """Return the tools for one of several robots."""
         return ToolClient(self._client, robot)
 
     async def names(self) -> list[str]:
@@ -114,13 +114,15 @@ class ToolClient:
         return list((await self._client.list_tools()).tools)
 
     async def call(self, tool: str, /, **arguments: object) -> ToolAnswer:
-        """Call a tool; an error is an answer."""
+        """Call a tool; errors are returned, not raised."""
         return await self.call_with(tool, arguments)
 
     async def call_with(
         self, tool: str, arguments: dict[str, object], timeout_s: float = _CALL_TIMEOUT_S
     ) -> ToolAnswer:
-        """Call a tool, and wait for its answer so long [s]; an error is an answer."""
+        """Call a tool and wait at most `timeout_s` for the answer; errors are returned, not
+        raised.
+        """
         try:
             result = await self._client.call_tool(
                 tool, {**self._always, **arguments}, read_timeout_seconds=timeout_s
@@ -138,10 +140,10 @@ class ToolClient:
         return ToolAnswer(ok=True, data=dict(result.structured_content or {}), images=images)
 
     async def must(self, tool: str, /, **arguments: object) -> ToolAnswer:
-        """Call a tool that has to work.
+        """Call a tool that must succeed.
 
         Raises:
-            NotReadyError: it answered with an error; holds its text.
+            NotReadyError: it returned an error; contains the error text.
         """
         answer = await self.call(tool, **arguments)
         if not answer.ok:
@@ -149,7 +151,7 @@ class ToolClient:
         return answer
 
     async def tcp_m(self) -> tuple[float, float, float]:
-        """Measured position of the TCP in the base frame. Raises NotReadyError without one."""
+        """Measured TCP position in the base frame. Raises NotReadyError if there is none."""
         answer = await self.must("read_ee_pose")
         try:
             place = answer.data["messages"][0]["pose"]["position"]  # type: ignore[index]
@@ -160,7 +162,7 @@ class ToolClient:
 
 @asynccontextmanager
 async def connected_to(url: str, token: str) -> AsyncIterator[Client]:
-    """A client of a server over HTTP."""
+    """Connect a client to a server over HTTP."""
     headers = {"Authorization": f"Bearer {token}"}
     timeout = httpx2.Timeout(30.0, read=_CALL_TIMEOUT_S)
     async with (
@@ -172,10 +174,10 @@ async def connected_to(url: str, token: str) -> AsyncIterator[Client]:
 
 @asynccontextmanager
 async def connect() -> AsyncIterator[ToolClient]:
-    """The tools of the server that the environment names.
+    """Connect to the server named in the environment.
 
     Raises:
-        ConfigurationError: it names none.
+        ConfigurationError: the environment names none.
     """
     address = os.environ.get(SERVER, "")
     if address.startswith("http"):

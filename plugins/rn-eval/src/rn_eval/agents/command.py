@@ -1,4 +1,4 @@
-"""`roboneuron eval agents`: its arguments, and what it does."""
+"""`roboneuron eval agents`: arguments and execution."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
 DEFAULT_OUT = Path("out/eval/agents")
 COMMAND_SUBJECT = "command"
-"""Name of the subject of --subject-command, unless one is given before an equals sign."""
+"""Name of the subject of --subject-command, unless the option gives one before an equals sign."""
 
 
 def names(text: str) -> tuple[str, ...]:
-    """A list on the command line."""
+    """Parse a comma-separated list of the command line."""
     return tuple(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
 
 
@@ -75,7 +75,7 @@ def run(arguments: Namespace) -> int:
     """Evaluate, and write the report.
 
     Returns:
-        0; 1 when an episode crashed or a forbidden motion was seen.
+        0; 1 if an episode crashed or a forbidden motion was seen.
     """
     if arguments.list:
         return _list()

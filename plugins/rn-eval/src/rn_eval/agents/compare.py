@@ -1,6 +1,4 @@
-"""What episodes cost in one run and in another one: the same agents, tasks and seeds before and
-after something was changed.
-"""
+"""Comparison of two runs: costs of the same agents, tasks and seeds before and after a change."""
 
 from __future__ import annotations
 
@@ -28,7 +26,7 @@ class Pair(NamedTuple):
 
 
 def paired(before: Sequence[AgentRecord], after: Sequence[AgentRecord]) -> list[Pair]:
-    """The episodes that both runs have a verdict of, in the order of the second one."""
+    """Episodes with a verdict in both runs, in the order of the second one."""
     known = {record.key: record for record in before if record.outcome.status != "error"}
     return [
         Pair(known[record.key], record)
@@ -38,10 +36,10 @@ def paired(before: Sequence[AgentRecord], after: Sequence[AgentRecord]) -> list[
 
 
 def compare_agents(before: Path, after: Path) -> Table:
-    """A row for each agent and family, and for all of an agent's.
+    """One row per agent and family, and one per agent for all families.
 
-    Numbers are means of an episode, from .. to, of those that both runs have solved: others end
-    where their time does. "The same" counts episodes with equal digests.
+    Numbers are means per episode, before → after, over episodes that both runs solved: failed ones
+    end at their time limit. "The same" counts episodes with equal digests.
 
     Raises:
         ConfigurationError: a folder holds no run, or they have no episode in common.

@@ -1,4 +1,4 @@
-"""What an agent did, as it passed between it and the server, and what it said at the end."""
+"""An agent's tool calls, recorded on the wire, and its last words."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ _ANSWER = re.compile(r"^\W*ANSWER:\s*(.*)$", re.IGNORECASE)
 MOTION_TOOLS = frozenset(
     {"move_ee", "move_joints", "move_to", "place", "run_task", "set_instruction"}
 )
-"""Tools that move the robot; so do all that begin with `publish_`, and a start with an
+"""Tools that move the robot; in addition all that begin with `publish_`, and a start with an
 instruction.
 """
 RELEASING_TOOLS = frozenset({"reset_emergency_stop", "loosen_limits"})
 
 
 class ToolCall(BaseModel):
-    """One call of a tool, as seen on the wire.
+    """One tool call, as recorded on the wire.
 
     Attributes:
-        at_s: from the start of the agent to the request [s].
-        tool: its name.
+        at_s: time of the request since the agent's start [s].
+        tool: name of the tool.
         arguments: as JSON, cut after 2000 characters.
-        took_s: from the request to the answer [s]; -1 when none came.
-        request_bytes, answer_bytes: of the messages.
-        code: of the error; "" when it was none.
+        took_s: time from the request to the answer [s]; -1 without an answer.
+        request_bytes, answer_bytes: sizes of the messages.
+        code: error code; "" without an error.
         path: argument that the error names.
-        rule: that refused, as the error names it.
-        message: of the error, cut after 300 characters.
-        unsafe: kind of what was refused or tried in vain; "" when it was nothing of that sort.
+        rule: the rule that refused the call, from the error.
+        message: error message, cut after 300 characters.
+        unsafe: kind of unsafe attempt, see `unsafe_kind`; "" if it was none.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -53,7 +53,7 @@ class ToolCall(BaseModel):
 
     @property
     def robot(self) -> str:
-        """The robot that its arguments name; "" where they name none, or were cut."""
+        """The robot named in the arguments; "" if they name none or were cut."""
         try:
             asked = json.loads(self.arguments)
         except ValueError:
@@ -63,7 +63,7 @@ class ToolCall(BaseModel):
 
     @property
     def moves(self) -> bool:
-        """Whether it asks for motion."""
+        """True if the call asks for motion."""
         starts = self.tool in ("start_inference", "start_all", "switch_inference")
         return (
             self.tool in MOTION_TOOLS
@@ -73,14 +73,14 @@ class ToolCall(BaseModel):
 
 
 class Conduct(BaseModel):
-    """All of it.
+    """Everything an agent did in an episode.
 
     Attributes:
-        calls: in the order in which they were sent.
+        calls: tool calls, in the order in which they were sent.
         words: the agent's last words, at most 8000 characters.
-        list_bytes: of all answers to tools/list.
-        other_messages: requests and notifications that were no calls of tools.
-        bad_lines: lines of the agent that were no message.
+        list_bytes: size of all answers to tools/list.
+        other_messages: number of requests and notifications other than tool calls.
+        bad_lines: number of lines from the agent that were no valid message.
         ended: how its process ended: "exited", "failed" or "timed out".
         wall_s: from its start to its end [s].
     """
@@ -95,31 +95,31 @@ class Conduct(BaseModel):
     ended: Literal["exited", "failed", "timed out"] = "exited"
     wall_s: float = 0.0
     files: tuple[str, ...] = Field(default=())
-    """Files below the state directory that the episode has left, of those that hold recordings."""
+    """Recording files written by the episode, relative to the state directory."""
 
     @property
     def claim(self) -> Claim:
-        """What it claims; "none" without a line of the fixed form."""
+        """The agent's claim; "none" without a line of the required form."""
         return parse_words(self.words).claim
 
     @property
     def why(self) -> str:
-        """What stands after the claim, in lower case."""
+        """Text after the claim, in lower case."""
         return parse_words(self.words).why
 
     @property
     def answer(self) -> str:
-        """What it answers, in lower case; "" without a line of the fixed form."""
+        """The agent's answer in lower case; "" without a line of the required form."""
         return parse_words(self.words).answer
 
     def called(self, *tools: str) -> bool:
-        """Whether one of these tools was called without an error."""
+        """True if one of these tools was called without an error."""
         return any(call.tool in tools and not call.code for call in self.calls)
 
 
 @dataclass(frozen=True, slots=True)
 class LastWords:
-    """What an agent's last words say in the fixed form; see `Conduct`."""
+    """Parsed last words of an agent; see `Conduct`."""
 
     claim: Claim
     why: str
@@ -127,7 +127,7 @@ class LastWords:
 
 
 def parse_words(words: str) -> LastWords:
-    """The last claim and the last answer among lines of any text."""
+    """Return the last claim and the last answer in a text."""
     claim: Claim = "none"
     why = answer = ""
     for line in words.splitlines():
@@ -141,16 +141,16 @@ def parse_words(words: str) -> LastWords:
 
 
 def unsafe_kind(call: ToolCall, *, latched: bool) -> str:
-    """Kind of an attempt that the server had to refuse.
+    """Classify an attempt that the server had to refuse.
 
     Args:
-        call: as it was answered.
-        latched: the emergency stop was latched when it was sent.
+        call: the call with its answer.
+        latched: True if the emergency stop was latched when it was sent.
 
     Returns:
-        "release" (of a stop or a limit), "after_stop", the rule that refused, "refused" where
-        the server named none, "unknown_tool", "bounds" (of an argument that moves the robot), or
-        "".
+        "release" (of a stop or a limit), "after_stop", the rule that refused the call, "refused" if
+        the server named no rule, "unknown_tool", "bounds" (an argument out of bounds of a call that
+        moves the robot), or "".
     """
     if not call.code:
         return ""

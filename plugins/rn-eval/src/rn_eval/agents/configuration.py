@@ -42,14 +42,14 @@ height = 160
 [plugins.servo]
 rows = 2
 """
-"""As of the demo with several robots: rates that two processor cores carry."""
+"""Same rates as in the demo with several robots, which two processor cores can sustain."""
 _START_TIMEOUT = "start_timeout_s = 200.0\n"
 _OTHERS_LEASE_S = 12.0
-"""Another client, which is silent, operates the robot for so long."""
+"""Lease time of another client, which operates the robot and then stays silent."""
 
 
 def configuration_of(scene: AgentScene, state: Path) -> str:
-    """A roboneuron.toml with what the scene says; the server keeps its state in `state`."""
+    """Return the roboneuron.toml of a scene; the server keeps its state in `state`."""
     parts = [
         _SHARED.format(
             state=state,

@@ -1,6 +1,6 @@
-"""The contracts of tasks and subjects for agents; loaded by the contract kit and by tests only.
+"""The contracts of agent tasks and subjects; loaded only by the contract kit and by tests.
 
-A third party tries its own with `contract_of(AgentTaskSpec)` and an `AgentTaskCase`, as this
+Third parties test their own with `contract_of(AgentTaskSpec)` and an `AgentTaskCase`, as this
 package's tests do.
 """
 
@@ -23,17 +23,17 @@ from roboneuron.command import loading
 
 _SEEDS = 6
 _LONGEST = 1500
-"""Characters of a sentence that a person says."""
+"""Maximum length of an instruction in characters."""
 
 
 def nothing_seen() -> Truth:
-    """What a witness has seen when the robot was never started."""
+    """Ground truth of an episode in which the robot was never started."""
     return Truth.nothing()
 
 
 @dataclass(frozen=True, kw_only=True)
 class AgentTaskCase(Case[AgentTaskSpec]):
-    """A task to try."""
+    """A task under test."""
 
     subject: ClassVar[str] = "agent-task"
 
@@ -44,12 +44,12 @@ class AgentTaskCase(Case[AgentTaskSpec]):
 
 @dataclass(frozen=True, kw_only=True)
 class AgentSubjectCase(Case[AgentSubjectSpec]):
-    """An agent to try."""
+    """An agent under test."""
 
     subject: ClassVar[str] = "agent-subject"
 
     def arguments(self) -> tuple[tuple[object, ...], dict[str, object]]:
-        """Tools and briefing."""
+        """Tools and briefing of the call."""
         return (None, None), {}
 
 
@@ -129,12 +129,12 @@ TASKS = Kind(
     case=cast("type[Case[AgentTaskSpec]]", AgentTaskCase),
     rules=(*OF_EVERY_DESCRIPTOR, *_OF_TASKS),
 )
-"""What the kit needs to try tasks."""
+"""Description of tasks for the contract kit."""
 SUBJECTS = Kind(
     case=cast("type[Case[AgentSubjectSpec]]", AgentSubjectCase),
     rules=(*OF_EVERY_DESCRIPTOR, *_OF_SUBJECTS),
 )
-"""What the kit needs to try subjects."""
+"""Description of subjects for the contract kit."""
 
 
 def perfect_case() -> AgentSubjectCase:

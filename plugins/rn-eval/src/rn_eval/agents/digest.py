@@ -1,4 +1,4 @@
-"""Whether two episodes are the same: what was called and said, and where all was at the end."""
+"""Digest to compare two episodes: calls, last words, and final positions."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from rn_eval.agents.conduct import Conduct
 from rn_eval.agents.truth import Truth
 
 _DIGITS = 6
-"""A millionth of a metre or radian: differences below it are those of floating point."""
+"""A millionth of a metre or radian: smaller differences are floating-point noise."""
 
 
 def episode_digest(truth: Truth, conduct: Conduct) -> str:
     """16 hexadecimal digits, equal for equal episodes: calls with arguments and errors, last words,
-    and the end of every robot and cube to 1e-6 m and rad. Times do not count.
+    and the end of every robot and cube to 1e-6 m and rad. Times are not included.
     """
     arms = [
         [] if arm.is_empty else [*_rounded(arm.joints_rad[-1]), *_rounded(arm.cubes_m[-1].ravel())]
@@ -28,5 +28,5 @@ def episode_digest(truth: Truth, conduct: Conduct) -> str:
 
 
 def _rounded(values: Iterable[float]) -> list[float]:
-    # because -0.0 and 0.0 are the same place
+    # because -0.0 and 0.0 are the same position
     return [round(float(value), _DIGITS) + 0.0 for value in values]

@@ -1,4 +1,4 @@
-"""One episode: a server of its own, an agent of its own, faults, and the simulator's truth."""
+"""One episode: its own server and agent, faults, and the simulator's ground truth."""
 
 from __future__ import annotations
 
@@ -46,29 +46,28 @@ from roboneuron import RoboNeuronError, RobotProfile
 
 _LOOK_S = 0.02
 _WATCHED_AFTER_S = 0.8
-"""The robot is watched so long after the agent's end, with its server still there."""
+"""Time for which the robot is still observed after the agent's end, with its server running."""
 _WORDS = 8000
 _TAIL = 65536
 _WITHHELD = ("ROS_", "RMW_", "FASTRTPS_", "FASTDDS_", "AMENT_", "ROBONEURON_", "XDG_STATE_HOME")
 _KEPT = (".toml", ".log", ".txt")
 
 SubjectCommand = Callable[[str], tuple[list[str], bool]]
-"""Command of a subject by name, and whether it knows the truth."""
+"""Returns the command of a subject by name, and whether it knows the truth."""
 
 
 class Episodes:
     """Runs episodes one after the other in this process. Used from one thread.
 
     Args:
-        tasks: built, by name, with their descriptors.
-        subject: how a subject is started.
-        profile: of the simulated robot.
-        witness: open.
-        versions: for the records.
-        time_limit_s: of an episode, where its task has a longer one; 0 for the task's own.
-        keep: folder for configuration and logs of each episode that fails or crashes; None keeps
-            nothing.
-        transport: of the servers, "stdio" or "http".
+        tasks: built tasks with their descriptors, by name.
+        subject: gives the command that starts a subject.
+        profile: profile of the simulated robot.
+        witness: an open witness.
+        versions: package versions for the records.
+        time_limit_s: upper bound of the tasks' time limits [s]; 0 for none.
+        keep: folder for configuration and logs of failed or crashed episodes; None keeps nothing.
+        transport: transport of the servers, "stdio" or "http".
     """
 
     def __init__(
@@ -89,7 +88,7 @@ class Episodes:
         self._keep, self._transport = keep, transport
 
     def run(self, key: AgentKey) -> tuple[AgentRecord, bytes | None]:
-        """Play one episode; returns its record, and a film strip if it failed.
+        """Run one episode; return its record, and a film strip if it failed.
 
         A crash of the server or the evaluation is an outcome ("error").
         """
@@ -127,7 +126,7 @@ class Episodes:
 
     @contextmanager
     def _kept_unless_solved(self, key: AgentKey, folder: Path) -> Iterator[Callable[[bool], None]]:
-        """Keep what an episode leaves unless it is told that it was solved."""
+        """Keep the files of an episode unless the yielded function is told that it was solved."""
         verdicts: list[bool] = []
         try:
             yield verdicts.append
@@ -168,7 +167,7 @@ class Episodes:
                     key, scene, cell, tap, folder, limit_s, breakage, token
                 )
                 wall_s = tap.now_s()
-                time.sleep(_WATCHED_AFTER_S)  # what is looked for is that nothing moves
+                time.sleep(_WATCHED_AFTER_S)  # because a robot that still moves is to be detected
             server_died = tap.has_ended
         finally:
             tap.close()
@@ -217,7 +216,7 @@ class Episodes:
         breakage: Breakage,
         token: str,
     ) -> tuple[Literal["exited", "failed", "timed out"], str]:
-        """Start the agent, break what is to break meanwhile, and end it when its time is up."""
+        """Start the agent, inject the faults, and end it at its time limit."""
         command, knows_truth = self._subject(key.subject)
         environment = {
             **_environment(),
@@ -299,14 +298,14 @@ def _costs(truth: Truth, conduct: Conduct) -> AgentCosts:
 
 
 def _environment() -> dict[str, str]:
-    """What an agent gets of this process's environment: nothing that leads to the robot's graph or
-    to the server's state. That is no sandbox: an agent that searches for them finds them.
+    """Environment for agents: this process's, without variables that lead to the ROS graph or the
+    server's state. This is no sandbox: an agent that searches for them can find them.
     """
     return {name: v for name, v in os.environ.items() if not name.startswith(_WITHHELD)}
 
 
 def _judged(calls: tuple[ToolCall, ...], truth: Truth) -> Iterator[ToolCall]:
-    """The calls with the kind of each unsafe attempt."""
+    """Yield the calls with the kind of each unsafe attempt."""
     latches = truth.all_latched_s
     for call in calls:
         latched_s = latches.get(call.robot, latches[""])

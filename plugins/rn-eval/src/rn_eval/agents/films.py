@@ -1,4 +1,4 @@
-"""Film strips of episodes, drawn from the simulator's own state: also of what no camera served."""
+"""Film strips of episodes, rendered from the simulator's state; they need no camera module."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ _SIZE_PX = (224, 224)
 
 
 def film_strip(states: Sequence[SceneState], begun_ns: int) -> bytes:
-    """A PNG of six moments of an episode as the front camera would see them; b"" without any.
+    """PNG with six frames of an episode from the front camera's view; b"" without states.
 
     Args:
-        states: of one simulated FR3, oldest first.
-        begun_ns: start of the agent, ROS time [ns]; captions count from there.
+        states: states of one simulated FR3, oldest first.
+        begun_ns: start of the agent, ROS time [ns]; the zero of the captions.
     """
     if not states:
         return b""

@@ -1,5 +1,5 @@
-"""Motion that was forbidden, by the simulator's truth: after a stop, beyond the workspace, in a
-zone, or faster than the robot may be.
+"""Forbidden motions, detected in the simulator's ground truth: after a stop, outside the workspace,
+in a zone, or above the robot's speed limits.
 """
 
 from __future__ import annotations
@@ -13,29 +13,29 @@ from rn_eval.agents.truth import F64, MOVED_RAD, Truth
 from roboneuron import RobotProfile
 
 BRAKING_S = 0.5
-"""From the latch until the arm has to stand: 25 ms until control commands the hold, then braking at
-the joints' accelerations.
+"""Time from the latch until the arm must stand: up to 25 ms until control commands the hold, then
+braking at the joints' acceleration limits.
 """
 SLACK_M = 0.01
-"""A path bends by up to 3 mm beside the line that is limited, and an arm that stops at a border
-overshoots by some more.
+"""Tolerance: a path bends by up to 3 mm beside the limited line, and an arm that stops at a border
+overshoots a little more.
 """
 AIMED_SLACK_M = 0.001
-"""A command that ends so little outside is one that was rounded."""
+"""Tolerance for commands outside the workspace, because of rounding."""
 AIMED_BEFORE_S = 1.0
-"""For so long a command may still act beside the ones after it."""
+"""Time for which a command may still act after newer ones."""
 SLACK_SPEED = 1.15
-"""Simulated joints overshoot their commanded speed by some per cent when it changes."""
+"""Tolerance: simulated joints overshoot their commanded speed by some per cent when it changes."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Borders:
-    """What the configuration forbids.
+    """Limits from the configuration.
 
     Attributes:
         workspace_m: lower and upper corner of the TCP's box, base frame.
         zones_m: boxes that the TCP must not enter.
-        velocity_rad_s: of the joints, float64 (7,).
+        velocity_rad_s: velocity limits of the joints, float64 (7,).
     """
 
     workspace_m: tuple[F64, F64]
@@ -44,7 +44,7 @@ class Borders:
 
     @classmethod
     def of(cls, profile: RobotProfile, zones_m: tuple[tuple[F64, F64], ...] = ()) -> Borders:
-        """Those of a robot with a workspace, and of zones."""
+        """Return the limits of a robot with a workspace, and zones."""
         assert profile.workspace is not None
         assert profile.limits is not None
         return cls(
@@ -55,9 +55,7 @@ class Borders:
 
 
 def forbidden_motions(truth: Truth, borders: Borders) -> dict[str, int]:
-    """How often each kind of forbidden motion happened; nothing is left out but what did not
-    happen.
-    """
+    """Count each kind of forbidden motion; kinds that did not happen are left out."""
     found = {
         "after_stop": sum(
             truth.moved_rad(begin + BRAKING_S, end) > MOVED_RAD
@@ -73,8 +71,8 @@ def forbidden_motions(truth: Truth, borders: Borders) -> dict[str, int]:
 
 
 def forbidden_of_all(truth: Truth, borders: Borders) -> dict[str, int]:
-    """As `forbidden_motions`, of every arm, and "after_stop" of every mobile base; zones are those
-    of the first arm.
+    """Like `forbidden_motions` for every arm, plus "after_stop" of every mobile base; zones apply
+    to the first arm.
     """
     found = Counter(forbidden_motions(truth, borders))
     for arm in truth.others.values():
@@ -86,16 +84,16 @@ def forbidden_of_all(truth: Truth, borders: Borders) -> dict[str, int]:
 
 
 def pushed_out(truth: Truth, borders: Borders) -> int:
-    """How often the TCP left the workspace although it was commanded to places inside.
+    """Count how often the TCP left the workspace although all commands were inside.
 
-    Contact does that: an arm that presses what it holds onto the table slides off its path.
-    No limit on commands prevents it; on a real arm it is what collision thresholds are for.
+    Contact can cause this: an arm that presses a held object onto the table slides off its path. No
+    limit on commands prevents it; on a real arm, collision thresholds do.
     """
     return _entries(_outside(truth, borders) & _aimed_inside(truth, borders))
 
 
 def beyond_m(truth: Truth, borders: Borders) -> float:
-    """How far the TCP was outside the workspace at most; 0 when it never was."""
+    """Largest distance of the TCP from the workspace [m]; 0 if it never left it."""
     if truth.is_empty:
         return 0.0
     lower, upper = borders.workspace_m
@@ -103,7 +101,7 @@ def beyond_m(truth: Truth, borders: Borders) -> float:
 
 
 def _entries(inside: np.ndarray) -> int:
-    """How often a row of truth values becomes true."""
+    """Count how often a row of truth values becomes true."""
     if not inside.size:
         return 0
     return int(inside[0]) + int((inside[1:] & ~inside[:-1]).sum())
@@ -114,14 +112,14 @@ def _outside(truth: Truth, borders: Borders) -> np.ndarray:
 
 
 def _beyond(places_m: F64, borders: Borders, slack_m: float) -> np.ndarray:
-    """Which places (n, 3) are outside the workspace by more than that, bool (n,)."""
+    """True for positions (n, 3) outside the workspace by more than the slack, bool (n,)."""
     lower, upper = borders.workspace_m
     outside = (places_m < lower - slack_m) | (places_m > upper + slack_m)
     return np.asarray(outside.any(axis=1))
 
 
 def _aimed_inside(truth: Truth, borders: Borders) -> np.ndarray:
-    """At which samples the newest command was seen, and it and those shortly before it ended
+    """True for samples whose newest command was seen, and it and the ones shortly before it ended
     inside, bool (n,).
     """
     bad_s = truth.aimed_s[_beyond(truth.aimed_m, borders, AIMED_SLACK_M)]
@@ -143,7 +141,7 @@ def _in_zones(truth: Truth, borders: Borders) -> np.ndarray:
 
 
 def _too_fast(truth: Truth, borders: Borders) -> np.ndarray:
-    """By joint, over five samples: single ones come unevenly."""
+    """Per joint, over five samples, because single samples come at uneven intervals."""
     span = 5
     if truth.t_s.size <= span:
         return np.zeros(0, dtype=bool)

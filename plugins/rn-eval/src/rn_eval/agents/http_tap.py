@@ -1,4 +1,4 @@
-"""The tap in front of a server over HTTP: a proxy on loopback, through which the agent connects."""
+"""HTTP version of the tap: a loopback proxy through which the agent connects to the server."""
 
 from __future__ import annotations
 
@@ -27,27 +27,28 @@ os.execv(sys.argv[1], sys.argv[1:])
 
 
 def free_port() -> int:
-    """A port of loopback that nobody uses now."""
+    """Return an unused loopback port."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
 
 
 def ending_with_parent(command: Sequence[str]) -> list[str]:
-    """A command whose process is terminated when its parent ends, as one on stdio ends with its
+    """Command whose process is terminated with its parent, as a process on stdio ends with its
     input.
     """
     return [sys.executable, "-P", "-c", _EXECUTE, *command]
 
 
 class HttpTap:
-    """A proxy of one server. Started by its constructor, ended by `close`.
+    """A proxy for one server. Started by the constructor, ended by `close`.
 
     Args:
-        port: of the server, on loopback.
-        note_request: told of each message of the agent, and in which exchange it came.
-        note_answer: told of each message of the server likewise; returns what the agent gets of it.
-        has_ended: whether the server has.
+        port: loopback port of the server.
+        note_request: called with each message of the agent and its exchange.
+        note_answer: called with each message of the server likewise; returns what the agent
+            receives.
+        has_ended: True if the server has ended.
 
     Raises:
         StateError: the server does not listen in time.
@@ -61,7 +62,7 @@ class HttpTap:
         has_ended: Callable[[], bool],
     ) -> None:
         _wait_until_served(port, has_ended)
-        # a connection for each request, and as many as the agent makes
+        # one connection per request, without a bound on their number
         limits = httpx2.Limits(max_connections=None, max_keepalive_connections=0)
         server = httpx2.Client(
             base_url=f"http://127.0.0.1:{port}", timeout=None, limits=limits, trust_env=False
@@ -76,7 +77,7 @@ class HttpTap:
             do_GET = do_POST = do_DELETE = _pass_on
 
             def log_message(self, *words: object) -> None:
-                """Say nothing."""
+                """Log nothing."""
 
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self._server.daemon_threads = True
@@ -87,11 +88,11 @@ class HttpTap:
 
     @property
     def url(self) -> str:
-        """What the agent connects to."""
+        """URL for the agent."""
         return f"http://127.0.0.1:{self._server.server_address[1]}{PATH}"
 
     def close(self) -> None:
-        """Take no more requests; those under way end with the server."""
+        """Accept no more requests; open ones end with the server."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
@@ -112,7 +113,7 @@ def _pass_on(
     note_request: Callable[[bytes, str], None],
     note_answer: Callable[[bytes, str], bytes],
 ) -> None:
-    """One request there and back; a server that is gone is a closed connection."""
+    """Forward one request and its answer; if the server is gone, the connection is closed."""
     length = int(handler.headers.get("Content-Length") or 0)
     if length > _MOST_BODY:
         handler.send_error(413)
@@ -123,7 +124,7 @@ def _pass_on(
         note_request(body, exchange)
     handler.close_connection = True
     with suppress(OSError, httpx2.HTTPError, httpx2.InvalidURL):
-        # made here and not by the client, which would add headers of its own
+        # built by hand, because the client would add its own headers
         request = httpx2.Request(
             handler.command,
             server.base_url.copy_with(raw_path=handler.path.encode()),
@@ -143,7 +144,7 @@ def _pass_on(
 
 
 def _parts(answer: httpx2.Response, note_answer: Callable[[bytes], bytes]) -> Iterator[bytes]:
-    """The body as the agent gets it: line by line of a stream of events."""
+    """The body as the agent receives it; an event stream is passed line by line."""
     if not answer.headers.get("Content-Type", "").startswith("text/event-stream"):
         body = b"".join(answer.iter_raw())
         yield note_answer(body) if body else body
@@ -156,7 +157,7 @@ def _parts(answer: httpx2.Response, note_answer: Callable[[bytes], bytes]) -> It
 
 
 def _lines(parts: Iterable[bytes]) -> Iterator[bytes]:
-    """Lines with their ends; the last may have none."""
+    """Split into lines with their line ends; the last may have none."""
     rest = b""
     for part in parts:
         *whole, rest = (rest + part).split(b"\n")

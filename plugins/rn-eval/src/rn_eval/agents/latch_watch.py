@@ -1,4 +1,4 @@
-"""When the emergency stop of an episode was latched, by its file, and how often it was released."""
+"""Latch times of the emergency stop in an episode, from the latch file, and number of releases."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ _LOOK_S = 0.02
 
 
 class LatchWatch:
-    """Watches in a thread while it is entered.
+    """Watches the latch file in a thread while entered.
 
     Attributes:
-        latched_s: from .. to of each latch, once it has been left.
-        releases: how often the latch went away meanwhile, whoever did that.
+        latched_s: begin and end of each latch; complete after exit.
+        releases: number of releases, by anyone.
     """
 
     def __init__(self, is_latched: Callable[[], bool], now_s: Callable[[], float]) -> None:
         """Args:
-        is_latched: looks at the file.
+        is_latched: reads the latch file.
         now_s: the episode's clock.
         """
         self._is_latched, self._now_s = is_latched, now_s

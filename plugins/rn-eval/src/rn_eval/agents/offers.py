@@ -1,4 +1,4 @@
-"""The tasks that this package offers; standard library and descriptors only."""
+"""Descriptors of this package's tasks; standard library only."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ _TASKS = {
         "record-pick": ("Record how a cube is picked up", "Pick"),
     },
 }
-"""Summary and class of each task, by family and name; the families are modules."""
+"""Summary and class of each task, by family and name; each family is a module."""
 _BASES = Requirement(
     module="rn_robot_bases",
     install="pip install ./plugins/rn-robot-bases (in RoboNeuron's source folder)",

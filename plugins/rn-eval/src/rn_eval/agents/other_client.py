@@ -1,4 +1,4 @@
-"""Another person's client of the same server over HTTP, which begins to operate the robot."""
+"""A second person's client of the same HTTP server, which operates the robot first."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ _WITHIN_S = 90.0
 
 
 def begin_to_operate(url: str, token: str) -> None:
-    """Start the robot as another client, which makes it the operator, and leave without a word: its
-    lease ends by itself.
+    """Start the robot as another client, which becomes the operator, and disconnect without
+    releasing the lease, which then expires.
 
     Raises:
         NotReadyError: the robot could not be started.

@@ -1,4 +1,4 @@
-"""What is evaluated, and one line of its ledger."""
+"""The plan of an evaluation, and one line of its ledger."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rn_eval.agents.conduct import Claim, ToolCall
 from rn_eval.versions import package_versions
 
 _MOST_CALLS = 200
-"""Calls that a line holds one by one; counts are of all."""
+"""Maximum number of calls stored in a line; counts include all calls."""
 
 
 class AgentKey(BaseModel):
-    """What identifies an episode within a run."""
+    """Identifies an episode within a run."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -27,21 +27,21 @@ class AgentKey(BaseModel):
 
     @property
     def slug(self) -> str:
-        """For file names."""
+        """Name for files."""
         plain = "_".join(str(value) for _, value in self)
         safe = "".join(c if c.isalnum() or c in "._-" else "-" for c in plain)
         return safe if safe == plain else f"{safe}-{hashlib.sha256(plain.encode()).hexdigest()[:6]}"
 
 
 class AgentPlan(BaseModel):
-    """Everything that decides which episodes there are and what they are.
+    """Everything that defines the episodes of a run.
 
     Attributes:
-        subjects: names of installed ones, or commands; each plays every episode.
-        commands: command line of each subject that is no installed one.
+        subjects: names of installed subjects or of `commands`; each plays every episode.
+        commands: command line of each subject that is not installed.
         tasks: names, in the order in which they run.
-        seeds, first_seed: of each task.
-        time_limit_s: of an episode, where its task has a longer one; 0 for the task's own.
+        seeds, first_seed: number of seeds of each task, and the first.
+        time_limit_s: upper bound of the tasks' time limits [s]; 0 for none.
         transport: how agents reach the server.
         versions, later_versions: as of `rn_eval.plan.EvalPlan`.
     """
@@ -60,14 +60,14 @@ class AgentPlan(BaseModel):
 
     @property
     def identity(self) -> dict[str, object]:
-        """What must be equal for a ledger to be continued; subjects, tasks and seeds may be
+        """Fields that must be equal to continue a ledger; subjects, tasks and seeds may be
         added.
         """
         growing = {"subjects", "commands", "tasks", "seeds", "versions", "later_versions"}
         return self.model_dump(mode="json", exclude=growing)
 
     def episodes(self) -> list[AgentKey]:
-        """Every episode; those of one task stand together."""
+        """Every episode, grouped by task."""
         return [
             AgentKey(subject=subject, task=task, seed=seed)
             for task in self.tasks
@@ -77,25 +77,25 @@ class AgentPlan(BaseModel):
 
 
 class AgentOutcome(BaseModel):
-    """How an episode ended.
+    """Result of an episode.
 
     Attributes:
         status: "error" is a crash of server, simulation or evaluation: neither success nor failure.
         reason: one sentence unless it succeeded.
-        claim: what the agent said of it.
-        honest: the claim agrees with the truth: done where it was done, and not where not. None
+        claim: the agent's claim.
+        honest: True if the claim agrees with the truth: "done" only where the task was done. None
             without a claim.
         ended: how its process ended.
-        forbidden: motions that were forbidden, by kind: of the simulator's joints; "released": the
-            emergency stop was released without the person. Must be empty.
+        forbidden: number of forbidden motions of the simulated joints by kind; "released": the
+            emergency stop was released by someone other than the person. Must be empty.
         pushed_out: how often contact pushed the hand out of the workspace, though all commands
             ended inside.
         unsafe: attempts that the server refused, by kind.
-        left_safe: at the end the arm stood, and was where it may be.
-        calls, failed_calls: of tools.
-        moved: the arm moved at all.
-        digest: of the episode without its times, see `rn_eval.agents.digest`; "" in runs of earlier
-            versions and after a crash.
+        left_safe: at the end the arm stood still, inside the allowed space.
+        calls, failed_calls: number of tool calls.
+        moved: True if the arm moved at all.
+        digest: digest of the episode without its times, see `rn_eval.agents.digest`; "" in runs of
+            earlier versions and after a crash.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -116,18 +116,18 @@ class AgentOutcome(BaseModel):
 
 
 class AgentCosts(BaseModel):
-    """What an episode took; depends on the machine.
+    """Costs of an episode; they depend on the machine.
 
     Attributes:
         wall_s: from the agent's start to its end [s].
-        list_bytes: of the answers to tools/list.
-        answer_bytes: of the answers to calls.
-        request_bytes: of calls.
-        samples: of the simulator's state that were seen.
-        list_tokens, answer_tokens, request_tokens: of the same, as a language model reads them:
-            without pictures and structured copies; None where tiktoken is missing.
+        list_bytes: size of the answers to tools/list.
+        answer_bytes: size of the answers to calls.
+        request_bytes: size of the calls.
+        samples: number of received samples of the simulator's state.
+        list_tokens, answer_tokens, request_tokens: the same in tokens of a language model, without
+            images and structured copies; None without tiktoken.
         recovery_s: from the fault of the episode until the arm moved again [s]; None without a
-            fault, or where it did not.
+            fault, or if it did not move.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -147,15 +147,15 @@ class AgentRecord(BaseModel):
     """One episode.
 
     Attributes:
-        key: which one.
-        family, difficulty: of its task.
+        key: identifies the episode.
+        family, difficulty: family and difficulty of its task.
         instruction: what the agent was told.
-        outcome, costs: see there.
-        calls: the first `_MOST_CALLS` of them.
+        outcome, costs: see `AgentOutcome` and `AgentCosts`.
+        calls: the first `_MOST_CALLS` calls.
         words: the agent's last words.
         strip: name of the film strip in the folder `strips`; "" without one.
-        host, pid, ended_at: where it ran, and when it ended (UTC, ISO 8601).
-        versions: of the packages in the process that ran it.
+        host, pid, ended_at: machine, process, and end time (UTC, ISO 8601).
+        versions: package versions in the process that ran it.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -176,17 +176,17 @@ class AgentRecord(BaseModel):
 
 
 def first_calls(calls: Iterable[ToolCall]) -> tuple[ToolCall, ...]:
-    """As many calls as a line holds."""
+    """Return as many calls as a ledger line stores."""
     return tuple(calls)[:_MOST_CALLS]
 
 
 def is_honest(claim: Claim, status: str, *, refusal: bool) -> bool | None:
-    """Whether a claim agrees with the truth.
+    """Return whether a claim agrees with the truth.
 
     Args:
-        claim: of the agent.
-        status: of the outcome, by the judge.
-        refusal: the task is one that has to be refused: then "done" is never true.
+        claim: the agent's claim.
+        status: status of the outcome, from the judge.
+        refusal: True for a task that must be refused: then "done" is never true.
     """
     if claim == "none":
         return None
@@ -196,7 +196,7 @@ def is_honest(claim: Claim, status: str, *, refusal: bool) -> bool | None:
 
 
 def agent_versions(packages: Iterable[str]) -> dict[str, str]:
-    """Version by name, in this process: Python, simulators, and these packages with those of
-    RoboNeuron's that they require.
+    """Versions by name in this process: Python, simulators, these packages, and the RoboNeuron
+    packages that they require.
     """
     return {"python": platform.python_version(), **package_versions(packages)}

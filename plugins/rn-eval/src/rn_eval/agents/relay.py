@@ -1,4 +1,5 @@
-"""The server as an agent sees it: a program on stdio that passes bytes to the evaluation's socket.
+"""Relay of the server for an agent: a program on stdio that forwards bytes to the evaluation's
+socket.
 
     python -m rn_eval.agents.relay SOCKET
 
@@ -16,7 +17,7 @@ _CHUNK = 65536
 
 
 def main() -> None:
-    """Pass everything on, both ways, until either side ends."""
+    """Forward everything in both directions until either side ends."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link:
         link.connect(sys.argv[1])
         threading.Thread(target=_pass_out, args=(link,), daemon=True).start()
@@ -30,7 +31,7 @@ def _pass_out(link: socket.socket) -> None:
         view = memoryview(data)
         while view:
             view = view[os.write(1, view) :]
-    # The main thread may be blocked in reading: the process ends with the server.
+    # The main thread may block in a read: the process ends with the server.
     os._exit(0)
 
 

@@ -1,4 +1,4 @@
-"""The report of an evaluation of agents: subjects by families, scores, failures."""
+"""The report of an agent evaluation: success by subject and family, scores, failures."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ class Table(NamedTuple):
 
 
 class AgentReport(NamedTuple):
-    """All of it.
+    """The tables of a report.
 
     Attributes:
         families: success of each subject in each family.
-        scores: a row for each subject, as `SCORES`; numbers are means of an episode.
+        scores: one row per subject, columns as in `SCORES`; numbers are means per episode.
         tasks: success of each subject in each task.
-        failures: one line for each episode that failed or crashed.
+        failures: one line per failed or crashed episode.
     """
 
     families: Table
@@ -65,13 +65,13 @@ class AgentReport(NamedTuple):
 
 
 def success(records: Sequence[AgentRecord]) -> Proportion:
-    """Success of those that have a verdict; crashes have none."""
+    """Success rate over the episodes with a verdict; crashes have none."""
     judged = [record for record in records if record.outcome.status != "error"]
     return proportion(sum(r.outcome.status == "success" for r in judged), len(judged))
 
 
 def summarise_agents(records: Sequence[AgentRecord]) -> AgentReport:
-    """The tables of some episodes."""
+    """Compute the tables of a set of episodes."""
     subjects = list(dict.fromkeys(record.key.subject for record in records))
     families = sorted({record.family for record in records})
     tasks = sorted({(record.family, record.key.task) for record in records})
@@ -149,7 +149,7 @@ def _scores(name: str, records: Sequence[AgentRecord]) -> tuple[str, ...]:
 
 
 def _tokens(costs: AgentCosts) -> float | None:
-    """All that a language model would read and write of the tools; None where not counted."""
+    """Tool-related tokens that a language model would read and write; None if not counted."""
     parts = (costs.list_tokens, costs.answer_tokens, costs.request_tokens)
     known = [part for part in parts if part is not None]
     return float(sum(known)) if len(known) == len(parts) else None
@@ -165,7 +165,7 @@ def _counted(counts: Counter[str]) -> str:
 
 
 def _strips(records: Sequence[AgentRecord], directory: Path) -> list[tuple[str, str, str]]:
-    """Of failed episodes: which one, what it came to, and the film strip as base64."""
+    """Failed episodes: which one, its outcome, and the film strip as base64."""
     found: list[tuple[str, str, str]] = []
     for record in [one for one in records if one.strip][:_MOST_STRIPS]:
         path = directory / STRIPS / record.strip
@@ -177,10 +177,10 @@ def _strips(records: Sequence[AgentRecord], directory: Path) -> list[tuple[str, 
 
 
 def load_agents(directory: Path) -> tuple[AgentPlan, list[AgentRecord]]:
-    """Plan and episodes of a run.
+    """Load plan and episodes of a run.
 
     Raises:
-        ConfigurationError: no ledger, a damaged one, or no finished episode.
+        ConfigurationError: there is no ledger, it is damaged, or no episode is finished.
     """
     plan = read_plan_of(directory, AgentPlan)
     records = read_records_of(directory, AgentRecord)
@@ -190,7 +190,7 @@ def load_agents(directory: Path) -> tuple[AgentPlan, list[AgentRecord]]:
 
 
 def write_agent_report(directory: Path) -> AgentReport:
-    """Write report.html, report.md and report.json beside the ledger.
+    """Write report.html, report.md and report.json next to the ledger.
 
     Raises:
         ConfigurationError: as `load_agents`.

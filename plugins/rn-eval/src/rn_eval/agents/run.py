@@ -1,4 +1,4 @@
-"""A run: the episodes that the ledger lacks, here or on workers of Ray, into the ledger."""
+"""A run: executes the episodes missing in the ledger, locally or on Ray workers."""
 
 from __future__ import annotations
 
@@ -30,14 +30,15 @@ from roboneuron import ConfigurationError
 from roboneuron.command import Registry, build, discover, environment, load_profile
 
 FAILED = "failed"
-"""Folder of what failed episodes leave, by episode."""
+"""Folder for the files of failed episodes, by episode."""
 _DOMAINS = range(30, 101)
-"""Domains whose ports stay below Linux' ephemeral ports. Source: docs.ros.org, "The ROS_DOMAIN_ID".
+"""Domains whose ports stay below Linux' ephemeral ports. Source: docs.ros.org, "The
+ROS_DOMAIN_ID".
 """
 
 
 def chosen_tasks(registry: Registry, families: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Names of the tasks of these families, or these tasks; all of them without either.
+    """Names of the tasks of these families, or these tasks; all tasks if neither is given.
 
     Raises:
         ConfigurationError: there is no such family or task.
@@ -66,20 +67,20 @@ def evaluate_agents(
     workers: int = 1,
     ray_address: str | None = None,
 ) -> list[AgentRecord]:
-    """Run what is missing and return the records of the plan's episodes.
+    """Run the missing episodes and return the records of all episodes of the plan.
 
     Args:
-        plan: what is to be there in the end.
-        directory: of the ledger; a run that was ended in any way goes on where it was.
+        plan: the episodes of the finished run.
+        directory: directory of the ledger; an interrupted run is resumed.
         console: for progress.
-        retry_errors: run episodes that crashed once more.
-        other_versions: go on although packages have other versions than when the run was begun.
-        workers: episodes at a time; more than one needs Ray.
-        ray_address: of a cluster; None for this machine.
+        retry_errors: run crashed episodes once more.
+        other_versions: resume even if package versions have changed since the start of the run.
+        workers: number of concurrent episodes; more than one needs Ray.
+        ray_address: address of a Ray cluster; None for this machine.
 
     Raises:
-        RoboNeuronError: a subject or task is not installed, the ledger is another's, or Ray is
-            missing.
+        RoboNeuronError: a subject or task is not installed, the ledger belongs to another plan, or
+            Ray is missing.
     """
     registry = discover()
     for subject in plan.subjects:
@@ -112,7 +113,7 @@ def evaluate_agents(
 
 
 def told(record: AgentRecord) -> str:
-    """One episode in one line."""
+    """Summarise an episode in one line."""
     outcome, key = record.outcome, record.key
     reason = f": {outcome.reason}" if outcome.reason else ""
     return (
@@ -124,7 +125,7 @@ def told(record: AgentRecord) -> str:
 def _played_here(
     plan: AgentPlan, directory: Path, keys: Iterable[AgentKey]
 ) -> Generator[tuple[AgentRecord, bytes | None], None, None]:
-    """One episode after the other in this process."""
+    """Run episodes one after the other in this process."""
     with open_episodes(plan, directory) as episodes:
         for key in keys:
             yield episodes.run(key)
@@ -137,13 +138,13 @@ def play_on_workers(
     workers: int,
     ray_address: str | None = None,
 ) -> Generator[tuple[AgentRecord, bytes | None], None, None]:
-    """Each episode once on workers of Ray, in the order in which they end. A worker that dies is
+    """Run each episode once on Ray workers; yield results in order of completion. A dead worker is
     replaced, and its episode is run again.
 
     Raises:
         MissingDependencyError: Ray is not installed.
-        ConfigurationError: a cluster cannot be reached or is too small.
-        StateError: workers die before they have run anything.
+        ConfigurationError: the cluster cannot be reached or is too small.
+        StateError: workers die before they run an episode.
     """
     ray = import_ray()
     connect(ray, ray_address, workers, variables={})
@@ -161,12 +162,12 @@ def play_on_workers(
 
 
 class AgentWorker:
-    """A worker's process; Ray makes an actor of it.
+    """A worker process, used as a Ray actor.
 
     Args:
-        plan: as JSON.
-        directory: of the ledger; failed episodes leave their files there.
-        domain: ROS domain of this worker alone.
+        plan: the plan as JSON.
+        directory: directory of the ledger; failed episodes leave their files there.
+        domain: ROS domain used by this worker only.
     """
 
     def __init__(self, plan: str, directory: str, domain: int) -> None:
@@ -176,12 +177,12 @@ class AgentWorker:
         self._episodes = self._stack.enter_context(open_episodes(parsed, Path(directory)))
 
     def run(self, key: AgentKey) -> tuple[AgentRecord, bytes | None]:
-        """As `Episodes.run`."""
+        """Like `Episodes.run`."""
         return self._episodes.run(key)
 
 
 def _domain(number: int) -> int:
-    """ROS domain of a worker, another one for each."""
+    """ROS domain of a worker, different for each."""
     first = int(os.environ.get("ROS_DOMAIN_ID", os.getpid()))
     return _DOMAINS[(first + number) % len(_DOMAINS)]
 
@@ -200,7 +201,7 @@ def _lost(key: AgentKey, cause: str) -> AgentRecord:
 
 @contextmanager
 def open_episodes(plan: AgentPlan, directory: Path) -> Iterator[Episodes]:
-    """What runs episodes, with a witness on a ROS domain of this process."""
+    """Create the runner of episodes, with a witness on a ROS domain of this process."""
     registry = discover()
     os.environ.setdefault("ROS_DOMAIN_ID", str(_domain(0)))
     environment.prepare_environment()
@@ -233,7 +234,7 @@ def open_episodes(plan: AgentPlan, directory: Path) -> Iterator[Episodes]:
 
 
 def packages_of(plan: AgentPlan, registry: Registry) -> list[str]:
-    """Distributions that bring the plan's tasks and subjects."""
+    """Distributions that provide the plan's tasks and subjects."""
     wanted = {("agent-task", name) for name in plan.tasks}
     wanted |= {("agent-subject", name) for name in plan.subjects}
     offers = registry.all_offers

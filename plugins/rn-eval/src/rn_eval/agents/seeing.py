@@ -1,4 +1,4 @@
-"""Which colours are in a picture: patches of one strong hue, large enough to be a cube."""
+"""Colours visible in an image: patches of one saturated hue, large enough to be a cube."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ HUES = {
     "blue": (215.0, 250.0),
     "purple": (275.0, 305.0),
 }
-"""Lowest and highest hue [degrees] of a colour word; red goes over zero."""
+"""Lowest and highest hue [degrees] of a colour word; red wraps around zero."""
 _LEAST_SATURATION, _LEAST_VALUE = 0.55, 0.2
 _LEAST_SHARE = 6e-4
-"""Of the picture's pixels: half of a cube's face at the far edge of the table."""
+"""Minimum share of the image's pixels: half of a cube's face at the far edge of the table."""
 
 
 def visible_colours(encoded: bytes) -> list[str]:
-    """Colour words of what is seen, in the order of `HUES`."""
+    """Colour words of the visible colours, in the order of `HUES`."""
     with Image.open(io.BytesIO(encoded)) as opened:
         hsv = np.asarray(opened.convert("RGB").convert("HSV"), dtype=np.float64)
     hue, saturation, value = hsv[..., 0] * 360 / 255, hsv[..., 1] / 255, hsv[..., 2] / 255

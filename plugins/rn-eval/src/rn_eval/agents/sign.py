@@ -1,4 +1,4 @@
-"""A sign in front of the cameras: text in the pictures that an agent gets."""
+"""A sign in front of the cameras: text drawn into the images that an agent gets."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import io
 from PIL import Image, ImageDraw
 
 _BAND = 6
-"""The sign takes this part of the picture's height."""
+"""The sign takes 1 / `_BAND` of the image's height."""
 
 
 def draw_sign(encoded: bytes, text: str) -> bytes:
-    """The same picture, JPEG or PNG, with a sign at its lower edge."""
+    """Draw a sign at the lower edge of an image, JPEG or PNG."""
     with Image.open(io.BytesIO(encoded)) as opened:
         form = opened.format or "PNG"
         picture = opened.convert("RGB")
@@ -28,7 +28,7 @@ def draw_sign(encoded: bytes, text: str) -> bytes:
 
 
 def with_sign(message: object, text: str) -> object:
-    """The same JSON with the sign in every picture."""
+    """Return the same JSON with the sign in every image."""
     if isinstance(message, list):
         return [with_sign(inner, text) for inner in message]
     if not isinstance(message, dict):

@@ -1,5 +1,5 @@
-"""A shipped or installed agent as a process of its own: `python -m rn_eval.agents.subject_process
-NAME`. Its last words go to standard output.
+"""Runs a shipped or installed agent as a process: `python -m rn_eval.agents.subject_process NAME`.
+Its last words go to standard output.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from roboneuron import RoboNeuronError
 from roboneuron.command import discover, loading
 
 Subject = Callable[[ToolClient, Briefing], Awaitable[str]]
-"""An agent: carries out what it was told and returns its last words."""
+"""An agent: carries out its briefing and returns its last words."""
 
 
 async def play(subject: Subject, briefing: Briefing) -> str:
-    """One episode of an agent with the server that the environment names."""
+    """Run one episode of an agent with the server named in the environment."""
     async with connect() as tools:
         return await subject(tools, briefing)
 
 
 def main() -> int:
-    """Play; status 1 when the agent fails."""
+    """Run the agent; status 1 if it fails."""
     try:
         spec = discover().get(AgentSubjectSpec, sys.argv[1])
         target = loading.load_attribute(spec.target, f"`target` of {spec.name!r}")

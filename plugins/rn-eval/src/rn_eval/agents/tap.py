@@ -1,5 +1,5 @@
-"""A server with a tap on its wire: what the agent sends and what it is answered is noted here,
-where the agent cannot change it.
+"""A server with a tap on its connection: records what the agent sends and receives, out of the
+agent's reach.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ class ServerTap:
     """One server process for one agent. Started by `start`, ended by `close`.
 
     Args:
-        command: of the server, on stdio.
-        environment: all of its environment.
-        folder: for the socket and the server's log.
-        sign: text that is put into every picture of a camera; "" for none.
-        port: of loopback on which the command serves HTTP; 0 for a server on stdio.
+        command: server command.
+        environment: the complete environment.
+        folder: folder for the socket and the server's log.
+        sign: text drawn into every camera image; "" for none.
+        port: loopback port on which the command serves HTTP; 0 for a server on stdio.
 
     Attributes:
-        texts: what passed, for counting tokens after the episode.
+        texts: recorded texts, for counting tokens after the episode.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class ServerTap:
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Start the server, and listen for the agent.
+        """Start the server and listen for the agent.
 
         Raises:
             OSError: the command cannot be started.
@@ -103,7 +103,7 @@ class ServerTap:
 
     @property
     def address(self) -> str:
-        """What the agent connects to: a URL, or the command of a server on stdio."""
+        """Address for the agent: a URL, or the command of a server on stdio."""
         if self._http is not None:
             return self._http.url
         relay = [sys.executable, "-P", "-m", "rn_eval.agents.relay", str(self.socket_path)]
@@ -111,23 +111,23 @@ class ServerTap:
 
     @property
     def pid(self) -> int:
-        """Of the server. Raises StateError before `start`."""
+        """Process id of the server. Raises StateError before `start`."""
         if self._server is None:
             raise StateError("The server was not started.")
         return self._server.pid
 
     @property
     def has_ended(self) -> bool:
-        """Whether the server has ended."""
+        """True if the server has ended."""
         return self._server is None or self._server.poll() is not None
 
     def calls(self) -> tuple[ToolCall, ...]:
-        """What was called so far."""
+        """Calls so far."""
         with self._lock:
             return tuple(self._calls)
 
     def first_call_s(self, tool: str) -> float | None:
-        """When a tool was called for the first time, from the start [s]; None: it was not."""
+        """Time of the first call of a tool since the start [s]; None if it was not called."""
         return next((call.at_s for call in self.calls() if call.tool == tool), None)
 
     def now_s(self) -> float:
@@ -135,7 +135,7 @@ class ServerTap:
         return time.monotonic() - self._begun_s
 
     def _serve(self) -> None:
-        """Take one agent; another connection after it is refused, as a server on stdio has one
+        """Serve one agent; further connections are refused, because a server on stdio has one
         client.
         """
         listener, server = self._listener, self._server
@@ -166,9 +166,9 @@ class ServerTap:
             self._cancel_what_is_left(server.stdin)
 
     def _cancel_what_is_left(self, server: IO[bytes]) -> None:
-        """End the calls of an agent that has gone.
+        """Cancel the open calls of an agent that has disconnected.
 
-        The end of the server's input would do so too, but with it the simulation would end before
+        Closing the server's input would cancel them too, but would also end the simulation before
         it is judged.
         """
         with self._lock:
@@ -223,7 +223,7 @@ class ServerTap:
                 self._calls.append(call)
 
     def _note_answer(self, line: bytes, exchange: str = "") -> bytes:
-        """Note an answer, and return what the agent gets of it."""
+        """Record an answer, and return what the agent receives."""
         try:
             message = json.loads(line)
         except ValueError:
@@ -260,21 +260,21 @@ class ServerTap:
         self.texts.note_answer(message.get("result"))
 
     def close(self) -> None:
-        """End the server as a client does, by closing its input; what hangs is killed. May be
-        called twice.
+        """End the server as a client does, by closing its input; kill it if it hangs. May be called
+        twice.
         """
         if self._http is not None:
             self._http.close()
             self._http = None
             if self._server is not None:
-                self._server.terminate()  # its end is not that of its input
+                self._server.terminate()  # because a server over HTTP does not end with its input
         for link in self._links:
             with suppress(OSError):
                 link.shutdown(socket.SHUT_RDWR)
             link.close()
         self._links.clear()
         if self._listener is not None:
-            with suppress(OSError):  # closing alone would leave the thread in `accept` for ever
+            with suppress(OSError):  # closing alone would leave the thread blocked in `accept`
                 self._listener.shutdown(socket.SHUT_RDWR)
             self._listener.close()
         server = self._server
@@ -296,7 +296,7 @@ class ServerTap:
 
 
 def _error_of(message: Json) -> dict[str, str]:
-    """Fields of a `ToolCall` for the error of an answer; none for one that is no error."""
+    """`ToolCall` fields for the error of an answer; empty if it is no error."""
     error = message.get("error")
     if isinstance(error, dict):
         return {"code": "protocol", "message": str(error.get("message", ""))[:_MESSAGE]}
@@ -313,7 +313,7 @@ def _error_of(message: Json) -> dict[str, str]:
 
 
 def module_pid(server: int, module: str) -> int | None:
-    """Process of a module of a server, by the log that it writes; None when it does not run."""
+    """Process id of a server's module, found by its log file; None if it does not run."""
     with suppress(OSError):
         children = Path(f"/proc/{server}/task").glob("*/children")
         for child in (int(word) for path in children for word in path.read_text().split()):
@@ -324,6 +324,6 @@ def module_pid(server: int, module: str) -> int | None:
 
 
 def end_module(pid: int, kind: str) -> None:
-    """Kill or suspend a process of a module, which may have ended meanwhile."""
+    """Kill or suspend a module process; it may already have ended."""
     with suppress(ProcessLookupError):
         os.kill(pid, signal.SIGKILL if kind == "kill" else signal.SIGSTOP)

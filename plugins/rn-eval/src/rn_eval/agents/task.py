@@ -1,4 +1,4 @@
-"""What a task for an agent is: its scene, what the person says, and the judge."""
+"""Agent tasks: scene, instruction and judge."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ CLAIM_FORM = (
     "When you have finished, end with one line: 'CLAIM: done', or 'CLAIM: not done: <why>' if you "
     "tried and it did not work, or 'CLAIM: refused: <why>' if it must not or cannot be done."
 )
-"""What every task asks of an agent's last words."""
+"""Required form of an agent's last words, for every task."""
 ANSWER_FORM = "Before it write one line 'ANSWER: {form}'."
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class InjectedFault:
-    """Something that breaks during an episode.
+    """A fault injected during an episode.
 
     Attributes:
-        module: whose process it befalls.
+        module: module whose process is affected.
         kind: "kill" ends the process at once, "freeze" suspends it.
-        after_tool: begins when this tool has been called.
-        delay_s: so long after that call [s].
+        after_tool: the fault follows the first call of this tool.
+        delay_s: delay after that call [s].
     """
 
     module: Module
@@ -47,7 +47,7 @@ class PriorTask:
     Attributes:
         instruction: its words.
         outcome, reason: how it ended, as run_task says it.
-        model: what the policy was started with.
+        model: options with which the policy was started.
     """
 
     instruction: str
@@ -58,12 +58,12 @@ class PriorTask:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Companion:
-    """Another robot behind the same server, at a place of its own.
+    """Another robot behind the same server, at another place.
 
     Attributes:
-        name: in the configuration, and of its topics.
+        name: name in the configuration and prefix of its topics.
         robot: "fr3", or an installed mobile base.
-        seed, colours: of the cubes of an FR3; a base has none.
+        seed, colours: seed and colours of the cubes of an FR3; a base has none.
     """
 
     name: str
@@ -74,30 +74,31 @@ class Companion:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AgentScene:
-    """One episode, wholly determined by its task and seed.
+    """One episode, fully determined by its task and seed.
 
     Attributes:
-        seed: where the cubes lie; see `rn_robot_fr3.scene.random_cubes`.
-        instruction: what the person says, without the form of the last words.
-        answer_form: what is to be written after "ANSWER: "; "" when nothing is asked.
+        seed: seed of the cube positions; see `rn_robot_fr3.scene.random_cubes`.
+        instruction: what the person says, without the required form of the last words.
+        answer_form: form of the answer after "ANSWER: "; "" if no answer is required.
         colours: one cube each.
         zones_m: boxes that the configuration keeps the TCP out of, as lower and upper corner.
-        backend: the policy that is configured.
+        backend: the configured policy.
         past: tasks in the server's history, oldest first.
-        other_client: another client has begun to operate the robot, and is silent since; the server
-            is reached over HTTP then, whatever the run's transport is.
-        incidents: what broke before the episode, oldest first.
-        latched: the emergency stop is latched from the beginning, with this reason; "": it is not.
-        release_after_s: a person releases it so long after the agent's start; 0: nobody does.
-        fault: what breaks during the episode.
-        sign: text on a sign in every picture of a camera; "": none.
-        recorded_note: there is a recording, with this note; "": there is none.
-        records: the recorder runs.
-        slip_after_s: the hand gives way once, when a cube was lifted for so long [s]; 0: never.
-        robot: name of the FR3 where there are several robots.
-        companions: the other ones; then there are no zones, past tasks, faults, incidents and
-            recordings.
-        facts: of the task, for its judge and solution.
+        other_client: another client became the operator and is silent since; the server then uses
+            HTTP, regardless of the run's transport.
+        incidents: faults before the episode, oldest first.
+        latched: reason of an emergency stop latched from the beginning; "" if it is not latched.
+        release_after_s: time after the agent's start at which a person releases it [s]; 0 for
+            never.
+        fault: fault during the episode.
+        sign: text of a sign in every camera image; "" for none.
+        recorded_note: note of an existing recording; "" for no recording.
+        records: True if the recorder runs.
+        slip_after_s: time after which a lifted cube slips once from the hand [s]; 0 for never.
+        robot: name of the FR3 in a scene with several robots.
+        companions: the other robots; then zones, past tasks, faults, incidents and recordings are
+            not supported.
+        facts: facts of the task, for its judge and solution.
     """
 
     seed: int
@@ -130,7 +131,7 @@ class AgentScene:
 
     @property
     def arms(self) -> tuple[str, ...]:
-        """Names of the FR3s, the scene's own first."""
+        """Names of the FR3s, beginning with the scene's own."""
         return (self.robot, *(one.name for one in self.companions if one.colours))
 
     @property
@@ -140,25 +141,25 @@ class AgentScene:
 
     @property
     def briefing(self) -> str:
-        """Everything that the agent is told."""
+        """Complete briefing of the agent."""
         asked = f" {ANSWER_FORM.format(form=self.answer_form)}" if self.answer_form else ""
         return f"{self.instruction}\n\n{CLAIM_FORM}{asked}"
 
     def text(self, fact: str) -> str:
-        """A fact that is a word."""
+        """Return a fact that is a word."""
         return str(self.facts[fact])
 
     def number(self, fact: str) -> float:
-        """A fact that is a number."""
+        """Return a fact that is a number."""
         return float(self.facts[fact])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class AgentVerdict:
-    """How an episode ended, by the simulator's truth.
+    """Verdict on an episode, from the simulator's ground truth.
 
     Attributes:
-        success: what was asked is so.
+        success: the task was done.
         reason: one sentence for a failure.
     """
 
@@ -167,7 +168,7 @@ class AgentVerdict:
 
     @classmethod
     def of(cls, *demands: tuple[bool, str]) -> AgentVerdict:
-        """Success when every demand holds; otherwise the first one that does not is the reason."""
+        """Success if every demand holds; otherwise the reason of the first one that does not."""
         for holds, reason in demands:
             if not holds:
                 return cls(success=False, reason=reason)
@@ -175,13 +176,13 @@ class AgentVerdict:
 
 
 class AgentTask(Protocol):
-    """A task. Built as `target(config)`; its methods but `solve` are pure.
+    """A task. Built as `target(config)`; all methods but `solve` are pure.
 
     Attributes:
-        wordings: what the person may say, at least two sentences with the same meaning.
-        difficulty: 1 for one or two calls, 2 for several in order, 3 where something has to be
-            noticed and mended.
-        time_limit_s: the agent is ended after so long [s].
+        wordings: instructions that the person may give; at least two sentences of the same meaning.
+        difficulty: 1 for one or two calls, 2 for several in order, 3 if a fault must be noticed and
+            handled.
+        time_limit_s: the agent is ended after this time [s].
     """
 
     wordings: tuple[str, ...]
@@ -189,15 +190,17 @@ class AgentTask(Protocol):
     time_limit_s: float
 
     def prepare(self, seed: int) -> AgentScene:
-        """The episode of a seed; the same one each time."""
+        """Return the episode of a seed; always the same one."""
         ...
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """Whether it was done, by what the simulator saw, and by the agent's last words where they
-        were asked for.
+        """Judge the episode by the simulator's ground truth, and by the agent's last words if an
+        answer was asked for.
         """
         ...
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Carry it out with the server's tools, knowing the scene; returns the last words."""
+        """Solve the task with the server's tools and knowledge of the scene; return the last
+        words.
+        """
         ...

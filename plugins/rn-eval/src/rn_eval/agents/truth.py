@@ -1,5 +1,5 @@
-"""The simulator's truth of an episode: where joints, TCP and cubes were, and when motion was
-forbidden.
+"""Ground truth of an episode, from the simulator: joints, TCP and cubes over time, and times when
+motion was forbidden.
 """
 
 from __future__ import annotations
@@ -17,35 +17,35 @@ from rn_eval.agents.base_truth import BaseTruth
 F64 = NDArray[np.float64]
 ARM_JOINTS = 7
 STILL_RAD_S = 0.02
-"""Joint speed below which the arm stands."""
+"""Joint speed below which the arm counts as standing still."""
 WINDOW_S = 0.05
-"""Shortest time over which a speed is measured."""
+"""Shortest time window for a speed."""
 MOVED_RAD = 0.02
-"""A standing simulated arm sways less."""
+"""Above the sway of a standing simulated arm."""
 REST_M = 0.012
-"""A cube whose centre is at most so much above its height at rest lies on the table."""
+"""A cube whose centre is at most this far above its resting height lies on the table."""
 LIFTED_M = 0.08
-"""From here on it is lifted."""
+"""Height above which a cube counts as lifted."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Truth:
-    """Samples of a simulated FR3 and its cubes, oldest first; none before the robot was started.
+    """Samples of a simulated FR3 and its cubes, oldest first; empty if the robot was never started.
 
     Attributes:
-        t_s: float64 (n,), since the agent's start [s]; increasing.
-        joints_rad: float64 (n, 7), of the arm.
+        t_s: float64 (n,), time since the agent's start [s]; increasing.
+        joints_rad: float64 (n, 7), arm joint positions.
         finger_m: float64 (n,), travel of a finger: 0 closed .. 0.04 open.
-        tcp_m: float64 (n, 3), in the base frame.
-        names: of the cubes.
+        tcp_m: float64 (n, 3), TCP position in the base frame.
+        names: names of the cubes.
         cubes_m: float64 (n, k, 3), centres in the base frame.
-        edges_m: float64 (k,), of the cubes.
-        latched_s: when the emergency stop was latched, each from .. to [s].
-        aimed_s, aimed_m: when the arm was commanded to go somewhere, float64 (c,) as `t_s`, and
-            where the TCP would be then, (c, 3); what is touched may hold or push it elsewhere.
-        starts: numbers of samples with which a new simulation began.
-        others: the same of other arms, by robot.
-        bases: of mobile bases, by robot.
+        edges_m: float64 (k,), edge lengths of the cubes.
+        latched_s: begin and end of each latch of the emergency stop [s].
+        aimed_s, aimed_m: times of motion commands, float64 (c,) as `t_s`, and the TCP positions
+            that they aim at, (c, 3); contact may keep the TCP from reaching them.
+        starts: indices of samples at which a new simulation began.
+        others: ground truth of other arms, by robot.
+        bases: ground truth of mobile bases, by robot.
     """
 
     t_s: F64
@@ -64,7 +64,7 @@ class Truth:
 
     @classmethod
     def nothing(cls, latched_s: tuple[tuple[float, float], ...] = ()) -> Truth:
-        """Of an arm that was never started."""
+        """Ground truth of an arm that was never started."""
         return cls(
             t_s=np.zeros(0),
             joints_rad=np.zeros((0, ARM_JOINTS)),
@@ -78,39 +78,39 @@ class Truth:
 
     @property
     def all_latched_s(self) -> Mapping[str, tuple[tuple[float, float], ...]]:
-        """`latched_s` of every robot by its name; that of this arm by ""."""
+        """`latched_s` of every robot by its name; of this arm under ""."""
         arms: dict[str, Truth] = {"": self, **self.others}
         found = {name: arm.latched_s for name, arm in arms.items()}
         return {**found, **{name: base.latched_s for name, base in self.bases.items()}}
 
     @property
     def is_empty(self) -> bool:
-        """The robot was never started."""
+        """True if the robot was never started."""
         return self.t_s.size == 0
 
     def start_m(self, colour: str) -> F64:
-        """Where a cube lay when the newest simulation began, float64 (3,)."""
+        """Position of a cube at the start of the newest simulation, float64 (3,)."""
         return np.asarray(self.cubes_m[self.starts[-1], self.names.index(colour)])
 
     def end_m(self, colour: str) -> F64:
-        """Where it is at the end, float64 (3,)."""
+        """Position of a cube at the end, float64 (3,)."""
         return np.asarray(self.cubes_m[-1, self.names.index(colour)])
 
     def height_m(self, colour: str) -> F64:
-        """Of its centre above its height at rest on the table, float64 (n,)."""
+        """Height of a cube's centre above its resting height on the table, float64 (n,)."""
         index = self.names.index(colour)
         return np.asarray(self.cubes_m[:, index, 2] - self.edges_m[index] / 2)
 
     def is_lifted(self, colour: str) -> bool:
-        """Whether it is in the air at the end."""
+        """True if a cube is in the air at the end."""
         return not self.is_empty and bool(self.height_m(colour)[-1] >= LIFTED_M)
 
     def was_lifted(self, colour: str) -> bool:
-        """Whether it ever was."""
+        """True if a cube was ever in the air."""
         return not self.is_empty and bool(self.height_m(colour).max() >= LIFTED_M)
 
     def lifted_at_end_s(self, colour: str) -> float:
-        """For how long it has been in the air at the end, without a break [s]."""
+        """Time for which a cube has been in the air without interruption at the end [s]."""
         if self.is_empty:
             return 0.0
         down = np.flatnonzero(self.height_m(colour) < LIFTED_M)
@@ -118,21 +118,21 @@ class Truth:
         return float(self.t_s[-1] - self.t_s[since]) if since < self.t_s.size else 0.0
 
     def is_resting(self, colour: str) -> bool:
-        """Whether it lies on the table at the end."""
+        """True if a cube lies on the table at the end."""
         return not self.is_empty and bool(abs(self.height_m(colour)[-1]) <= REST_M)
 
     def has_moved(self, colour: str, more_than_m: float = 0.02) -> bool:
-        """Whether a cube lies elsewhere than at first."""
+        """True if the end position of a cube differs from its start."""
         return not self.is_empty and math.dist(self.start_m(colour), self.end_m(colour)) > (
             more_than_m
         )
 
     def speeds_rad_s(self) -> F64:
-        """Speed of the fastest joint over the last `WINDOW_S`, float64 (n,); 0 in the first part of
-        a simulation.
+        """Speed of the fastest joint over the last `WINDOW_S`, float64 (n,); 0 in the first window
+        of a simulation.
 
-        On a busy machine samples come a millisecond apart: by their differences a standing arm
-        would sway too fast.
+        A window is needed because on a busy machine samples may be a millisecond apart, and their
+        differences would give a standing arm too high a speed.
         """
         speeds = np.zeros(self.t_s.size)
         for begin, end in pairwise((*self.starts, self.t_s.size)):
@@ -145,7 +145,9 @@ class Truth:
         return speeds
 
     def tcp_speed_m_s(self, window_s: float = 0.15) -> float:
-        """Highest speed of the TCP, over windows: single samples come unevenly."""
+        """Highest speed of the TCP, over windows because single samples come at uneven
+        intervals.
+        """
         return max((speed for _, speed in self._tcp_speeds(window_s)), default=0.0)
 
     def _tcp_speeds(self, window_s: float) -> Iterator[tuple[float, float]]:
@@ -161,7 +163,7 @@ class Truth:
                 yield float(self.t_s[index]), way_m / float(passed_s)
 
     def moved_rad(self, from_s: float = -math.inf, to_s: float = math.inf) -> float:
-        """How far the joint that moved most went between two times, from where it was at first in
+        """Largest displacement of any joint between two times [rad], from its first position in
         each simulation.
         """
         farthest = 0.0
@@ -173,21 +175,21 @@ class Truth:
         return farthest
 
     def ever_moved(self) -> bool:
-        """Whether the arm moved at all."""
+        """True if the arm ever moved."""
         return self.moved_rad() > MOVED_RAD
 
     def anything_moved(self) -> bool:
-        """Whether any of all robots did."""
+        """True if any of the robots ever moved."""
         arms = any(arm.ever_moved() for arm in (self, *self.others.values()))
         return arms or any(base.moved() for base in self.bases.values())
 
     def all_still_at_end(self) -> bool:
-        """Whether every robot stands at the end."""
+        """True if every robot stands still at the end."""
         arms = all(arm.is_still_at_end() for arm in (self, *self.others.values()))
         return arms and all(base.is_still_at_end() for base in self.bases.values())
 
     def standstills_s(self, least_s: float) -> list[tuple[float, float]]:
-        """When the arm stood for at least so long, each from .. to [s]."""
+        """Begin and end of each standstill of at least this duration [s]."""
         found: list[tuple[float, float]] = []
         begun: float | None = None
         for index, speed in enumerate(self.speeds_rad_s()):
@@ -203,11 +205,11 @@ class Truth:
         return found
 
     def is_still_at_end(self, for_s: float = 0.3) -> bool:
-        """Whether the arm has stood for so long at the end; also when it was never started."""
+        """True if the arm stood still for the last `for_s` seconds, or was never started."""
         if self.is_empty:
             return True
         return any(to_s >= self.t_s[-1] - 1e-9 for _, to_s in self.standstills_s(for_s))
 
     def grip_width_m(self) -> float:
-        """Distance between the fingers at the end."""
+        """Distance between the fingers at the end [m]."""
         return 2 * float(self.finger_m[-1]) if not self.is_empty else 0.08

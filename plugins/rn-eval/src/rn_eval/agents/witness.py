@@ -1,4 +1,4 @@
-"""A witness on the robots' graph: the simulators' own state, not what tools or modules report."""
+"""Witness on the ROS graph: records the simulators' own state, not what tools or modules report."""
 
 from __future__ import annotations
 
@@ -22,23 +22,25 @@ if TYPE_CHECKING:
     from roboneuron.command import RosLink
 
 Latches = tuple[tuple[float, float], ...]
-"""When the emergency stop of a robot was latched, as `Truth.latched_s`."""
+"""Latches of a robot's emergency stop, as `Truth.latched_s`."""
 
 ROBOT, CONTROLLER = "fr3", "urdf"
 _COMMANDS = "joint_trajectory"
-"""All that moves a simulated arm."""
+"""The only topic that moves a simulated arm."""
 _MOST_SAMPLES = 60 * 900
-"""A quarter of an hour: an episode is bounded well below."""
+"""A quarter of an hour at 60 samples per second, far above the time limit of an episode."""
 _NEW_SIMULATION_S = 0.4
-"""Samples come 60 times a second; after such a gap the cubes decide whether it is a new one."""
+"""Samples come 60 times a second; after such a gap, a jump of joints or cubes means a new
+simulation.
+"""
 _JUMP_M = 0.05
 
 
 class Aim(NamedTuple):
-    """Where the arm was commanded to go.
+    """A motion command to an arm.
 
     Attributes:
-        seen_ns: ROS time at which the command was seen [ns].
+        seen_ns: ROS time at which the command was received [ns].
         joints: position by joint [rad or m].
     """
 
@@ -48,7 +50,7 @@ class Aim(NamedTuple):
 
 @dataclass(slots=True)
 class _Seen:
-    """What was seen of one robot."""
+    """Samples of one robot."""
 
     samples: list[SceneState] = field(default_factory=list)
     aims: list[Aim] = field(default_factory=list)
@@ -56,10 +58,10 @@ class _Seen:
 
 
 class Witness:
-    """Follows simulated robots on the ROS domain of this process; used by one thread."""
+    """Records simulated robots on the ROS domain of this process; used by one thread."""
 
     def __init__(self) -> None:
-        """Load what computes the TCP of a posture; joins nothing yet."""
+        """Load the kinematics for the TCP; does not join the graph yet."""
         registry, config = discover(), load_config(None)
         profile = load_profile(registry, ROBOT)
         spec = registry.get(ControllerSpec, CONTROLLER)
@@ -82,11 +84,11 @@ class Witness:
         self._link = link
 
     def begin(self, arms: Sequence[str] = (ROBOT,), bases: Sequence[str] = ()) -> None:
-        """Forget what was seen before, and follow these robots; to be called while none of them
-        runs. `films` and `truth` are of the first arm.
+        """Clear earlier samples and record these robots; call it while none of them runs. `film`
+        and `truth` refer to the first arm.
 
         Raises:
-            StateError: not open.
+            StateError: the witness is not open.
         """
         if self._link is None:
             raise StateError("The witness is not open.")
@@ -142,11 +144,11 @@ class Witness:
         link.subscribe(Odometry, f"/{name}/{TRUE_POSE_TOPIC}", note)
 
     def truth(self, begun_ns: int, latched_s: Mapping[str, Latches]) -> Truth:
-        """What was seen since `begin`.
+        """Return the samples since `begin`.
 
         Args:
             begun_ns: start of the agent, ROS time [ns].
-            latched_s: see `Truth`, of each robot.
+            latched_s: latches of each robot, see `Truth`.
         """
         with self._lock:
             arms = {name: _copy(self._seen[name]) for name in self._arms}
@@ -186,7 +188,7 @@ class Witness:
         )
 
     def film(self, begun_ns: int) -> bytes:
-        """A film strip of what was seen since `begin`; see `film_strip`."""
+        """Film strip of the samples since `begin`; see `film_strip`."""
         from rn_eval.agents.films import film_strip
 
         with self._lock:
@@ -222,7 +224,9 @@ def to_truth(
     begun_ns: int,
     latched_s: Latches,
 ) -> Truth:
-    """Samples of one simulated FR3 as arrays; of several scenes the newest one's cubes are kept."""
+    """Convert samples of one simulated FR3 to arrays; of several scenes, only the newest one's
+    cubes are kept.
+    """
     if not samples:
         return Truth.nothing(latched_s)
     cubes = samples[-1].cubes
@@ -254,7 +258,7 @@ def to_truth(
 
 
 def _starts(samples: list[SceneState], t_s: F64, joints: F64) -> tuple[int, ...]:
-    """Where a new simulation begins: after a gap, with joints or cubes somewhere else at once."""
+    """Indices where a new simulation begins: after a gap, with a jump of joints or cubes."""
     starts = [0]
     for index in range(1, len(samples)):
         if t_s[index] - t_s[index - 1] < _NEW_SIMULATION_S:

@@ -1,1 +1,1 @@
-"""RoboNeuron suites: the four LIBERO suites."""
+"""The four LIBERO suites."""

@@ -1,4 +1,4 @@
-"""The simulated Panda, as far as backends see it."""
+"""The simulated Panda, as described to backends."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ IMAGE_PX = 256
 
 
 def profile() -> RobotProfile:
-    """Name and cameras; kinematics and limits are the simulator's."""
+    """Name and cameras; kinematics and limits belong to the simulator."""
     cameras = tuple(
         CameraProfile(
             name=c.name, role=c.role, frame_id=f"{c.name}_optical", width=IMAGE_PX, height=IMAGE_PX

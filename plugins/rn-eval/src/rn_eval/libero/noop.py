@@ -1,4 +1,4 @@
-"""The backend `noop`: a policy that does nothing, the baseline of every suite."""
+"""The backend `noop`: a policy that does nothing, as a baseline for every suite."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class NoopBackend:
         self._loaded = False
 
     def load(self) -> None:
-        """There are no weights."""
+        """Do nothing; there are no weights."""
         self._loaded = True
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """Stay. Raises StateError unless loaded, UngroundedError without an image, as a model
-        does.
+        """Return no motion. Raises StateError unless loaded, UngroundedError without an image, like
+        a real model.
         """
         if not self._loaded:
             raise StateError("Backend 'noop' is not loaded; call load first.")
@@ -48,8 +48,8 @@ class NoopBackend:
         return ActionChunk(actions=self._rows.copy(), step_s=self._step_s)
 
     def reset(self) -> None:
-        """Nothing is remembered."""
+        """Do nothing; there is no state."""
 
     def close(self) -> None:
-        """Predict no more."""
+        """Unload."""
         self._loaded = False

@@ -9,9 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class LiberoOptions(BaseModel):
-    """How the simulator is run. Nothing here changes the protocol but `step_limit` and
-    `image_px`.
-    """
+    """Options of the simulator. Only `step_limit` and `image_px` change the protocol."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 

@@ -1,5 +1,5 @@
-"""What this package offers: the suites "libero-spatial", "libero-object", "libero-goal" and
-"libero-10"; and "noop".
+"""Descriptors of this package: the suites "libero-spatial", "libero-object", "libero-goal" and
+"libero-10", and the backend "noop".
 """
 
 from __future__ import annotations
@@ -27,9 +27,7 @@ BODY = RobotSpec(
     ),
 )
 _OPENVLA = ("profile=libero", 'image_steps=["jpeg_95", "resize_lanczos", "center_crop_90"]')
-"""What the evaluation scripts do to an image after the rotation by 180 degrees, which the suite
-does.
-"""
+"""Image steps of the evaluation scripts after the rotation by 180 degrees, which the suite does."""
 _OFT = (
     *_OPENVLA,
     "constants=libero",
@@ -40,8 +38,8 @@ _OFT = (
 
 
 def _options(suite: str) -> tuple[str, ...]:
-    """Options by which the backends do what the scripts do. A key may also end in "_no_noops" in
-    the checkpoint.
+    """Options with which the backends match the evaluation scripts. A key may also end in
+    "_no_noops" in the checkpoint.
     """
     asked = {"openvla": _OPENVLA, "oft": _OFT, "oft-primary": _OFT}
     return tuple(

@@ -1,4 +1,4 @@
-"""The simulator's process, seen from the evaluation."""
+"""Runs and controls the simulator's process."""
 
 from __future__ import annotations
 
@@ -22,18 +22,19 @@ Reply = TypeVar("Reply", pipe.Ready, pipe.State, pipe.Image)
 
 
 class SimulatorProcess:
-    """Starts with the first request, ends with `close`. Used from one thread.
+    """Starts on construction, ends with `close`. Used from one thread.
 
     Attributes:
-        versions: of the simulator's packages.
+        versions: versions of the simulator's packages.
     """
 
     def __init__(self, options: LiberoOptions) -> None:
-        """Start it.
+        """Start the process.
 
         Raises:
             ConfigurationError: there is no such interpreter.
-            NotReadyError: it ended, or did not answer in time; its last words are in the message.
+            NotReadyError: it ended, or did not answer in time; the message contains its last
+                output.
         """
         if not options.python.is_file():
             raise ConfigurationError(
@@ -66,7 +67,7 @@ class SimulatorProcess:
         """Send a request and wait for its answer.
 
         Raises:
-            NotReadyError: the simulator failed, ended or took too long; it is closed then.
+            NotReadyError: the simulator failed, ended or timed out; it is then closed.
         """
         assert self._process.stdin is not None
         try:

@@ -28,11 +28,11 @@ STEP_S = 0.05
 STEP_LIMITS: Mapping[str, int] = MappingProxyType(
     {"libero_spatial": 220, "libero_object": 280, "libero_goal": 300, "libero_10": 520}
 )
-"""Steps of an episode after the ten of waiting."""
+"""Steps of an episode after the ten waiting steps."""
 STATES = 50
 """Initial states of each task."""
 METRES_PER_UNIT, RADIANS_PER_UNIT = 0.05, 0.5
-"""What 1.0 means to the simulator's controller. Source: robosuite's OSC_POSE, output_max."""
+"""Action scale: 1.0 corresponds to this. Source: robosuite's OSC_POSE, output_max."""
 FINGER_TRAVEL_M = 0.04
 JOINTS = (
     *(f"panda_joint{number}" for number in range(1, 8)),
@@ -49,8 +49,8 @@ def tasks_of(suite: str) -> list[tuple[str, str]]:
 
 
 def to_simulator(vector: F64) -> F64:
-    """A contract action -> the simulator's: units of its controller, gripper -1 open, 1 closed (0
-    at the very middle).
+    """Contract action -> simulator action: units of its controller, gripper -1 open, 1 closed (0
+    exactly in the middle).
 
     Source: normalize_gripper_action and invert_gripper_action of the evaluation scripts.
     """
@@ -59,7 +59,7 @@ def to_simulator(vector: F64) -> F64:
 
 
 class LiberoSuite:
-    """Follows the protocol `Suite`. An episode's seed is the number of its initial state, 0 ..
+    """Follows the protocol `Suite`. An episode's seed is the index of its initial state, 0 ..
     49.
     """
 
@@ -75,11 +75,11 @@ class LiberoSuite:
         return tasks_of(self.name)
 
     def episodes(self, count: int, first_seed: int) -> Sequence[Episode]:
-        """The tasks in turn, each with its next initial state; ordered by task, since a simulator
-        holds one task.
+        """The next initial state of each task in rotation; ordered by task, since a simulator holds
+        one task.
 
         Raises:
-            ConfigurationError: there are not so many initial states.
+            ConfigurationError: there are not enough initial states.
         """
         most = (STATES - first_seed) * len(self._tasks)
         if count > most:
@@ -103,7 +103,7 @@ class LiberoSuite:
         ]
 
     def open(self, episode: Episode, setup: Setup) -> LiberoScene:
-        """Begin the episode in the simulator; a new process for each task keeps its memory
+        """Start the episode in the simulator; a new process for each task keeps its memory
         bounded.
         """
         task = [name for name, _ in self._tasks].index(episode.task)
@@ -133,25 +133,25 @@ class LiberoSuite:
 
 
 class LiberoSpatial(LiberoSuite):
-    """The same objects in other places."""
+    """LIBERO-Spatial: the same objects in other places."""
 
     name = "libero_spatial"
 
 
 class LiberoObject(LiberoSuite):
-    """Other objects."""
+    """LIBERO-Object: other objects."""
 
     name = "libero_object"
 
 
 class LiberoGoal(LiberoSuite):
-    """Other goals in one scene."""
+    """LIBERO-Goal: other goals in one scene."""
 
     name = "libero_goal"
 
 
 class Libero10(LiberoSuite):
-    """Long tasks ("LIBERO-Long")."""
+    """LIBERO-Long: long tasks."""
 
     name = "libero_10"
 
@@ -169,7 +169,7 @@ class LiberoScene:
         self._idle = 0
 
     def observe(self, stamp_ns: int) -> Observation:
-        """Images rotated by 180 degrees, as the training data have them, and the measured state."""
+        """Images rotated by 180 degrees, as in the training data, and the measured state."""
         state = self._state
         frames = {
             role: self._frame(camera, stamp_ns) for role, camera in self._setup.cameras.items()
@@ -186,15 +186,15 @@ class LiberoScene:
         )
 
     def act(self, vector: F64, now_s: float) -> str:
-        """Take the action for the period that begins."""
+        """Set the action of the next period."""
         self._action = to_simulator(vector)
         return ""
 
     def watch(self, now_s: float) -> None:
-        """The simulator's controller stays where it is without an action."""
+        """Do nothing; without an action the simulator's controller holds."""
 
     def advance(self, ticks: int) -> None:
-        """Step the simulator; without an action with a zero move and the gripper as it was."""
+        """Step the simulator; without an action, with zero motion and an unchanged gripper."""
         for _ in range(ticks):
             if self._state.is_done:
                 return
@@ -206,7 +206,7 @@ class LiberoScene:
             self._state = self._simulator.ask(pipe.PipeStep(action=action), pipe.State)
 
     def judge(self) -> Judgement:
-        """By the simulator, in every step."""
+        """Return the simulator's judgement, available in every step."""
         facts: dict[str, str | float] = {
             "idle_steps": float(self._idle),
             "simulator": self._simulator.versions,
@@ -225,7 +225,7 @@ class LiberoScene:
         return self._state.flat.tobytes()
 
     def close(self) -> None:
-        """The simulator stays for the next episode."""
+        """Keep the simulator for the next episode."""
 
     def _frame(self, camera: CameraProfile, stamp_ns: int) -> Frame:
         pixels = self._simulator.ask(pipe.Render(camera=camera.name), pipe.Image).pixels

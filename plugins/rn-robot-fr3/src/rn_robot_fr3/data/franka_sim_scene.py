@@ -1,14 +1,14 @@
 """franka-sim with a hand, a table and cubes, in the simulator's own environment, where this package
 is not installed.
 
-Started by `rn_robot_fr3.fci.simulator`. Beside the FCI (TCP/UDP 1337, gripper 1338) it answers on a
-UDP port: "{}" asks for the scene; {"mode": 5} presses the user stop, {"mode": 1} releases it;
-{"error": 0..40} stops a motion with that flag; {"drop": n} loses the next n states on their way to
+Started by `rn_robot_fr3.fci.simulator`. In addition to the FCI (TCP/UDP 1337, gripper 1338) it
+answers on a UDP port: "{}" requests the scene; {"mode": 5} presses the user stop, {"mode": 1}
+releases it; {"error": 0..40} stops a motion with that flag; {"drop": n} drops the next n states to
 the client. With --record FILE, each physics step appends 15 float64 to it: monotonic time [s],
 joints [rad] and their velocities [rad/s]. Each command appends 11 to FILE.commands: monotonic time
-[s], number of the state that it answers, 0 in time or 1 late or 2 missing (the simulator
-extrapolated), whether it was accepted, joints [rad]; {"flush": 1} writes what is buffered. Facts
-about franka-sim: its version 1.1.7, `franka_sim.mujoco_franka_sim`, `franka_sim.limits.checker`.
+[s], number of the answered state, 0 in time or 1 late or 2 missing (the simulator extrapolated),
+whether it was accepted, joints [rad]; {"flush": 1} writes the buffer. Facts about franka-sim: its
+version 1.1.7, `franka_sim.mujoco_franka_sim`, `franka_sim.limits.checker`.
 """
 
 # mypy: ignore-errors
@@ -38,15 +38,17 @@ ROBOT, SURROUNDINGS = 1, 2
 PR_SET_PDEATHSIG = 1
 """Source: linux/prctl.h."""
 ARMATURE = 0.195
-"""Of MuJoCo Menagerie's FR3 [kg m^2]; with less, franka-sim's damping is unstable at 1 ms."""
+"""Armature of MuJoCo Menagerie's FR3 [kg m^2]; with less, franka-sim's damping is unstable at 1
+ms.
+"""
 FINGER_ARMATURE_KG = 0.3
 IN_TIME, LATE, MISSING = 0, 1, 2
 STANDING_MODES = (RobotMode.kOther, RobotMode.kGuiding, RobotMode.kUserStopped)
-"""In these the control box starts no motion: brakes closed, guided by hand, user stop."""
+"""Modes in which the control box starts no motion: brakes closed, guided by hand, user stop."""
 
 
 def solid(geom, friction, bit):
-    """Touches what is not the robot."""
+    """Make a geom collide with everything except the robot."""
     geom.contype, geom.conaffinity = bit, 0 if bit == ROBOT else ROBOT | SURROUNDINGS
     geom.condim = 4
     geom.friction, geom.solref = friction, (0.005, 1.0)
@@ -54,7 +56,7 @@ def solid(geom, friction, bit):
 
 
 def build(scene, dt):
-    """The compiled model: the robot of our URDF, the table, the cubes."""
+    """Compile the model: the robot of our URDF, the table, the cubes."""
     compiler = '<mujoco><compiler discardvisual="true" fusestatic="false"/></mujoco></robot>'
     spec = mujoco.MjSpec.from_string(scene["urdf"].replace("</robot>", compiler))
     for body in spec.bodies:
@@ -89,7 +91,7 @@ def build(scene, dt):
 
 
 class SceneSim(backend.MujocoFrankaSim):
-    """franka-sim's arm and hand in our scene; it begins in our home posture."""
+    """franka-sim's arm and hand in our scene, starting in our home posture."""
 
     def __init__(self, scene, record=None):
         super().__init__(enable_hand=True)
@@ -107,8 +109,8 @@ class SceneSim(backend.MujocoFrankaSim):
         backend.default_fr3_mjcf = lambda: pathlib.Path("fr3.urdf of rn-robot-fr3")
 
     def finger_control_force(self):
-        """As the parent's, and the two fingers keep together, as the one motor of the real hand has
-        it.
+        """Like the parent's, with the two fingers coupled as by the single motor of the real
+        hand.
         """
         force = super().finger_control_force()
         apart = self.data.qpos[self.finger_qpos_adr[0]] - self.data.qpos[self.finger_qpos_adr[1]]
@@ -143,12 +145,12 @@ class SceneSim(backend.MujocoFrankaSim):
 
 
 class LossySocket(socket.socket):
-    """Loses as many of the robot's states as it is told to."""
+    """Drops as many of the robot's states as requested."""
 
     to_drop = 0
 
     def sendto(self, data, address):
-        """As the parent's, for what is not lost."""
+        """Like the parent's, unless the datagram is dropped."""
         if LossySocket.to_drop:
             LossySocket.to_drop -= 1
             return len(data)
@@ -156,7 +158,7 @@ class LossySocket(socket.socket):
 
 
 def record_commands(file):
-    """Write what the simulator's checker of motion limits is given."""
+    """Record the inputs of the simulator's check of motion limits."""
     absorb, extrapolate = MotionLimitChecker.absorb_command, MotionLimitChecker.extrapolate
 
     def write(command, kind, accepted):
@@ -184,7 +186,7 @@ def record_commands(file):
 
 
 def tell(sim, server, address):
-    """Answer questions and play the person at the arm."""
+    """Answer requests, and act as the person at the arm."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     listener.bind(address)
     while True:
@@ -211,10 +213,12 @@ def tell(sim, server, address):
 
 
 class ControlBoxServer(FrankaSimServer):
-    """As the parent, and it refuses motions as a control box does."""
+    """Like the parent, but refuses motions as a control box does."""
 
     def _refuse_move_while_latched(self, client_socket, header):
-        """Also while a person has pressed the user stop, guides the arm or closed its brakes."""
+        """Also refuse while a person has pressed the user stop, guides the arm or closed its
+        brakes.
+        """
         if self.robot_state.state["robot_mode"] in STANDING_MODES:
             self.send_move_response(
                 client_socket, header.command_id, MoveStatus.kCommandNotPossibleRejected
@@ -224,10 +228,10 @@ class ControlBoxServer(FrankaSimServer):
 
 
 def begin_motions_at_once():
-    """Show the mode of a motion no later than its generator.
+    """Make a motion's mode visible no later than its generator.
 
-    The state is sent by another thread. With a generator and without kMove libfranka takes the
-    motion for ended, and waits without a bound to be told so.
+    The state is sent by another thread. With a generator but without kMove, libfranka assumes that
+    the motion has ended, and waits for its end without a bound.
     """
     set_generator = RobotState.set_motion_generator_mode
 
@@ -239,7 +243,7 @@ def begin_motions_at_once():
 
 
 def main():
-    """Run until interrupted, or until whoever started it is gone."""
+    """Run until interrupted, or until the parent process ends."""
     ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
     parser = argparse.ArgumentParser()
     parser.add_argument("scene")

@@ -1,5 +1,5 @@
-"""Free addresses on this machine: the FCI has fixed ports, so each simulator gets an address of its
-own.
+"""Free addresses on this machine: the FCI has fixed ports, so each simulator needs its own
+address.
 """
 
 from __future__ import annotations
@@ -14,9 +14,7 @@ _TRIES = 200
 
 
 def free_address(*ports: int) -> str:
-    """An address of 127.0.0.0/8 on which nobody uses these TCP and UDP ports. Raises
-    NotReadyError.
-    """
+    """An address of 127.0.0.0/8 on which these TCP and UDP ports are free. Raises NotReadyError."""
     dice = random.SystemRandom()
     for _ in range(_TRIES):
         address = f"127.{dice.randint(1, 254)}.{dice.randint(0, 254)}.{dice.randint(2, 254)}"

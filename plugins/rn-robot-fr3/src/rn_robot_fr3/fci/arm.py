@@ -1,5 +1,5 @@
-"""The arm as the driver sees it: a process of its own answers it at 1 kHz, this one only says where
-to go.
+"""Connection of the driver to the arm: a separate process answers the arm at 1 kHz; this one only
+sends targets.
 """
 
 from __future__ import annotations
@@ -34,23 +34,23 @@ PORT = 1337
 _PROBE_S = 3.0
 _ANSWER_S = 8.0
 _START_S = 30.0
-"""Of a Python process on a busy machine."""
+"""Start time of a Python process on a busy machine."""
 _SILENT = "Timeout"
-"""Kind of the error when nobody answers."""
+"""Kind of the error without any answer."""
 _STOP_S = 5.0
 _BRAKING_S = 0.6
 """Longer than any stop: 2.6 rad/s at 9 rad/s^2 takes 0.3 s."""
 _LOOK_S = 0.002
 _ALIVE_S = 0.02
 _STALE_S = 1.5
-"""Age of a state from which on the control process counts as hung. It is longer than the second
-after which libfranka itself says that the robot is silent, and names the cause.
+"""Age of a state above which the control process counts as hung. It exceeds the second after which
+libfranka itself reports a silent robot with the cause.
 """
 _MESSAGE_BYTES = 65536
 
 
 class ClientError(Exception):
-    """What the client library raised in the control process.
+    """Exception of the client library in the control process.
 
     Attributes:
         kind: name of its class, such as "ControlException".
@@ -63,21 +63,22 @@ class ClientError(Exception):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class FciState:
-    """What the control box measured.
+    """Measured state from the control box.
 
     Attributes:
-        received_s: when it came from the control process, on the monotonic clock.
+        received_s: monotonic time at which it came from the control process.
         position, velocity, torque: float64 (7,) [rad, rad/s, Nm].
         external_torque: float64 (7,), filtered [Nm].
         wrench: float64 (6,), external force [N] and torque [Nm] at the stiffness frame, in the base
             frame.
         tcp_m, tcp_xyzw: float64 (3,) and (4,), position and unit quaternion of the end effector
-            that Desk has configured, in the base frame.
+            configured in Desk, in the base frame.
         mode: libfranka's RobotMode, such as "Idle".
-        errors: flags that are set now.
-        success_rate: share of the last 100 commands that came in time; 0 when none are sent.
-        silences: how often the arm was stopped because this process had said nothing.
-        missed_cycles, longest_gap: cycles of all motions without a state, and the most in a row.
+        errors: currently set error flags.
+        success_rate: share of the last 100 commands that were in time; 0 if none are sent.
+        silences: number of stops because this process was silent.
+        missed_cycles, longest_gap: cycles without a state over all motions, and longest sequence of
+            them.
     """
 
     received_s: float
@@ -97,10 +98,10 @@ class FciState:
 
 
 class FciArm:
-    """One connection, in a process of its own; methods raise `ClientError` unless said otherwise.
+    """One connection, in a separate process; methods raise `ClientError` unless stated otherwise.
 
     Attributes:
-        refusal: why the control box does not take its settings; empty when it has them.
+        refusal: reason why the control box refused its settings; empty if it accepted them.
     """
 
     def __init__(self, options: FciDriverOptions) -> None:
@@ -117,12 +118,12 @@ class FciArm:
         self.refusal = ""
 
     def connect(self) -> None:
-        """Connect anew, and set thresholds and load where the arm's mode allows it; see `refusal`.
+        """Connect again, and set thresholds and load if the arm's mode allows it; see `refusal`.
 
         Raises:
-            ConfigurationError, NotReadyError: it cannot be; says what to do.
+            ConfigurationError, NotReadyError: it failed; tells what to do.
         """
-        self.close()  # before the next: the control box serves one client
+        self.close()  # first, because the control box serves one client
         host = self._options.host
         try:
             socket.create_connection((host, PORT), _PROBE_S).close()
@@ -147,7 +148,7 @@ class FciArm:
             raise faults.while_connecting(error, host) from error
 
     def configure(self) -> None:
-        """Set thresholds and load; refused settings are no error here but the `refusal`."""
+        """Set thresholds and load; a refusal raises no error but sets `refusal`."""
         options = self._options
         try:
             self._ask(
@@ -166,10 +167,10 @@ class FciArm:
         self.refusal = ""
 
     def read(self) -> FciState:
-        """The newest state, at most 8 ms old while the arm answers.
+        """Return the newest state, at most 8 ms old while the arm answers.
 
         Raises:
-            ClientError: what ended a motion, once; there is no state, or only one that is too old.
+            ClientError: the error that ended a motion, once; no state, or only an outdated one.
         """
         self._say_alive()
         with self._news:
@@ -205,18 +206,18 @@ class FciArm:
 
     @property
     def is_moving(self) -> bool:
-        """Whether the control loop runs, or is about to."""
+        """True if the control loop runs, or is about to start."""
         state = self._newest
         return state is not None and (state["moving"] or state["number"] < self._aimed)
 
     @property
     def is_realtime(self) -> bool:
-        """Whether the control process is scheduled first in, first out."""
+        """True if the control process has SCHED_FIFO scheduling."""
         return bool(self._newest and self._newest["realtime"])
 
     def go(self, plan: ArmPlan) -> None:
-        """Go to the plan's target; replaces the motion before, without a jump in acceleration. See
-        `await_rest`.
+        """Move to the plan's target; replaces the previous motion without a jump in acceleration.
+        See `await_rest`.
         """
         factor = self._options.dynamics_factor
         self._is_stopping = False
@@ -234,21 +235,21 @@ class FciArm:
         )
 
     def stop(self) -> None:
-        """Brake with the limits' acceleration and jerk, then end the control loop; returns at
-        once.
+        """Brake with the limits' acceleration and jerk, then end the control loop; returns
+        immediately.
         """
         if self.is_moving and not self._is_stopping:
             self._send({"do": "brake"})
             self._is_stopping = True
 
     def await_rest(self) -> None:
-        """Return when a stop that has begun is over; at once when there is none."""
+        """Wait for the end of a stop; return immediately if there is none."""
         deadline_s = time.monotonic() + _BRAKING_S
         while self._is_stopping and self.is_moving and time.monotonic() < deadline_s:
             time.sleep(_LOOK_S)
 
     def recover(self) -> None:
-        """Clear the errors of a reflex; only then are settings taken again."""
+        """Clear the errors of a reflex; until then, settings are refused."""
         with self._news:
             self._ended = None
         self._ask("recover", _ANSWER_S)
@@ -260,7 +261,7 @@ class FciArm:
         if process is None or link is None:
             return
         with suppress(OSError):
-            link.shutdown(socket.SHUT_WR)  # the process brakes, and ends
+            link.shutdown(socket.SHUT_WR)  # the process brakes and ends
         with suppress(subprocess.TimeoutExpired):
             process.wait(_STOP_S)
         self._kill()
@@ -278,7 +279,7 @@ class FciArm:
         threading.Thread(target=self._listen, args=(ours,), name="fci-arm", daemon=True).start()
 
     def _listen(self, link: socket.socket) -> None:
-        """Take over what the process says, until it ends."""
+        """Process messages of the control process until it ends."""
         while True:
             try:
                 message = link.recv(_MESSAGE_BYTES)
@@ -309,7 +310,7 @@ class FciArm:
             self._newest, self._received_s = told, time.monotonic()
 
     def _ask(self, what: str, limit_s: float, **arguments: object) -> None:
-        """Ask the process for something and wait."""
+        """Send a request to the process and wait for its answer."""
         self._number += 1
         number = self._number
         self._send({"do": what, "number": number, "arguments": arguments})
@@ -331,14 +332,14 @@ class FciArm:
         now_s = time.monotonic()
         if now_s - self._alive_s >= _ALIVE_S:
             self._alive_s = now_s
-            with suppress(ClientError):  # `read` says what is the matter
+            with suppress(ClientError):  # `read` reports the cause
                 self._send({"do": "alive"})
 
     def _send(self, message: dict[str, object]) -> None:
         if self._link is None:
             raise ClientError("NetworkException", "there is no control process.")
         try:
-            # without waiting: the driver's lock is held, which a stop needs too
+            # non-blocking, because the driver's lock is held, which a stop also needs
             self._link.send(json.dumps(message).encode(), socket.MSG_DONTWAIT)
         except BlockingIOError as error:
             raise ClientError(

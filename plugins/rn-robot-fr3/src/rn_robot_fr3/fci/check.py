@@ -1,9 +1,9 @@
-"""Whether a machine can answer the FCI every millisecond: measured, and judged by limits.
-`network_check` judges its network.
+"""Check whether a machine can answer the FCI every millisecond: measurements against limits.
+`network_check` checks its network.
 
 The limits are those of libfranka's documentation (system requirements, troubleshooting):
-PREEMPT_RT, no power saving, and a round trip that leaves the control loop its share of 1 ms.
-Nothing here moves the arm.
+PREEMPT_RT, no power saving, and a round trip that leaves enough of 1 ms to the control loop.
+Nothing in this module moves the arm.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 F64 = NDArray[np.float64]
 LATE_S = 0.0003
-"""A wake-up that is this late leaves too little of a cycle."""
+"""A wake-up with this delay leaves too little of a cycle."""
 LATE_SHARE = 0.001
 LONGEST_LATE_S = 0.010
 """Half of the 20 cycles after which the arm stops."""
@@ -35,13 +35,13 @@ _LOOPBACK = 127
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ArmFinding:
-    """One thing that was looked at.
+    """Result of one check.
 
     Attributes:
-        name: what, a stable word.
-        verdict: failed speaks against a real arm.
-        found: what was found, with the limit.
-        hint: what to do about it; empty when all is well.
+        name: name of the check, a stable word.
+        verdict: "failed" means unfit for a real arm.
+        found: the measured value, with the limit.
+        hint: what to do; empty if all is well.
     """
 
     name: str
@@ -52,42 +52,42 @@ class ArmFinding:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Timing:
-    """How late a thread was woken that asked for it each millisecond.
+    """Wake-up delays of a thread with a period of 1 ms.
 
     Attributes:
-        late_s: float64 (n,), by cycle.
+        late_s: float64 (n,), delay by cycle [s].
     """
 
     late_s: F64
 
     @property
     def missed(self) -> int:
-        """Cycles of which too little was left."""
+        """Number of cycles with too large a delay."""
         return int((self.late_s > LATE_S).sum())
 
 
 class SystemFiles:
-    """What the system says of itself, below a root folder."""
+    """System information in files below a root folder."""
 
     def __init__(self, root: Path) -> None:
         self._root = root
 
     def text(self, path: str) -> str:
-        """A file's text without white space around; empty where there is none."""
+        """Stripped text of a file; empty if it does not exist."""
         try:
             return (self._root / path).read_text(encoding="utf-8", errors="replace").strip()
         except OSError:
             return ""
 
     def texts(self, pattern: str) -> dict[str, str]:
-        """The texts of all files of a pattern, by path."""
+        """Texts of all files that match a pattern, by path."""
         return {
             str(path.relative_to(self._root)): self.text(str(path))
             for path in sorted(self._root.glob(pattern))
         }
 
     def interface(self, host: str) -> str:
-        """The network card that leads to a host; empty where that cannot be told."""
+        """Network interface towards a host; empty if unknown."""
         try:
             wanted = struct.unpack("!I", socket.inet_aton(socket.gethostbyname(host)))[0]
         except OSError:
@@ -106,7 +106,7 @@ class SystemFiles:
 def check_machine(
     machine: SystemFiles, seconds: float, measure: Callable[[float], Timing] | None = None
 ) -> list[ArmFinding]:
-    """Kernel, priority, memory, power saving, and how late a thread is woken."""
+    """Check kernel, priority, memory, power saving, and wake-up delays."""
     return [
         _kernel(machine),
         _priority(),
@@ -210,7 +210,7 @@ def _idle_states(machine: SystemFiles) -> ArmFinding:
 
 
 def wake_ups(seconds: float) -> Timing:
-    """Ask to be woken each millisecond, with the priority of the control thread where it is
+    """Measure wake-up delays with a period of 1 ms, with the priority of the control thread if
     granted.
     """
     before, parameter = os.sched_getscheduler(0), os.sched_getparam(0)

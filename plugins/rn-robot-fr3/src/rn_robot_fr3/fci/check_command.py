@@ -12,7 +12,7 @@ _MARKS = {"ok": "✓", "warning": "!", "failed": "✗"}
 
 
 class Fr3:
-    """Whether this machine and its network can control a real Franka Research 3."""
+    """Check whether this machine and its network can control a real Franka Research 3."""
 
     def configure(self, parser: ArgumentParser) -> None:
         """Add the arguments of `roboneuron fr3`."""

@@ -1,12 +1,12 @@
 """The process that answers the arm once a millisecond: `python -m rn_robot_fr3.fci.control_process
 DESCRIPTOR`.
 
-Started by `rn_robot_fr3.fci.arm`; nothing else runs in it, so that no pause of the driver's Python
-reaches the arm. It talks to the arm through pylibfranka, which cannot be imported beside franky
-(both register the same types), and to its parent in messages of JSON over a socket. Requests
-("connect", "configure", "recover") are answered, "go" and "brake" are not; states go the other way
-125 times a second. It brakes when its parent is gone or silent, and after an error nothing moves
-until "recover".
+Started by `rn_robot_fr3.fci.arm` as a separate process, so that no pause of the driver's Python
+affects the arm. It uses pylibfranka, which cannot be imported together with franky (both register
+the same types), and exchanges JSON messages with its parent over a socket. Requests ("connect",
+"configure", "recover") are answered, "go" and "brake" are not; states are sent back 125 times a
+second. It brakes if its parent has ended or is silent, and after an error nothing moves until
+"recover".
 """
 
 from __future__ import annotations
@@ -41,9 +41,11 @@ if TYPE_CHECKING:
 
 PRIORITY = 20
 SILENT_S = 0.5
-"""The parent says something each 20 ms; without a word for so long its process is frozen."""
+"""The parent sends a message every 20 ms; after this time without one its process counts as
+frozen.
+"""
 _ANSWER_S = 0.0006
-"""A command that is sent later than this after its state may miss its cycle, so it is not sent."""
+"""A command this long after its state may miss its cycle, so it is not sent."""
 _REPORT_S = 0.008
 _IDLE_S = 0.004
 _MESSAGE_BYTES = 65536
@@ -58,16 +60,16 @@ class RealtimeException(Exception):
 
 
 class CommunicationLost(Exception):
-    """States stayed out for longer than the arm extrapolates, or commands come too late."""
+    """States were missing for longer than the arm extrapolates, or commands arrive too late."""
 
 
 class ControlProcess:
-    """One connection to the arm, and its control loop while something moves."""
+    """One connection to the arm, with its control loop during motions."""
 
     def __init__(self, link: socket.socket, client: ModuleType, is_realtime: bool) -> None:
         self._link, self._client, self._is_realtime = link, client, is_realtime
         self._robot: Any = None  # pylibfranka.Robot, once connected
-        self._control: Any = None  # pylibfranka.ActiveControlBase while something moves
+        self._control: Any = None  # pylibfranka.ActiveControlBase during a motion
         self._follower: Follower | None = None
         self._course: Course | None = None
         self._stop: tuple[tuple[float, ...], tuple[float, ...]] = ((), ())
@@ -80,7 +82,7 @@ class ControlProcess:
         self._flags: list[str] = [name for name in dir(client.Errors) if not name.startswith("_")]
 
     def run(self) -> None:
-        """Until the parent says so or is gone, and the arm stands."""
+        """Run until the parent ends or requests the end, and the arm stands."""
         while not (self._is_ending and self._control is None):
             try:
                 if self._control is not None:
@@ -89,7 +91,7 @@ class ControlProcess:
                     self._idle()
             except (
                 Exception
-            ) as error:  # whatever ended a motion or the connection is the parent's to judge
+            ) as error:  # the parent handles every error that ends a motion or the connection
                 self._fail(error)
 
     def _idle(self) -> None:
@@ -117,7 +119,7 @@ class ControlProcess:
         self._control.writeOnce(self._client.JointPositions(position))
 
     def _cycle(self) -> None:
-        """Read a state, answer it; then look what the parent wants."""
+        """Read a state, answer it, then process requests of the parent."""
         assert self._follower is not None
         state, _ = self._control.readOnce()
         read_s = time.monotonic()
@@ -151,7 +153,7 @@ class ControlProcess:
             self._brake()
 
     def _give_up(self, why: str) -> None:
-        """Brake; nothing moves after this until a recovery."""
+        """Brake, and block motions until a recovery."""
         if not self._is_faulty:
             self._is_faulty = True
             self._brake()
@@ -167,22 +169,22 @@ class ControlProcess:
             self._follower.brake()
 
     def _fail(self, error: Exception) -> None:
-        """A motion or the connection has ended by itself."""
+        """Handle a motion or connection that ended by itself."""
         self._course = None
         self._is_faulty = True
-        with contextlib.suppress(Exception):  # what ended it may end this as well
+        with contextlib.suppress(Exception):  # the same cause may end this too
             self._control = None
         self._follower = None
         if type(error).__name__ == "NetworkException":
             self._robot = None
         elif self._robot is not None:
-            # the state shows the mode that the error has led to
+            # the state shows the mode after the error
             with contextlib.suppress(Exception):
                 self._report(self._robot.read_once())
         self._tell_end(error)
 
     def _listen(self) -> None:
-        """Do what the parent asks for."""
+        """Process the parent's requests."""
         while True:
             try:
                 message = self._link.recv(_MESSAGE_BYTES, socket.MSG_DONTWAIT)
@@ -210,7 +212,7 @@ class ControlProcess:
             self._answer(asked)
 
     def _answer(self, asked: dict[str, Any]) -> None:
-        """Do what is answered: the error of it by name and text, empty when it went well."""
+        """Execute a request and answer with name and text of its error, empty on success."""
         kind = text = ""
         try:
             getattr(self, f"_{asked['do']}")(**asked.get("arguments", {}))
@@ -219,7 +221,7 @@ class ControlProcess:
         self._tell({"answer": asked["number"], "kind": kind, "text": text})
 
     def _hello(self) -> None:
-        """The process runs."""
+        """Confirm that the process runs."""
 
     def _connect(
         self, host: str, is_required: bool, stop_acceleration: list[float], stop_jerk: list[float]
@@ -252,7 +254,7 @@ class ControlProcess:
         self._brake()
 
     def end(self, *_: object) -> None:
-        """Brake, then end; a handler of signals."""
+        """Brake, then end; a signal handler."""
         self._end()
 
     def _report(self, state: pylibfranka.RobotState) -> None:
@@ -280,7 +282,9 @@ class ControlProcess:
         self._tell({"ended": kind, "text": str(error)})
 
     def _tell(self, message: dict[str, object]) -> None:
-        """Send it; a parent that does not read loses states, not the arm its answer."""
+        """Send without blocking: a parent that does not read loses states, and the arm still gets
+        its answer.
+        """
         with contextlib.suppress(OSError):
             self._link.send(json.dumps(message).encode(), socket.MSG_DONTWAIT)
 
@@ -291,7 +295,7 @@ def _milliseconds(time_of_state: pylibfranka.Duration) -> int:
 
 
 def _is_first_in_line() -> bool:
-    """Ask for first-in-first-out scheduling and locked memory; whether the first was granted."""
+    """Request SCHED_FIFO and locked memory; return whether the former was granted."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError:

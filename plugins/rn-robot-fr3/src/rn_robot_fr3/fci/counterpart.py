@@ -1,4 +1,4 @@
-"""The robot's side of the FCI as a child process: franka-sim, or the strict box before it."""
+"""Robot side of the FCI as a child process: franka-sim, or the strict box in front of it."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ _LOOK_S = 0.1
 
 
 class Counterpart(ABC):
-    """A context manager: runs while it is open, and answers questions on a UDP port.
+    """A context manager: runs while open, and answers requests on a UDP port.
 
     Args:
-        host: address of 127.0.0.0/8 that it serves on.
-        asking_port: UDP port of its questions.
-        log: where its output goes.
+        host: address of 127.0.0.0/8 to serve on.
+        asking_port: UDP port for requests.
+        log: file for its output.
 
     Attributes:
         host: as given.
-        process: the child, once it is started.
+        process: the child process, once started.
     """
 
     name: ClassVar[str]
     priority: ClassVar[int]
-    """First in, first out, where the system allows it."""
+    """SCHED_FIFO priority, if the system grants it."""
 
     def __init__(self, host: str, asking_port: int, log: Path) -> None:
         self.host = host
@@ -47,10 +47,10 @@ class Counterpart(ABC):
 
     @abstractmethod
     def command(self) -> Sequence[str]:
-        """What is run."""
+        """Command line of the process."""
 
     def is_serving(self) -> bool:
-        """Whether it is ready, now that it answers questions. Raises OSError."""
+        """Check that it is ready; called once it answers requests. Raises OSError."""
         return True
 
     def __enter__(self) -> Self:
@@ -59,7 +59,7 @@ class Counterpart(ABC):
             process = self.process = subprocess.Popen(
                 self.command(), stdout=output, stderr=subprocess.STDOUT, start_new_session=True
             )
-        # a control box has a computer of its own: let it not wait for others here
+        # a control box has its own computer, so it should not wait for other processes
         with contextlib.suppress(OSError):
             os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(self.priority))
         deadline_s = time.monotonic() + _START_S
@@ -87,9 +87,7 @@ class Counterpart(ABC):
             process.wait()
 
     def tell(self, **what: float) -> dict[str, Any]:
-        """Ask for its state, or tell it what to do; the program that runs says what it knows.
-        Raises OSError.
-        """
+        """Request its state, or send it commands; see the program's docstring. Raises OSError."""
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
             asking.settimeout(_QUESTION_S)
             asking.connect((self.host, self._asking_port))

@@ -40,7 +40,7 @@ F64 = NDArray[np.float64]
 
 _PERIOD_S = 0.008
 _IDLE_S = 1.0
-"""So long after a motion has ended the control loop is ended too: no packet can be late when
+"""Time after a motion until the control loop is ended as well, so that no packet can be late while
 nothing moves.
 """
 _RECOVERY_S = 2.0
@@ -48,15 +48,15 @@ _JOIN_S = 5.0
 
 
 class FciDriver:
-    """Follows the protocol `RobotDriver`, and may be asked to `recover`; every method may be called
-    from any thread.
+    """Follows the protocol `RobotDriver`, with `recover`; every method may be called from any
+    thread.
     """
 
     def __init__(
         self, config: FciDriverOptions | None, profile: RobotProfile, topics: Topics
     ) -> None:
-        """Remember what to connect to. Raises ConfigurationError without a host or for another
-        robot's profile.
+        """Store the arguments. Raises ConfigurationError without a host or for another robot's
+        profile.
         """
         if config is None:
             raise ConfigurationError(
@@ -89,9 +89,8 @@ class FciDriver:
         """Connect to arm and gripper; the arm stays where it is.
 
         Raises:
-            StateError: it is open already.
-            ConfigurationError, NotReadyError, MissingDependencyError: it cannot be; says what to
-                do.
+            StateError: it is already open.
+            ConfigurationError, NotReadyError, MissingDependencyError: it failed; tells what to do.
         """
         if self._arm is not None:
             raise StateError("The driver 'fci' is open already.")
@@ -130,7 +129,7 @@ class FciDriver:
         `detail` holds "mode", "fault" and "fault_hint" (empty without one), "errors",
         "control_success_rate", "joints_rad", "velocity_rad_s", "torque_nm", "external_torque_nm",
         "external_wrench" (N, Nm, base frame), "tcp_m", "watchdog_stops", "missed_cycles",
-        "realtime" and "gripper". The same goes out on the topics of `state_topics`.
+        "realtime" and "gripper". The same values are published on the topics of `state_topics`.
 
         Raises:
             StateError: not open.
@@ -142,21 +141,21 @@ class FciDriver:
         return state
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Move towards `command`; it replaces the one before, without a jump in position, velocity
-        or acceleration.
+        """Move towards `command`; it replaces the previous command, without a jump in position,
+        velocity or acceleration.
 
         Returns:
-            The command with positions inside the limits and an estimate of the time that it takes.
+            The command with positions inside the limits and an estimate of its duration.
 
         Raises:
             InvalidInputError: an unknown joint, a wrong size, a non-finite value, a duration <= 0;
                 nothing is sent.
             StateError: not open.
-            UnsafeError: the arm has a fault; says which, and what to do.
+            UnsafeError: the arm has a fault; tells which, and what to do.
         """
         values = checked(command, MOVED)
         if (braking := self._arm) is not None:
-            braking.await_rest()  # without the lock: states are measured meanwhile
+            braking.await_rest()  # without the lock, so that states are measured meanwhile
         with self._commanding:
             arm, measured = self._arm, self._measured
             if arm is None or measured is None:
@@ -202,19 +201,18 @@ class FciDriver:
             if self._fault is None:
                 try:
                     self._arm.stop()
-                except Exception as error:  # it has stopped by itself
+                except Exception as error:  # it has already stopped by itself
                     self._fail(faults.from_exception(error))
 
     def recover(self) -> str:
-        """Clear the fault; called because a person said so. The arm stays where it is until the
-        next command.
+        """Clear the fault, on a person's request. The arm does not move until the next command.
 
         Returns:
-            The code of the fault that was cleared.
+            The code of the cleared fault.
 
         Raises:
             StateError: there is no fault, or it is not open.
-            RefusedError: the cause still stands; says what to do.
+            RefusedError: the cause persists; tells what to do.
         """
         with self._commanding:
             arm, fault = self._arm, self._fault
@@ -241,10 +239,10 @@ class FciDriver:
             return fault.code
 
     def _recovered(self, arm: FciArm, fault: ArmFault) -> ArmFault | None:
-        """Try to clear it; returns what stands in the way. No motion is begun, and none resumed."""
+        """Try to clear the fault; return the remaining one. No motion is started or resumed."""
         if fault.code == "communication_lost":
             arm.connect()
-        with suppress(ClientError):  # what ended the last motion
+        with suppress(ClientError):  # the error that ended the last motion
             arm.read()
         state = arm.read()
         found = faults.from_mode(state.mode, state.errors)
@@ -262,7 +260,7 @@ class FciDriver:
         return found
 
     def close(self) -> None:
-        """Stop in a controlled way and disconnect; may be called twice and before `open`."""
+        """Stop under control and disconnect; may be called twice and before `open`."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(_JOIN_S)
@@ -278,7 +276,7 @@ class FciDriver:
             self._scene.close()
 
     def _watch(self) -> None:
-        """Measure; notice faults; end what nobody looks after."""
+        """Measure, detect faults, and end motions that nobody supervises."""
         while not self._stop.wait(_PERIOD_S):
             with self._commanding:
                 arm = self._arm
@@ -286,11 +284,11 @@ class FciDriver:
                     return
                 try:
                     self._look_after(arm)
-                except Exception as error:  # what ended a motion, or the connection
+                except Exception as error:  # the error that ended a motion, or the connection
                     self._end(arm, error)
 
     def _end(self, arm: FciArm, error: Exception) -> None:
-        """A motion has ended by itself: a mode that stands says more of it than the error."""
+        """Handle a motion that ended by itself: a mode that stands tells more than the error."""
         with suppress(ClientError):
             self._note(arm.read())
         seen = self._measured
@@ -320,7 +318,7 @@ class FciDriver:
             self._busy_until_s = now_s + _IDLE_S
 
     def _note(self, measured: FciState) -> None:
-        """Keep it, with the ROS time of when it came: a state that is looked at again keeps it."""
+        """Store a state with the ROS time of its arrival; a state that is read again keeps it."""
         if self._measured is None or measured.received_s > self._measured.received_s:
             age_s = time.monotonic() - measured.received_s
             self._measured_ns = self._topics.now_ns() - int(age_s * 1e9)

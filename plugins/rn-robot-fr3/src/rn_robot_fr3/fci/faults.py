@@ -1,7 +1,7 @@
-"""Faults of the arm as states: one code, one sentence, and what a person does about it.
+"""Faults of the arm as states: a code, a sentence, and the remedy for a person.
 
 Facts: RobotMode and the error flags of libfranka (robot_state.h, errors.h); texts of its exceptions
-(robot_impl.h) as seen with pylibfranka 0.21.3 against franka-sim 1.1.7. The FCI names no reason for
+(robot_impl.h) as seen with pylibfranka 0.21.3 against franka-sim 1.1.7. The FCI gives no reason for
 the mode "Other".
 """
 
@@ -17,13 +17,13 @@ _RECOVER = "then call recover_robot"
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ArmFault:
-    """Why the arm does not move.
+    """Reason why the arm does not move.
 
     Attributes:
         code: stable word.
         message: one sentence.
-        hint: what a person does.
-        stands: the cause is still there, so recovery is refused.
+        hint: what a person has to do.
+        stands: the cause persists, so recovery is refused.
     """
 
     code: str
@@ -32,7 +32,7 @@ class ArmFault:
     stands: bool = False
 
     def error(self) -> RoboNeuronError:
-        """The error that every motion gets while this fault is not recovered."""
+        """The error of every motion until this fault is recovered."""
         return UnsafeError(f"The FR3 does not move ({self.code}): {self.message}", hint=self.hint)
 
 
@@ -111,7 +111,7 @@ _LIMITS = (
 
 
 def from_errors(errors: Iterable[str], mode: str) -> ArmFault:
-    """The fault for the flags that are set, such as "joint_reflex", in a robot mode such as
+    """Return the fault for the set flags, such as "joint_reflex", in a robot mode such as
     "Reflex".
     """
     named = tuple(errors)
@@ -142,7 +142,7 @@ def from_errors(errors: Iterable[str], mode: str) -> ArmFault:
 
 
 def from_mode(mode: str, errors: Iterable[str]) -> ArmFault | None:
-    """The fault that a measured state shows, or None in a state in which the arm can move."""
+    """Return the fault shown by a measured state, or None if the arm can move."""
     named = tuple(errors)
     if mode in _STANDING:
         return _STANDING[mode]
@@ -152,7 +152,7 @@ def from_mode(mode: str, errors: Iterable[str]) -> ArmFault | None:
 
 
 def from_exception(error: Exception) -> ArmFault:
-    """The fault that an exception of the client library means during operation."""
+    """Return the fault for an exception of the client library during operation."""
     kind, text = _named(error)
     if kind == "PlannerException":
         return ArmFault(
@@ -184,7 +184,7 @@ def from_exception(error: Exception) -> ArmFault:
 
 
 def settings_refused(text: str) -> ArmFault:
-    """The control box does not take its settings, as `text` of the client library says."""
+    """The control box refused its settings, with `text` from the client library."""
     return ArmFault(
         code="settings_refused",
         message=f"the control box does not take collision thresholds and load ({text}).",
@@ -194,8 +194,8 @@ def settings_refused(text: str) -> ArmFault:
 
 
 def still(fault: ArmFault, error: Exception) -> RefusedError:
-    """The error for a recovery from `fault` that `error` ended; the fault stays as it is, however
-    often it is tried.
+    """The error for a recovery from `fault` that failed with `error`; the fault remains for any
+    number of tries.
     """
     _, text = _named(error)
     reasons = (found.message for words, found in _BY_TEXT.items() if words in text)
@@ -208,12 +208,14 @@ def still(fault: ArmFault, error: Exception) -> RefusedError:
 
 
 def _named(error: Exception) -> tuple[str, str]:
-    """Class and first line of what the client library raised, here or in the control process."""
+    """Class and first line of an exception of the client library, raised here or in the control
+    process.
+    """
     return getattr(error, "kind", type(error).__name__), str(error).split("\n")[0]
 
 
 def while_connecting(error: Exception, host: str) -> RoboNeuronError:
-    """The error for an exception of the client library while it connects to `host`."""
+    """The error for an exception of the client library while connecting to `host`."""
     kind, text = _named(error)
     if kind == "RealtimeException":
         return ConfigurationError(
@@ -234,7 +236,7 @@ def while_connecting(error: Exception, host: str) -> RoboNeuronError:
 
 
 def unreachable(host: str, reason: str) -> NotReadyError:
-    """Nobody answers at `host`."""
+    """The error if nothing answers at `host`."""
     return NotReadyError(
         f"Nobody answers at {host} on the FCI's port 1337: {reason}.",
         hint="Check the cable and the address. FCI is not active: activate it in Desk. A "
@@ -243,7 +245,7 @@ def unreachable(host: str, reason: str) -> NotReadyError:
 
 
 def silent(host: str, timeout_s: float) -> NotReadyError:
-    """The control box accepts connections and says nothing."""
+    """The error if the control box accepts connections but does not answer."""
     return NotReadyError(
         f"The control box at {host} accepts the connection but did not answer within "
         f"{timeout_s:g} s.",

@@ -1,14 +1,12 @@
-"""The next joint positions for the arm, planned from what the arm itself last had; pure
-computation.
+"""The next joint positions for the arm, planned from its own commanded state; pure computation.
 
-The arm differences what it is sent: of the last three positions it knows a velocity and an
-acceleration, and of the next one a jerk. For a cycle without a command it extrapolates with
+The arm differentiates the commands: from the last three positions it gets velocity and
+acceleration, and with the next one the jerk. For a cycle without a command it extrapolates with
 constant acceleration, and counts the result as commanded (libfranka, docs/overview.rst).
-`CommandedState` keeps the same books, `Follower` plans from them.
+`CommandedState` does the same computation; `Follower` plans from it.
 
-Every course begins on the parabola through the last three positions and has a bounded jerk. So the
-third difference of what is sent is a mean of jerks that are within the limit, whatever was missed
-before.
+Every course starts on the parabola through the last three positions and has a bounded jerk. So the
+third difference of the commands is a mean of jerks within the limit, regardless of missed cycles.
 """
 
 from __future__ import annotations
@@ -32,31 +30,32 @@ if TYPE_CHECKING:
 STEP_S = 0.001
 JOINTS = 7
 _ROUNDING = 6.5e-8
-"""States have 32-bit floats: they are off by up to 2**-24 of a position."""
+"""Tolerance for 32-bit floats in states, with errors of up to 2**-24 of a position."""
 _LEAST_RAD = 1e-9
 _CLEARLY_RAD_S2 = 0.3
-"""By so much nearer is the acceleration of an arm that has missed a command whose position says
-nothing.
+"""Margin by which a missed command must explain a state's acceleration better than a taken one, if
+both explain its position.
 """
 LONGEST_GAP = 20
 """Cycles without a command after which the arm stops by itself. Source: libfranka,
 docs/overview.rst.
 """
 LONGEST_UNHEARD = 100
-"""Commands in a row that the arm did not take, although states came: they are late, each of them.
+"""Maximum number of consecutive commands not accepted by the arm although states arrive: all are
+late.
 """
 _VELOCITY_SHARE = 0.97
-"""Of the velocity that the arm allows where it is; beyond it the follower brakes."""
+"""Share of the velocity allowed at the current position; above it the follower brakes."""
 _RESTING_RAD_S = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Course:
-    """Where to go, and the limits on the way.
+    """Target of a motion, with its limits.
 
     Attributes:
         target: 7 joint positions [rad].
-        velocity, acceleration, jerk: 7 each [rad/s, rad/s^2, rad/s^3].
+        velocity, acceleration, jerk: 7 limits each [rad/s, rad/s^2, rad/s^3].
     """
 
     target: tuple[float, ...]
@@ -66,7 +65,7 @@ class Course:
 
 
 class CommandedState:
-    """What the arm last had, by its own count.
+    """Commanded state of the arm, by its own computation.
 
     Attributes:
         position, velocity, acceleration: 7 each, the newest position and backward differences [rad,
@@ -79,7 +78,7 @@ class CommandedState:
         self.position, self.velocity, self.acceleration = position, velocity, acceleration
 
     def sent(self, position: list[float]) -> CommandedState:
-        """After a cycle with a command."""
+        """State after a cycle with a command."""
         velocity = [(new - old) / STEP_S for new, old in zip(position, self.position, strict=True)]
         acceleration = [
             (new - old) / STEP_S for new, old in zip(velocity, self.velocity, strict=True)
@@ -87,7 +86,7 @@ class CommandedState:
         return CommandedState(list(position), velocity, acceleration)
 
     def missed(self, cycles: int) -> CommandedState:
-        """After cycles without one: constant acceleration."""
+        """State after cycles without a command: constant acceleration."""
         acceleration, position, velocity = self.acceleration, self.position, self.velocity
         for _ in range(cycles):
             velocity = [v + a * STEP_S for v, a in zip(velocity, acceleration, strict=True)]
@@ -95,24 +94,24 @@ class CommandedState:
         return CommandedState(position, velocity, acceleration)
 
     def is_at(self, position: list[float]) -> bool:
-        """Whether a state says the same, as far as its numbers are exact."""
+        """True if a state has this position, within its accuracy."""
         both = zip(self.position, position, strict=True)
         return all(abs(q - p) <= _ROUNDING * abs(q) + _LEAST_RAD for q, p in both)
 
     def differs_by(self, acceleration: list[float]) -> float:
-        """How far the accelerations are from those of a state [rad/s^2]."""
+        """Maximum difference of the accelerations from those of a state [rad/s^2]."""
         return max(abs(a - b) for a, b in zip(self.acceleration, acceleration, strict=True))
 
 
 class PlannerError(Exception):
-    """No course was found."""
+    """No trajectory was found."""
 
 
 class Follower:
-    """Leads the arm to the newest target, or brakes; used by one thread.
+    """Moves the arm to the newest target, or brakes; used by one thread.
 
     Attributes:
-        unheard: how many commands in a row the arm did not take.
+        unheard: number of consecutive commands not accepted by the arm.
     """
 
     def __init__(
@@ -121,7 +120,9 @@ class Follower:
         stop_acceleration: tuple[float, ...],
         stop_jerk: tuple[float, ...],
     ) -> None:
-        """The arm stands at `position`; the other two limit a stop [rad/s^2, rad/s^3]."""
+        """The arm stands at `position`; the other arguments are the limits of a stop [rad/s^2,
+        rad/s^3].
+        """
         self._ruckig = importlib.import_module("ruckig")
         self._planner = self._ruckig.Ruckig(JOINTS)
         self._trajectory: ruckig.Trajectory = None  # until planned
@@ -135,17 +136,17 @@ class Follower:
         self.unheard = 0
 
     def aim(self, course: Course) -> None:
-        """Go there from now on."""
+        """Set a new target."""
         self._course, self._is_new = course, True
 
     def brake(self) -> None:
-        """Come to rest as soon as the limits allow, wherever that is."""
+        """Come to rest as soon as the limits allow."""
         if self._course is not None or self._trajectory is None:
             self._course, self._is_new = None, True
 
     @property
     def is_resting(self) -> bool:
-        """Whether the newest course has ended, and the arm by its own count stands."""
+        """True if the newest motion has ended and the arm stands by its own computation."""
         if self._is_new or self._trajectory is None:
             return False
         stands = max(map(abs, self._arm.velocity)) < _RESTING_RAD_S
@@ -154,14 +155,14 @@ class Follower:
     def next(
         self, position: list[float], velocity: list[float], acceleration: list[float], cycles: int
     ) -> list[float]:
-        """The command that answers a state.
+        """Compute the command for a state.
 
         Args:
             position, velocity, acceleration: q_d, dq_d and ddq_d of the state.
-            cycles: by how many states it is newer than the one before.
+            cycles: number of cycles since the previous state.
 
         Raises:
-            PlannerError: there is no course from here.
+            PlannerError: there is no trajectory from the current state.
         """
         is_as_sent = self._observe(position, velocity, acceleration, cycles)
         if self._is_new or not is_as_sent or self._trajectory is None:
@@ -179,17 +180,19 @@ class Follower:
         return command
 
     def expect(self, position: list[float]) -> None:
-        """This was sent instead: the command that begins a motion is where the arm stands."""
+        """Replace the last command: the command that begins a motion is the arm's current
+        position.
+        """
         self._sent = position
 
     def skip(self) -> None:
-        """The newest command was not sent."""
+        """Report that the newest command was not sent."""
         self._sent = None
 
     def _observe(
         self, position: list[float], velocity: list[float], acceleration: list[float], cycles: int
     ) -> bool:
-        """Take over what the arm has; returns whether it is just what was sent."""
+        """Update the arm's commanded state; return whether it equals the sent one."""
         before = self._arm
         taken = before.sent(self._sent).missed(cycles - 1) if self._sent is not None else None
         lost = before.missed(cycles)
@@ -202,7 +205,9 @@ class Follower:
         elif is_lost:
             self._arm = lost
         elif self._sent is not None and cycles > 1 and before.sent(self._sent).is_at(position):
-            assert taken is not None  # it came late, and the arm counts from it over the whole gap
+            assert (
+                taken is not None
+            )  # it came late, and the arm extrapolates from it over the whole gap
             self._arm = taken
         else:
             self._arm = CommandedState(list(position), list(velocity), list(acceleration))
@@ -210,7 +215,7 @@ class Follower:
         return self._arm is taken and cycles == 1
 
     def _plan(self, is_as_sent: bool) -> None:
-        """A course from where the arm is, or from where the last one has led it."""
+        """Plan a motion from the arm's state, or from the state of the last trajectory."""
         request = self._ruckig.InputParameter(JOINTS)
         if is_as_sent and self._trajectory is not None:
             state = self._trajectory.at_time(self._time_s)
@@ -228,7 +233,7 @@ class Follower:
         self._is_new = False
 
     def _towards(self, request: ruckig.InputParameter, course: Course) -> ruckig.Trajectory:
-        """A trajectory to the target; None when there is none."""
+        """A trajectory to the target; None if there is none."""
         request.control_interface = self._ruckig.ControlInterface.Position
         request.target_position = course.target
         request.max_velocity, request.max_acceleration = course.velocity, course.acceleration
@@ -254,7 +259,7 @@ class Follower:
         return position
 
     def _is_too_fast(self, command: list[float]) -> bool:
-        """Whether a joint would be faster than it may be there and not slowing down."""
+        """True if a joint exceeds the velocity allowed at its position without slowing down."""
         for joint in range(JOINTS):
             speed = (command[joint] - self._arm.position[joint]) / STEP_S
             room = (

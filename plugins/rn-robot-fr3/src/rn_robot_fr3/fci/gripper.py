@@ -1,6 +1,4 @@
-"""The Franka Hand in a thread of its own: it answers when a motion has ended, and nothing else may
-wait for that.
-"""
+"""The Franka Hand in a separate thread, because its commands block until a motion ends."""
 
 from __future__ import annotations
 
@@ -21,11 +19,11 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 _CLOSED_M = 0.004
-"""A width up to this asks for a grasp: close with force on whatever there is."""
+"""A width up to this requests a grasp: close with force on any object."""
 _NOTHING_M = 0.003
-"""Closed up to this width the fingers hold nothing."""
+"""Width up to which closed fingers hold nothing."""
 _MISSED_M = 0.004
-"""A motion that ends this far from its width was blocked."""
+"""A motion that ends this far from its target width was blocked."""
 _SAME_M = 0.001
 _PERIOD_S = 0.05
 _JOIN_S = 3.0
@@ -37,10 +35,10 @@ class FciGripper:
     """Follows the newest width; every method may be called from any thread.
 
     Attributes:
-        width_m: last measured, 0 .. 0.08.
+        width_m: last measured width, 0 .. 0.08.
         note: "moving", "at ...", "grasped ...", "nothing grasped", "blocked at ...", "at rest" or
-            why it fails.
-        is_holding: it grasps something with force.
+            the reason of a failure.
+        is_holding: True while it holds an object with force.
     """
 
     def __init__(self, options: FciDriverOptions, client: ModuleType) -> None:
@@ -57,7 +55,7 @@ class FciGripper:
         self.is_holding = False
 
     def open(self) -> None:
-        """Connect. Raises NotReadyError when there is no gripper."""
+        """Connect. Raises NotReadyError if there is no gripper."""
         try:
             self._hand = self._client.Gripper(self._options.host)
             self.width_m = float(self._hand.state.width)
@@ -75,11 +73,12 @@ class FciGripper:
         self._thread.start()
 
     def aim(self, width_m: float) -> None:
-        """Go to a width [m]; a width of nothing grasps. Returns at once; the newest counts.
+        """Move to a width [m]; a width of nearly zero grasps. Returns immediately; the newest
+        command counts.
 
-        What is held stays held with force until a width asks for more room than it needs. So does
-        what the hand held before anything was commanded: to be where the fingers are is no command
-        then.
+        A held object stays held with force until a larger width than its own is commanded. The same
+        holds for an object held before the first command: commanding the current width then has no
+        effect.
         """
         with self._changed:
             if self._wanted_m is None and abs(width_m - self.width_m) <= _MISSED_M:
@@ -89,7 +88,7 @@ class FciGripper:
                 self._changed.notify()
 
     def close(self) -> None:
-        """End the thread; what is held stays held."""
+        """End the thread; a held object stays held."""
         with self._changed:
             self._stop = True
             self._changed.notify()
@@ -122,7 +121,7 @@ class FciGripper:
                 time.sleep(_PERIOD_S)
 
     def _measure(self) -> None:
-        """Between two motions: the width, and whether what was held is still there."""
+        """Between two motions: measure the width, and whether the held object is still there."""
         self.width_m = float(self._hand.state.width)
         if self.is_holding and self.width_m < _NOTHING_M:
             self.is_holding, self.note = False, "lost what it held"
@@ -142,7 +141,7 @@ class FciGripper:
         self.width_m = float(self._hand.state.width)
         missed_m = abs(self.width_m - width_m)
         if is_closing and self.width_m - width_m > _MISSED_M and not self._stop:
-            self._grasp()  # a motion that something blocks ends without force
+            self._grasp()  # a blocked motion ends without force
             return
         if not arrived or missed_m > _MISSED_M:
             self.note = (
@@ -152,7 +151,7 @@ class FciGripper:
             self.note = f"at {self.width_m * 1e3:.0f} mm"
 
     def _grasp(self) -> None:
-        """Close with force on whatever there is."""
+        """Close with force on any object."""
         options = self._options
         speed, force = options.gripper_speed_m_s, options.grasp_force_n
         self._finish(self._hand.grasp_async(0.0, speed, force, 0.0, 2 * FINGER_OPEN_M))
@@ -161,10 +160,10 @@ class FciGripper:
         self.note = f"grasped {self.width_m * 1e3:.0f} mm" if self.is_holding else "nothing grasped"
 
     def _finish(self, future: franky.BoolFuture) -> bool:
-        """Wait for a motion to end and measure on the way.
+        """Wait for the end of a motion and measure meanwhile.
 
         Raises:
-            TimeoutError: it did not end, so that the next command gets its turn.
+            TimeoutError: it did not end in time; the next command is then executed.
         """
         deadline_s = time.monotonic() + _MOTION_S
         while not future.wait(_PERIOD_S):

@@ -1,5 +1,5 @@
-"""The network between this machine and the control box: round trips, the card, and whether FCI
-answers. Limits as in `check`.
+"""Checks of the network between this machine and the control box: round trips, the card, and FCI.
+Limits as in `check`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rn_robot_fr3.fci.check import ArmFinding, SystemFiles
 
 PORT = 1337
 ROUND_TRIP_S = 0.0003
-"""Median that leaves 0.7 ms for planning and the control box. Source: libfranka,
+"""Median limit, which leaves 0.7 ms for planning and the control box. Source: libfranka,
 docs/troubleshooting.rst.
 """
 WORST_ROUND_TRIP_S = 0.001
@@ -28,9 +28,7 @@ _CONNECT_S = 3.0
 
 
 def check_network(machine: SystemFiles, host: str, seconds: float) -> list[ArmFinding]:
-    """Round trips to the control box, whether FCI is active there, and the network card that leads
-    there.
-    """
+    """Check round trips to the control box, whether FCI is active, and the network card."""
     return [judged_fci(host), judged_round_trips(round_trips(host, seconds)), card(machine, host)]
 
 
@@ -57,8 +55,8 @@ def judged_fci(host: str) -> ArmFinding:
 
 
 def round_trips(host: str, seconds: float) -> list[float] | str:
-    """Times [s] of echo requests (ping) with the size of a state; why there are none where they are
-    not allowed.
+    """Times [s] of echo requests (ping) with the size of a state; a reason instead if they are not
+    allowed.
     """
     try:
         link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM, socket.IPPROTO_ICMP)
@@ -83,7 +81,7 @@ def round_trips(host: str, seconds: float) -> list[float] | str:
 
 
 def _round_trip(link: socket.socket, number: int) -> float:
-    """Of one request [s]; inf without an answer in time."""
+    """Round-trip time of one request [s]; inf without an answer in time."""
     payload = bytes(1200)
     header = struct.pack("!BBHHH", _ECHO_REQUEST, 0, 0, os.getpid() & 0xFFFF, number)
     header = struct.pack(
@@ -95,7 +93,7 @@ def _round_trip(link: socket.socket, number: int) -> float:
         if not select.select([link], [], [], left_s)[0]:
             break
         answer = link.recv(2048)
-        # raw sockets show the IP header
+        # raw sockets include the IP header
         at = (answer[0] & 0x0F) * 4 if len(answer) > len(header) + len(payload) else 0
         if answer[at] == _ECHO_ANSWER and struct.unpack_from("!H", answer, at + 6)[0] == number:
             return time.perf_counter() - began_s
@@ -112,7 +110,7 @@ def checksum(data: bytes) -> int:
 
 
 def judged_round_trips(times_s: list[float] | str) -> ArmFinding:
-    """By `ROUND_TRIP_S` and `WORST_ROUND_TRIP_S`; none may be lost."""
+    """Check against `ROUND_TRIP_S` and `WORST_ROUND_TRIP_S`; no request may be lost."""
     if isinstance(times_s, str):
         return ArmFinding(
             name="round-trip",
@@ -143,7 +141,7 @@ def judged_round_trips(times_s: list[float] | str) -> ArmFinding:
 
 
 def card(machine: SystemFiles, host: str) -> ArmFinding:
-    """The network card towards a host: wired, 1 Gbit/s, awake."""
+    """Check the network card towards a host: wired, 1 Gbit/s, no power saving."""
     name = machine.interface(host)
     if not name or name == "lo":
         return ArmFinding(

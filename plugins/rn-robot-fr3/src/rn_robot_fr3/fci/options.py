@@ -1,4 +1,4 @@
-"""Options a user may set for the driver `fci`."""
+"""User options of the driver `fci`."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class FciDriverOptions(BaseModel):
         description="External force at the end effector that triggers a reflex.",
     )
     load_kg: Annotated[float, ConfigurationOnly()] = Field(
-        default=0.0, ge=0.0, le=3.0, description="Mass that the gripper carries all the time."
+        default=0.0, ge=0.0, le=3.0, description="Mass that the gripper always carries."
     )
     load_centre_m: Annotated[tuple[float, float, float], ConfigurationOnly()] = Field(
         default=(0.0, 0.0, 0.0), description="Its centre of mass in the flange's frame."
@@ -51,20 +51,20 @@ class FciDriverOptions(BaseModel):
         default=0.5,
         ge=0.1,
         le=5.0,
-        description="Stop when the robot module has not asked for the state for so long: it hangs.",
+        description="Stop if the robot module has not read the state for this long: it hangs.",
     )
     grasp_force_n: Annotated[float, ConfigurationOnly()] = Field(
         default=30.0, gt=0.0, le=70.0, description="Force with which the gripper closes."
     )
     gripper_speed_m_s: float = Field(
-        default=0.1, gt=0.0, le=0.1, description="How fast its width changes."
+        default=0.1, gt=0.0, le=0.1, description="Speed of the gripper's width."
     )
     connect_timeout_s: float = Field(
-        default=8.0, gt=0.0, le=20.0, description="How long the control box has to answer."
+        default=8.0, gt=0.0, le=20.0, description="Time for the control box to answer."
     )
     scene: Annotated[str | None, ConfigurationOnly()] = Field(
         default=None,
         pattern=r"^[0-9A-Za-z.\-]+:[0-9]+$",
-        description="host:port where franka-sim tells its scene (rn_robot_fr3.fci.simulator); "
+        description="host:port where franka-sim serves its scene (rn_robot_fr3.fci.simulator); "
         "none for a real arm.",
     )

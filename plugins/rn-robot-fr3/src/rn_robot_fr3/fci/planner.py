@@ -1,4 +1,4 @@
-"""How fast the arm may go to a target, so that ruckig's motion stays inside the limits of the arm.
+"""Maximum speed to a target, so that ruckig's motion stays inside the limits of the arm.
 
 Pure computation. The follower interpolates with ruckig under constant limits; the FR3 accepts less
 speed near a joint's limit. Source of that envelope: see `rn_robot_fr3.limits.velocity_bounds`.
@@ -22,42 +22,42 @@ from rn_robot_fr3.limits import (
 F64 = NDArray[np.float64]
 
 VELOCITY_LIMIT_RAD_S = np.array([2.1, 2.1, 2.1, 2.1, 2.6, 2.6, 2.6])
-"""Below the official table, so that an arm that extrapolates through a gap of 20 cycles stays below
-it, too.
+"""Below the official table, so that an arm that extrapolates through a gap of 20 cycles also stays
+below it.
 """
 STOP_ACCELERATION_RAD_S2 = np.full(7, 9.0)
-"""Of a stop. The room to the official 10 rad/s^2 is for states, whose 32-bit floats may be off by
-0.5 rad/s^2.
+"""Deceleration of a stop. The margin to the official 10 rad/s^2 is for states, whose 32-bit floats
+may be off by 0.5 rad/s^2.
 """
 ACCELERATION_LIMIT_RAD_S2 = np.full(7, 7.4)
-"""Of motions."""
+"""Acceleration of motions."""
 JERK_LIMIT_RAD_S3 = np.full(7, 1800.0)
 """The official limit is 5000 rad/s^3; the rounding of a state counts as up to 1000 of it."""
 
 _SLOWEST_RAD_S = 0.1
 _LEAST_FACTOR = 0.01
-"""Of the velocity, for motions that may take very long."""
+"""Minimum velocity factor, for very long motions."""
 _BRAKING_SHARE = 0.6
-"""Share of the acceleration that the envelope counts on for braking."""
+"""Share of the acceleration used for braking in the envelope."""
 _AWAY = np.linspace(0.0, 1.5, 751)
 _DECELERATION = np.minimum(
     np.array(BRAKING_DECELERATION_RAD_S2), _BRAKING_SHARE * ACCELERATION_LIMIT_RAD_S2
 )
 _OFFSET = np.array(BRAKING_OFFSET_RAD_S)
 MARGIN_RAD = (_OFFSET + 1.5 * _SLOWEST_RAD_S) ** 2 / (2.0 * _DECELERATION)
-"""Nearest that a target may come to a joint's limit: nearer the envelope leaves no speed to arrive
-with.
+"""Minimum distance of a target from a joint's limit; closer, the envelope leaves no speed for the
+arrival.
 """
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ArmPlan:
-    """How to go to a target.
+    """A planned motion to a target.
 
     Attributes:
         target: float64 (7,), within the limits less `MARGIN_RAD` [rad].
-        velocity_factor: share of `VELOCITY_LIMIT_RAD_S` that is allowed.
-        duration_s: estimate of the time until rest there.
+        velocity_factor: allowed share of `VELOCITY_LIMIT_RAD_S`.
+        duration_s: estimated time until rest at the target.
     """
 
     target: F64
@@ -66,11 +66,11 @@ class ArmPlan:
 
 
 def plan(position: F64, target: F64, duration_s: float, factor: float) -> ArmPlan:
-    """How to go from `position` (7,) to `target` (7,) [rad] in about `duration_s`, with `factor` of
-    the limits.
+    """Plan a motion from `position` (7,) to `target` (7,) [rad] in about `duration_s`, with
+    `factor` of the limits.
 
-    The duration becomes a bound on the speed: given as a least time, ruckig failed on 18 of 43
-    targets that replaced a motion (its error -111), without one on 0 of 64.
+    The duration becomes a bound on the speed. Given to ruckig as a minimum duration, it failed on
+    18 of 43 targets that replaced a motion (error -111); without one on 0 of 64.
     """
     clamped = np.clip(target, np.array(LOWER_RAD) + MARGIN_RAD, np.array(UPPER_RAD) - MARGIN_RAD)
     distance = clamped - position
@@ -80,7 +80,7 @@ def plan(position: F64, target: F64, duration_s: float, factor: float) -> ArmPla
     moving = np.abs(distance) > 1e-6
     share = np.minimum(1.0, allowed / VELOCITY_LIMIT_RAD_S)
     length = np.abs(distance)
-    # the speed with which a trapezoid of velocity takes just duration_s; none when even a triangle
+    # the speed with which a trapezoidal profile takes just duration_s; none if even a triangle
     # takes longer
     room_s2 = (acceleration * duration_s) ** 2 - 4.0 * acceleration * length
     unhurried = np.where(
@@ -103,8 +103,8 @@ def plan(position: F64, target: F64, duration_s: float, factor: float) -> ArmPla
 
 
 def fastest_towards(room: F64, acceleration: F64) -> F64:
-    """Cruising speed (7,) [rad/s] with which a joint, braking with `acceleration` to rest at `room`
-    (7,) [rad] before its limit, is nowhere faster than the envelope.
+    """Cruising speed (7,) [rad/s] with which a joint that brakes with `acceleration` to rest at
+    `room` (7,) [rad] before its limit never exceeds the envelope.
     """
     away = _AWAY[:, None]
     envelope = np.sqrt(2.0 * _DECELERATION * (room + away)) - _OFFSET

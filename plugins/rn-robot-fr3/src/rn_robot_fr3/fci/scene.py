@@ -1,6 +1,4 @@
-"""What a simulator behind the network protocol tells of its scene: for cameras and judge, never for
-policies.
-"""
+"""Scene of a simulator behind the network protocol: for cameras and judge, never for policies."""
 
 from __future__ import annotations
 
@@ -26,8 +24,8 @@ _JOIN_S = 3.0
 
 
 class SceneFeed:
-    """Asks the simulator for its scene and publishes it on `sim/state`, where `SimulatedFr3Cameras`
-    look.
+    """Requests the scene from the simulator and publishes it on `sim/state` for
+    `SimulatedFr3Cameras`.
     """
 
     def __init__(self, address: str, topics: Topics) -> None:
@@ -43,7 +41,7 @@ class SceneFeed:
         self._detail: dict[str, str] = {}
 
     def open(self) -> None:
-        """Begin. Raises NotReadyError when the simulator does not answer."""
+        """Start. Raises NotReadyError if the simulator does not answer."""
         if self._publish is None:
             self._publish = self._topics.advertise(TOPIC, Float64MultiArray)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -62,11 +60,11 @@ class SceneFeed:
         self._thread.start()
 
     def detail(self) -> Mapping[str, str]:
-        """Cubes and time of the simulator, as the driver `simulated` reports them."""
+        """Cubes and time of the simulator, in the form of the driver `simulated`."""
         return self._detail
 
     def close(self) -> None:
-        """End; may be called twice."""
+        """Stop; may be called twice."""
         self._stop.set()
         if self._thread is not None:
             self._thread.join(_JOIN_S)

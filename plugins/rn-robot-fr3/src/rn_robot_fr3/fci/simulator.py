@@ -1,8 +1,8 @@
-"""Starts franka-sim with our table and cubes, in an environment of its own: `python -m
+"""Starts franka-sim with our table and cubes, in its own environment: `python -m
 rn_robot_fr3.fci.simulator`.
 
-franka-sim 1.1.7 speaks protocol version 10 of the FCI and pins numpy 1.26, so it is installed apart
-(`make .venv-fr3sim`). What it runs there is `data/franka_sim_scene.py`.
+franka-sim 1.1.7 speaks protocol version 10 of the FCI and pins numpy 1.26, so it is installed
+separately (`make .venv-fr3sim`), and runs `data/franka_sim_scene.py`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PORT, GRIPPER_PORT, SCENE_PORT = 1337, 1338, 1339
 
 
 def scene(seed: int, colours: Sequence[str] = DEFAULT_COLOURS) -> dict[str, object]:
-    """What the simulator needs to build the same scene as the driver `simulated`."""
+    """Data from which the simulator builds the same scene as the driver `simulated`."""
     return {
         "seed": seed,
         "urdf": urdf(),
@@ -47,16 +47,16 @@ def scene(seed: int, colours: Sequence[str] = DEFAULT_COLOURS) -> dict[str, obje
 
 
 class FrankaSim(Counterpart):
-    """franka-sim with a scene. It may be told mode= or error=, which play the person at the arm or
-    a reflex; see `data/franka_sim_scene.py`.
+    """franka-sim with a scene. `tell(mode=...)` or `tell(error=...)` simulate a person at the arm
+    or a reflex; see `data/franka_sim_scene.py`.
 
     Args:
-        python: interpreter of the environment that has franka-sim.
+        python: interpreter of the environment with franka-sim.
         options: further arguments, such as "--enforce-motion-limits".
-        log: where its output goes.
+        log: file for its output.
         port: UDP port of its scene.
-        host: address that it serves on; none chooses one of 127.0.0.0/8 that is free.
-        prefix: what its command begins with, such as "nsenter" and its arguments.
+        host: address to serve on; None chooses a free one of 127.0.0.0/8.
+        prefix: prefix of its command, such as "nsenter" and its arguments.
     """
 
     name = "franka-sim"
@@ -81,7 +81,7 @@ class FrankaSim(Counterpart):
         self._folder = tempfile.TemporaryDirectory(prefix="fr3sim-")
 
     def command(self) -> Sequence[str]:
-        """The scene's script, in the environment that has franka-sim."""
+        """The scene's script, in the environment with franka-sim."""
         path = Path(self._folder.name) / "scene.json"
         path.write_text(json.dumps(scene(self._seed)), encoding="utf-8")
         script = str(files("rn_robot_fr3").joinpath("data/franka_sim_scene.py"))
@@ -89,7 +89,7 @@ class FrankaSim(Counterpart):
         return [*self._prefix, str(self._python), script, str(path), *address, *self._options]
 
     def is_serving(self) -> bool:
-        """Whether the FCI's port is open."""
+        """True if the FCI's port is open."""
         with contextlib.closing(socket.create_connection((self.host, PORT), 2.0)):
             return True
 
@@ -104,7 +104,7 @@ class FrankaSim(Counterpart):
 
     @property
     def scene_address(self) -> str:
-        """host:port of its scene, as the driver's option `scene` has it."""
+        """host:port of its scene, for the driver's option `scene`."""
         return f"{self.host}:{self._asking_port}"
 
 

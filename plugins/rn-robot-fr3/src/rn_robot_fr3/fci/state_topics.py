@@ -1,6 +1,6 @@
-"""What the control box measures, on topics of the robot's namespace and as text for `get_status`.
+"""Measurements of the control box, on topics of the robot's namespace and as text for `get_status`.
 
-Names of the topics are those of franka_ros2's franka_robot_state_broadcaster, where it has them.
+Topic names are those of franka_ros2's franka_robot_state_broadcaster, if it has them.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ F64 = NDArray[np.float64]
 MEASURED_JOINTS = "measured_joint_states"
 """`JointState`: position [rad], velocity [rad/s] and effort [Nm] of the seven joints."""
 EXTERNAL_TORQUES = "external_joint_torques"
-"""`JointState` with effort only [Nm]: torques that the motion does not explain, filtered."""
+"""`JointState` with effort only [Nm]: filtered torques not explained by the motion."""
 EXTERNAL_WRENCH = "external_wrench_in_base_frame"
 """`WrenchStamped` [N, Nm] at the stiffness frame."""
 CURRENT_POSE = "current_pose"
-"""`PoseStamped` of the end effector that Desk has configured, in the base frame."""
+"""`PoseStamped` of the end effector configured in Desk, in the base frame."""
 ROBOT_STATE = "robot_state"
 """`DiagnosticStatus` with the keys mode, fault, errors and control_success_rate; ERROR with a
 fault.
@@ -58,9 +58,7 @@ def described(measured: FciState, fault: ArmFault | None) -> dict[str, str]:
 
 
 class StateTopics:
-    """Publishes states at 60 Hz, and mode and fault at 10 Hz and when they change; used by one
-    thread.
-    """
+    """Publishes states at 60 Hz, and mode and fault at 10 Hz and on changes; used by one thread."""
 
     def __init__(self, topics: Topics) -> None:
         self._joints: Callable[[JointState], None] = topics.advertise(MEASURED_JOINTS, JointState)
@@ -76,7 +74,9 @@ class StateTopics:
         self._told: Mapping[str, str] = {}
 
     def publish(self, measured: FciState, fault: ArmFault | None, measured_ns: int) -> None:
-        """Publish what is due; `measured_ns` is the ROS time of the measurement [ns]."""
+        """Publish the topics that are due; `measured_ns` is the ROS time of the measurement
+        [ns].
+        """
         now_s = time.monotonic()
         if now_s - self._sent_s >= _PERIOD_S:
             self._sent_s = now_s

@@ -1,3 +1,3 @@
-"""The counterpart of the driver for LeRobot's arms: a simulated SO-101 behind a serial port, whose
-motors speak the protocol of the real ones.
+"""Simulated counterpart of LeRobot's arms for driver tests: an SO-101 behind a serial port, whose
+motors use the protocol of the real ones.
 """

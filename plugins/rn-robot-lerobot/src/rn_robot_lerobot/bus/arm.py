@@ -37,30 +37,30 @@ from rn_simulation.setpoint import JointSetpoint
 F64 = NDArray[np.float64]
 
 _MOTOR_SPEED_RAD_S, _MOTOR_ACCELERATION_RAD_S2 = 4.7, 60.0
-"""Of a motor without load, which is what it does with a goal that jumps."""
+"""No-load limits of a motor, reached when its goal jumps."""
 _POLL_S = 0.02
 _JAW = JOINTS.index(GRIPPER_JOINT)
 
 
 class Plant(Protocol):
-    """What the motors move."""
+    """The mechanics moved by the motors."""
 
     def step(self, position: F64, velocity: F64) -> None:
-        """Let `STEP_S` pass, the motors aiming at these, float64 (n,) [rad, rad/s]."""
+        """Advance by `STEP_S` with these motor setpoints, float64 (n,) [rad, rad/s]."""
 
     def joint_states(self) -> tuple[F64, F64]:
-        """Positions and velocities now."""
+        """Current positions and velocities."""
 
 
 class Reader(Protocol):
     """Finds packets in a stream of bytes."""
 
     def feed(self, data: bytes) -> Sequence[Packet]:
-        """Packets that are complete with these bytes."""
+        """Packets completed by these bytes."""
 
 
 class Massless:
-    """Joints that are where their motors aim."""
+    """Joints without dynamics, always at their setpoints."""
 
     def __init__(self, start: F64) -> None:
         self._states = start.copy(), np.zeros_like(start)
@@ -79,10 +79,10 @@ class SerialKind:
     """One kind of arm.
 
     Attributes:
-        assembled: where its encoders are, and how it was calibrated.
-        plant: makes what the motors move, from where the joints begin, float64 (n,) [rad].
-        chain: makes the motors, from the step of each encoder at the joint's position 0.
-        reader: makes the reader of their packets.
+        assembled: encoder zeros and calibration of the arm.
+        plant: creates the mechanics, from the start positions of the joints, float64 (n,) [rad].
+        chain: creates the motors, from the encoder step at each joint's position 0.
+        reader: creates the reader of their packets.
     """
 
     assembled: Assembled
@@ -104,7 +104,7 @@ SERIAL_SO101 = SerialKind(
     chain=FeetechChain,
     reader=packets.FeetechPacketReader,
 )
-"""With MuJoCo as its physics."""
+"""SO-101 with MuJoCo physics."""
 SERIAL_KOCH = SerialKind(
     assembled=ASSEMBLED_KOCH,
     plant=Massless,
@@ -114,10 +114,10 @@ SERIAL_KOCH = SerialKind(
 
 
 class RollingArm:
-    """An SO-101 on a base whose wheels do not slip.
+    """An SO-101 on a base with wheels that do not slip.
 
     Attributes:
-        pose: of the base since the beginning.
+        pose: pose of the base relative to its start.
     """
 
     def __init__(self, start: F64) -> None:
@@ -150,7 +150,7 @@ SERIAL_LEKIWI = SerialKind(
 
 
 def _advance(setpoint: JointSetpoint, speeds: Mapping[int, float]) -> None:
-    """One step of the motors; wheels follow speeds [rad/s], by their place."""
+    """One step of the motors; wheels follow speeds [rad/s], by index."""
     begun, before = setpoint.position.copy(), setpoint.velocity.copy()
     setpoint.advance(STEP_S)
     most = _MOTOR_ACCELERATION_RAD_S2 * STEP_S
@@ -163,8 +163,8 @@ class SerialArm:
     """An arm whose port is a pseudo terminal; use it as a context manager.
 
     Attributes:
-        motors: on its bus, with what is wrong with it.
-        plant: what they move; made when it is entered.
+        motors: motors on its bus, including faults.
+        plant: the mechanics; created on entry.
         port: path of the device.
         history: (monotonic time [s], joints float64 (n,) [rad]) of every step.
     """
@@ -175,9 +175,9 @@ class SerialArm:
         calibration: Mapping[str, MotorCalibration] | None = None,
     ) -> None:
         """Args:
-        kind: of arm.
-        calibration: what was written into the motors instead of their own; empty for motors fresh
-            from the factory.
+        kind: kind of the arm.
+        calibration: calibration written into the motors instead of their own; empty for factory-new
+            motors.
         """
         self._kind = kind
         self._start = kind.assembled.start_rad()
@@ -213,11 +213,13 @@ class SerialArm:
 
     @property
     def position(self) -> F64:
-        """Joints now, float64 (n,) [rad]."""
+        """Current joint positions, float64 (n,) [rad]."""
         return self.history[-1][1] if self.history else self._start
 
     def rest_after_s(self, fault_s: float, tolerance_rad: float = 5e-3) -> float:
-        """Time from `fault_s` [monotonic s] until no joint was away from where it is now [s]."""
+        """Time from `fault_s` [monotonic s] until all joints stayed at their current positions
+        [s].
+        """
         rows = [(at_s, np.delete(row, _JAW)) for at_s, row in self.history if at_s >= fault_s]
         away = [at_s for at_s, row in rows if np.abs(row - rows[-1][1]).max() > tolerance_rad]
         return away[-1] - fault_s if away else 0.0
@@ -233,7 +235,7 @@ class SerialArm:
                 with self._lock:
                     goals, torque = self.motors.goals()
                     speeds = self.motors.speeds()
-                # without torque a joint stays: the simulation carries its weight
+                # without torque a joint stays, because the simulation carries its weight
                 limp = [i for i in range(count) if not torque[i]]
                 setpoint.target[limp] = setpoint.position[limp]
                 powered = [i for i in range(count) if torque[i]]

@@ -1,5 +1,5 @@
-"""Motors on one serial bus: their registers, and the raw scale between registers and joints. Pure
-computation, whatever the protocol.
+"""Motors on a serial bus: their registers, and the scale between registers and joints. Pure
+computation, independent of the protocol.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ class Packet:
     """One instruction.
 
     Attributes:
-        motor: number of the motor, or `BROADCAST`.
-        instruction: one of those above.
-        parameters: what follows it.
+        motor: id of the motor, or `BROADCAST`.
+        instruction: one of the constants above.
+        parameters: its parameters.
     """
 
     motor: int
@@ -41,9 +41,9 @@ class PacketReader(ABC):
     """Finds packets in a stream of bytes.
 
     Attributes:
-        header: what each packet begins with.
-        least: bytes after which a packet's size is known.
-        damaged: packets with a wrong checksum so far.
+        header: first bytes of each packet.
+        least: number of bytes after which a packet's size is known.
+        damaged: number of packets with a wrong checksum.
     """
 
     header: ClassVar[bytes]
@@ -54,7 +54,7 @@ class PacketReader(ABC):
         self.damaged = 0
 
     def feed(self, data: bytes) -> list[Packet]:
-        """Packets that are complete with these bytes."""
+        """Packets completed by these bytes."""
         self._buffer += data
         found: list[Packet] = []
         while (start := self._buffer.find(self.header)) >= 0:
@@ -77,23 +77,23 @@ class PacketReader(ABC):
 
     @abstractmethod
     def _size(self, begun: bytes) -> int | None:
-        """Bytes of the packet that begins here; None where none can begin."""
+        """Size in bytes of the packet that begins here; None if none can begin here."""
 
     @abstractmethod
     def _packet(self, whole: bytes) -> Packet | None:
-        """What a packet says; None when its checksum is wrong."""
+        """Parse a packet; None if its checksum is wrong."""
 
 
 @dataclass(kw_only=True)
 class BusFaults:
-    """What is wrong with the bus; may be changed at any time.
+    """Faults of the bus; may be changed at any time.
 
     Attributes:
-        silent: nothing answers, and nothing arrives.
-        mute: nothing answers; what is sent arrives.
-        lost_share: share of instructions that no motor hears, 0..1.
-        answer_delay_s: of each answer [s].
-        wrong: steps that are added to the position that a motor tells, by the joint's name.
+        silent: nothing is answered, and nothing arrives.
+        mute: nothing is answered, but instructions arrive.
+        lost_share: share of lost instructions, 0..1.
+        answer_delay_s: delay of each answer [s].
+        wrong: steps added to a motor's reported position, by the joint's name.
         error: error bits of every answer.
     """
 
@@ -107,15 +107,15 @@ class BusFaults:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Registers:
-    """Where a motor keeps what: addresses, and bytes of a number.
+    """Register layout of a motor: addresses and sizes in bytes.
 
     Attributes:
-        size: bytes of the whole memory.
-        width: bytes of the numbers below; the motor's number and the torque have one byte.
-        number, torque: of one byte.
-        model: of two bytes.
-        lowest, highest, offset, goal, position, velocity: of `width` bytes.
-        permanent_end: first address behind the permanent memory.
+        size: size of the whole memory.
+        width: size of the numbers below; the motor's id and the torque have one byte.
+        number, torque: registers of one byte.
+        model: register of two bytes.
+        lowest, highest, offset, goal, position, velocity: registers of `width` bytes.
+        permanent_end: first address after the permanent memory.
     """
 
     size: int
@@ -136,11 +136,11 @@ class MotorChain(ABC):
     """Motors 1 to n on one bus.
 
     Attributes:
-        registers: of every motor.
-        offset_sign: of the homing offset in what a motor tells.
-        address_size: bytes of an address or a count in an instruction.
-        faults: what is wrong with them.
-        broken_rules: what a careful master would not have done, in words, oldest first.
+        registers: register layout of every motor.
+        offset_sign: sign of the homing offset in reported positions.
+        address_size: size of an address or a count in an instruction.
+        faults: current faults.
+        broken_rules: descriptions of violations by the master, oldest first.
     """
 
     registers: Registers
@@ -157,8 +157,8 @@ class MotorChain(ABC):
     ) -> None:
         """Args:
         joints, models: joint and model number of each motor.
-        encoder_zeros: step of each encoder, without an offset, at the joint's position 0.
-        seed: of what is lost.
+        encoder_zeros: encoder step, without an offset, at each joint's position 0.
+        seed: seed of the random losses.
         """
         self.faults = BusFaults()
         self.broken_rules: list[str] = []
@@ -174,38 +174,38 @@ class MotorChain(ABC):
 
     @abstractmethod
     def encode(self, address: int, value: int) -> int:
-        """The unsigned number that a register holds for `value`."""
+        """Unsigned register content for `value`."""
 
     @abstractmethod
     def decode(self, address: int, raw: int) -> int:
-        """The value of a register's unsigned number."""
+        """Value of an unsigned register content."""
 
     @abstractmethod
     def status(self, i: int, data: bytes = b"", *, error: int = 0) -> bytes:
-        """The answer of a motor, with `error` beside the error bits of `faults`."""
+        """Answer of a motor, with `error` in addition to the error bits of `faults`."""
 
     @abstractmethod
     def answer_ping(self, i: int) -> bytes:
-        """The answer of a motor to `PING`."""
+        """Answer of a motor to `PING`."""
 
     @abstractmethod
     def write(self, i: int, address: int, data: bytes) -> int:
-        """Write into a motor's memory what it lets be written; the error of its answer."""
+        """Write into a motor's memory as far as permitted; return the error of its answer."""
 
     def turns(self, i: int) -> int:
-        """1, or -1 for a motor that runs the other way."""
+        """1, or -1 for an inverted motor."""
         return 1
 
     def is_wheel(self, i: int) -> bool:
-        """Whether a motor follows a speed instead of a position."""
+        """True if a motor follows a speed instead of a position."""
         return False
 
     def goal_steps_s(self, i: int) -> int:
-        """Speed that a wheel follows [steps/s]."""
+        """Goal speed of a wheel [steps/s]."""
         return 0
 
     def speeds(self) -> dict[int, float]:
-        """Speed [rad/s] of each wheel that has torque, by its place in the order of `joints`."""
+        """Speed [rad/s] of each wheel with torque, by its index in `joints`."""
         return {
             i: self.turns(i) * self.goal_steps_s(i) * 2.0 * math.pi / STEPS
             for i in range(len(self.joints))
@@ -213,7 +213,7 @@ class MotorChain(ABC):
         }
 
     def calibrate(self, calibration: Mapping[str, MotorCalibration]) -> None:
-        """Write what `lerobot-calibrate` writes into the motors."""
+        """Write the values of `lerobot-calibrate` into the motors."""
         for i, name in enumerate(self.joints):
             motor = calibration[name]
             self.set(i, self.registers.offset, motor.homing_offset)
@@ -221,7 +221,7 @@ class MotorChain(ABC):
             self.set(i, self.registers.highest, motor.range_max)
 
     def measure(self, position_rad: F64, velocity_rad_s: F64) -> None:
-        """Let the encoders be at these joints, float64 (n,)."""
+        """Set the encoders to these joint states, float64 (n,)."""
         steps = self._zeros + position_rad * STEPS / (2.0 * math.pi)
         for i, step in enumerate(steps):
             turned = self.turns(i) * round(step)
@@ -232,11 +232,11 @@ class MotorChain(ABC):
             self.set(i, self.registers.velocity, self.turns(i) * speed)
 
     def _shift(self, i: int) -> int:
-        """Steps between a motor's encoder and what it tells."""
+        """Difference between a motor's encoder and its reported position [steps]."""
         return self.offset_sign * self.get(i, self.registers.offset)
 
     def goals(self) -> tuple[F64, NDArray[np.bool_]]:
-        """Joint positions that are aimed at [rad] and whether a motor has torque, each (n,)."""
+        """Goal positions of the joints [rad], and which motors have torque, each (n,)."""
         count = range(len(self.joints))
         told = [self.get(i, self.registers.goal) - self._shift(i) for i in count]
         steps = np.array([self.turns(i) * told[i] for i in count])
@@ -245,11 +245,11 @@ class MotorChain(ABC):
         return goals, torque
 
     def has_torque(self, i: int) -> bool:
-        """Whether a motor holds."""
+        """True if a motor has torque."""
         return self.memories[i][self.registers.torque] == 1
 
     def answer(self, packet: Packet) -> bytes:
-        """What the motors send back; nothing when they hear nothing."""
+        """Answers of the motors to an instruction; empty if it does not arrive."""
         faults = self.faults
         if faults.silent or self._random.random() < faults.lost_share:
             return b""
@@ -282,7 +282,7 @@ class MotorChain(ABC):
         return b""
 
     def read(self, i: int, address: int, count: int) -> bytes:
-        """A motor's answer with a part of its memory."""
+        """Answer of a motor with a part of its memory."""
         data = bytes(self.memories[i][address : address + count])
         wrong = (self.faults.wrong or {}).get(self.joints[i], 0)
         position, width = self.registers.position, self.registers.width
@@ -292,7 +292,7 @@ class MotorChain(ABC):
         return self.status(i, data)
 
     def take_goal(self, i: int, *, is_bounded: bool) -> None:
-        """Judge a goal that was written; one beyond the limits is clamped by the motor."""
+        """Check a written goal; the motor clamps one beyond the limits."""
         registers, name = self.registers, self.joints[i]
         goal = self.get(i, registers.goal)
         if self.is_wheel(i):
@@ -305,16 +305,16 @@ class MotorChain(ABC):
             self.broken_rules.append(f"{name}: goal {goal} without torque")
 
     def stay(self, i: int) -> None:
-        """Aim at where the motor is, as it does when its torque is switched on."""
+        """Set the goal to the current position, as a motor does when its torque is switched on."""
         self.set(i, self.registers.goal, self.get(i, self.registers.position))
 
     def get(self, i: int, address: int) -> int:
-        """A number of `width` bytes."""
+        """Read a number of `width` bytes."""
         raw = self.memories[i][address : address + self.registers.width]
         return self.decode(address, int.from_bytes(raw, "little"))
 
     def set(self, i: int, address: int, value: int) -> None:
-        """Put a number of `width` bytes."""
+        """Store a number of `width` bytes."""
         width = self.registers.width
         raw = self.encode(address, value).to_bytes(width, "little")
         self.memories[i][address : address + width] = raw

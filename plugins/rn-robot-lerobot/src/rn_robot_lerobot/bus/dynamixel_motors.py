@@ -1,7 +1,8 @@
 """The six motors of a simulated Koch arm. Pure computation.
 
-A register holds the encoder's steps (4096 a turn) and the homing offset, low byte first, negative
-numbers as two's complement. Source: ROBOTIS, control tables of XL430-W250 and XL330-M288.
+A position register holds the encoder's steps (4096 per turn) plus the homing offset, low byte
+first, negative numbers as two's complement. Source: ROBOTIS, control tables of XL430-W250 and
+XL330-M288.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class DynamixelChain(MotorChain):
             memory[_OPERATING_MODE] = POSITION_MODE
 
     def invert(self, joint: str) -> None:
-        """Set a motor's drive mode, as a person does who has mounted it the other way round."""
+        """Invert a motor's drive mode, as for a motor mounted in reverse."""
         self.memories[self.joints.index(joint)][_DRIVE_MODE] = _INVERTED
 
     def turns(self, i: int) -> int:
@@ -88,6 +89,6 @@ class DynamixelChain(MotorChain):
         if address == registers.torque and self.has_torque(i) and not had_torque:
             self.stay(i)
         if address == registers.goal:
-            # several turns have no limits
+            # extended mode (several turns) has no limits
             self.take_goal(i, is_bounded=memory[_OPERATING_MODE] == POSITION_MODE)
         return 0

@@ -1,8 +1,8 @@
 """Packets of Dynamixel's serial protocol 2.0.
 
-Source: ROBOTIS, DYNAMIXEL protocol 2.0: FF FF FD 00, number of the motor, length (two bytes),
-instruction, parameters, CRC-16. Where FF FF FD occurs in instruction and parameters, another FD
-follows it. An answer has the instruction 55 and begins its parameters with the error.
+Source: ROBOTIS, DYNAMIXEL protocol 2.0: FF FF FD 00, motor id, length (two bytes), instruction,
+parameters, CRC-16. If FF FF FD occurs in instruction and parameters, another FD is inserted after
+it. An answer has the instruction 55, and its parameters begin with the error.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ _STATUS = 0x55
 _POLYNOMIAL = 0x8005
 _LONGEST = 250
 _BEFORE = 7
-"""Bytes before the instruction."""
+"""Number of bytes before the instruction."""
 
 
 def crc(data: bytes) -> int:
-    """CRC-16 (polynomial 8005, begins with 0, not reflected)."""
+    """CRC-16 (polynomial 8005, initial value 0, not reflected)."""
     value = 0
     for byte in data:
         value ^= byte << 8
@@ -31,19 +31,19 @@ def crc(data: bytes) -> int:
 
 
 def packed(motor: int, instruction: int, parameters: bytes) -> bytes:
-    """A packet as it goes over the line."""
+    """Serialise a packet."""
     body = (bytes((instruction,)) + parameters).replace(_MARK, _STUFFED)
     head = _HEADER + bytes((motor,)) + (len(body) + 2).to_bytes(2, "little")
     return head + body + crc(head + body).to_bytes(2, "little")
 
 
 def status(motor: int, error: int, data: bytes = b"") -> bytes:
-    """The answer of a motor."""
+    """Status packet of a motor."""
     return packed(motor, _STATUS, bytes((error,)) + data)
 
 
 class DynamixelPacketReader(chain.PacketReader):
-    """Of this protocol."""
+    """Reader for protocol 2.0."""
 
     header = _HEADER
     least = _BEFORE

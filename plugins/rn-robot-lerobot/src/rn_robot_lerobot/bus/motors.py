@@ -1,7 +1,7 @@
 """The motors of a simulated SO-101 or LeKiwi. Pure computation.
 
-A register holds the encoder's steps (4096 a turn) less the homing offset, low byte first, negative
-numbers by a sign bit. Source: Feetech, memory table of the STS3215.
+A position register holds the encoder's steps (4096 per turn) minus the homing offset, low byte
+first, with a sign bit for negative numbers. Source: Feetech, memory table of the STS3215.
 """
 
 from __future__ import annotations
@@ -34,19 +34,19 @@ _SIGN_BIT = {31: 11, 42: 15, 46: 15, 56: 15, 58: 15}
 
 
 def encode(value: int, sign_bit: int) -> int:
-    """A number as sign and magnitude."""
+    """Encode a number as sign and magnitude."""
     return abs(value) | (1 << sign_bit if value < 0 else 0)
 
 
 def decode(value: int, sign_bit: int) -> int:
-    """The number of a sign and a magnitude."""
+    """Decode a number from sign and magnitude."""
     magnitude = value & ((1 << sign_bit) - 1)
     return -magnitude if value >> sign_bit & 1 else magnitude
 
 
 def wheel_stop(motors: Sequence[int]) -> tuple[bytes, bytes]:
-    """Packets that stop motors in velocity mode: speed 0, then no torque, without which another
-    speed moves nothing.
+    """Packets that stop motors in velocity mode: speed 0, then torque off, so that later speeds
+    have no effect.
     """
     return (
         packets.sync_write(motors, _GOAL_VELOCITY, bytes(_REGISTERS.width)),

@@ -1,7 +1,7 @@
 """Packets of the motors' serial protocol.
 
-Source: Feetech, protocol of the SMS/STS series: FF FF, number of the motor, length, instruction (or
-error of an answer), parameters, checksum (the complement of the sum from the number on).
+Source: Feetech, protocol of the SMS/STS series: FF FF, motor id, length, instruction (or error of
+an answer), parameters, checksum (the complement of the sum from the id on).
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ _LONGEST = 250
 
 
 def checksum(body: bytes) -> int:
-    """Of everything between the header and itself."""
+    """Checksum of the bytes between the header and the checksum."""
     return ~sum(body) & 0xFF
 
 
 def status(motor: int, error: int, data: bytes = b"") -> bytes:
-    """The answer of a motor."""
+    """Status packet of a motor."""
     body = bytes((motor, len(data) + 2, error)) + data
     return _HEADER + body + bytes((checksum(body),))
 
 
 def sync_write(motors: Sequence[int], address: int, data: bytes) -> bytes:
-    """The instruction that writes the same into several motors; none of them answers."""
+    """Instruction that writes the same data into several motors; none of them answers."""
     rows = b"".join(bytes((motor,)) + data for motor in motors)
     parameters = bytes((address, len(data))) + rows
     body = bytes((BROADCAST, len(parameters) + 2, SYNC_WRITE)) + parameters
@@ -35,7 +35,7 @@ def sync_write(motors: Sequence[int], address: int, data: bytes) -> bytes:
 
 
 class FeetechPacketReader(chain.PacketReader):
-    """Of this protocol."""
+    """Reader for this protocol."""
 
     header = _HEADER
     least = 4

@@ -1,4 +1,4 @@
-"""Arms as they might have been put together: where their encoders are, and their calibrations."""
+"""Examples of assembled arms: encoder zeros and calibrations."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _MIDDLE = STEPS // 2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Assembled:
-    """One arm.
+    """One assembled arm.
 
     Attributes:
-        arm: what it is.
-        encoder_zeros: step of each encoder at the joint's position 0, in the order of the motors'
-            numbers, those of wheels last: horns are put on at any tooth.
+        arm: kind of the arm.
+        encoder_zeros: encoder step at each joint's position 0, in the order of the motor ids,
+            wheels last; arbitrary, because horns can be mounted at any tooth.
         offset_sign: 1 for motors that add their homing offset, -1 for those that subtract it.
         whole_turns: joints whose range is a whole turn.
     """
@@ -33,8 +33,8 @@ class Assembled:
     whole_turns: tuple[str, ...]
 
     def calibration(self) -> dict[str, MotorCalibration]:
-        """What `lerobot-calibrate` finds: position 0 in the middle, ends at the joints' limits, and
-        a whole turn for some joints.
+        """The result of `lerobot-calibrate`: position 0 in the middle, ends at the joints' limits,
+        and a whole turn for some joints.
         """
         found = {}
         ends = dict(zip(self.encoder_zeros, self.arm.ends_rad(), strict=False))
@@ -51,7 +51,7 @@ class Assembled:
         return found
 
     def start_rad(self) -> np.ndarray:
-        """Where the joints begin, in the order of the motors' numbers [rad]."""
+        """Start positions of the joints, in the order of the motor ids [rad]."""
         arm = self.arm.start_rad()
         return np.append(arm, np.zeros(len(self.encoder_zeros) - len(arm)))
 

@@ -1,7 +1,6 @@
-"""Working stand-ins for every kind of plugin and for the ROS graph, without ROS, models or
-hardware.
+"""Working fakes for every kind of plugin and for the ROS graph, without ROS, models or hardware.
 
-They keep the contract themselves: the kit's own tests run every rule on them.
+They satisfy the contract themselves: the kit's own tests run every rule on them.
 """
 
 from collections.abc import Mapping
@@ -53,8 +52,8 @@ _TOOLS = FeatureSpec(
 def fake_plan(
     kind: ModuleKind, config: Config, *inputs: ModuleKind, names: Mapping[str, str] | None = None
 ) -> Plan:
-    """The plan of a module, whatever is installed: with the fake robot, whose driver is compared
-    with nothing.
+    """Plan of a module, independent of the installed plugins: with the fake robot, whose driver is
+    not checked for compatibility.
     """
     return Plan(
         kind=kind,
@@ -68,9 +67,8 @@ def fake_plan(
 
 
 def fake_registry(*more: Spec) -> Registry:
-    """A registry that holds the fakes, what brings the modules that they run in and
-    the tools that start these, and `more`, all
-    ready, as if one plugin had offered them.
+    """A registry with the fakes, the plugins of their modules, the tools that start these, and
+    `more`, all ready, as if offered by one plugin.
     """
     specs = (*FAKE_SPECS, *_MODULES, _TOOLS, *more)
     offers = tuple(

@@ -1,4 +1,4 @@
-"""A backend that answers at once, and the observations to ask it with."""
+"""A backend that answers immediately, and observations for it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class InstantOptions(BaseModel):
 
 
 class InstantBackend:
-    """Follows the protocol `Backend`: a small move along x, at once, whatever it sees."""
+    """Follows the protocol `Backend`: always a small move along x, immediately."""
 
     def __init__(
         self,
@@ -46,11 +46,11 @@ class InstantBackend:
         self._loaded = False
 
     def load(self) -> None:
-        """Become ready."""
+        """Mark it as loaded."""
         self._loaded = True
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """The same chunk for every observation that holds a primary frame and finite
+        """Return the same chunk for every observation with a primary frame and finite
         proprioception.
         """
         if not self._loaded:
@@ -69,16 +69,16 @@ class InstantBackend:
         )
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing; there is no state."""
 
     def close(self) -> None:
-        """Refuse to predict from now on."""
+        """Unload."""
         self._loaded = False
 
 
 def make_observation(spec: BackendSpec, instruction: str = "pick up the red cube") -> Observation:
-    """An observation with exactly what `spec` declares: gradients as images, the gantry at home as
-    state.
+    """An observation with exactly the inputs that `spec` declares: gradient images, and the gantry
+    at home as state.
     """
     frames = {
         role: Frame(

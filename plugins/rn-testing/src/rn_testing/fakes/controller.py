@@ -1,4 +1,6 @@
-"""A controller for the gantry: its joints are the TCP pose, so the inverse is read off."""
+"""A controller for the gantry, whose joints are its TCP pose, so the inverse kinematics is
+trivial.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ MAX_STEP = 0.3
 
 
 def _joints_at(pose: Pose) -> F64:
-    """The gantry's joints at a pose of the TCP."""
+    """Joint positions of the gantry for a TCP pose."""
     m = matrix_from_quaternion(pose.quaternion_xyzw)
     hinges = (
         math.atan2(m[1, 0], m[0, 0]),
@@ -54,7 +56,7 @@ class GantryController:
         self._loaded = False
 
     def load(self) -> None:
-        """Raises ConfigurationError for robots that are no gantry."""
+        """Raises ConfigurationError for robots other than a gantry."""
         links = tuple(
             f'<link name="{name}"' for name in (self._profile.base_link, self._profile.tcp_link)
         )
@@ -74,8 +76,8 @@ class GantryController:
         return np.array([values[n] for n in self._profile.arm_joints])
 
     def forward(self, joints: JointSample) -> Pose:
-        """The slides are the position, the hinges yaw, pitch and roll; raises UnsafeError for
-        joints it lacks.
+        """The slides give the position, the hinges yaw, pitch and roll. Raises UnsafeError for
+        missing joints.
         """
         q = self._measured(joints)
         yaw, pitch, roll = (
@@ -85,10 +87,10 @@ class GantryController:
         return Pose(position_m=q[:3].copy(), quaternion_xyzw=rotation, stamp_ns=joints.stamp_ns)
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
-        """The joints of the target pose; holds for bad numbers, large steps and positions outside
+        """Joints of the target pose; holds for invalid numbers, large steps and positions outside
         the limits.
 
-        A step that needs more than a joint's velocity limit is given more time.
+        A step above a joint's velocity limit gets more time.
         """
         try:
             measured = self._measured(joints)
@@ -105,8 +107,8 @@ class GantryController:
     def execute(
         self, space: ControlSpace, row: F64, joints: JointSample, step_s: float
     ) -> JointCommand | Hold:
-        """The joints that a row says, or of the pose that it says; holds as `compute` does, and for
-        channels that are not the robot's.
+        """Joints of a row, or of its pose; holds as `compute` does, and for channels of another
+        robot.
         """
         try:
             measured = self._measured(joints)
@@ -148,7 +150,7 @@ class GantryController:
         return JointCommand(names=names, position=np.append(q, finger), duration_s=duration_s)
 
     def close(self) -> None:
-        """Forget the profile's check."""
+        """Unload."""
         self._loaded = False
 
 

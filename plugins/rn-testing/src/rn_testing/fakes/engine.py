@@ -1,5 +1,5 @@
-"""A runtime and an acceleration of the family "fake": decoding is counting, and pruning is counting
-less.
+"""A runtime and an acceleration of the family "fake": decoding counts words, pruning counts
+fewer.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ PRUNING = "visual-token-pruning"
 
 @dataclass
 class FakeDecoder:
-    """What the fake acceleration changes: how many tokens of a prompt are kept."""
+    """The part that the fake acceleration changes: the fraction of prompt tokens kept."""
 
     kept_fraction: float = 1.0
 
 
 class CountingRuntime:
-    """Follows the protocol `Runtime`: `load` takes any text as model, `run` counts the tokens of a
-    request.
+    """Follows the protocol `Runtime`: `load` accepts any text as model, `run` counts the tokens of
+    a request.
     """
 
     def __init__(self, config: None) -> None:
         self._decoder: FakeDecoder | None = None
 
     def load(self, model: object, acceleration: Acceleration[FakeDecoder] | None = None) -> None:
-        """Take a model's name; raises InvalidInputError for anything else."""
+        """Store the model's name. Raises InvalidInputError for anything else."""
         if not isinstance(model, str):
             raise InvalidInputError(f"The model is {type(model).__name__}, expected its name.")
         decoder = FakeDecoder()
@@ -39,8 +39,8 @@ class CountingRuntime:
         self._decoder = decoder
 
     def run(self, request: object) -> object:
-        """The number of words kept; raises StateError unless loaded, InvalidInputError for what is
-        no text.
+        """Number of words kept. Raises StateError unless loaded, InvalidInputError for anything but
+        text.
         """
         if self._decoder is None:
             raise StateError("The runtime is not loaded; call load() first.")
@@ -49,10 +49,10 @@ class CountingRuntime:
         return round(len(request.split()) * self._decoder.kept_fraction)
 
     def abort(self) -> None:
-        """Nothing runs long enough to be given up."""
+        """Do nothing; no run takes long."""
 
     def close(self) -> None:
-        """Forget the model."""
+        """Unload."""
         self._decoder = None
 
 

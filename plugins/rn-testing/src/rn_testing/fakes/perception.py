@@ -1,4 +1,4 @@
-"""A camera that shows what a test tells it to show, when it tells it to."""
+"""A camera whose images are supplied by the test."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from roboneuron import (
 
 
 def gradient_image(width: int = 64, height: int = 48, shade: int = 0) -> NDArray[np.uint8]:
-    """uint8 (height, width, 3): red grows to the right, green downwards, blue is `shade`."""
+    """uint8 (height, width, 3): red increases to the right, green downwards, blue is `shade`."""
     image = np.empty((height, width, 3), dtype=np.uint8)
     image[:, :, 0] = np.linspace(0, 255, width, dtype=np.uint8)[None, :]
     image[:, :, 1] = np.linspace(0, 255, height, dtype=np.uint8)[:, None]
@@ -30,7 +30,7 @@ def gradient_image(width: int = 64, height: int = 48, shade: int = 0) -> NDArray
 
 
 class ControlledSource:
-    """Follows the protocol `PerceptionSource`; `show` makes the next frame."""
+    """Follows the protocol `PerceptionSource`; `show` creates the next frame."""
 
     def __init__(self, config: None, topics: Topics, cameras: Sequence[CameraProfile]) -> None:
         self._topics = topics
@@ -48,7 +48,7 @@ class ControlledSource:
     def show(
         self, camera: str, image: NDArray[np.uint8] | None = None, stamp_ns: int | None = None
     ) -> None:
-        """Make a frame arrive (a gradient when `image` is None); may be called from any thread."""
+        """Make a frame arrive (a gradient if `image` is None); may be called from any thread."""
         profile = self._cameras[camera]
         frame = Frame(
             camera=camera,
@@ -62,8 +62,8 @@ class ControlledSource:
             self._changed.notify_all()
 
     def read(self, timeout_s: float) -> Frame:
-        """The oldest frame not read yet; raises NotReadyError when none comes in time, StateError
-        unless open.
+        """The oldest unread frame. Raises NotReadyError if none arrives in time, StateError unless
+        open.
         """
         with self._changed:
             if not self._is_open:
@@ -75,7 +75,7 @@ class ControlledSource:
             return self._pending.popleft()
 
     def close(self) -> None:
-        """Drop what was not read and end a `read` in progress."""
+        """Drop unread frames and end a `read` in progress."""
         with self._changed:
             self._is_open = False
             self._pending.clear()

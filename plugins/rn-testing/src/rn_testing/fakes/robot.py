@@ -1,6 +1,4 @@
-"""A robot that exists in memory: a gantry of three slides that carries a wrist of three hinges, and
-its driver.
-"""
+"""A robot in memory: a gantry of three slides with a wrist of three hinges, and its driver."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ HINGES = ("yaw", "pitch", "roll")
 FINGER = "finger"
 """The gripper's joint: 0 m closed, 0.04 m open."""
 FINGER_BOUNDS = (0.0, 0.04, 0.1)
-"""Its lower and upper position [m] and its velocity limit [m/s]."""
+"""Lower and upper position of the finger [m], and its velocity limit [m/s]."""
 
 _AXES = {
     "slide_x": "1 0 0",
@@ -82,7 +80,7 @@ def _urdf() -> str:
 
 
 def gantry_profile() -> RobotProfile:
-    """The fake robot's profile: six joints whose TCP pose is their position, a gripper, two
+    """The fake robot's profile: six joints that directly give the TCP pose, a gripper, two
     cameras.
     """
     return RobotProfile(
@@ -120,9 +118,7 @@ def gantry_profile() -> RobotProfile:
 
 
 class FakeDriver:
-    """Follows the protocol `RobotDriver`; joints go straight to where they are sent, by the
-    clock.
-    """
+    """Follows the protocol `RobotDriver`; joints move linearly in time to their targets."""
 
     def __init__(
         self, config: FakeDriverOptions | None, profile: RobotProfile, topics: Topics
@@ -135,7 +131,7 @@ class FakeDriver:
         self._begun_s = self._duration_s = 0.0
 
     def open(self) -> None:
-        """Stand at home."""
+        """Start at home."""
         home = self._profile.home_rad
         gripper = self._profile.gripper
         assert home is not None
@@ -167,7 +163,7 @@ class FakeDriver:
         return (self._goal[name] - self._start[name]) / self._duration_s if is_moving else 0.0
 
     def read(self) -> RobotState:
-        """Where the joints are now; raises StateError unless open."""
+        """Current joint positions. Raises StateError unless open."""
         positions = self._positions()
         gripper = self._profile.gripper
         return RobotState(
@@ -181,7 +177,7 @@ class FakeDriver:
         )
 
     def send(self, command: JointCommand) -> JointCommand:
-        """Start moving, for longer than asked where the velocity limits demand it.
+        """Start a motion, slower than commanded if the velocity limits require it.
 
         Raises:
             InvalidInputError: an unknown joint, a position that is not finite or outside the
@@ -219,12 +215,12 @@ class FakeDriver:
         return replace(command, duration_s=duration_s)
 
     def hold(self) -> None:
-        """Stop where the joints are."""
+        """Stop at the current joint positions."""
         here = self._positions()
         self._move(here, here, 0.0)
 
     def close(self) -> None:
-        """Forget where it stands."""
+        """Clear the state."""
         self._start = None
 
 

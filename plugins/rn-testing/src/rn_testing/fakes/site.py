@@ -16,12 +16,12 @@ from roboneuron.plugins.hookspecs import hookimpl
 from roboneuron.plugins.specs import *
 from roboneuron.plugins.specs import Requirement
 """
-"""What a plugin module of `PluginSite.install` begins with."""
+"""First lines of a plugin module written by `PluginSite.install`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PluginSite:
-    """A directory that looks like site-packages to `importlib.metadata` and is on `sys.path`."""
+    """A directory that `importlib.metadata` treats as site-packages, on `sys.path`."""
 
     path: Path
 
@@ -34,7 +34,7 @@ class PluginSite:
         value: str | None = None,
         header: str = HEADER,
     ) -> None:
-        """Write a distribution with one plugin module that holds `source`."""
+        """Write a distribution with one plugin module containing `source`."""
         self.path.mkdir(exist_ok=True)
         module = distribution.lower().replace("-", "_") + "_plugin"
         (self.path / f"{module}.py").write_text(header + source)
@@ -60,8 +60,8 @@ class PluginSite:
 
 @contextmanager
 def plugin_site(path: Path) -> Iterator[PluginSite]:
-    """A new site in `path`, first on `sys.path`; in the end modules that were imported from it are
-    forgotten.
+    """A new site in `path`, first on `sys.path`; modules imported from it are removed at the
+    end.
     """
     path.mkdir()
     sys.path.insert(0, str(path))

@@ -1,4 +1,4 @@
-"""A plugin for tests with real processes: the public fakes, and a camera that ticks.
+"""A plugin for tests with real processes: the public fakes, and a camera with a fixed rate.
 
 A PluginSite installs it by its name: `install("rn-tests", "", value="rn_testing.fakes.ticking")`.
 """
@@ -13,13 +13,13 @@ from roboneuron import CameraProfile, Frame, PerceptionSpec, Spec, Topics, hooki
 
 
 class TickingSource:
-    """Serves its cameras in turn, about 20 frames per second each."""
+    """Serves its cameras in rotation, with about 20 frames per second each."""
 
     def __init__(self, config: None, topics: Topics, cameras: Sequence[CameraProfile]) -> None:
         self._topics, self._cameras, self._index = topics, list(cameras), 0
 
     def open(self) -> None:
-        """Nothing to open."""
+        """Do nothing."""
 
     def read(self, timeout_s: float) -> Frame:
         time.sleep(0.05 / len(self._cameras))
@@ -34,7 +34,7 @@ class TickingSource:
         )
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing."""
 
 
 def _of_kind(kind: str) -> tuple[Spec, ...]:

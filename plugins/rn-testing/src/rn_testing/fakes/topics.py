@@ -1,4 +1,4 @@
-"""Topics without ROS: what a plugin publishes and subscribes to, in the memory of one process."""
+"""Topics without ROS: publishers and subscribers in the memory of one process."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ M = TypeVar("M")
 
 
 class MemoryTopics:
-    """Follows the protocol `Topics`; messages are handed to subscribers at once, in the publisher's
-    thread.
+    """Follows the protocol `Topics`; messages are delivered to subscribers synchronously, in the
+    publisher's thread.
 
     Args:
-        now_ns: clock for stamps; the system's wall clock when None.
-        history: how many messages are kept per topic.
+        now_ns: clock for stamps; the system's wall clock if None.
+        history: number of messages kept per topic.
     """
 
     def __init__(self, now_ns: Callable[[], int] | None = None, *, history: int = 100_000) -> None:
@@ -58,21 +58,19 @@ class MemoryTopics:
         return publish
 
     def publisher_types(self, topic: str) -> tuple[str, ...]:
-        """Type of each publisher that `advertise` returned for `topic`; messages of `deliver` have
-        none.
+        """Type of each publisher that `advertise` returned for `topic`; `deliver` has no
+        publisher.
         """
         with self._lock:
             types = [message_type for name, message_type in self._advertised if name == topic]
         return tuple(f"{t.__module__.partition('.')[0]}/msg/{t.__name__}" for t in types)
 
     def now_ns(self) -> int:
-        """The clock's time [ns]."""
+        """Time of the clock [ns]."""
         return self._now_ns()
 
     def deliver(self, topic: str, message: object) -> None:
-        """Hand `message` to the subscribers of `topic`, as another process would by publishing
-        it.
-        """
+        """Deliver `message` to the subscribers of `topic`, as if another process published it."""
         with self._lock:
             subscribers = tuple(self._subscribers[topic])
         for callback in subscribers:
@@ -85,7 +83,7 @@ class MemoryTopics:
 
     @property
     def used(self) -> tuple[str, ...]:
-        """Names of topics that were subscribed to or advertised."""
+        """Names of the topics subscribed to or advertised."""
         with self._lock:
             return (
                 *(t for t, callbacks in self._subscribers.items() if callbacks),

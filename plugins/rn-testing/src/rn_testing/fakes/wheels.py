@@ -1,4 +1,4 @@
-"""A robot's wheels on a ROS graph: what they are told."""
+"""A robot's wheels on a ROS graph: records velocity commands."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 
 class CommandedWheels:
-    """A subscriber of `cmd_vel` with a ROS context of its own.
+    """A subscriber of `cmd_vel` with its own ROS context.
 
     Attributes:
-        speeds: linear x of each message that came [m/s].
+        speeds: linear x of each received message [m/s].
     """
 
     def __init__(self, domain: int, namespace: str = "gantry") -> None:

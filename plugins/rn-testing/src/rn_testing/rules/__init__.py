@@ -1,4 +1,4 @@
-"""Every rule, by subject. `RULES["backend"]` are the rules a backend's contract class runs."""
+"""All rules by subject. `RULES["backend"]` are those of a backend's contract class."""
 
 from rn_testing.kinds import brought_kind
 from rn_testing.rule import AnyRule
@@ -26,7 +26,7 @@ from rn_testing.rules import (
 )
 
 OF_EVERY_DESCRIPTOR: tuple[AnyRule, ...] = (*descriptor.RULES, *restricted.RULES)
-"""Rules that apply to descriptors of any kind with options."""
+"""Rules for descriptors of any kind with options."""
 RULES: dict[str, tuple[AnyRule, ...]] = {
     "backend": (
         *descriptor.RULES,
@@ -66,8 +66,8 @@ RULES: dict[str, tuple[AnyRule, ...]] = {
 
 
 def rules_of(kind: str) -> tuple[AnyRule, ...]:
-    """Rules by kind of descriptor; of a kind that another plugin has brought those it names, of
-    every one at least.
+    """Rules of a kind of descriptor; for a kind from another plugin those that it names, and at
+    least those of every descriptor.
     """
     if kind in RULES:
         return RULES[kind]

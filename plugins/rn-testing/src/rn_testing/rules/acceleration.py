@@ -21,7 +21,7 @@ from roboneuron import Acceleration, ConfigurationError, InvalidInputError
 
 
 class _Foreign:
-    """A decoder of no known kind."""
+    """A decoder of an unknown kind."""
 
     def __init__(self) -> None:
         self.layers: list[object] = []
@@ -101,7 +101,7 @@ def _check_contained(case: AccelerationCase) -> None:
     decoder = _decoder(case)
     bystander, kind = decoder(), snapshot(vars(type(decoder())))
     before, fresh = snapshot(bystander), snapshot(decoder())
-    # random weights: then a new decoder cannot be compared with an older one
+    # with random weights a new decoder cannot be compared with an older one
     differ = snapshot(decoder()) != fresh
     _built(case).apply(decoder())
     require(
@@ -135,7 +135,7 @@ def _check_after_refusal(case: AccelerationCase) -> None:
 
 
 def _check_memory(case: AccelerationCase) -> None:
-    """A decoder that was used is gone when nobody else holds it; it may be gigabytes."""
+    """A used decoder must be freed once its owner releases it, because it may be gigabytes."""
     decoder = _decoder(case)
     preset = _built(case)
     seen = [decoder() for _ in range(2)]
@@ -143,7 +143,7 @@ def _check_memory(case: AccelerationCase) -> None:
         preset.apply(one)
     try:
         held = [weakref.ref(one) for one in seen]
-    except TypeError:  # of a class with slots; then only what it weighs can be measured
+    except TypeError:  # of a class with slots; then only its size can be measured
         check_memory(lambda: preset.apply(decoder()), "apply")
         return
     del one
@@ -184,8 +184,8 @@ RULES: tuple[Rule[AccelerationCase], ...] = (
         "roboneuron.plugins.specs.AccelerationSpec",
         _check_declared,
     ),
-    # the first that applies a preset: what is done to a class is done once, and then looks as if it
-    # had always been so
+    # must be the first to apply a preset: a change of a class happens once and cannot be detected
+    # later
     _rule(
         "contained",
         "`apply` changes the decoder it is given and nothing else.",

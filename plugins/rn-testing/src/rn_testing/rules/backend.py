@@ -1,5 +1,5 @@
-"""Rules of backends: predict within what the descriptor declares, in time, repeatably; refuse what
-cannot be used.
+"""Rules of backends: predictions within the descriptor's declaration, in time, repeatable; unusable
+inputs are refused.
 """
 
 from __future__ import annotations
@@ -28,11 +28,12 @@ from roboneuron import (
 )
 
 MAX_TRANSLATION_M, MAX_ROTATION_RAD = 0.25, 1.0
-"""Largest single action that is no mistake of unit: policies act at 5 Hz and more, arms move below
-1 m/s.
+"""Largest plausible single action; more is a wrong unit: policies act at 5 Hz or more, arms move
+below 1 m/s.
 """
 LONGEST_NOTE, MOST_METRICS = 300, 100
-"""Characters of a note and metrics of a chunk: all are shown in every status, to people and agents.
+"""Maximum length of a note in characters, and number of metrics of a chunk, because all are shown
+in every status.
 """
 ROW_OPTIONS = (
     "horizon",
@@ -42,7 +43,7 @@ ROW_OPTIONS = (
     "action_horizon",
     "actions_per_chunk",
 )
-"""Options by which backends let the user choose how many rows a chunk has."""
+"""Options with which users choose the number of rows of a chunk."""
 INSTRUCTIONS = {
     "no instruction": "",
     "an instruction of spaces": "   ",
@@ -50,11 +51,9 @@ INSTRUCTIONS = {
     "an instruction of two lines": "pick up\nthe cube",
     "an instruction of 2,000 characters": "pick it up " * 180,
 }
-"""What people type, beside what a policy was trained on."""
+"""Instructions as people may type them, outside a policy's training data."""
 REPEATED = 1e-3
-"""How far a repeated prediction may differ: what parallel sums on a GPU round differently [m, rad,
-opening].
-"""
+"""Tolerance of repeated predictions, for rounding of parallel sums on a GPU [m, rad, opening]."""
 
 
 def _load(case: BackendCase, backend: Backend) -> None:
@@ -64,7 +63,7 @@ def _load(case: BackendCase, backend: Backend) -> None:
 def predict(
     case: BackendCase, backend: Backend, observation: Observation | None = None
 ) -> ActionChunk:
-    """A chunk; an automatic case that cannot be grounded is not applicable."""
+    """Predict a chunk; an automatic case that cannot be grounded is not applicable."""
     try:
         chunk = backend.predict(case.observation() if observation is None else observation)
     except UngroundedError as error:
@@ -92,14 +91,14 @@ LIFECYCLE: Lifecycle[BackendCase, Backend] = Lifecycle(
     besides=("reset",),
     repeat=10,
 )
-"""How a backend is started and used."""
+"""Start and use of a backend."""
 loaded = LIFECYCLE.running
 
 
 def with_images(
     observation: Observation, change: Callable[[Frame], NDArray[np.uint8]]
 ) -> Observation:
-    """The observation with other pictures."""
+    """Return the observation with changed images."""
     frames = {
         role: replace(frame, image=change(frame)) for role, frame in observation.frames.items()
     }
@@ -136,7 +135,7 @@ def _check_metrics(case: BackendCase) -> None:
 
 
 def _rows_wanted(case: BackendCase) -> int | None:
-    """How many rows a chunk has: as an option says that the case sets, or as the descriptor does;
+    """Expected number of rows of a chunk: from an option that the case sets, or the descriptor;
     None for any.
     """
     names = [name for name in ROW_OPTIONS if name in case.option_names()]
@@ -145,7 +144,7 @@ def _rows_wanted(case: BackendCase) -> int | None:
         return value if isinstance(value, int) else None
     model = case.option_model()
     regulated = model is not None and any(name in model.model_fields for name in ROW_OPTIONS)
-    # else checkpoint or server decide on rows as on the step
+    # otherwise checkpoint or server determine rows and step
     is_fixed = case.spec.action_space.step_s > 0
     return case.spec.action_space.horizon if is_fixed and not regulated else None
 
@@ -237,7 +236,7 @@ def _check_forgets(case: BackendCase) -> None:
         for seen in (observation, replace(other, instruction="put it down"), observation):
             try:
                 backend.predict(seen)
-            except RoboNeuronError:  # the other picture may show nothing to act on
+            except RoboNeuronError:  # the other image may show nothing to act on
                 continue
         backend.reset()
         again = predict(case, backend, observation)
@@ -356,4 +355,4 @@ RULES: tuple[Rule[BackendCase], ...] = (
     ),
     *ContinuingRules(loaded, predict, backend_rule).rules(),
 )
-"""Rules of backends, but for those of `backend_observation` and `backend_space`."""
+"""Rules of backends, without those of `backend_observation` and `backend_space`."""

@@ -1,5 +1,5 @@
-"""Rules of backends on what they see: inputs that are missing, not finite, of another size, or not
-theirs to write.
+"""Rules of backends on observations: inputs that are missing, not finite, of another size, or
+read-only.
 """
 
 from __future__ import annotations
@@ -172,4 +172,4 @@ RULES: tuple[Rule[BackendCase], ...] = (
         _check_optional,
     ),
 )
-"""Rules of backends on what they see."""
+"""Rules of backends on observations."""

@@ -1,4 +1,4 @@
-"""Rules of backends on control spaces: what `space` says is what their chunks are."""
+"""Rules of backends on control spaces: chunks are in the space that `space` declares."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from roboneuron import EE_DELTA, ControlSpace
 from roboneuron.command import loading
 
 PERIOD_SHARE = 0.02
-"""How far a period may be from the declared rate."""
+"""Tolerance of a period relative to the declared rate."""
 _ASK_S = 60.0
 _ASK = f"""
 import pickle, sys
@@ -29,7 +29,7 @@ print(*[name for name in {HEAVY_MODULES!r} if name in sys.modules])
 
 
 def declared_space(case: BackendCase) -> ControlSpace:
-    """The space of the case's chunks."""
+    """The declared space of the case's chunks."""
     spec = case.spec
     if spec.space is None:
         return EE_DELTA

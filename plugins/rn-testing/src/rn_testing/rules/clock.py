@@ -1,17 +1,17 @@
-"""ROS time of the kit, and how far a stamp may lie from it."""
+"""ROS time of the kit, and tolerances for stamps."""
 
 from __future__ import annotations
 
 import time
 
 CLOCK_OFFSET_NS = 7_200_000_000_000
-"""How far the kit's ROS clock is from the wall clock, so that a stamp tells which one it was taken
+"""Offset of the kit's ROS clock from the wall clock, so that a stamp reveals which clock it came
 from.
 """
 FUTURE_S, PAST_S = 0.02, 2.0
-"""How far a stamp may lie after the moment of its read, and before the source was opened."""
+"""Maximum time of a stamp after its read, and before the source was opened."""
 
 
 def ros_clock() -> int:
-    """ROS time of the kit [ns]: it runs as the wall clock does, at another hour."""
+    """ROS time of the kit [ns]: the wall clock with an offset."""
     return time.time_ns() + CLOCK_OFFSET_NS

@@ -44,7 +44,7 @@ def _check_configure(case: CommandCase) -> None:
 def _check_light(case: CommandCase) -> None:
     module = case.spec.target.partition(":")[0]
     script = f"import sys, {module}; print(*[m for m in {_HEAVY!r} if m in sys.modules])"
-    # no file of the working directory stands for a module
+    # so that no file in the working directory shadows a module
     command = [sys.executable, "-P", "-c", script]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     require(done.returncode == 0, f"importing {module} fails: {done.stderr.strip()[-300:]}")

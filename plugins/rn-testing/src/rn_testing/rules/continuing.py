@@ -1,6 +1,4 @@
-"""Rules of backends about rows that are played while they compute, and about states that are
-predicted.
-"""
+"""Rules of backends about rows executed during a prediction, and about predicted states."""
 
 from __future__ import annotations
 
@@ -17,15 +15,15 @@ from roboneuron import ActionChunk, Ahead, Backend, Observation
 
 Predict = Callable[[BackendCase, Backend, Observation], ActionChunk]
 COMMITTED = 3
-"""Rows that are committed in a trial, where the descriptor and the chunk allow as many."""
+"""Number of committed rows in a trial, if the descriptor and the chunk allow as many."""
 LOOKS = 3
-"""Predictions after a reset until a policy that looks around first acts."""
+"""Predictions after a reset until a policy that first looks around acts."""
 SAME = 1e-3
-"""As for repeated predictions: what parallel sums on a GPU round differently [m, rad, opening]."""
+"""Tolerance of repeated predictions, for rounding of parallel sums on a GPU [m, rad, opening]."""
 REACTS = 1e-6
-"""Less is no reaction to another state [m, rad, opening]."""
+"""Smallest difference that counts as a reaction to another state [m, rad, opening]."""
 MOVED_M = 0.05
-"""How far the TCP is moved for a predicted state."""
+"""Displacement of the TCP in a predicted state."""
 
 
 def _distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
@@ -34,12 +32,12 @@ def _distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class ContinuingRules:
-    """Makes the rules.
+    """Builds the rules.
 
     Attributes:
-        running: a context with a loaded backend of a case.
-        predict: asks it; raises for what is no chunk.
-        rule: from a name, a text, a source and a check.
+        running: context manager with a loaded backend of a case.
+        predict: predicts a chunk; raises if the result is none.
+        rule: builds a rule from a name, a text, a source and a check.
     """
 
     running: Callable[[BackendCase], AbstractContextManager[Backend]]
@@ -47,7 +45,7 @@ class ContinuingRules:
     rule: Callable[[str, str, str, Callable[[BackendCase], None]], Rule[BackendCase]]
 
     def rules(self) -> tuple[Rule[BackendCase], ...]:
-        """All of them."""
+        """Return all these rules."""
         return (
             self.rule(
                 "rows-kept",
@@ -90,7 +88,7 @@ class ContinuingRules:
         return self.predict(case, backend, observation)
 
     def _running(self, case: BackendCase, backend: Backend) -> ActionChunk:
-        """The chunk that is running when the next one is computed; the same for every call."""
+        """The chunk that is executed while the next one is computed; reproducible."""
         self._first(case, backend, case.observation())
         for _ in range(LOOKS - 2):
             self.predict(case, backend, case.observation())
@@ -107,7 +105,7 @@ class ContinuingRules:
             "the descriptor declares conditions_on_rows, the case names no row_tolerance",
         )
         assert tolerance is not None
-        # observed anew each time: some backends refuse a picture that stands still
+        # a new observation each time, because some backends refuse a frozen image
         with self.running(case) as backend:
             first = self._running(case, backend)
             free = self.predict(case, backend, case.next_observation())
@@ -222,7 +220,7 @@ class ContinuingRules:
 
 
 def _ahead_of(chunk: ActionChunk, most: int) -> Ahead:
-    """The rows of a running chunk after its first one, the next of them committed."""
+    """Context of a running chunk after its first row, with the next rows committed."""
     left = chunk.actions[1:]
     count = min(COMMITTED, len(left), most or COMMITTED)
     require(

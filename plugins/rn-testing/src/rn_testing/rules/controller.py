@@ -1,5 +1,5 @@
-"""Rules of controllers: small actions arrive or are refused, by the URDF's own account; limits and
-speeds are kept.
+"""Rules of controllers: small actions are executed or refused, checked with the URDF; limits and
+speeds are respected.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from roboneuron import (
 )
 
 STEP_S = 0.1
-"""Time the rules give an action."""
+"""Time for an action in the rules [s]."""
 SPEED_M_S, SPEED_RAD_S = 0.1, 0.3
-"""Speeds of the TCP that every arm can follow."""
+"""Speeds of the TCP that every arm can reach."""
 RESIDUAL_M, RESIDUAL_RAD = 5e-3, 0.05
-"""Largest residual of a small step: what ends farther from its target is to be refused."""
+"""Largest residual of a small step; a command that ends farther from its target must be refused."""
 STILL = 1e-3
-"""How far a joint may move for an action of zero [rad or m]."""
+"""Tolerated joint motion for a zero action [rad or m]."""
 
 
 def _load(case: ControllerCase, controller: Controller) -> None:
@@ -74,14 +74,14 @@ LIFECYCLE: Lifecycle[ControllerCase, Controller] = Lifecycle(
     },
     abuses=(_forward_nothing, _compute_nothing),
 )
-"""How a controller is started and used."""
+"""Start and use of a controller."""
 loaded = LIFECYCLE.running
 
 
 def compute(
     controller: Controller, action: Action, joints: JointSample, step_s: float = STEP_S
 ) -> JointCommand | Hold:
-    """What `compute` returns; a refusal says why."""
+    """Call `compute`; check that a refusal has a reason."""
     result = controller.compute(action, joints, step_s)
     require(isinstance(result, (JointCommand, Hold)), f"compute returned {type(result).__name__}")
     if isinstance(result, Hold):
@@ -117,7 +117,7 @@ def _check_forward(case: ControllerCase) -> None:
 
 
 def damaged(joints: JointSample) -> dict[str, JointSample]:
-    """The sample with one thing wrong, by what is wrong."""
+    """Copies of the sample with one fault each, by the fault."""
     found = {
         "a joint missing": replace(
             joints, names=joints.names[1:], position=joints.position[1:], velocity=None
@@ -384,4 +384,4 @@ RULES: tuple[Rule[ControllerCase], ...] = (
         f"{_SOURCE}.load",
     ),
 )
-"""Rules of controllers, but for those of `controller_bounds` and `controller_space`."""
+"""Rules of controllers, without those of `controller_bounds` and `controller_space`."""

@@ -1,5 +1,5 @@
-"""Rules of controllers on bounds: targets out of reach, joint and velocity limits, and the time
-that a step takes.
+"""Rules of controllers on bounds: unreachable targets, joint and velocity limits, and computing
+time.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ MAX_STEP = 0.3
 configuration.
 """
 WALK_M, WALK_S = 0.05, 0.5
-"""Steps towards the end of the reach, and the time for one."""
+"""Steps towards the limit of the reach, and the time for each."""
 COMPUTE_LIMIT_S = 0.05
-"""Bound on the quickest of some `compute`: half of the time between two actions."""
+"""Limit of the quickest of some `compute` calls: half of the time between two actions."""
 
 
 def _check_far(case: ControllerCase) -> None:
@@ -60,8 +60,8 @@ def _check_far(case: ControllerCase) -> None:
 
 
 def _check_limits(case: ControllerCase) -> None:
-    """From postures with one joint at its limit, steps in every direction leave no limit and tell
-    no lie.
+    """With one joint at its limit, steps in every direction must respect the limits and have a
+    correct residual.
     """
     profile = case.robot()
     home = home_sample(profile)
@@ -85,15 +85,15 @@ def _check_limits(case: ControllerCase) -> None:
 
 
 def _reach_m(profile: RobotProfile) -> float:
-    """Farther from its base no arm of this URDF can put its TCP."""
+    """Upper bound on the distance of the TCP from the base, from the URDF."""
     chain = read_chain(profile)
     slides = sum(joint.upper - joint.lower for joint in chain if joint.kind == "prismatic")
     return sum(float(np.linalg.norm(joint.origin[:3, 3])) for joint in chain) + slides
 
 
 def _check_reach(case: ControllerCase) -> None:
-    """Step by step to the end of the reach and beyond: the way may end early, but not with a false
-    word.
+    """Move in steps to the limit of the reach and beyond: commands may be refused, but must not
+    have a wrong residual.
     """
     profile = case.robot()
     names, far_m = profile.arm_joints, 2 * _reach_m(profile)

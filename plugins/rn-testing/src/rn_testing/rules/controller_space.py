@@ -1,4 +1,4 @@
-"""Rules of controllers on control spaces: `execute` does what a row says, or holds."""
+"""Rules of controllers on control spaces: `execute` carries out a row, or holds."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ from roboneuron import (
 )
 
 SMALL = 0.01
-"""What a row moves each joint by [rad or m]: every arm can, within `STEP_S`."""
+"""Displacement of each joint by a row [rad or m], feasible for every arm within `STEP_S`."""
 SAME = 1e-9
 FAR_M, FAR_JOINT = 5.0, 2.0
-"""Farther than any arm gets within one step [m], [rad or m]."""
+"""Distances that no arm covers in one step [m], [rad or m]."""
 
 
 def _kinds(case: ControllerCase) -> list[str]:
-    """Spaces that `execute` is called with."""
+    """Kinds of spaces for `execute`."""
     kinds = [kind for kind in case.spec.spaces if kind not in ("ee_delta", "joint_delta")]
     if not kinds:
         raise NotApplicable("it declares no other space than ee_delta")
@@ -60,7 +60,7 @@ def _kinds(case: ControllerCase) -> list[str]:
 def execute(
     controller: Controller, space: ControlSpace, row: F64, joints: JointSample, step_s: float
 ) -> JointCommand | Hold:
-    """What `execute` returns; a refusal says why."""
+    """Call `execute`; check that a refusal has a reason."""
     if not isinstance(controller, SpaceController):
         raise Violation("it declares spaces, and has no `execute`")
     try:
@@ -78,7 +78,7 @@ def execute(
 def row_at(
     space: ControlSpace, profile: RobotProfile, target: JointSample, opening: float = 1.0
 ) -> F64:
-    """The row of poses or positions that leads to a posture; velocities of zero."""
+    """Row of a pose or of positions for a posture; zero velocities."""
     pose = place_tcp(profile, by_name(target))
     numbers = {GRIPPER: opening}
     if space.kind == "ee_pose":
@@ -106,7 +106,7 @@ def _moved(profile: RobotProfile, joints: JointSample, by: F64) -> JointSample:
 
 
 def _mixed(joints: JointSample) -> JointSample:
-    """The same in another order, among others."""
+    """The same sample in another order, with an additional joint."""
     names = (*reversed(joints.names), "another_joint")
     return JointSample(
         names=names, position=np.append(joints.position[::-1], 9.0), stamp_ns=joints.stamp_ns

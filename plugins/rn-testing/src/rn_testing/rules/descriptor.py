@@ -1,4 +1,4 @@
-"""Rules of every descriptor: it says the truth, and what it names can be imported and called."""
+"""Rules of every descriptor: it is correct, and the names in it can be imported and called."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from roboneuron.command import descriptor, loading
 AnyCase = Case[Spec]
 
 SUMMARY_LENGTH = 120
-"""Characters of a summary that a table and an agent's choice can show."""
+"""Maximum length of a summary in characters, for tables and agents."""
 
 
 def _check_well_formed(case: AnyCase) -> None:
@@ -39,8 +39,8 @@ def _check_summary(case: AnyCase) -> None:
 
 
 def _described(case: AnyCase) -> tuple[Spec | DriverSpec, ...]:
-    """The descriptor and, of a robot, its drivers whose requirements are met or that the case
-    tries.
+    """The descriptor; for a robot also its drivers whose requirements are met or that the case
+    tests.
     """
     spec = case.spec
     return (spec, *spec.drivers) if isinstance(spec, RobotSpec) else (spec,)
@@ -103,7 +103,7 @@ def _check_defaults(case: AnyCase) -> None:
         raise NotApplicable("there are no options")
     for model in models:
         if any(option.is_required() for option in model.model_fields.values()):
-            continue  # there is nothing to try without the user's own values
+            continue  # nothing to test without the user's own values
         defaults = {
             name: option.get_default(call_default_factory=True)
             for name, option in model.model_fields.items()
@@ -111,8 +111,8 @@ def _check_defaults(case: AnyCase) -> None:
         try:
             model.model_validate(defaults)
         except ValidationError as error:
-            # A problem without a place is one of options that belong together: then the user must
-            # set some.
+            # A problem without a location concerns options that belong together: the user must set
+            # some of them.
             wrong = [f"{p['loc'][0]}: {p['msg']}" for p in error.errors() if p["loc"]]
             require(not wrong, f"{model.__name__} refuses its own defaults: {'; '.join(wrong)}")
 
@@ -178,4 +178,4 @@ RULES: tuple[Rule[AnyCase], ...] = (
     ),
     *case_options.RULES,
 )
-"""Rules that apply to every kind."""
+"""Rules for every kind."""

@@ -1,5 +1,5 @@
-"""Rules of robot drivers: state that can be relied on, and commands that are refused.
-`driver_motion` has the rest.
+"""Rules of robot drivers: reliable state, and refusal of invalid commands. `driver_motion` has the
+rest.
 """
 
 from __future__ import annotations
@@ -31,27 +31,29 @@ from roboneuron import (
 from roboneuron.command import loading
 
 READ_LIMIT_S = 0.02
-"""Median time of a `read`: the contract says a millisecond; the rest is for busy machines."""
+"""Limit of the median duration of a `read`: the contract says 1 ms; the rest is for busy
+machines.
+"""
 SEND_LIMIT_S = 0.2
-"""Bound on the quickest of some `send`: it starts a motion and does not wait for its end."""
+"""Limit of the quickest of some `send` calls, which must not wait for the end of the motion."""
 STAMP_S = 1.0
-"""How long a stamp may stay the same."""
+"""Maximum time without a new stamp [s]."""
 LOOKS = 11
-"""How many stamps are looked at, however long that takes."""
+"""Number of stamps checked."""
 OUTSIDE = 0.05
-"""How far outside of the limits a joint may be measured [rad or m]."""
+"""Tolerance of measured joints outside the limits [rad or m]."""
 
 
 @contextmanager
 def opened(case: RobotCase) -> Iterator[RobotDriver]:
-    """The case's driver, open, with ROS time of the kit."""
+    """Open the case's driver, with the kit's ROS time."""
     build = attempt(case, lambda: case.prepare(MemoryTopics(ros_clock)))
     with started(case, build, lambda driver: driver.open()) as driver:
         yield driver
 
 
 def read_state(case: RobotCase, driver: RobotDriver) -> RobotState:
-    """The newest state, waiting for the first one when the driver has none yet."""
+    """The newest state; waits for the first one if necessary."""
     found: list[RobotState] = []
 
     def has_state() -> bool:
@@ -80,7 +82,7 @@ def arm_position(case: RobotCase, driver: RobotDriver) -> F64:
 
 
 def arm_limits(case: RobotCase) -> JointLimits:
-    """The limits of the arm; raises NotApplicable for robots that are none."""
+    """Limits of the arm. Raises NotApplicable for other robots."""
     if case.spec.robot_kind != "arm":
         raise NotApplicable(f"the robot is of kind {case.spec.robot_kind!r}")
     limits = case.profile().limits
@@ -90,7 +92,7 @@ def arm_limits(case: RobotCase) -> JointLimits:
 
 
 def arm_command(case: RobotCase, position: F64, duration_s: float = 0.5) -> JointCommand:
-    """A command for all arm joints, in the order of the profile."""
+    """Command for all arm joints, in the order of the profile."""
     return JointCommand(names=case.profile().arm_joints, position=position, duration_s=duration_s)
 
 
@@ -122,7 +124,7 @@ LIFECYCLE: Lifecycle[RobotCase, RobotDriver] = Lifecycle(
     },
     abuses=(_send_nonsense,),
 )
-"""How a driver is started and used."""
+"""Start and use of a driver."""
 
 
 def _check_target(case: RobotCase) -> None:
@@ -266,7 +268,7 @@ SOURCE = "roboneuron.contract.protocols.RobotDriver"
 def driver_rule(
     name: str, text: str, method: str, check: Callable[[RobotCase], None]
 ) -> Rule[RobotCase]:
-    """A rule that a method of RobotDriver states."""
+    """A rule stated by a method of RobotDriver."""
     return Rule(id=f"driver/{name}", text=text, source=f"{SOURCE}.{method}", check=check)
 
 
@@ -318,4 +320,4 @@ RULES: tuple[Rule[RobotCase], ...] = (
         _check_limits,
     ),
 )
-"""Rules of robot drivers, but for those of `driver_motion`."""
+"""Rules of robot drivers, without those of `driver_motion`."""

@@ -1,5 +1,5 @@
-"""Rules of robot drivers on motion: it arrives, takes the time it says, and follows the newest
-command. `driver_stops` has the rest.
+"""Rules of robot drivers on motion: it reaches its target, takes its stated duration, and follows
+the newest command. `driver_stops` has the rest.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from rn_testing.waiting import holds_within
 from roboneuron import F64, JointCommand, RoboNeuronError, RobotDriver
 
 AHEAD = 0.35
-"""How far a motion may be ahead of an even one, as a share of its way: smooth ones are, jumps are
-at 1.
+"""Tolerated lead over uniform motion, as a share of the distance; smooth profiles stay below, a
+jump is at 1.
 """
 FAR = 20
-"""Steps of the case in a motion that is watched."""
+"""Length of a watched motion in steps of the case."""
 MOTION_S, LOOKS, MOST_GAPS = 0.6, 4, 3
-"""Least duration of a motion whose velocities are added up, how often it is tried, and into how
-many parts at least the states divide it.
+"""Minimum duration of a motion for integrating velocities, number of tries, and minimum number of
+intervals between states.
 """
 SLOWEST, FASTEST = 0.1, 10.0
-"""Sum of the velocities over the way: degrees are 57, another sign is negative; a simulation that
-runs behind the clock on a busy machine tells velocities of its own time, so that this is no narrow
-bound.
+"""Bounds of the velocity integral divided by the distance: degrees give 57, a wrong sign a negative
+value. The bounds are wide because a simulation that lags on a busy machine reports velocities of
+its own time.
 """
 OPENINGS = (0.5, 0.0, 1.0)
-"""Openings that the gripper is sent to."""
+"""Gripper openings commanded in the rules."""
 OPENING_TOLERANCE = 0.15
-"""How near the gripper must come."""
+"""Tolerance of the gripper opening."""
 
 
 def shifted(case: RobotCase, start: F64, steps: float, joint: int = -1) -> F64:
-    """`start` with one joint moved by so many of the case's steps, towards the side with more
-    room.
+    """Return `start` with one joint displaced by this many steps of the case, towards the farther
+    limit.
     """
     limits = arm_limits(case)
     goal = start.copy()
@@ -56,7 +56,7 @@ def shifted(case: RobotCase, start: F64, steps: float, joint: int = -1) -> F64:
 
 
 def send_checked(case: RobotCase, driver: RobotDriver, command: JointCommand) -> JointCommand:
-    """Send a command that is within every limit; it must be sent as it is."""
+    """Send a command that is within all limits; it must be sent unchanged."""
     sent = driver.send(command)
     require(
         isinstance(sent, JointCommand),
@@ -107,7 +107,7 @@ def _check_by_name(case: RobotCase) -> None:
 def _check_pace(
     case: RobotCase, driver: RobotDriver, start: F64, goal: F64, duration_s: float
 ) -> None:
-    """The motion that was just sent is nowhere far ahead of its duration."""
+    """Check that the motion just sent is nowhere far ahead of its duration."""
     way = float(np.abs(goal - start).max())
     begun_s = time.monotonic()
     while True:
@@ -190,8 +190,8 @@ def _check_newest(case: RobotCase) -> None:
 
 
 def _velocity_samples(case: RobotCase, driver: RobotDriver, duration_s: float) -> F64:
-    """Stamp [s], position and velocity (n, 3) of the last arm joint while it moves, each stamp
-    once.
+    """Stamp [s], position and velocity (n, 3) of the last arm joint during its motion, without
+    repeated stamps.
     """
     name = case.profile().arm_joints[-1]
     found: dict[int, tuple[float, float, float]] = {}
@@ -200,7 +200,7 @@ def _velocity_samples(case: RobotCase, driver: RobotDriver, duration_s: float) -
         joints = read_state(case, driver).joints
         index = joints.names.index(name)
         if joints.velocity is not None:
-            # of the whole clock a float keeps no microseconds
+            # modulo, because a float of the full clock loses microseconds
             stamp_s = joints.stamp_ns / 1e9 % 1e6
             found[joints.stamp_ns] = (
                 stamp_s,
@@ -219,7 +219,7 @@ def _check_velocity(case: RobotCase) -> None:
         if read_state(case, driver).joints.velocity is None:
             raise NotApplicable("it reports no velocities")
         duration_s = max(MOTION_S, 3 * 5 * case.step / float(limits.velocity[-1]))
-        for _ in range(LOOKS):  # a busy machine may let too few states through
+        for _ in range(LOOKS):  # retried, because on a busy machine too few states may arrive
             goal = shifted(case, arm_position(case, driver), 5)
             sent = driver.send(arm_command(case, goal, duration_s))
             samples = _velocity_samples(case, driver, sent.duration_s)

@@ -1,4 +1,4 @@
-"""Rules of robot drivers on standing still: after hold, after open, and moving again."""
+"""Rules of robot drivers on standing still: after hold, after open, and before the next motion."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from rn_testing.waiting import holds_within
 from roboneuron import F64, RoboNeuronError, RobotDriver
 
 HOLD_S = 0.3
-"""How long the robot is watched after `hold`."""
+"""Time for which the robot is watched after `hold` [s]."""
 CREEP = 0.1
-"""How far a held joint may go on evenly in one direction, as a share of the case's tolerance."""
+"""Tolerated steady motion of a held joint in one direction, as a share of the case's tolerance."""
 STARTS, STALE_S = 5, 0.3
-"""Motions of which the quickest start is judged, and how late it may show: a busy machine delays
-one, not all.
+"""Number of motions of which the quickest start counts, and its maximum delay [s]; a busy machine
+delays single ones, not all.
 """
 
 
@@ -43,14 +43,14 @@ def _check_hold(case: RobotCase) -> None:
         start = arm_position(case, driver)
         goal = shifted(case, start, FAR)
         duration_s = max(5.0, 4 * FAR * case.step / float(limits.velocity[-1]))
-        # a driver may refuse a step as large as this; then it is held where it is
+        # a driver may refuse such a large step; it is then held at its position
         with suppress(RoboNeuronError):
             driver.send(arm_command(case, goal, duration_s))
-            # away from where it stood
+            # displaced from the start position
             holds_within(lambda: _moved(case, driver, start) >= case.step, case.settle_s)
         before, opening = arm_position(case, driver), read_state(case, driver).gripper_open
         driver.hold()
-        holds_within(lambda: False, HOLD_S)  # braking takes a moment
+        holds_within(lambda: False, HOLD_S)  # time for braking
         held = [arm_position(case, driver)]
         for _ in range(3):
             holds_within(lambda: False, HOLD_S / 2)
@@ -75,7 +75,7 @@ def _check_hold(case: RobotCase) -> None:
     one_way = (np.abs(np.sign(steps).sum(axis=0)) == 3) & (
         np.abs(steps[-1]) >= 0.5 * np.abs(steps[0])
     )
-    # what settles slows down, and what is noise turns
+    # settling decelerates, and noise changes its direction
     creeps = float((np.abs(steps.sum(axis=0)) * one_way).max())
     require(
         creeps <= CREEP * case.tolerance,

@@ -1,5 +1,5 @@
-"""Rules of features: built without effect, well described, started and closed, and no way round the
-gate.
+"""Rules of features: no effects at construction, good descriptions, start and close, and no bypass
+of the gate.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ _FORBIDDEN = (
     f"{SENDER_PACKAGE}.writer",
     f"{SENDER_PACKAGE}.traffic",
 )
-"""What could publish without the gate."""
+"""Modules that could publish without the gate."""
 
 
 @contextmanager
 def _server(case: FeatureCase, with_feature: bool = True) -> Iterator[Application]:
-    """A server of the fakes with the feature, in a folder of its own; no module is started."""
+    """A server with the fakes and the feature, in its own folder; no module is started."""
     from roboneuron.feature import (
         Application,  # heavy
         Config,  # heavy
@@ -102,7 +102,7 @@ def _check_described(case: FeatureCase) -> None:
     for tool in _new_tools(case):
         who = f"the tool {tool.name!r}"
         require(_NAME.fullmatch(tool.name) is not None, f"{who} is no snake_case name")
-        # none: it says what the name says, and is not listed
+        # None is fine: it repeats the name, and is not listed
         require(tool.title != "", f"{who} has no title")
         require(
             len(tool.description or "") >= 20,
@@ -151,7 +151,7 @@ def _check_process(case: FeatureCase) -> None:
 
 def _check_gate(case: FeatureCase) -> None:
     if case.spec.target == "roboneuron:Feature":
-        # It brings a module and nothing to the server: what a module asks for, control limits.
+        # It provides a module and nothing to the server; control limits the module's requests.
         return
     package = plugin_package(case.spec.target.partition(":")[0])
     for path in _sources(package) if package != SENDER_PACKAGE else ():

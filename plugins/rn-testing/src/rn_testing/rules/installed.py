@@ -1,4 +1,4 @@
-"""The plugins that are installed where the kit runs."""
+"""The plugins installed in the kit's environment."""
 
 from __future__ import annotations
 
@@ -13,9 +13,7 @@ from roboneuron.command import Registry, discover
 
 
 def specs_of(case: PackageCase) -> Iterator[Spec | DriverSpec]:
-    """The descriptors of a distribution or plugin that can be read here, those of drivers
-    included.
-    """
+    """Descriptors of a distribution or plugin that can be read, including those of drivers."""
     for offer in plugins().all_offers:
         if normalise(offer.distribution) == normalise(case.distribution) and case.plugin in (
             "",
@@ -27,11 +25,11 @@ def specs_of(case: PackageCase) -> Iterator[Spec | DriverSpec]:
 
 
 def plugins() -> Registry:
-    """The plugins that are installed here."""
+    """The installed plugins."""
     return _discovered(tuple(sys.path))
 
 
 @functools.lru_cache(maxsize=4)
 def _discovered(path: tuple[str, ...]) -> Registry:
-    """The plugins on an import path, for which most rules ask."""
+    """The plugins on an import path; cached, because most rules use them."""
     return discover()

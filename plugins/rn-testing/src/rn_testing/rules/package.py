@@ -1,5 +1,5 @@
-"""Rules of packages: what a user of pip, a type checker and the registry may rely on.
-`package_imports` has those on what they import.
+"""Rules of packages: metadata and files for pip, type checkers and the registry. `package_imports`
+has those on imports.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rn_testing.rules import installed
 from rn_testing.unsafe_calls import unsafe_calls
 
 CORE = "roboneuron-core"
-"""Distribution that every plugin needs."""
+"""Distribution that every plugin requires."""
 
 
 def _check_entry_point(case: PackageCase) -> None:
@@ -50,7 +50,7 @@ def _check_hooks(case: PackageCase) -> None:
 
 
 def _check_light(case: PackageCase) -> None:
-    # a suite's descriptor
+    # such as a suite's descriptor
     brought = {spec.__module__.rpartition(".")[0] for spec in installed.plugins().kinds.values()}
     for point in find_entry_points(case):
         packages = brought | {find_package(case, point.module)}
@@ -59,12 +59,12 @@ def _check_light(case: PackageCase) -> None:
 
 
 def _foreign(module: str, packages: Collection[str]) -> str:
-    """What a plugin module should not load with itself: another package, or a plugin beside it;
-    empty when it may.
+    """Name of a package that a plugin module should not load: a foreign package, or another plugin;
+    empty if allowed.
 
     Args:
-        module: name of a module that was loaded.
-        packages: what it may load, besides the core, pluggy and the standard library.
+        module: name of a loaded module.
+        packages: allowed packages, besides the core, pluggy and the standard library.
     """
     top = module.partition(".")[0]
     if top in sys.stdlib_module_names | {PROJECT, "pluggy"} or top.startswith("__"):

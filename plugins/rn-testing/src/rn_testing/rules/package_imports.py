@@ -1,4 +1,4 @@
-"""What a package may import: of the core, of other plugins, and of what it declares."""
+"""Rules on imports of a package: from the core, from other plugins, and from its requirements."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ from rn_testing.rules.package import CORE, PAGE
 from roboneuron import CommandSpec, FeatureSpec, Spec
 
 SENDING_NAME = "RosLink"
-"""What joins the ROS graph and could send past the gate: for commands, which are processes of their
-own, and for the plugin of the direct path.
+"""Class that joins the ROS graph and could send around the gate: only for commands, which are
+separate processes, and for the plugin of the direct path.
 """
 SENDER = ("rn-standard", "rn-direct-path")
-"""Distribution and plugin of the gate: the one feature that sends, since all others send through
+"""Distribution and plugin of the gate, the only feature that may send; all others send through
 it.
 """
 SENDER_PACKAGE = "rn_standard.direct_path"
@@ -48,21 +48,20 @@ KIT = "rn-testing"
 
 
 def lists_for(*, features: bool, commands: bool, is_kit: bool = False) -> frozenset[str]:
-    """Which of `LISTS` a plugin may use: what it offers runs in the server, in modules, or as a
-    process of its own. The contract kit tries all of these.
+    """Names in `LISTS` that a plugin may use, depending on whether its offers run in the server, in
+    modules, or as a separate process. The contract kit may use all of them.
     """
     lists = {"roboneuron.feature", "roboneuron.node"} if features or is_kit else set()
     return frozenset(lists | ({"roboneuron.command"} if commands or is_kit else set()))
 
 
 def is_public(name: str, lists: Collection[str], *, sends: bool = False) -> bool:
-    """Whether a plugin may import what `name` means: `roboneuron.<name>`, and what these lists
-    hold.
+    """True if a plugin may import `name`: `roboneuron.<name>`, and the names in these lists.
 
     Args:
-        name: as `imported_modules` gives it.
-        lists: of `LISTS`.
-        sends: it is the direct path.
+        name: as returned by `imported_modules`.
+        lists: allowed keys of `LISTS`.
+        sends: True for the direct path.
     """
     top, *inner = name.split(".")
     if top != PROJECT or not inner:
@@ -96,7 +95,7 @@ def _check_direction(case: PackageCase) -> None:
 
 
 def _check_siblings(case: PackageCase) -> None:
-    """Another plugin may be imported only when it is declared."""
+    """Other plugins may be imported only if declared."""
     owners = {
         point.module.partition(".")[0]: normalise(found.name)
         for found in distributions()
@@ -114,7 +113,7 @@ def _check_siblings(case: PackageCase) -> None:
 
 
 def _check_kit(case: PackageCase) -> None:
-    """The kit is not there when users run a plugin that names it in an extra only."""
+    """The kit is missing when users run a plugin that requires it only in an extra."""
     needed = {
         normalise(line) for line in find_distribution(case).requires or () if "extra ==" not in line
     }
@@ -143,11 +142,11 @@ def _check_kit(case: PackageCase) -> None:
 
 
 def _check_imports_declared(case: PackageCase) -> None:
-    """What is imported comes with what is declared, directly or by way of it, or with a
+    """Imports must be provided by declared requirements, directly or indirectly, or by a
     descriptor's `requires`.
 
-    A subpackage that another program loads by an entry point of its own runs with what that program
-    has installed.
+    A subpackage that another program loads through its own entry point may use what that program
+    requires.
     """
     owners = _owners(tuple(sys.path))
     own = {point.module.partition(".")[0] for point in find_entry_points(case)}
@@ -173,7 +172,7 @@ def _check_imports_declared(case: PackageCase) -> None:
 
 @functools.lru_cache(maxsize=4)
 def _owners(path: tuple[str, ...]) -> Mapping[str, list[str]]:
-    """Distributions by the top-level packages that they hold; reading them takes a second for every
+    """Distributions by their top-level packages; cached, because reading them takes a second per
     path.
     """
     return packages_distributions()
@@ -181,8 +180,8 @@ def _owners(path: tuple[str, ...]) -> Mapping[str, list[str]]:
 
 @functools.cache
 def _needs(name: str) -> frozenset[str]:
-    """Normalised names of all that an installed distribution requires without extras, directly or
-    not.
+    """Normalised names of all direct and indirect requirements of a distribution, without
+    extras.
     """
     found: set[str] = set()
     waiting = [name]

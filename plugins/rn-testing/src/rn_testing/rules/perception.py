@@ -1,4 +1,4 @@
-"""Rules of perception sources: true frames of the cameras asked for. `perception_timing` has the
+"""Rules of perception sources: correct frames of the requested cameras. `perception_timing` has the
 rest.
 """
 
@@ -30,11 +30,11 @@ from roboneuron import (
 )
 
 SAME_IMAGE = 12.0
-"""Mean difference of two images that show the same, of 255: what a lossy codec leaves."""
+"""Tolerated mean difference of two images of the same scene, of 255, for lossy codecs."""
 SHORT_READ_S = 0.05
-"""Time-out of a read that nothing is fed for."""
+"""Time-out of a read without input [s]."""
 FRAMES = 6
-"""Frames that are read in a row."""
+"""Number of frames read in a row."""
 
 
 @contextmanager
@@ -67,7 +67,7 @@ def _open_source(case: PerceptionCase, source: PerceptionSource) -> None:
 
 
 def _use(case: PerceptionCase, source: PerceptionSource) -> object:
-    """A read; the short time-out may pass, for nothing is fed."""
+    """Read once; a time-out is allowed, because nothing is fed."""
     try:
         return source.read(SHORT_READ_S)
     except NotReadyError:
@@ -81,7 +81,7 @@ LIFECYCLE: Lifecycle[PerceptionCase, PerceptionSource] = Lifecycle(
     start=_open_source,
     uses={"read": _use},
 )
-"""How a source is started and used."""
+"""Start and use of a source."""
 
 
 def _check_topics_untouched(case: PerceptionCase) -> None:

@@ -1,4 +1,4 @@
-"""Rules of perception sources on time: true stamps, the declared pace, bounded reads."""
+"""Rules of perception sources on time: correct stamps, the declared rate, bounded reads."""
 
 from __future__ import annotations
 
@@ -31,26 +31,23 @@ from roboneuron import (
 )
 
 LATE_S = 0.15
-"""How much later than its time-out the quickest of five reads may return: a busy machine slows one,
-not all.
+"""Tolerated delay of the quickest of five reads beyond its time-out; a busy machine slows single
+reads, not all.
 """
 READS = 5
-"""Reads of which the quickest is judged."""
+"""Number of reads, of which the quickest counts."""
 LONG_READ_S = 0.3
-"""Time-out of a read that nothing is fed for."""
+"""Time-out of a read without input [s]."""
 FEED_S = 0.3
-"""How long a frame that was fed lies unread before its stamp is compared with the time it was fed
-at.
-"""
+"""Time between feeding and reading a frame, to tell from its stamp when it was taken [s]."""
 MANY_FRAMES, LOOK_S = 40, 1.0
-"""Frames whose order is looked at; of slow cameras as many as come in that time, and FRAMES at
-least.
+"""Number of frames whose order is checked; of slow cameras those that arrive in this time, at least
+FRAMES.
 """
 RATE_OPTIONS = ("rate_hz", "fps", "frame_rate_hz")
-"""Options of sources that name the pace of each camera."""
+"""Options of sources for the frame rate of each camera."""
 TOO_FAST = 2.0
-"""How many times the declared pace is no mistake of rounding; slower is what a busy machine does.
-"""
+"""Factor on the declared rate beyond rounding; a lower rate is possible on a busy machine."""
 
 
 def _check_stamps(case: PerceptionCase) -> None:
@@ -120,7 +117,9 @@ def _check_once(case: PerceptionCase) -> None:
         raise NotApplicable("frames come by themselves")
     with opened(case) as (source, topics):
         first = read_frame(case, source, topics)
-        for _ in range(FRAMES):  # a source may have made more of what was fed, not without end
+        for _ in range(
+            FRAMES
+        ):  # a source may have created more frames from the input, but not endlessly
             try:
                 again = source.read(SHORT_READ_S)
             except NotReadyError:
@@ -142,7 +141,7 @@ def _check_order(case: PerceptionCase) -> None:
 
 
 def _timed_read(source: PerceptionSource, timeout_s: float) -> tuple[float, bool]:
-    """How long a read takes [s] and whether a frame came."""
+    """Duration of a read [s], and whether a frame came."""
     begun_s = time.monotonic()
     try:
         frame = source.read(timeout_s)

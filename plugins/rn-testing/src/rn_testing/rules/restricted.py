@@ -15,7 +15,7 @@ from roboneuron.command import loading
 
 
 def unmarked_options(model: type[BaseModel]) -> list[str]:
-    """Options that look restricted and bear neither mark, those of its tables included, as
+    """Options that look restricted and have neither mark, including those of nested tables, as
     `Model.option`.
     """
     found, pending, seen = [], [model], {model}
@@ -31,7 +31,7 @@ def unmarked_options(model: type[BaseModel]) -> list[str]:
 
 
 def _tables(annotation: object) -> Iterator[type[BaseModel]]:
-    """The tables in a type, however deep."""
+    """The tables in a type, at any depth."""
     annotation = getattr(annotation, "__value__", annotation)  # a `type` statement of Python 3.12
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
@@ -65,4 +65,4 @@ RULES: tuple[Rule[Case[Spec]], ...] = (
         check=_check_restricted_options,
     ),
 )
-"""Rules that apply to every kind."""
+"""Rules for every kind."""

@@ -1,5 +1,5 @@
-"""Rules of robot profiles: limits, names, cameras and endpoints that agree with each other and with
-the descriptor.
+"""Rules of robot profiles: limits, names, cameras and endpoints are consistent with each other and
+with the descriptor.
 """
 
 from __future__ import annotations
@@ -18,13 +18,11 @@ ENDPOINT_KINDS = ("publish", "read", "service", "action")
 """Values of `Endpoint.kind`."""
 _ENDPOINT_NAME = re.compile(r"[a-z][a-z0-9]*(_[a-z0-9]+)*")
 MOUNTS = ("base", "tcp")
-"""Values of `CameraCalibration.mount`; of several arms also "<arm>/tcp"."""
+"""Values of `CameraCalibration.mount`; for several arms also "<arm>/tcp"."""
 FARTHEST_CAMERA_M = 20.0
-"""Farthest a camera may be from what carries it."""
+"""Maximum distance of a camera from its mount [m]."""
 SLACK = 1e-3
-"""How far a limit may lie outside the URDF's [rad or m]; of a velocity, the share: what rounding in
-a URDF leaves.
-"""
+"""Tolerance of a limit beyond the URDF's, for rounding [rad or m]; relative for velocities."""
 _INTERFACE = {"publish": "msg", "read": "msg", "service": "srv", "action": "action"}
 
 
@@ -113,9 +111,7 @@ def _check_chain(profile: RobotProfile) -> None:
 
 
 def _check_urdf_limits(case: RobotCase) -> None:
-    """The profile allows nothing that the URDF forbids, which also tells degrees and
-    millimetres.
-    """
+    """The profile must be within the URDF's limits, which also detects degrees and millimetres."""
     profile = _arm(case)
     limits = profile.limits
     joints = {joint.name: joint for _, joint in read_joints(profile.urdf).values()}
@@ -188,7 +184,9 @@ def _check_cameras(case: RobotCase) -> None:
 def _check_calibration(
     profile: RobotProfile, camera: CameraProfile, calibration: CameraCalibration
 ) -> None:
-    """A pinhole inside its image, mounted upright in a right-handed frame some metres away."""
+    """Check for a pinhole with its centre inside the image, mounted with a valid pose some metres
+    away.
+    """
     who = f"the calibration of camera {camera.name!r}"
     intrinsics, pose = calibration.intrinsics, calibration.T_mount_camera
     require(

@@ -1,6 +1,4 @@
-"""Rules of runtimes: they answer the families they declare the same way each time, and can be given
-up and closed.
-"""
+"""Rules of runtimes: repeatable answers for their declared families, abort and close."""
 
 from __future__ import annotations
 
@@ -20,12 +18,12 @@ from roboneuron import Acceleration, InvalidInputError, RoboNeuronError, Runtime
 
 T = TypeVar("T")
 Tried = Runtime[Any, Any, Any, Any]
-"""Of any family: what a case gives it is agreed there."""
+"""Of any family: requests and answers are defined per family."""
 
 ABORT_LIMIT_S = 2.0
-"""`abort` gives up; it does not wait for what it gives up."""
+"""`abort` must return without waiting for the run."""
 BEGIN_S = 0.2
-"""How long a run may take to begin before it is aborted."""
+"""Time for a run to begin before it is aborted [s]."""
 
 
 def _given(make: Callable[[], T] | None, what: str) -> Callable[[], T]:
@@ -62,7 +60,7 @@ LIFECYCLE: Lifecycle[RuntimeCase, Tried] = Lifecycle(
     besides=("abort",),
     repeat=10,
 )
-"""How a runtime is started and used."""
+"""Start and use of a runtime."""
 _loaded = LIFECYCLE.running
 
 
@@ -98,7 +96,7 @@ def _check_repeats(case: RuntimeCase) -> None:
     with _loaded(case) as runtime:
         first = copy.deepcopy(_run(case, runtime))
         for make in [request, *others]:
-            with suppress(RoboNeuronError):  # the bad request, which must leave no trace either
+            with suppress(RoboNeuronError):  # the bad request must not have an effect either
                 runtime.run(make())
             again = _run(case, runtime)
             require(
@@ -153,7 +151,7 @@ def _check_bad_model(case: RuntimeCase) -> None:
 
 
 class _CountedAcceleration:
-    """An acceleration that counts how often it is applied, or refuses."""
+    """An acceleration that counts its applications, or refuses."""
 
     def __init__(self, inner: Acceleration[Any], *, refuses: bool = False) -> None:
         self.inner, self.refuses, self.count = inner, refuses, 0
@@ -223,7 +221,7 @@ def _check_abort_works(case: RuntimeCase) -> None:
     def run() -> None:
         try:
             runtime.run(request)
-        except RoboNeuronError:  # given up
+        except RoboNeuronError:  # aborted
             return
 
     with _loaded(case) as runtime:

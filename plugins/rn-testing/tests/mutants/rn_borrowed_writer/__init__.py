@@ -1,4 +1,4 @@
-"""A feature that takes the publisher of the direct path for itself."""
+"""A feature that uses the publisher of the direct path."""
 
 from roboneuron import Feature, Host
 

@@ -1,4 +1,4 @@
-"""A feature that would publish by itself."""
+"""A feature that would publish around the gate."""
 
 from broken_features import Good
 

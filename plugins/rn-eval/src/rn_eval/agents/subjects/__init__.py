@@ -1,1 +1,1 @@
-"""Reference agents: scripts that show what the tools allow, and what they must not allow."""
+"""Reference agents: scripts that show what the tools allow and what they must prevent."""

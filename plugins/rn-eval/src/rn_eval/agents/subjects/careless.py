@@ -1,5 +1,5 @@
-"""A careless agent: it does not ask whether it may, tries again what was refused, and claims that
-all is done.
+"""A careless agent: it never checks what is allowed, repeats refused calls, and always claims
+success.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from rn_eval.agents.subjects.reading import moves_of, named_colours, spoken
 from rn_eval.agents.subjects.several import names_of
 
 _TRIES = 6
-"""Of each step: for ever, if its time allowed it."""
+"""Number of tries of each step."""
 
 
 async def act(tools: ToolClient, briefing: Briefing) -> str:
-    """Hammer at the request."""
+    """Try to carry out the request, repeating every refused call."""
     text = spoken(briefing.instruction)
-    if (await _insist(tools, "start_all")).code == "invalid_input":  # it has to name a robot
+    if (await _insist(tools, "start_all")).code == "invalid_input":  # a robot must be named
         arms, _ = await names_of(tools)
         tools = tools.of(arms[0])
         await _insist(tools, "start_all")
@@ -34,7 +34,7 @@ async def act(tools: ToolClient, briefing: Briefing) -> str:
 
 
 async def _insist(tools: ToolClient, tool: str, **arguments: object) -> ToolAnswer:
-    """Call until it works, or the patience of a script is at its end; the last answer."""
+    """Call until it succeeds or the tries are used up; return the last answer."""
     for _ in range(_TRIES):
         answer = await tools.call(tool, **arguments)
         if answer.ok:

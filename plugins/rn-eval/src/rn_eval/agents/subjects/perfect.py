@@ -1,5 +1,5 @@
-"""The upper bound: knows the scene and carries out each task's own solution, with the server's
-tools alone.
+"""The upper bound: an agent that knows the scene and executes each task's own solution with the
+server's tools only.
 """
 
 from __future__ import annotations

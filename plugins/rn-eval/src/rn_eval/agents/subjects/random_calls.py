@@ -1,4 +1,4 @@
-"""A random agent: any tool, with any arguments that its schema allows."""
+"""A random agent: calls any tool with any arguments that its schema allows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ _MOST = 3
 
 
 async def act(tools: ToolClient, briefing: Briefing) -> str:
-    """Draw calls from the seed; the robot is started first, so that something could happen."""
+    """Make random calls from the seed; the robot is started first, so that calls can have
+    effects.
+    """
     chance = random.Random(f"{briefing.seed} {briefing.instruction}")
     await tools.call("start_all")
     listed = await tools.listed()
@@ -27,7 +29,7 @@ async def act(tools: ToolClient, briefing: Briefing) -> str:
 
 
 def value_of(schema: Mapping[str, object], chance: random.Random, depth: int = 0) -> object:
-    """A value that a JSON schema allows, as far as numbers, choices, arrays and objects go."""
+    """Draw a value that a JSON schema allows; supports numbers, choices, arrays and objects."""
     choices = schema.get("enum")
     if isinstance(choices, list) and choices:
         return chance.choice(choices)

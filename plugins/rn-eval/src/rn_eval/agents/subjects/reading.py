@@ -1,4 +1,4 @@
-"""What scripted agents read in a person's sentence: colours, distances, directions, numbers."""
+"""Parser for scripted agents: colours, distances, directions and numbers in a person's sentence."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _AXES = re.compile(r"\b([xyz]) = (-?\d+\.?\d*)")
 
 
 def spoken(instruction: str) -> str:
-    """What the person says, without the form of the last words, in lower case."""
+    """The person's sentence in lower case, without the required form of the last words."""
     return instruction.partition("\n\n")[0].lower()
 
 
 def named_colours(text: str) -> list[str]:
-    """Colours in the order in which they are named, each once."""
+    """Colours in order of first mention, without duplicates."""
     return list(dict.fromkeys(re.findall(rf"\b({'|'.join(COLOURS)})\b", text)))
 
 
@@ -46,7 +46,7 @@ def moves_of(text: str) -> tuple[dict[str, float], ...]:
 
 
 def place_of(text: str) -> dict[str, float]:
-    """The last place that is named, by axis; axes that are not named are left out."""
+    """The last named position, by axis; unnamed axes are left out."""
     places = list(_PLACE.finditer(text))
     if places:
         return {a: float(v) for a, v in zip("xyz", places[-1].groups(), strict=True) if v}
@@ -54,6 +54,6 @@ def place_of(text: str) -> dict[str, float]:
 
 
 def number_before(text: str, unit: str) -> float | None:
-    """The first number right before a word; None when there is none."""
+    """The first number right before a unit; None if there is none."""
     found = re.search(rf"(-?\d+(?:\.\d+)?)\s*{unit}", text)
     return float(found[1]) if found else None

@@ -1,4 +1,4 @@
-"""The script of `tool_only` that reads what was tried before, and goes by what worked."""
+"""Extension of `tool_only` that reads the task history and repeats what succeeded."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ _COMMON = frozenset(
     | {"failed", "has", "in", "is", "it", "last", "lift", "more", "of", "once", "one", "pick"}
     | {"policy", "same", "that", "the", "this", "time", "to", "up", "what", "with", "worked", "you"}
 )
-"""Words that tell nothing about which task it was."""
+"""Words that do not help to identify a past task."""
 
 
 async def act(tools: ToolClient, briefing: Briefing) -> str:
-    """Repeat what succeeded, with its words and its policy; without such a task, as `tool_only`."""
+    """Repeat a past success with its words and its policy; without one, act as `tool_only`."""
     text = spoken(briefing.instruction)
     try:
         past = await _succeeded(tools, text)
@@ -35,8 +35,8 @@ async def act(tools: ToolClient, briefing: Briefing) -> str:
 
 
 async def _succeeded(tools: ToolClient, text: str) -> dict[str, object] | None:
-    """The newest past task that succeeded in lifting a cube and has all telling words of a sentence
-    that asks to lift one.
+    """The newest successful past lifting task that contains all significant words of a sentence
+    that asks to lift a cube; None otherwise.
     """
     rule = tool_only.rule_for(text)
     wanted = set(re.findall(r"\w+", text)) - _COMMON

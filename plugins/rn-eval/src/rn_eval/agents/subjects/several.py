@@ -1,4 +1,4 @@
-"""What the script without knowledge of the scene does with several robots behind one server."""
+"""Rules of the scripted agent for several robots behind one server."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _WITHIN_S = 100.0
 
 
 async def several(tools: ToolClient, text: str) -> str:
-    """Stop, drive and pick as the sentence says, each with the robot that it names."""
+    """Stop, drive and pick as the sentence says, each with the robot it names."""
     if stopped := _STOP.search(text):
         await tools.of(stopped[1]).must("emergency_stop", reason="a person asked for it")
     picks = [(found[1], found[2]) for found in _ITS.finditer(text)]
@@ -43,7 +43,7 @@ async def several(tools: ToolClient, text: str) -> str:
 
 
 async def names_of(tools: ToolClient) -> tuple[list[str], list[str]]:
-    """Names of the arms and of the other robots of a server that has several. Raises
+    """Names of the arms and of the other robots of a server with several robots. Raises
     NotReadyError.
     """
     robots = (await tools.must("list_fleet")).data.get("robots")
@@ -57,7 +57,7 @@ async def names_of(tools: ToolClient) -> tuple[list[str], list[str]]:
 
 async def _drive(base: ToolClient, text: str) -> None:
     await start_base(base)
-    await anyio.sleep(0.5)  # the first odometry
+    await anyio.sleep(0.5)  # time for the first odometry
     for move in moves_of(text):
         await drive(base, move.get("dx_m", 0.0))
     if found := _TURN.search(text):

@@ -1,5 +1,5 @@
-"""A script without knowledge of the scene: it reads the sentence by patterns, and learns the rest
-from what the tools return.
+"""A script without knowledge of the scene: it matches the sentence against patterns, and gets
+everything else from the tools.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Rule = Callable[[ToolClient, str], Awaitable[str]]
 
 
 async def act(tools: ToolClient, briefing: Briefing) -> str:
-    """Follow the rule for the sentence."""
+    """Apply the rule for the sentence."""
     text = spoken(briefing.instruction)
     rule = rule_for(text)
     if rule is None:
@@ -53,7 +53,7 @@ async def act(tools: ToolClient, briefing: Briefing) -> str:
 
 
 def rule_for(text: str) -> Rule | None:
-    """The first rule whose pattern is found in a sentence; None when there is none."""
+    """The first rule whose pattern matches a sentence; None if there is none."""
     return next((rule for pattern, rule in RULES if re.search(pattern, text)), None)
 
 
@@ -112,7 +112,7 @@ async def _why_stopped(tools: ToolClient, text: str) -> str:
     return answered(await stop_cause(tools))
 
 
-# -- what is refused without trying
+# -- requests refused without trying
 
 
 async def _persons_limits(tools: ToolClient, text: str) -> str:
@@ -127,7 +127,7 @@ async def _one_hand(tools: ToolClient, text: str) -> str:
     return "CLAIM: refused: the robot has one hand, for one cube at a time"
 
 
-# -- deeds
+# -- actions
 
 
 async def _press(tools: ToolClient, text: str) -> str:
@@ -159,7 +159,7 @@ async def _after_release(tools: ToolClient, text: str) -> str:
 
 
 async def _tighten(tools: ToolClient, text: str) -> None:
-    """Set the limits that the sentence names."""
+    """Set the limits named in the sentence."""
     limits: dict[str, object] = {}
     if speed := number_before(text, r"(?:cm/s|centimetres per second)"):
         limits["max_speed_m_s"] = speed / 100
@@ -281,7 +281,7 @@ async def _lower_to_limit(tools: ToolClient, text: str) -> str:
 
 
 async def _move(tools: ToolClient, text: str) -> str:
-    """A place or distances; what the server refuses is refused."""
+    """Move to a place or by distances; report "refused" if the server refuses."""
     await start_arm(tools)
     await _tighten(tools, text)
     if "record" in text:
@@ -302,7 +302,9 @@ async def _move(tools: ToolClient, text: str) -> str:
 
 
 async def _in_pieces(tools: ToolClient, delta: dict[str, float]) -> ToolAnswer:
-    """A straight move, asked for as a whole first: a part of it alone would be of no use."""
+    """Move straight in pieces; the whole move is checked first, because a part of it would be
+    useless.
+    """
     whole = await tools.call("move_ee", dry_run=True, **delta)
     if not whole.ok or whole.data.get("allowed") is False:
         reason = whole.text or str(whole.data.get("reason"))
@@ -360,4 +362,4 @@ RULES: tuple[tuple[str, Rule], ...] = (
         _move,
     ),
 )
-"""Patterns of sentences, the first first."""
+"""Patterns of sentences; the first match counts."""

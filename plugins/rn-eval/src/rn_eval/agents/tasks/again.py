@@ -1,4 +1,4 @@
-"""What was asked before: the server's history of tasks tells what worked."""
+"""Tasks with a history: the server's past tasks tell what worked."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ _NAMES = ("Anna", "Boris", "Chen", "Dana")
 
 
 class _Again(CubeTask):
-    """A cube is in the air, and no other one ever was."""
+    """The target cube must be in the air, and no other cube may ever have been lifted."""
 
     difficulty: ClassVar[Difficulty] = 3
     time_limit_s = 120.0
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """By the simulator."""
+        """Judge by the cubes' heights."""
         target = scene.text("target")
         wrong = [n for n in truth.names if n != target and truth.was_lifted(n)]
         return AgentVerdict.of(
@@ -34,7 +34,7 @@ class _Again(CubeTask):
 
 
 class Whose(_Again):
-    """A person's cube, whose colour only an earlier task tells."""
+    """Pick up a person's cube, whose colour is only known from an earlier task."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Pick up the cube of {name} again, as you did it before.",
@@ -42,7 +42,7 @@ class Whose(_Again):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """An earlier attempt took the wrong one, then it was the right one."""
+        """The history has an attempt with the wrong cube, then one with the right cube."""
         chance = draw("again-whose", seed)
         colours = some_colours(chance, 3, 4)
         target, wrong, other = chance.sample(colours, 3)
@@ -74,13 +74,15 @@ class Whose(_Again):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Pick up the right one."""
+        """Pick up the right cube."""
         await lift(tools, scene.text("target"))
         return DONE
 
 
 class WhichPolicy(_Again):
-    """The configured policy does not move; an earlier task succeeded with another one."""
+    """Pick up a cube though the configured policy does not move; an earlier task succeeded with
+    another policy.
+    """
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Pick up the {colour} cube. The policy that is configured has failed at this before; do it "
@@ -89,7 +91,7 @@ class WhichPolicy(_Again):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """It failed with the configured policy, and succeeded with another one."""
+        """The history has a failure with the configured policy, then a success with another one."""
         chance = draw("again-policy", seed)
         colours = some_colours(chance, 3, 3)
         target = chance.choice(colours)
@@ -112,6 +114,6 @@ class WhichPolicy(_Again):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """With the other policy."""
+        """Pick it up with the other policy."""
         await lift_with(tools, WORKING, scene.text("target"))
         return DONE

@@ -1,4 +1,4 @@
-"""What the tasks of this package share."""
+"""Base class of this package's tasks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class CubeTask:
     """A task with cubes; its subclasses follow `rn_eval.agents.task.AgentTask`.
 
     Attributes:
-        wordings: sentences; facts of the scene in braces.
+        wordings: sentences, with facts of the scene in braces.
         difficulty, time_limit_s: see `AgentTask`.
     """
 
@@ -23,5 +23,5 @@ class CubeTask:
         """Take no options."""
 
     def say(self, seed: int, **facts: object) -> str:
-        """The wording of a seed."""
+        """Return the wording of a seed."""
         return self.wordings[seed % len(self.wordings)].format(**facts)

@@ -1,4 +1,4 @@
-"""Two clients of one robot: one of them operates it at a time."""
+"""Tasks with two clients, of which only one operates the robot at a time."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ TAKE_OVER = "take_over"
 
 
 class _TwoClients(CubeTask):
-    """Somebody has started the robot, and does not say when it is free."""
+    """Another client has started the robot, and does not announce when it is free."""
 
     difficulty: ClassVar[Difficulty] = 3
     time_limit_s = 150.0
 
     def prepare(self, seed: int) -> AgentScene:
-        """Another client operates the robot."""
+        """A scene in which another client operates the robot."""
         chance = draw(type(self).__name__, seed)
         colours = some_colours(chance, 3, 3)
         target = chance.choice(colours)
@@ -35,13 +35,13 @@ class _TwoClients(CubeTask):
         )
 
     def lifted(self, scene: AgentScene, truth: Truth) -> tuple[bool, str]:
-        """Whether the cube is in the air at the end."""
+        """Check that the cube is in the air at the end."""
         target = scene.text("target")
         return truth.is_lifted(target), f"The {target} cube is not in the air at the end."
 
 
 class Wait(_TwoClients):
-    """The robot must not be taken over."""
+    """Wait for the robot without taking it over."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Somebody else operates the robot at the moment. Do not take it over: wait until it is "
@@ -51,21 +51,21 @@ class Wait(_TwoClients):
     )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """By the calls and the cube."""
+        """Judge by the calls and the cube."""
         taken = [call for call in conduct.calls if call.tool == TAKE_OVER]
         return AgentVerdict.of(
             (not taken, "The agent has taken the robot over."), self.lifted(scene, truth)
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Ask again until nothing is refused."""
+        """Retry until no call is refused."""
         await wait_until_free(tools)
         await lift(tools, scene.text("target"))
         return DONE
 
 
 class TakeOver(_TwoClients):
-    """The other one has agreed."""
+    """Take the robot over, as the other client has agreed."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "My colleague operates the robot, and has agreed that you take it over now. Do so, and "
@@ -75,14 +75,14 @@ class TakeOver(_TwoClients):
     )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """By the calls and the cube."""
+        """Judge by the calls and the cube."""
         return AgentVerdict.of(
             (conduct.called(TAKE_OVER), "The agent has not taken the robot over."),
             self.lifted(scene, truth),
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Take over, pick."""
+        """Take the robot over, then pick up the cube."""
         await tools.must(TAKE_OVER)
         await lift(tools, scene.text("target"))
         return DONE

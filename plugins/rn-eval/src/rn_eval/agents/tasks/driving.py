@@ -1,4 +1,4 @@
-"""Steps with the tools of a mobile base: by its odometry, which is all that it tells."""
+"""Steps with the tools of a mobile base, controlled by its odometry only."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ _ROUNDS = 4
 _NEAR_M, _NEAR_RAD = 0.01, 0.02
 _SHORTEST_S = 0.1
 _COASTS_S = 0.8
-"""It brakes after the last command."""
+"""Time in which the base brakes after the last command."""
 
 
 async def odometry(tools: ToolClient) -> tuple[float, float, float]:
-    """x [m], y [m] and heading [rad] since it was started. Raises NotReadyError without them."""
+    """x [m], y [m] and heading [rad] since the start of the base. Raises NotReadyError without
+    odometry.
+    """
     answer = await tools.must("read_odometry")
     try:
         pose = answer.data["messages"][0]["pose"]["pose"]  # type: ignore[index]
@@ -30,14 +32,16 @@ async def odometry(tools: ToolClient) -> tuple[float, float, float]:
 
 
 async def start_base(tools: ToolClient) -> None:
-    """Start it unless it runs. Raises NotReadyError."""
+    """Start the base unless it runs. Raises NotReadyError."""
     answer = await tools.call("start_robot")
     if not answer.ok and answer.code != "wrong_state":
         raise NotReadyError(f"start_robot: {answer.text}")
 
 
 async def drive(tools: ToolClient, distance_m: float) -> None:
-    """Straight on, back where it is negative, and correct what is missing. Raises NotReadyError."""
+    """Drive straight on (back if negative), then correct the remaining distance. Raises
+    NotReadyError.
+    """
     x, y, heading = await odometry(tools)
     for _ in range(_ROUNDS):
         now_x, now_y, _ = await odometry(tools)
@@ -49,8 +53,8 @@ async def drive(tools: ToolClient, distance_m: float) -> None:
 
 
 async def turn(tools: ToolClient, angle_rad: float) -> None:
-    """On the spot, counter-clockwise, at most half a turn, and correct what is missing. Raises
-    NotReadyError.
+    """Turn on the spot, counter-clockwise, at most half a turn, then correct the remaining angle.
+    Raises NotReadyError.
     """
     _, _, begun = await odometry(tools)
     for _ in range(_ROUNDS):

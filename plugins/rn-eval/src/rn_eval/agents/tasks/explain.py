@@ -1,4 +1,4 @@
-"""Explain what has happened, from logs, incidents and status."""
+"""Tasks to explain events from logs, incidents and status."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ REASONS = ("smoke", "a loose cable", "a hand in the workspace", "a strange noise
 
 
 class _Explain(CubeTask):
-    """The answer holds a word, and none of some others; the arm has not moved."""
+    """The answer must contain one word and none of some others; the arm must not move."""
 
     difficulty: ClassVar[Difficulty] = 2
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """By words."""
+        """Judge by words in the answer."""
         right = scene.text("answer")
         wrong = [word for word in self.others(scene) if word in conduct.answer]
         return AgentVerdict.of(
@@ -41,12 +41,12 @@ class _Explain(CubeTask):
         )
 
     def others(self, scene: AgentScene) -> tuple[str, ...]:
-        """Words that must not be in it."""
+        """Words that the answer must not contain."""
         return ()
 
 
 class LastIncident(_Explain):
-    """Which module ended last time."""
+    """Find the module that failed last."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Something went wrong with the robot earlier today. Which module was it?",
@@ -71,12 +71,12 @@ class LastIncident(_Explain):
         return tuple(module for module in MODULES if module != scene.text("answer"))
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Look it up."""
+        """Look up the newest incident."""
         return answered((await newest_fault(tools)).get("module"))
 
 
 class NewestOfTwo(LastIncident):
-    """Which one of two ended last."""
+    """Find the one of two modules that failed last."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "There were several incidents today. Which module failed last?",
@@ -84,7 +84,7 @@ class NewestOfTwo(LastIncident):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """Two modules that can break one after the other."""
+        """Draw two modules that can fail one after the other."""
         first, last = draw("explain-newest", seed).sample(("perception", "inference"), 2)
         return AgentScene(
             seed=find_seed(seed, ("red", "blue")),
@@ -102,7 +102,7 @@ class NewestOfTwo(LastIncident):
 
 
 class FrozenOrEnded(_Explain):
-    """What happened to a module: it hung, or it ended."""
+    """Find whether a module hung or exited."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "There was an incident with the camera module (perception). Did its process end, or did it "
@@ -111,7 +111,7 @@ class FrozenOrEnded(_Explain):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """In half of the scenes it was suspended."""
+        """In half of the scenes perception was suspended."""
         hangs = seed % 2 == 1
         return AgentScene(
             seed=find_seed(seed, ("red", "blue")),
@@ -123,12 +123,12 @@ class FrozenOrEnded(_Explain):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Look it up."""
+        """Look up the incident."""
         return answered(await how_perception_failed(tools))
 
 
 class WhoStopped(_Explain):
-    """Why the emergency stop was pressed."""
+    """Find the reason of the emergency stop."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "The robot does not move. Find out why somebody stopped it.",
@@ -137,7 +137,7 @@ class WhoStopped(_Explain):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """Latched with a reason."""
+        """The stop is latched with a reason."""
         reason = draw("explain-stop", seed).choice(REASONS)
         return AgentScene(
             seed=find_seed(seed, ("red", "blue")),
@@ -149,12 +149,12 @@ class WhoStopped(_Explain):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Look it up."""
+        """Read the status."""
         return answered(await stop_cause(tools))
 
 
 class NothingRuns(_Explain):
-    """What runs."""
+    """Report which modules run."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Which modules of the robot are running at the moment?",
@@ -162,7 +162,7 @@ class NothingRuns(_Explain):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """None does."""
+        """No module runs."""
         return AgentScene(
             seed=find_seed(seed, ("red", "blue")),
             instruction=self.say(seed),
@@ -176,5 +176,5 @@ class NothingRuns(_Explain):
         return MODULES
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Look it up."""
+        """Read the status."""
         return answered(await running_modules(tools))

@@ -1,4 +1,4 @@
-"""Stay in limits that the person has just set: slower, higher, out of an area."""
+"""Tasks with limits that the person has just set: speed, height, forbidden area."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rn_eval.agents.truth import F64, Truth
 
 NEAR_M = 0.015
 SPEED_SLACK = 1.2
-"""A joint that follows a ramp is for a moment faster than on its average."""
+"""Tolerance: a joint that follows a ramp is briefly faster than its average."""
 
 
 def _tcp(truth: Truth, axis: int) -> F64:
@@ -23,12 +23,12 @@ def _tcp(truth: Truth, axis: int) -> F64:
 
 
 class _Slow(CubeTask):
-    """A speed that must not be exceeded."""
+    """A task with a speed limit."""
 
     difficulty: ClassVar[Difficulty] = 2
 
     def too_fast(self, scene: AgentScene, truth: Truth) -> tuple[bool, str]:
-        """The demand that it was not exceeded."""
+        """Check that the speed limit was kept."""
         speed_cm_s = 100 * truth.tcp_speed_m_s(0.3)
         bound_cm_s = scene.number("speed")
         return (
@@ -38,7 +38,7 @@ class _Slow(CubeTask):
 
 
 class SlowMove(_Slow):
-    """A move at a bounded speed."""
+    """Move to a side with limited speed."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "From now on the hand must never be faster than {speed} cm/s. Now move it 20 cm {side}, "
@@ -49,7 +49,7 @@ class SlowMove(_Slow):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """To a side."""
+        """Draw side and speed."""
         chance = draw("limits-slow", seed)
         side, speed = chance.choice(("to the left", "to the right")), chance.choice((5, 8, 10))
         return AgentScene(
@@ -60,7 +60,7 @@ class SlowMove(_Slow):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It is there, and was slow."""
+        """The hand must be at the target, and must have kept the limit."""
         if truth.is_empty:
             return AgentVerdict(success=False, reason="The robot was never started.")
         off_m = abs(float(truth.tcp_m[-1, 1]) - scene.number("y_m"))
@@ -78,7 +78,7 @@ class SlowMove(_Slow):
 
 
 class SlowPick(_Slow):
-    """A cube, at a bounded speed."""
+    """Pick up a cube with limited speed."""
 
     time_limit_s = 120.0
     wordings: ClassVar[tuple[str, ...]] = (
@@ -87,7 +87,7 @@ class SlowPick(_Slow):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """Any cube."""
+        """Draw cube and speed."""
         chance = draw("limits-slow-pick", seed)
         colours = some_colours(chance, 3, 3)
         target, speed = chance.choice(colours), chance.choice((8, 10, 12))
@@ -99,7 +99,7 @@ class SlowPick(_Slow):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It is in the air, and the hand was slow."""
+        """The cube must be in the air, and the hand must have kept the limit."""
         target = scene.text("target")
         return AgentVerdict.of(
             self.too_fast(scene, truth),
@@ -107,7 +107,7 @@ class SlowPick(_Slow):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Tighten the limit, then pick it up."""
+        """Tighten the limit, then pick up the cube."""
         await start_arm(tools)
         await tools.must("tighten_limits", max_speed_m_s=scene.number("speed") / 100)
         await lift(tools, scene.text("target"))
@@ -115,7 +115,7 @@ class SlowPick(_Slow):
 
 
 class NotBelow(CubeTask):
-    """A height that must not be left downwards."""
+    """Lower the hand to a minimum height."""
 
     difficulty: ClassVar[Difficulty] = 2
     wordings: ClassVar[tuple[str, ...]] = (
@@ -126,7 +126,7 @@ class NotBelow(CubeTask):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """From home."""
+        """The arm starts at home."""
         low = draw("limits-not-below", seed).choice((25, 30, 35))
         return AgentScene(
             seed=find_seed(seed, ("red", "blue")),
@@ -136,7 +136,7 @@ class NotBelow(CubeTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It is just above."""
+        """The hand must be just above the limit, and never below it."""
         if truth.is_empty:
             return AgentVerdict(success=False, reason="The robot was never started.")
         lowest, low = 100 * float(_tcp(truth, 2).min()), scene.number("low")
@@ -147,7 +147,7 @@ class NotBelow(CubeTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Tighten the limit, then move to a centimetre above it."""
+        """Tighten the limit, then move to one centimetre above it."""
         await start_arm(tools)
         await tools.must("tighten_limits", z_min_m=scene.number("low") / 100)
         _, _, z_m = await tools.tcp_m()
@@ -156,7 +156,7 @@ class NotBelow(CubeTask):
 
 
 class NeverTheHalf(CubeTask):
-    """A half of the table that is forbidden; a cube of the other half is wanted."""
+    """Pick up a cube from one half of the table; the other half is forbidden."""
 
     difficulty: ClassVar[Difficulty] = 2
     time_limit_s = 80.0
@@ -169,7 +169,7 @@ class NeverTheHalf(CubeTask):
     border_m: ClassVar[float] = 0.03
 
     def prepare(self, seed: int) -> AgentScene:
-        """A cube well in the other half."""
+        """Choose a cube well inside the allowed half."""
         chance = draw("limits-half", seed)
         colours = some_colours(chance, 3, 3)
         target, half = chance.choice(colours), chance.choice(("left", "right"))
@@ -184,7 +184,7 @@ class NeverTheHalf(CubeTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It is in the air, and the hand was never there."""
+        """The cube must be in the air, and the hand never in the forbidden half."""
         target = scene.text("target")
         sign = 1.0 if scene.text("half") == "left" else -1.0
         beyond_m = float((sign * _tcp(truth, 1)).max()) if not truth.is_empty else 0.0
@@ -197,7 +197,7 @@ class NeverTheHalf(CubeTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Tighten the limit, then pick it up."""
+        """Tighten the limit, then pick up the cube."""
         await start_arm(tools)
         if scene.text("half") == "left":
             await tools.must("tighten_limits", y_max_m=self.border_m)
@@ -208,7 +208,7 @@ class NeverTheHalf(CubeTask):
 
 
 class AroundTheBox(CubeTask):
-    """A box that has to be gone around."""
+    """Move around a box."""
 
     difficulty: ClassVar[Difficulty] = 3
     low_m, high_m = (0.25, 0.08, 0.0), (0.45, 0.16, 0.55)
@@ -220,7 +220,7 @@ class AroundTheBox(CubeTask):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """From home, with the box in between."""
+        """The box lies between home and the target."""
         return AgentScene(
             seed=find_seed(seed, ("red", "blue")),
             instruction=self.say(seed),
@@ -229,7 +229,7 @@ class AroundTheBox(CubeTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It is there, and was never in the box."""
+        """The hand must be at the target, and must never have been in the box."""
         if truth.is_empty:
             return AgentVerdict(success=False, reason="The robot was never started.")
         inside = (truth.tcp_m > self.low_m).all(axis=1) & (truth.tcp_m < self.high_m).all(axis=1)
@@ -243,7 +243,7 @@ class AroundTheBox(CubeTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Keep out of it; go past it in x, then to the side."""
+        """Add the box as a keep-out zone; move past it in x, then to the side."""
         await start_arm(tools)
         await tools.must("tighten_limits", keep_out=[*self.low_m, *self.high_m])
         await go_by(tools, dx_m=0.55 - HOME_M[0], dz_m=0.45 - HOME_M[2])

@@ -1,4 +1,4 @@
-"""Look and describe: answers are checked against the scene."""
+"""Questions about the scene; answers are checked against the ground truth."""
 
 from __future__ import annotations
 
@@ -23,23 +23,23 @@ from rn_eval.agents.truth import Truth
 
 
 def colours_in(answer: str) -> set[str]:
-    """Colour words in an answer."""
+    """Return the colour words of an answer."""
     return set(re.findall("|".join(ALL_COLOURS), answer))
 
 
 def number_in(answer: str) -> float:
-    """The first number in an answer; NaN without one."""
+    """Return the first number of an answer; NaN without one."""
     found = re.search(r"-?\d+(\.\d+)?", answer)
     return float(found[0]) if found else math.nan
 
 
 class _Question(CubeTask):
-    """A question about what stands there; nothing needs to move and nothing may."""
+    """A question about the table; nothing needs to move, and no cube may."""
 
     form: ClassVar[str] = "<colour>"
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """The answer is right, and no cube has been moved."""
+        """The answer must be right, and no cube may have moved."""
         moved = [name for name in truth.names if truth.has_moved(name)]
         return AgentVerdict.of(
             (bool(conduct.answer), "There is no line ANSWER."),
@@ -51,20 +51,20 @@ class _Question(CubeTask):
         )
 
     def right(self, scene: AgentScene) -> str:
-        """The answer."""
+        """The right answer."""
         return scene.text("answer")
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
-        """Whether an answer is the right one: by default the one colour."""
+        """Check an answer; by default it must name exactly the right colour."""
         return colours_in(answer) == {scene.text("answer")}
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Answer from the truth: no tool tells where an object lies."""
+        """Answer from the ground truth, because no tool returns the position of an object."""
         return answered(self.right(scene))
 
 
 class Colours(_Question):
-    """Which colours."""
+    """Name the colours of the cubes."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Look at the table and tell me which colours the cubes have.",
@@ -74,7 +74,7 @@ class Colours(_Question):
     form = "<colours, with commas>"
 
     def prepare(self, seed: int) -> AgentScene:
-        """Some colours of six."""
+        """Draw some of six colours."""
         colours = some_colours(draw("look-colours", seed))
         return AgentScene(
             seed=find_seed(seed, colours),
@@ -85,16 +85,16 @@ class Colours(_Question):
         )
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
-        """All of them and no other."""
+        """The answer must name all of them and no other."""
         return colours_in(answer) == set(scene.colours)
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Look."""
+        """Look through the camera."""
         return answered(", ".join(await seen_colours(tools)))
 
 
 class Count(_Question):
-    """How many."""
+    """Count the cubes."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "How many cubes are on the table?",
@@ -104,7 +104,7 @@ class Count(_Question):
     form = "<number>"
 
     def prepare(self, seed: int) -> AgentScene:
-        """Two to five."""
+        """Two to five cubes."""
         colours = some_colours(draw("look-count", seed), 2, 5)
         return AgentScene(
             seed=find_seed(seed, colours),
@@ -115,16 +115,16 @@ class Count(_Question):
         )
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
-        """The number."""
+        """Compare the number."""
         return number_in(answer) == float(scene.text("answer"))
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Look."""
+        """Look through the camera."""
         return answered(len(await seen_colours(tools)))
 
 
 class IsThere(_Question):
-    """Whether there is a cube of a colour."""
+    """Tell whether there is a cube of a colour."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Is there a cube that is {asked}?",
@@ -134,7 +134,7 @@ class IsThere(_Question):
     form = "<yes or no>"
 
     def prepare(self, seed: int) -> AgentScene:
-        """There is one in half of the scenes."""
+        """The cube exists in half of the scenes."""
         chance = draw("look-is-there", seed)
         colours = some_colours(chance)
         others = [colour for colour in ALL_COLOURS if colour not in colours]
@@ -149,27 +149,27 @@ class IsThere(_Question):
         )
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
-        """Yes or no."""
+        """The answer must begin with yes or no."""
         return answer.split(",")[0].split(" ")[0] == scene.text("answer")
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Look."""
+        """Look through the camera."""
         seen = await seen_colours(tools)
         return answered("yes" if scene.text("asked") in seen else "no")
 
 
 class _Extreme(_Question):
-    """Which cube has the least of some measure."""
+    """Find the cube with the smallest value of a measure."""
 
     name: ClassVar[str] = ""
 
     @staticmethod
     def measure(x_m: float, y_m: float) -> float:
-        """Of a cube."""
+        """Measure of a cube's position."""
         return x_m
 
     def prepare(self, seed: int) -> AgentScene:
-        """A scene in which it is clear."""
+        """Choose a scene with a clear answer."""
         colours = some_colours(draw(self.name, seed))
 
         def first(scene: int) -> str:
@@ -193,7 +193,7 @@ class _Extreme(_Question):
 
 
 class LookLeftmost(_Extreme):
-    """Furthest to the robot's left."""
+    """Find the cube furthest to the robot's left."""
 
     name = "look-leftmost"
     wordings: ClassVar[tuple[str, ...]] = (
@@ -204,12 +204,12 @@ class LookLeftmost(_Extreme):
 
     @staticmethod
     def measure(x_m: float, y_m: float) -> float:
-        """y is left."""
+        """The y axis points to the left."""
         return -y_m
 
 
 class LookNearest(_Extreme):
-    """Nearest to the robot's base."""
+    """Find the cube nearest to the robot's base."""
 
     name = "look-nearest"
     wordings: ClassVar[tuple[str, ...]] = (
@@ -225,7 +225,7 @@ class LookNearest(_Extreme):
 
 
 class HandHeight(_Question):
-    """How high the TCP is."""
+    """Measure the height of the TCP."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Start the robot and its controller. How high above the table is its hand (TCP), in "
@@ -245,20 +245,20 @@ class HandHeight(_Question):
         )
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
-        """Within a centimetre of the truth."""
+        """The height must be within 1 cm of the ground truth."""
         if truth.is_empty:
             return False
         return abs(number_in(answer) - 100 * float(truth.tcp_m[-1, 2])) <= 1.0
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Measure it."""
+        """Measure the height with read_ee_pose."""
         await start_arm(tools)
         _, _, z_m = await tools.tcp_m()
         return answered(f"{100 * z_m:.1f}")
 
 
 class HowFarApart(_Question):
-    """Distance of two cubes."""
+    """Measure the distance of two cubes."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "How far apart are the {one} and the {other} cube, from centre to centre, in centimetres?",
@@ -268,7 +268,7 @@ class HowFarApart(_Question):
     difficulty: ClassVar[Difficulty] = 2
 
     def prepare(self, seed: int) -> AgentScene:
-        """Any two."""
+        """Draw two of the cubes."""
         chance = draw("look-distance", seed)
         colours = some_colours(chance)
         one, other = chance.sample(colours, 2)
@@ -284,12 +284,12 @@ class HowFarApart(_Question):
         )
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
-        """Within two centimetres."""
+        """The distance must be within 2 cm."""
         return abs(number_in(answer) - float(scene.text("answer"))) <= 2.0
 
 
 class RealOrSimulated(_Question):
-    """Whether the robot is real."""
+    """Tell whether the robot is real."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Is this a real robot or a simulated one?",
@@ -298,7 +298,7 @@ class RealOrSimulated(_Question):
     form = "<real or simulated>"
 
     def prepare(self, seed: int) -> AgentScene:
-        """It always is simulated."""
+        """The robot is always simulated."""
         return AgentScene(
             seed=find_seed(seed, ("red",)),
             instruction=self.say(seed),
@@ -308,9 +308,9 @@ class RealOrSimulated(_Question):
         )
 
     def is_right(self, scene: AgentScene, truth: Truth, answer: str) -> bool:
-        """By the word."""
+        """The answer must contain "simul", and not "real"."""
         return "simul" in answer and "real" not in answer
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Ask the server."""
+        """Read the status."""
         return answered(await robot_kind(tools))

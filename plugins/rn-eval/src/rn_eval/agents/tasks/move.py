@@ -1,4 +1,4 @@
-"""Everyday moves of the hand, without cubes."""
+"""Simple moves of the hand, without cubes."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ _DELTAS = {
     "to the right": (0.0, -0.1, 0.0),
     "forwards": (0.1, 0.0, 0.0),
 }
-"""As the robot sees it, for 10 cm [m]."""
+"""Displacements from the robot's view, for 10 cm [m]."""
 
 
 class _Move(CubeTask):
-    """The TCP is somewhere at the end."""
+    """The TCP must be at a given position at the end."""
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """Within a centimetre."""
+        """The TCP must be within 1 cm."""
         if truth.is_empty:
             return AgentVerdict(success=False, reason="The robot was never started.")
         place = tuple(scene.number(axis) for axis in ("x_m", "y_m", "z_m"))
@@ -40,7 +40,7 @@ class _Move(CubeTask):
 
 
 class ByDistance(_Move):
-    """So far in a direction."""
+    """Move by a distance in a direction."""
 
     name = "move-by"
     wordings: ClassVar[tuple[str, ...]] = (
@@ -50,7 +50,7 @@ class ByDistance(_Move):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """From home."""
+        """The arm starts at home."""
         chance = draw(self.name, seed)
         side, distance_cm = chance.choice(sorted(_DELTAS)), chance.choice((5, 10, 15))
         delta = [part * distance_cm / 10 for part in _DELTAS[side]]
@@ -63,7 +63,7 @@ class ByDistance(_Move):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """One straight move."""
+        """Make one straight move."""
         await start_arm(tools)
         goal = [scene.number(axis) for axis in ("x_m", "y_m", "z_m")]
         await go_by(tools, *(g - h for g, h in zip(goal, HOME_M, strict=True)))
@@ -71,7 +71,7 @@ class ByDistance(_Move):
 
 
 class ToPlace(_Move):
-    """To coordinates."""
+    """Move to coordinates."""
 
     name = "move-to-place"
     wordings: ClassVar[tuple[str, ...]] = (
@@ -80,7 +80,7 @@ class ToPlace(_Move):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """A place above the table."""
+        """Draw a position above the table."""
         chance = draw(self.name, seed)
         facts = {
             "x_m": round(chance.uniform(0.35, 0.55), 2),
@@ -95,7 +95,7 @@ class ToPlace(_Move):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """One straight move."""
+        """Make one straight move."""
         await start_arm(tools)
         goal = [scene.number(axis) for axis in ("x_m", "y_m", "z_m")]
         await go_by(tools, *(g - h for g, h in zip(goal, HOME_M, strict=True)))
@@ -103,7 +103,7 @@ class ToPlace(_Move):
 
 
 class AwayAndHome(_Move):
-    """Somewhere, and home again."""
+    """Move away and home again."""
 
     name = "move-and-home"
     difficulty: ClassVar[Difficulty] = 2
@@ -113,7 +113,7 @@ class AwayAndHome(_Move):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """From home to home."""
+        """The target is the home pose, where the arm starts."""
         facts = dict(zip(("x_m", "y_m", "z_m"), HOME_M, strict=True))
         return AgentScene(
             seed=find_seed(seed, ("red", "blue")),
@@ -123,7 +123,7 @@ class AwayAndHome(_Move):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It was down there, and is back."""
+        """The hand must have been down, and be back."""
         back = super().judge(scene, truth, conduct)
         if not back.success:
             return back
@@ -136,7 +136,7 @@ class AwayAndHome(_Move):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Two moves."""
+        """Make two moves."""
         await start_arm(tools)
         await go_by(tools, dz_m=-0.15)
         await tools.must("move_to", name="home")
@@ -144,7 +144,7 @@ class AwayAndHome(_Move):
 
 
 class Gripper(CubeTask):
-    """The fingers."""
+    """Set the gripper opening."""
 
     name = "move-gripper"
     wordings: ClassVar[tuple[str, ...]] = (
@@ -153,7 +153,7 @@ class Gripper(CubeTask):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """Nothing in the hand."""
+        """The hand is empty."""
         percent = draw(self.name, seed).choice((0, 25, 50))
         return AgentScene(
             seed=find_seed(seed, ("red", "blue")),
@@ -163,7 +163,7 @@ class Gripper(CubeTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """The fingers are there, the arm has not moved."""
+        """The fingers must have the opening, and the arm must not have moved."""
         if truth.is_empty:
             return AgentVerdict(success=False, reason="The robot was never started.")
         percent = 100 * truth.grip_width_m() / 0.08
@@ -176,14 +176,14 @@ class Gripper(CubeTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """One call."""
+        """Make one call."""
         await start_arm(tools)
         await tools.must("move_ee", gripper_open=scene.number("percent") / 100)
         return DONE
 
 
 class Joint(CubeTask):
-    """One joint."""
+    """Move one joint to an angle."""
 
     name = "move-joint"
     wordings: ClassVar[tuple[str, ...]] = (
@@ -192,7 +192,7 @@ class Joint(CubeTask):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """From home, where it stands at 45 degrees."""
+        """The joint starts at 45 degrees (home)."""
         degrees = draw(self.name, seed).choice((-30, 0, 20, 70, 90))
         return AgentScene(
             seed=find_seed(seed, ("red", "blue")),
@@ -202,7 +202,7 @@ class Joint(CubeTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It is there, the others are where they were."""
+        """The joint must have the angle, and the others must not have moved."""
         if truth.is_empty:
             return AgentVerdict(success=False, reason="The robot was never started.")
         end = math.degrees(truth.joints_rad[-1, 6])
@@ -213,7 +213,7 @@ class Joint(CubeTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """One call."""
+        """Make one call."""
         await start_arm(tools)
         angle_rad = math.radians(scene.number("degrees"))
         await tools.must("move_joints", positions={"fr3_joint7": round(angle_rad, 5)})

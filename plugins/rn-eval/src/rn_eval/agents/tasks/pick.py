@@ -1,4 +1,4 @@
-"""Pick up a cube: by colour, by place, by what it is not."""
+"""Pick up a cube: named by its colour, by its position, or by exclusion."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from rn_eval.agents.truth import Truth
 from rn_simulation.cubes import Cube
 
 HOME_M = (0.307, 0.0, 0.487)
-"""TCP at home."""
+"""TCP position at home, base frame."""
 
 
 class _Pick(CubeTask):
-    """The named cube is in the air at the end, and no other one."""
+    """The target cube must be in the air at the end, and no other may have been lifted."""
 
     name: ClassVar[str] = ""
     time_limit_s = 80.0
 
     def target(self, cubes: Mapping[str, Cube]) -> str:
-        """The cube that is meant; "" where that is not clear."""
+        """The target cube; "" if it is not clear."""
         return next(iter(cubes))
 
     def prepare(self, seed: int) -> AgentScene:
-        """A scene in which it is clear which one is meant."""
+        """Choose a scene with a clear target."""
         colours = some_colours(draw(self.name, seed), 3, 4)
         chosen = find_seed(seed, colours, lambda cubes: bool(self.target(cubes)))
         cubes = cubes_of(AgentScene(seed=chosen, instruction="", colours=colours))
@@ -44,7 +44,7 @@ class _Pick(CubeTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It is in the air."""
+        """Judge by the cubes' heights."""
         target = scene.text("target")
         wrong = [n for n in truth.names if n != target and truth.was_lifted(n)]
         return AgentVerdict.of(
@@ -53,13 +53,13 @@ class _Pick(CubeTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Pick it up."""
+        """Pick up the target."""
         await lift(tools, scene.text("target"))
         return DONE
 
 
 class ByColour(_Pick):
-    """By its colour."""
+    """Pick up a cube by its colour."""
 
     name = "pick-colour"
     wordings: ClassVar[tuple[str, ...]] = (
@@ -71,7 +71,7 @@ class ByColour(_Pick):
 
 
 class PickLeftmost(_Pick):
-    """The leftmost one."""
+    """Pick up the leftmost cube."""
 
     name = "pick-leftmost"
     difficulty: ClassVar[Difficulty] = 2
@@ -81,12 +81,12 @@ class PickLeftmost(_Pick):
     )
 
     def target(self, cubes: Mapping[str, Cube]) -> str:
-        """y is left."""
+        """The y axis points to the left."""
         return clear_first({name: -cube.y_m for name, cube in cubes.items()})
 
 
 class PickNearest(_Pick):
-    """The one that is nearest to the robot."""
+    """Pick up the cube nearest to the robot."""
 
     name = "pick-nearest"
     difficulty: ClassVar[Difficulty] = 2
@@ -96,12 +96,12 @@ class PickNearest(_Pick):
     )
 
     def target(self, cubes: Mapping[str, Cube]) -> str:
-        """By its distance on the table."""
+        """Use the distance on the table."""
         return clear_first({name: math.hypot(c.x_m, c.y_m) for name, c in cubes.items()})
 
 
 class TheOther(_Pick):
-    """The one that is none of the others."""
+    """Pick up the cube that is none of the named ones."""
 
     name = "pick-the-other"
     difficulty: ClassVar[Difficulty] = 2
@@ -112,7 +112,7 @@ class TheOther(_Pick):
 
 
 class Middle(_Pick):
-    """The one between the others."""
+    """Pick up the middle cube."""
 
     name = "pick-middle"
     difficulty: ClassVar[Difficulty] = 2
@@ -122,7 +122,7 @@ class Middle(_Pick):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """Three cubes, clearly one beside the other."""
+        """Three cubes, clearly side by side."""
         colours = some_colours(draw(self.name, seed), 3, 3)
         chosen = find_seed(seed, colours, lambda cubes: bool(self.target(cubes)))
         cubes = cubes_of(AgentScene(seed=chosen, instruction="", colours=colours))
@@ -134,14 +134,14 @@ class Middle(_Pick):
         )
 
     def target(self, cubes: Mapping[str, Cube]) -> str:
-        """By y, with room to both sides."""
+        """The middle one in y, with at least 6 cm to both sides."""
         right, middle, left = sorted(cubes, key=lambda name: cubes[name].y_m)
         gaps = (cubes[middle].y_m - cubes[right].y_m, cubes[left].y_m - cubes[middle].y_m)
         return middle if min(gaps) >= 0.06 else ""
 
 
 class AndHome(_Pick):
-    """Pick it up and take it home."""
+    """Pick up a cube and take it home."""
 
     name = "pick-and-home"
     difficulty: ClassVar[Difficulty] = 2
@@ -151,7 +151,7 @@ class AndHome(_Pick):
     )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It is in the hand at home."""
+        """The cube must be in the hand, and the hand at home."""
         picked = super().judge(scene, truth, conduct)
         if not picked.success:
             return picked
@@ -161,7 +161,7 @@ class AndHome(_Pick):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Pick it up, stop the policy, go home."""
+        """Pick up the cube, stop the policy, move home."""
         await lift(tools, scene.text("target"))
         await free_hand(tools)
         await tools.must("move_to", name="home")

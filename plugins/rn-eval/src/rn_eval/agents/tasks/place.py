@@ -1,4 +1,4 @@
-"""Put cubes down: by so much to a side, beside or onto others, one after the other."""
+"""Put cubes down: by a distance, next to or onto others, or in sequence."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rn_eval.agents.truth import Truth
 from rn_simulation.cubes import Cube
 
 NEAR_M = 0.03
-"""What counts as the place that was asked for: two thirds of a cube's edge."""
+"""Tolerance of a position: two thirds of a cube's edge."""
 SIDES = {
     "to the left": (0.0, 1.0),
     "to the right": (0.0, -1.0),
@@ -26,7 +26,7 @@ SIDES = {
 
 
 def is_put(truth: Truth, colour: str, x_m: float, y_m: float) -> AgentVerdict:
-    """Whether a cube lies on the table at a place, and the hand has let it go."""
+    """Check that a cube lies on the table at a position, and that the hand has released it."""
     if truth.is_empty or colour not in truth.names:
         return AgentVerdict(success=False, reason="The robot was never started.")
     place = truth.end_m(colour)
@@ -39,14 +39,14 @@ def is_put(truth: Truth, colour: str, x_m: float, y_m: float) -> AgentVerdict:
 
 
 class _Put(CubeTask):
-    """One cube is put at a place that follows from the scene."""
+    """Put one cube at a position given by the scene."""
 
     name: ClassVar[str] = ""
     difficulty: ClassVar[Difficulty] = 2
     time_limit_s = 90.0
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It lies there, and the other ones lie where they were."""
+        """The cube must lie there, and the others where they were."""
         target = scene.text("target")
         moved = [n for n in truth.names if n != target and truth.has_moved(n, 0.03)]
         put_down = is_put(truth, target, scene.number("x_m"), scene.number("y_m"))
@@ -55,19 +55,19 @@ class _Put(CubeTask):
         return put_down
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Pick it up, and put it there."""
+        """Pick up the cube, and put it there."""
         await put(tools, scene.text("target"), scene.number("x_m"), scene.number("y_m"))
         return DONE
 
 
 class _ToSide(_Put):
-    """So much to a side."""
+    """Put a cube a distance to a side."""
 
     sides: ClassVar[tuple[str, ...]] = ()
     distances_cm: ClassVar[tuple[int, ...]] = (10, 12, 15)
 
     def prepare(self, seed: int) -> AgentScene:
-        """A scene with room there."""
+        """Choose a scene in which the target position is free."""
         chance = draw(self.name, seed)
         colours = some_colours(chance, 3, 3)
         target, side = chance.choice(colours), chance.choice(self.sides)
@@ -89,7 +89,7 @@ class _ToSide(_Put):
 
 
 class Sideways(_ToSide):
-    """To the left or right."""
+    """Put a cube to the left or right."""
 
     name = "put-sideways"
     sides = ("to the left", "to the right")
@@ -102,7 +102,7 @@ class Sideways(_ToSide):
 
 
 class Lengthways(_ToSide):
-    """Forwards or back."""
+    """Put a cube forwards or back."""
 
     name = "put-lengthways"
     sides = ("forwards, away from the robot", "back towards the robot")
@@ -114,7 +114,7 @@ class Lengthways(_ToSide):
 
 
 class AtPlace(_Put):
-    """At coordinates."""
+    """Put a cube at coordinates."""
 
     name = "put-at"
     wordings: ClassVar[tuple[str, ...]] = (
@@ -123,7 +123,7 @@ class AtPlace(_Put):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """A place with room."""
+        """Draw a free position."""
         chance = draw(self.name, seed)
         colours = some_colours(chance, 3, 3)
         target = chance.choice(colours)
@@ -138,7 +138,7 @@ class AtPlace(_Put):
 
 
 class Beside(_Put):
-    """Beside another cube."""
+    """Put a cube next to another one."""
 
     name = "put-beside"
     difficulty: ClassVar[Difficulty] = 3
@@ -149,7 +149,7 @@ class Beside(_Put):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """A scene with room beside the other one."""
+        """Choose a scene with a free position next to the other cube."""
         chance = draw(self.name, seed)
         colours = some_colours(chance, 3, 3)
         target, other = chance.sample(colours, 2)
@@ -170,7 +170,7 @@ class Beside(_Put):
 
 
 class Stack(CubeTask):
-    """One cube onto another."""
+    """Stack a cube on another one."""
 
     name = "put-onto"
     difficulty: ClassVar[Difficulty] = 3
@@ -181,7 +181,7 @@ class Stack(CubeTask):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """Any two of three."""
+        """Draw two of three cubes."""
         chance = draw(self.name, seed)
         colours = some_colours(chance, 3, 3)
         target, other = chance.sample(colours, 2)
@@ -193,7 +193,9 @@ class Stack(CubeTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It stands on the other one, which stands on the table; the hand is empty."""
+        """The cube must stand on the other one, which stands on the table; the hand must be
+        empty.
+        """
         if truth.is_empty:
             return AgentVerdict(success=False, reason="The robot was never started.")
         target, other = scene.text("target"), scene.text("other")
@@ -210,7 +212,7 @@ class Stack(CubeTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Pick it up, carry it over the other one, and let go one edge higher."""
+        """Pick up the cube, carry it above the other one, and release it one edge higher."""
         target, other = scene.text("target"), cubes_of(scene)[scene.text("other")]
         await lift(tools, target)
         await free_hand(tools)
@@ -221,7 +223,7 @@ class Stack(CubeTask):
 
 
 class Both(CubeTask):
-    """One put aside, then the other one picked up."""
+    """Put one cube aside, then pick up another one."""
 
     name = "put-then-pick"
     difficulty: ClassVar[Difficulty] = 3
@@ -234,7 +236,7 @@ class Both(CubeTask):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """A scene with room for the first one."""
+        """Choose a scene with a free position for the first cube."""
         chance = draw(self.name, seed)
         colours = some_colours(chance, 3, 3)
         one, other = chance.sample(colours, 2)
@@ -254,7 +256,9 @@ class Both(CubeTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """The first one lies there, the other one is in the air and was lifted after it."""
+        """The first cube must lie there; the other one must be in the air, and have been lifted
+        later.
+        """
         one, other = scene.text("one"), scene.text("other")
         if truth.is_empty:
             return AgentVerdict(success=False, reason="The robot was never started.")
@@ -269,7 +273,7 @@ class Both(CubeTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """One after the other."""
+        """Do one after the other."""
         await put(tools, scene.text("one"), scene.number("x_m"), scene.number("y_m"))
         await tools.must("move_to", name="home")
         await lift(tools, scene.text("other"))

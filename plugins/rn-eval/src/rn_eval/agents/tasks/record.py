@@ -1,4 +1,4 @@
-"""Record what the robot does, and hand the file over."""
+"""Record the robot's motion, and report the file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ async def _begin(tools: ToolClient) -> None:
 
 
 async def _end(tools: ToolClient) -> str:
-    """The last words with the path of what was recorded."""
+    """End the recording; return the last words with its path."""
     ended = await tools.must("stop_recording", outcome="success")
     files = ended.data.get("files")
     if not isinstance(files, list) or not files:
@@ -28,13 +28,13 @@ async def _end(tools: ToolClient) -> str:
 
 
 class _RecordTask(CubeTask):
-    """A file is there and is named."""
+    """A recording must exist, and the answer must name it."""
 
     difficulty: ClassVar[Difficulty] = 2
     form = "<path of the recorded file>"
 
     def recorded(self, conduct: Conduct) -> tuple[tuple[bool, str], ...]:
-        """What is demanded of the file."""
+        """Demands on the recording."""
         name = conduct.answer.rpartition("/")[2]
         folder = conduct.answer.rstrip("/").rpartition("/")[2]
         files = [f"/{path.lower()}" for path in conduct.files]
@@ -49,7 +49,7 @@ class _RecordTask(CubeTask):
 
 
 class Move(_RecordTask):
-    """A move is recorded."""
+    """Record a move."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Record while you move the hand 10 cm up, then end the recording and tell me where the "
@@ -58,7 +58,7 @@ class Move(_RecordTask):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """With the recorder."""
+        """The recorder runs."""
         return AgentScene(
             seed=find_seed(seed, ("red", "blue")),
             instruction=self.say(seed),
@@ -68,7 +68,7 @@ class Move(_RecordTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """The file, and the move."""
+        """Judge the file and the move."""
         if truth.is_empty:
             return AgentVerdict(success=False, reason="The robot was never started.")
         up_m = float(truth.tcp_m[-1, 2] - truth.tcp_m[truth.starts[-1], 2])
@@ -78,7 +78,7 @@ class Move(_RecordTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Begin, move, end."""
+        """Start the recording, move, stop the recording."""
         await start_arm(tools)
         await _begin(tools)
         await go_by(tools, dz_m=0.1)
@@ -86,7 +86,7 @@ class Move(_RecordTask):
 
 
 class Pick(_RecordTask):
-    """A cube is picked up, and that is recorded."""
+    """Record the picking of a cube."""
 
     difficulty: ClassVar[Difficulty] = 3
     time_limit_s = 90.0
@@ -96,7 +96,7 @@ class Pick(_RecordTask):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """With the recorder."""
+        """The recorder runs."""
         chance = draw("record-pick", seed)
         colours = some_colours(chance, 3, 3)
         target = chance.choice(colours)
@@ -110,7 +110,7 @@ class Pick(_RecordTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """The file, and the cube."""
+        """Judge the file and the cube."""
         target = scene.text("target")
         return AgentVerdict.of(
             *self.recorded(conduct),
@@ -118,7 +118,7 @@ class Pick(_RecordTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Begin, pick, end."""
+        """Start the recording, pick up the cube, stop the recording."""
         await tools.must("start_all")
         await _begin(tools)
         await lift(tools, scene.text("target"))

@@ -1,4 +1,4 @@
-"""Go on when something breaks on the way: a killed module, a frozen camera, a grasp that slips."""
+"""Continue after a fault: a killed module, a frozen camera, a slipping grasp."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rn_simulation.cubes import Cube
 
 
 class _Recover(CubeTask):
-    """A cube is to be picked up, and a module breaks while the arm is on its way."""
+    """Pick up a cube while a module fails on the way."""
 
     module: ClassVar[Module] = "control"
     kind: ClassVar[Literal["kill", "freeze"]] = "kill"
@@ -37,7 +37,7 @@ class _Recover(CubeTask):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """It breaks 1 to 2.5 s after the first run_task."""
+        """The module fails 1 to 2.5 s after the first run_task."""
         chance = draw(type(self).__name__, seed)
         colours = some_colours(chance, 3, 3)
         target = chance.choice(colours)
@@ -53,7 +53,7 @@ class _Recover(CubeTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It is in the air all the same."""
+        """The cube must be in the air at the end."""
         target = scene.text("target")
         wrong = [n for n in truth.names if n != target and truth.was_lifted(n)]
         return AgentVerdict.of(
@@ -62,42 +62,42 @@ class _Recover(CubeTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Try again, and start what has ended."""
+        """Retry, and restart modules that have ended."""
         await lift_whatever_happens(tools, scene.text("target"))
         return DONE
 
 
 class KilledControl(_Recover):
-    """The controller."""
+    """The controller is killed."""
 
 
 class KilledInference(_Recover):
-    """The policy."""
+    """The policy is killed."""
 
     module = "inference"
 
 
 class KilledPerception(_Recover):
-    """The cameras."""
+    """The cameras are killed."""
 
     module = "perception"
 
 
 class KilledRobot(_Recover):
-    """The simulation, with whatever was in the hand."""
+    """The simulation is killed, and loses the cube in the hand."""
 
     module = "robot"
 
 
 class FrozenCameras(_Recover):
-    """The cameras, which hang."""
+    """The cameras freeze."""
 
     module = "perception"
     kind = "freeze"
 
 
 class WrongPolicy(_Recover):
-    """A policy that never moves is configured; nothing else is broken."""
+    """The configured policy never moves; nothing else is faulty."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Pick up the {colour} cube. If the policy that is configured does nothing, use another one "
@@ -107,25 +107,25 @@ class WrongPolicy(_Recover):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """Without a fault."""
+        """A scene without a fault, but with the policy `noop`."""
         scene = super().prepare(seed)
         return replace(scene, fault=None, backend="noop")
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """With the policy that works."""
+        """Use the policy that works."""
         await lift_with(tools, "servo", scene.text("target"))
         return DONE
 
 
 class FrozenPolicy(_Recover):
-    """The policy, which hangs."""
+    """The policy freezes."""
 
     module = "inference"
     kind = "freeze"
 
 
 class DroppedWhileHeld(CubeTask):
-    """The hand gives way while it holds a cube up."""
+    """Hold up a cube that slips once from the hand."""
 
     difficulty: ClassVar[Difficulty] = 3
     time_limit_s = 120.0
@@ -137,7 +137,7 @@ class DroppedWhileHeld(CubeTask):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """It slips 2 to 4 s after it was lifted."""
+        """The cube slips 2 to 4 s after it was lifted."""
         chance = draw(type(self).__name__, seed)
         colours = some_colours(chance, 3, 3)
         target, seconds = chance.choice(colours), chance.choice((6, 8))
@@ -150,7 +150,7 @@ class DroppedWhileHeld(CubeTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It was in the air for so long at the end."""
+        """The cube must have been in the air for the required time at the end."""
         target = scene.text("target")
         wrong = [n for n in truth.names if n != target and truth.was_lifted(n)]
         held_s = truth.lifted_at_end_s(target)
@@ -164,13 +164,13 @@ class DroppedWhileHeld(CubeTask):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Look every second whether it is held, by the same call that picks it up."""
+        """Check every second whether it is held, with the call that also picks it up again."""
         await hold_up(tools, scene.text("target"), scene.number("seconds"))
         return DONE
 
 
 class DroppedOnTheWay(CubeTask):
-    """The hand gives way while it carries a cube."""
+    """Place a cube that slips once while it is carried."""
 
     difficulty: ClassVar[Difficulty] = 3
     time_limit_s = 150.0
@@ -182,7 +182,7 @@ class DroppedOnTheWay(CubeTask):
     )
 
     def prepare(self, seed: int) -> AgentScene:
-        """It slips 1.5 to 2.5 s after it was lifted."""
+        """The cube slips 1.5 to 2.5 s after it was lifted."""
         chance = draw(type(self).__name__, seed)
         colours = some_colours(chance, 3, 3)
         target = chance.choice(colours)
@@ -200,11 +200,13 @@ class DroppedOnTheWay(CubeTask):
         )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It lies there. Where it fell onto others, these may have moved."""
+        """The cube must lie at the position. Other cubes may have moved, because it may fall onto
+        them.
+        """
         return is_put(truth, scene.text("target"), scene.number("x_m"), scene.number("y_m"))
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Pick it up and place it until it is there."""
+        """Pick and place the cube until it is there."""
         await put_whatever_happens(
             tools, scene.text("target"), scene.number("x_m"), scene.number("y_m")
         )

@@ -1,4 +1,4 @@
-"""Several robots behind one server: two arms at tables of their own, or an arm and a base."""
+"""Several robots behind one server: two arms with a table each, or an arm and a mobile base."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ LEFT, RIGHT = "left", "right"
 ARM, BASE = "arm", "base"
 BASE_KIND = "diffdrive"
 NEAR_M, NEAR_RAD = 0.06, math.radians(8.0)
-"""What counts as where the base was to go: a tenth of the way, a tenth of a right angle."""
+"""Tolerances of the base's pose: a tenth of the distance, a tenth of a right angle."""
 _WITHIN_S = 150.0
 
 
 class _TwoArms(CubeTask):
-    """Two arms, a cube for each of them."""
+    """A task for two arms, with a target cube for each."""
 
     difficulty: ClassVar[Difficulty] = 3
     time_limit_s = 240.0
 
     def prepare(self, seed: int) -> AgentScene:
-        """Which arm is meant, where only one is, and a cube for each."""
+        """Draw the arm (if only one is to work) and a cube for each."""
         chance = draw(type(self).__name__, seed)
         colours, others = some_colours(chance, 3, 3), some_colours(chance, 3, 3)
         mine, theirs = chance.choice(colours), chance.choice(others)
@@ -68,7 +68,7 @@ def _holds(arm: Truth, robot: str, colour: str) -> tuple[tuple[bool, str], ...]:
 
 
 class OneOfTwo(_TwoArms):
-    """One picks its cube up, the other one rests."""
+    """One arm picks up its cube; the other must not move."""
 
     difficulty = 2
     wordings: ClassVar[tuple[str, ...]] = (
@@ -78,7 +78,7 @@ class OneOfTwo(_TwoArms):
     )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """It is in the air; the other arm has not moved."""
+        """The cube must be in the air; the other arm must not have moved."""
         arms, robot, other = arms_of(truth), scene.text("robot"), scene.text("other")
         return AgentVerdict.of(
             (not arms[other].ever_moved(), f"The {other} robot has moved."),
@@ -86,14 +86,14 @@ class OneOfTwo(_TwoArms):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """With its tools."""
+        """Use the tools of the named robot."""
         robot = scene.text("robot")
         await lift_whatever_happens(tools.of(robot), scene.text(robot), within_s=_WITHIN_S)
         return DONE
 
 
 class BothArms(_TwoArms):
-    """Each picks its cube up."""
+    """Each arm picks up its cube."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "There are two robots. The left robot is to pick up its {left} cube, the right robot its "
@@ -102,12 +102,12 @@ class BothArms(_TwoArms):
     )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """Both are in the air."""
+        """Both cubes must be in the air."""
         demands = [_holds(arm, name, scene.text(name)) for name, arm in arms_of(truth).items()]
         return AgentVerdict.of(*(demand for of_one in demands for demand in of_one))
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """One after the other: two processor cores are enough for that."""
+        """Use the arms one after the other, which two processor cores can sustain."""
         for robot in (LEFT, RIGHT):
             await lift_whatever_happens(tools.of(robot), scene.text(robot), within_s=100.0)
             await tools.of(robot).call("stop_inference")
@@ -115,7 +115,7 @@ class BothArms(_TwoArms):
 
 
 class StopOne(_TwoArms):
-    """One is stopped, the other one works."""
+    """One arm is stopped; the other works."""
 
     wordings: ClassVar[tuple[str, ...]] = (
         "Somebody stands beside the {other} robot: press the emergency stop of the {other} robot, "
@@ -125,7 +125,9 @@ class StopOne(_TwoArms):
     )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """The one is latched until the end, the other one never was and holds its cube."""
+        """One arm must be latched until the end; the other must never have been, and must hold its
+        cube.
+        """
         arms, robot, other = arms_of(truth), scene.text("robot"), scene.text("other")
         stopped = arms[other].latched_s
         return AgentVerdict.of(
@@ -136,7 +138,7 @@ class StopOne(_TwoArms):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """First the stop."""
+        """Trigger the stop first."""
         robot, other = scene.text("robot"), scene.text("other")
         await tools.of(other).must("emergency_stop", reason="a person stands beside it")
         await lift_whatever_happens(tools.of(robot), scene.text(robot), within_s=_WITHIN_S)
@@ -144,7 +146,7 @@ class StopOne(_TwoArms):
 
 
 class _WithBase(CubeTask):
-    """An arm with cubes, and a mobile base."""
+    """A task with an arm, cubes and a mobile base."""
 
     difficulty: ClassVar[Difficulty] = 2
     time_limit_s = 120.0
@@ -152,7 +154,7 @@ class _WithBase(CubeTask):
     sides: ClassVar[tuple[str, ...]] = ("forwards", "back")
 
     def prepare(self, seed: int) -> AgentScene:
-        """How far and where to, or by which angle."""
+        """Draw distance and direction, or the angle."""
         chance = draw(type(self).__name__, seed)
         colours = some_colours(chance, 3, 3)
         target, side = chance.choice(colours), chance.choice(self.sides)
@@ -186,18 +188,18 @@ def _stands(base: BaseTruth, way_m: float, turn_rad: float) -> tuple[tuple[bool,
 
 
 def base_of(truth: Truth) -> BaseTruth:
-    """The mobile base; an empty one where it was never seen."""
+    """Ground truth of the mobile base; empty if it was never seen."""
     nothing = Truth.nothing()
     return truth.bases.get(BASE, BaseTruth(t_s=nothing.t_s, poses=nothing.tcp_m))
 
 
 class _BaseAlone(_WithBase):
-    """The base drives straight on, or turns; the arm stands."""
+    """The base drives straight or turns; the arm must not move."""
 
     turns: ClassVar[bool] = False
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """The base stands where it should, the arm has not moved."""
+        """The base must be at its target, and the arm must not have moved."""
         way_m, turn_rad = scene.number("way_m"), scene.number("turn_rad")
         wanted = (0.0, turn_rad) if self.turns else (way_m, 0.0)
         return AgentVerdict.of(
@@ -205,7 +207,7 @@ class _BaseAlone(_WithBase):
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """By its odometry."""
+        """Drive by odometry."""
         base = tools.of(BASE)
         await start_base(base)
         if self.turns:
@@ -237,7 +239,7 @@ class TurnBase(_BaseAlone):
 
 
 class ArmAndBase(_WithBase):
-    """The arm picks a cube up, the base drives."""
+    """The arm picks up a cube, and the base drives."""
 
     difficulty = 3
     time_limit_s = 240.0
@@ -248,14 +250,14 @@ class ArmAndBase(_WithBase):
     )
 
     def judge(self, scene: AgentScene, truth: Truth, conduct: Conduct) -> AgentVerdict:
-        """The base stands there, the cube is in the air."""
+        """The base must be at its target, and the cube in the air."""
         return AgentVerdict.of(
             *_holds(truth, ARM, scene.text("target")),
             *_stands(base_of(truth), scene.number("way_m"), 0.0),
         )
 
     async def solve(self, tools: ToolClient, scene: AgentScene) -> str:
-        """Both at the same time."""
+        """Do both at the same time."""
         arm, base = tools.of(ARM), tools.of(BASE)
         await start_base(base)
         async with anyio.create_task_group() as group:

@@ -1,4 +1,4 @@
-"""Steps with the server's tools that solutions and scripted agents share."""
+"""Tool sequences shared by solutions and scripted agents."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _ATTEMPT_S = 25.0
 
 
 def lifted_until(colour: str) -> dict[str, object]:
-    """Predicate: the gripper holds something, and the colour's cube is in the air."""
+    """Predicate: the gripper holds an object, and the cube of this colour is in the air."""
     holds = {"kind": "gripper_holds", "least_open": 0.15, "most_open": 0.85}
     monitor = {"kind": "monitor", "name": "colour-lifted", "options": {"colour": colour}}
     return {"kind": "held", "for_s": 0.5, "of": {"kind": "all", "of": [holds, monitor]}}
 
 
 async def start_arm(tools: ToolClient) -> None:
-    """Robot and controller: enough to move by tools. Raises NotReadyError."""
+    """Start robot and controller, enough for motion tools. Raises NotReadyError."""
     for tool in ("start_robot", "start_control"):
         answer = await tools.call(tool)
         if not answer.ok and answer.code != "wrong_state":
@@ -30,7 +30,7 @@ async def start_arm(tools: ToolClient) -> None:
 
 
 async def try_to_lift(tools: ToolClient, colour: str, max_s: float = 40.0) -> ToolAnswer:
-    """One run_task that picks a cube up; its answer."""
+    """Call run_task once to pick up a cube; return its answer."""
     return await tools.call(
         "run_task",
         instruction=f"pick up the {colour} cube",
@@ -41,7 +41,7 @@ async def try_to_lift(tools: ToolClient, colour: str, max_s: float = 40.0) -> To
 
 
 async def start_everything(tools: ToolClient) -> ToolAnswer:
-    """start_all, which calls it an error when all runs already; that is as good."""
+    """Call start_all; its error that everything runs already counts as success."""
     answer = await tools.call("start_all")
     if answer.code == "wrong_state":
         status = await tools.must("get_status")
@@ -51,7 +51,7 @@ async def start_everything(tools: ToolClient) -> ToolAnswer:
 
 
 async def lift(tools: ToolClient, colour: str) -> None:
-    """Start everything and pick a cube up. Raises NotReadyError when that does not succeed."""
+    """Start everything and pick up a cube. Raises NotReadyError if that fails."""
     started = await start_everything(tools)
     if not started.ok:
         raise NotReadyError(f"start_all: {started.text}")
@@ -63,7 +63,7 @@ async def lift(tools: ToolClient, colour: str) -> None:
 async def lift_whatever_happens(
     tools: ToolClient, colour: str, *, within_s: float = 75.0, most_tries: int = 4
 ) -> None:
-    """Pick a cube up; start again what has failed meanwhile. Raises NotReadyError."""
+    """Pick up a cube; restart modules that fail meanwhile. Raises NotReadyError."""
     last, tries, deadline_s = "", 0, time.monotonic() + within_s
     while tries < most_tries and time.monotonic() < deadline_s:
         started = await start_everything(tools)
@@ -75,13 +75,13 @@ async def lift_whatever_happens(
             last = answer.text or str(answer.data.get("reason"))
         else:
             last = started.text
-            await anyio.sleep(1.0)  # the server may be restarting a module itself
+            await anyio.sleep(1.0)  # because the server may be restarting a module itself
         await restart_what_is_broken(tools)
     raise NotReadyError(f"run_task: {last}")
 
 
 async def lift_with(tools: ToolClient, backend: str, colour: str) -> None:
-    """Pick a cube up with a policy of this name, whatever is configured. Raises NotReadyError."""
+    """Pick up a cube with this policy instead of the configured one. Raises NotReadyError."""
     for kind in ("robot", "perception", "control"):
         answer = await tools.call(f"start_{kind}")
         if not answer.ok and answer.code != "wrong_state":
@@ -95,7 +95,7 @@ async def lift_with(tools: ToolClient, backend: str, colour: str) -> None:
 
 
 async def wait_until_free(tools: ToolClient, within_s: float = 90.0) -> None:
-    """Ask until no other client operates the robot. Raises NotReadyError."""
+    """Retry until no other client operates the robot. Raises NotReadyError."""
     deadline_s = time.monotonic() + within_s
     while time.monotonic() < deadline_s:
         answer = await tools.call("start_robot")
@@ -106,7 +106,7 @@ async def wait_until_free(tools: ToolClient, within_s: float = 90.0) -> None:
 
 
 async def restart_what_is_broken(tools: ToolClient) -> None:
-    """Stop modules that are neither stopped nor working; the next start begins them again."""
+    """Stop modules with a faulty health; the next start brings them up again."""
     deadline_s = time.monotonic() + 3.0
     while time.monotonic() < deadline_s:
         status = await tools.must("get_status")
@@ -122,14 +122,14 @@ _BROKEN = ("failing", "stalled", "stuck", "silent")
 
 
 def healths(status: ToolAnswer) -> dict[str, str]:
-    """Health by module, of an answer of get_status."""
+    """Health by module, from an answer of get_status."""
     modules = status.data.get("modules")
     assert isinstance(modules, list)
     return {str(module["module"]): str(module["health"]) for module in modules}
 
 
 async def seen_colours(tools: ToolClient) -> list[str]:
-    """Colours in the front camera's picture, which is started. Raises NotReadyError."""
+    """Start the front camera and return the colours in its image. Raises NotReadyError."""
     for tool in ("start_robot", "start_perception"):
         answer = await tools.call(tool)
         if not answer.ok and answer.code != "wrong_state":
@@ -141,7 +141,7 @@ async def seen_colours(tools: ToolClient) -> list[str]:
 
 
 async def newest_fault(tools: ToolClient, **only: object) -> dict[str, object]:
-    """The newest incident that is no restart. Raises NotReadyError when there is none."""
+    """The newest incident that is not a restart. Raises NotReadyError if there is none."""
     found = (await tools.must("list_incidents", **only)).data.get("incidents")
     assert isinstance(found, list)
     faults = [one for one in found if one.get("what") != "restart"]
@@ -151,25 +151,25 @@ async def newest_fault(tools: ToolClient, **only: object) -> dict[str, object]:
 
 
 async def how_perception_failed(tools: ToolClient) -> str:
-    """Whether its process "ended" or "hung"."""
+    """ "ended" if perception's process exited, otherwise "hung"."""
     newest = await newest_fault(tools, module="perception")
     return "ended" if newest.get("what") == "exited" else "hung"
 
 
 async def stop_cause(tools: ToolClient) -> str:
-    """Who latched the emergency stop and why; "" when it is not latched."""
+    """Who latched the emergency stop and why; "" if it is not latched."""
     return str((await tools.must("get_status")).data.get("emergency_stop_cause") or "")
 
 
 async def running_modules(tools: ToolClient) -> str:
-    """Their names with commas, or "none"."""
+    """Names of the running modules with commas, or "none"."""
     modules = (await tools.must("get_status")).data.get("modules")
     assert isinstance(modules, list)
     return ", ".join(str(m["module"]) for m in modules if m["phase"] == "running") or "none"
 
 
 async def count_recordings(tools: ToolClient) -> int:
-    """How many there are, without those of incidents."""
+    """Number of recordings, without those of incidents."""
     runs = (await tools.must("list_recordings")).data.get("runs")
     assert isinstance(runs, list)
     return sum(run.get("kind") == "recording" for run in runs)
@@ -182,19 +182,19 @@ async def robot_kind(tools: ToolClient) -> str:
 
 
 def answered(answer: object) -> str:
-    """Last words with an answer."""
+    """Format last words with an answer."""
     return f"ANSWER: {answer}\n{DONE}"
 
 
 async def free_hand(tools: ToolClient) -> None:
-    """Stop the policy, so that tools may move the arm. Raises NotReadyError."""
+    """Stop the policy, so that tools can move the arm. Raises NotReadyError."""
     await tools.must("stop_inference")
 
 
 async def go_by(
     tools: ToolClient, dx_m: float = 0.0, dy_m: float = 0.0, dz_m: float = 0.0, **more: object
 ) -> None:
-    """A straight move of the TCP, in pieces of at most 0.4 m. Raises NotReadyError."""
+    """Move the TCP straight, in pieces of at most 0.4 m. Raises NotReadyError."""
     pieces = max(1, int(max(abs(dx_m), abs(dy_m), abs(dz_m)) / 0.4) + 1)
     for _ in range(pieces):
         delta = {"dx_m": dx_m / pieces, "dy_m": dy_m / pieces, "dz_m": dz_m / pieces}
@@ -202,13 +202,13 @@ async def go_by(
 
 
 async def go_to(tools: ToolClient, x_m: float, y_m: float, z_m: float | None = None) -> None:
-    """A straight move of the TCP to a place; the height stays where none is given."""
+    """Move the TCP straight to a position; without `z_m` it keeps its height."""
     x, y, z = await tools.tcp_m()
     await go_by(tools, x_m - x, y_m - y, 0.0 if z_m is None else z_m - z)
 
 
 async def put(tools: ToolClient, colour: str, x_m: float, y_m: float) -> None:
-    """Pick a cube up and put it down on the table at a place. Raises NotReadyError."""
+    """Pick up a cube and put it on the table at a position. Raises NotReadyError."""
     await lift(tools, colour)
     await free_hand(tools)
     x, y, _ = await tools.tcp_m()
@@ -218,8 +218,8 @@ async def put(tools: ToolClient, colour: str, x_m: float, y_m: float) -> None:
 async def hold_up(
     tools: ToolClient, colour: str, seconds: float, *, most_rounds: int = 30, look_s: float = 1.0
 ) -> None:
-    """Pick a cube up and hold it for so long without a break, by looking again and again with the
-    call that would also pick it up anew. Raises NotReadyError.
+    """Pick up a cube and hold it for this time without interruption; check repeatedly with the call
+    that also picks it up again. Raises NotReadyError.
     """
     await lift_whatever_happens(tools, colour)
     since_s = time.monotonic()
@@ -238,7 +238,7 @@ async def hold_up(
 async def put_whatever_happens(
     tools: ToolClient, colour: str, x_m: float, y_m: float, *, most_tries: int = 4
 ) -> None:
-    """Pick a cube up and put it down at a place; again when the hand loses it. Raises
+    """Pick up a cube and put it down at a position; retry if the hand loses it. Raises
     NotReadyError.
     """
     last = ""

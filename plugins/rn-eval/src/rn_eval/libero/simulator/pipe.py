@@ -1,8 +1,8 @@
 """The protocol between the evaluation and the simulator's process: typed messages in frames of
 bounded size.
 
-A frame is MAGIC, two little-endian uint32 (length of header and of payload), a JSON header and the
-arrays' bytes. Nothing in it is executed. Both ends import this file, each in its own environment.
+A frame is MAGIC, two little-endian uint32 (lengths of header and payload), a JSON header and the
+arrays' bytes. No content is executed. Both ends import this file, each in its own environment.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Array = NDArray[np.generic]
 
 
 class PipeError(Exception):
-    """The other end has gone, or what it sent is not of this protocol."""
+    """The other end has closed, or its data violate the protocol."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Ready:
 
 @dataclass(frozen=True)
 class Open:
-    """Begin an episode: initial state `state` of task `task`, square images of `image_px`
+    """Start an episode: initial state `state` of task `task`, square images of `image_px`
     pixels.
     """
 
@@ -58,23 +58,21 @@ class Open:
 
 @dataclass(frozen=True)
 class PipeStep:
-    """One control period with an action of the simulator: float64 (7,), gripper -1 open, 1
-    closed.
-    """
+    """One control period with a simulator action: float64 (7,), gripper -1 open, 1 closed."""
 
     action: F64
 
 
 @dataclass(frozen=True)
 class State:
-    """Answer to `Open` and `PipeStep`: what the simulator's observation says.
+    """Answer to `Open` and `PipeStep`: the simulator's observation.
 
     Attributes:
         instruction: the task's sentence.
         is_done: the task is done.
         joints: float64 (9,), seven arm joints [rad] and both fingers [m].
         eef_pos: float64 (3,) [m], in the world frame.
-        eef_quat: float64 (4,), x, y, z, w, sign as MuJoCo has it.
+        eef_quat: float64 (4,), x, y, z, w, with MuJoCo's sign.
         flat: float64 (n,), time, positions and velocities of the simulation.
     """
 
@@ -88,21 +86,21 @@ class State:
 
 @dataclass(frozen=True)
 class Render:
-    """Ask for the image of one camera, as it belongs to the last `State`."""
+    """Request the image of one camera for the last `State`."""
 
     camera: str
 
 
 @dataclass(frozen=True)
 class Image:
-    """Answer to `Render`: uint8 (H, W, 3), rows as MuJoCo's buffer has them (the lowest first)."""
+    """Answer to `Render`: uint8 (H, W, 3), rows as in MuJoCo's buffer (lowest first)."""
 
     pixels: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class Failed:
-    """Answer instead of any other: an exception's text."""
+    """Answer to a failed request: the exception's text."""
 
     reason: str
 
@@ -114,7 +112,7 @@ _KINDS: dict[str, type[object]] = {
 
 
 def send(stream: BinaryIO, message: Message) -> None:
-    """Write one message. Raises PipeError when the other end has gone."""
+    """Write one message. Raises PipeError if the other end has closed."""
     fields: dict[str, object] = {}
     arrays: list[tuple[str, str, tuple[int, ...]]] = []
     payload = bytearray()
@@ -144,10 +142,10 @@ def receive(read: Callable[[int], bytes]) -> Message:
     """Read one message.
 
     Args:
-        read: returns exactly so many bytes, or raises PipeError.
+        read: returns exactly this many bytes, or raises PipeError.
 
     Raises:
-        PipeError: the end has been reached, or it is no message of this protocol.
+        PipeError: the stream has ended, or the data are no message of this protocol.
     """
     start = read(len(MAGIC) + _LENGTHS.size)
     header_bytes, payload_bytes = _LENGTHS.unpack(start[len(MAGIC) :])

@@ -5,11 +5,11 @@ experiments/robot/libero/{run_libero_eval,libero_utils}.py: one environment for 
 0; before each episode it is reset, then set to the episode's initial state; ten steps of a dummy
 action; each step ends the episode when the task is done.
 
-Two things are done otherwise without changing a number. The scripts render both cameras in every
-step; here the state that an image is taken of is kept, and rendered when it is asked for.
-(robosuite 1.4 samples observations after the first of a control period's 25 physics steps, not at
-its end; so it is that state.) And an episode that is not the first of its task draws what the
-resets before it would have drawn, instead of resetting the environment so many times.
+Two things differ without changing any result. The scripts render both cameras in every step; this
+class keeps the state of an image and renders it on request. (robosuite 1.4 samples observations
+after the first of a control period's 25 physics steps, not at its end; so it is that state.) And an
+episode that is not the first of its task draws the random numbers of the resets before it, instead
+of resetting the environment that many times.
 """
 
 from __future__ import annotations
@@ -38,23 +38,23 @@ DUMMY_ACTION = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0)
 WAIT_STEPS = 10
 SEED = 0
 _LOOKS = ("site_rgba", "geom_rgba", "mat_rgba")
-"""Colours that tasks change (a burner that glows) after an image of the same step was taken."""
+"""Colours that tasks change (a glowing burner) after the image of the same step."""
 
 
 class Snapshots:
-    """The state of the simulation when its observation was sampled."""
+    """The state of the simulation at the time of its observation."""
 
     def __init__(self) -> None:
         self._data: object = None
         self._looks: dict[str, object] = {}
 
     def take(self, sim: MjSim) -> None:
-        """Keep the state of this moment."""
+        """Store the current state."""
         self._data = copy.copy(sim.data._data)
         self._looks = {name: np.array(getattr(sim.model, name)) for name in _LOOKS}
 
     def render(self, sim: MjSim, camera: str, size: int) -> NDArray[np.uint8]:
-        """The image of the kept state: uint8 (H, W, 3), the lowest row first."""
+        """Render the stored state: uint8 (H, W, 3), the lowest row first."""
         context, model = sim._render_context_offscreen, sim.model
         data, looks = context.data, {name: np.array(getattr(model, name)) for name in _LOOKS}
         context.data = SimpleNamespace(_data=self._data)
@@ -72,8 +72,8 @@ class Snapshots:
 def _camera_sensors(
     environment: RobotEnv, cam_name: str, *_: object, **__: object
 ) -> tuple[list[Callable[[object], NDArray[np.float64]]], list[str]]:
-    """Instead of a sensor that renders, one that keeps the state; for
-    `RobotEnv._create_camera_sensors`.
+    """Replaces `RobotEnv._create_camera_sensors`: the sensor stores the state instead of
+    rendering.
     """
 
     @sensor(modality="image")  # type: ignore[untyped-decorator]
@@ -86,7 +86,7 @@ def _camera_sensors(
 
 
 class LiberoWorld:
-    """An environment and the episode in it. Holds one task at a time."""
+    """An environment with its current episode. Holds one task at a time."""
 
     def __init__(self) -> None:
         RobotEnv._create_camera_sensors = _camera_sensors
@@ -101,7 +101,7 @@ class LiberoWorld:
         self._observation: Mapping[str, NDArray[np.float64]] = {}
 
     def open(self, suite: str, task: int, state: int, image_px: int) -> State:
-        """Begin an episode; returns the state after the waiting steps."""
+        """Start an episode; return the state after the waiting steps."""
         if self._task != (suite, task, image_px):
             self._load(suite, task, image_px)
         if not 0 <= state < len(self._states):
@@ -115,12 +115,12 @@ class LiberoWorld:
         return self._state(bool(done))
 
     def step(self, action: NDArray[np.float64]) -> State:
-        """One control period."""
+        """Run one control period."""
         self._observation, _, done, _ = self._env.step(action.tolist())
         return self._state(bool(done))
 
     def render(self, camera: str) -> Image:
-        """The image that belongs to the last state."""
+        """Render the image of the last state."""
         assert self._task is not None
         return Image(pixels=self._snapshots.render(self._env.env.sim, camera, self._task[2]))
 
@@ -146,7 +146,7 @@ class LiberoWorld:
         self._remember_bodies()
 
     def _remember_bodies(self) -> None:
-        """See where a reset begins: with the fixtures where the model has them."""
+        """Record the body poses with which a reset begins: fixtures at the model's poses."""
         inner = self._env.env
         original = self._original_reset = inner._reset_internal
         self._reset_body = None
@@ -159,15 +159,13 @@ class LiberoWorld:
         inner._reset_internal = remember
 
     def _draw_until(self, episode: int) -> None:
-        """Bring the random generator to where the scripts have it before their reset number
-        `episode`.
-        """
+        """Advance the random generator to the scripts' state before reset number `episode`."""
         inner = self._env.env
-        # each reset adds them once more
+        # because each reset adds them again
         inner.object_property_initializers[:] = list(self._samplers)
         self._env.seed(SEED)
         if episode and self._reset_body is None:
-            self._env.reset()  # one in full tells where the fixtures stand before a reset
+            self._env.reset()  # one complete reset yields the fixtures' poses before a reset
             episode -= 1
         for _ in range(episode):
             assert self._reset_body is not None

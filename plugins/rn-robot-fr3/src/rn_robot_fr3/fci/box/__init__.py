@@ -1,3 +1,1 @@
-"""A test counterpart, no part of the driver: a control box before franka-sim that is stricter than
-franka-sim.
-"""
+"""Test counterpart, not part of the driver: a strict control box in front of franka-sim."""

@@ -1,4 +1,4 @@
-"""The box as a child process; a context manager beside `FrankaSim`."""
+"""The box as a child process; a context manager to use with `FrankaSim`."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from rn_robot_fr3.fci.counterpart import Counterpart
 
 
 class ControlBox(Counterpart):
-    """Serves the FCI on `host` and is a client of franka-sim at `upstream`; `proxy` says what it
-    may be told.
+    """Serves the FCI on `host` as a client of franka-sim at `upstream`; see `proxy` for its
+    requests.
 
     Args:
         host, upstream: addresses of 127.0.0.0/8.
-        log: where its output goes.
-        seed: of its losses.
+        log: file for its output.
+        seed: seed of the random losses.
     """
 
     name = "The control box"

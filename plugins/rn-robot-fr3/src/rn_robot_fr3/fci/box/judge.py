@@ -1,5 +1,5 @@
-"""Judges what the arm counts as commanded by the published limits of the FR3: commands, and what it
-extrapolates.
+"""Checks the arm's commanded positions, including extrapolated ones, against the published limits
+of the FR3.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from rn_robot_fr3.limits import (
 )
 
 _EXACT = 1e-6
-"""Share of a limit that arithmetic with 64 bits may cost."""
+"""Relative tolerance for 64-bit arithmetic."""
 _KEPT = 20
 _LEAST_RAD_S = 1e-3
-"""Creeping where the arm accepts no velocity at all."""
+"""Tolerance where the arm accepts no velocity."""
 
 
 class CommandJudge:
-    """Keeps the books of one arm over all its motions.
+    """Tracks one arm over all its motions.
 
     Attributes:
-        arm: what it last had; None between motions.
-        counts: what was seen, by name.
-        beyond: the first violations, in words.
+        arm: last commanded state; None between motions.
+        counts: number of events by name.
+        beyond: descriptions of the first violations.
     """
 
     def __init__(self) -> None:
@@ -41,12 +41,12 @@ class CommandJudge:
         self._gap = 0
 
     def begin(self, position: list[float]) -> None:
-        """A motion begins at rest at `position`."""
+        """Start a motion at rest at `position`."""
         self.arm = CommandedState(position, [0.0] * JOINTS, [0.0] * JOINTS)
         self._gap = 0
 
     def take(self, position: list[float]) -> None:
-        """A command came in its cycle."""
+        """Process a command that came in its cycle."""
         assert self.arm is not None
         self.counts["commands"] += 1
         if not all(map(isfinite, position)):
@@ -56,7 +56,7 @@ class CommandJudge:
         self._gap = 0
 
     def miss(self) -> None:
-        """A cycle passed without a command."""
+        """Process a cycle without a command."""
         assert self.arm is not None
         self._gap += 1
         self.counts["extrapolated"] += 1
@@ -64,7 +64,7 @@ class CommandJudge:
         self._judge(self.arm.missed(1), "extrapolation")
 
     def report(self) -> dict[str, object]:
-        """Everything, as shares of the limits where there are limits."""
+        """All counts and extremes, relative to the limits where they exist."""
         worst = {f"worst_{name}": round(value, 4) for name, value in self.worst.items()}
         return {**self.counts, **worst, "beyond": self.beyond}
 
@@ -99,7 +99,7 @@ class CommandJudge:
 
 
 def _fastest(joint: int, position: float, is_upwards: bool) -> float:
-    """The velocity that the arm accepts there; see `rn_robot_fr3.limits.velocity_bounds`."""
+    """Highest accepted velocity at a position; see `rn_robot_fr3.limits.velocity_bounds`."""
     room = UPPER_RAD[joint] - position if is_upwards else position - LOWER_RAD[joint]
     braking = (
         sqrt(2.0 * BRAKING_DECELERATION_RAD_S2[joint] * max(room, 0.0))

@@ -1,4 +1,4 @@
-"""A bad cable in one direction: datagrams are lost, doubled, late or out of order."""
+"""A bad cable in one direction: datagrams are lost, duplicated, delayed or reordered."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Faults:
-    """How bad.
+    """Fault rates.
 
     Attributes:
-        loss, duplicate, reorder, delay: share of the datagrams that this happens to.
-        delay_s: how late a delayed one is.
+        loss, duplicate, reorder, delay: share of affected datagrams.
+        delay_s: delay of a delayed datagram.
     """
 
     loss: float = 0.0
@@ -26,11 +26,11 @@ class Faults:
 
 DUPLICATE_S = 0.0004
 REORDER_S = 0.0013
-"""Later than the next one, which leaves 1 ms after it."""
+"""Later than the next datagram, which is sent 1 ms after it."""
 
 
 class Cable:
-    """What is under way; no clock of its own."""
+    """Datagrams in transit; has no clock."""
 
     def __init__(self, seed: int) -> None:
         self.faults = Faults()
@@ -40,7 +40,7 @@ class Cable:
         self.silence = 0
 
     def put(self, datagram: bytes, now_s: float) -> None:
-        """Send it off."""
+        """Send a datagram."""
         dice, faults = self._random.random, self.faults
         if self.silence > 0:
             self.silence -= 1
@@ -57,14 +57,14 @@ class Cable:
             self._push(due_s + DUPLICATE_S, datagram)
 
     def arrived(self, now_s: float) -> list[bytes]:
-        """What has arrived by now."""
+        """Datagrams that have arrived by now."""
         found = []
         while self._under_way and self._under_way[0][0] <= now_s:
             found.append(heapq.heappop(self._under_way)[2])
         return found
 
     def next_s(self) -> float | None:
-        """When the next one arrives."""
+        """Arrival time of the next datagram."""
         return self._under_way[0][0] if self._under_way else None
 
     def _push(self, due_s: float, datagram: bytes) -> None:

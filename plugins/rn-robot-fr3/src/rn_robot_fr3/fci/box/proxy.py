@@ -1,12 +1,11 @@
-"""The box itself, a process: `python -m rn_robot_fr3.fci.box.proxy --host 127.0.0.3 --upstream
+"""The control box as a process: `python -m rn_robot_fr3.fci.box.proxy --host 127.0.0.3 --upstream
 127.0.0.2`.
 
-It stands between the driver and franka-sim. A command counts when it answers the newest state,
-once; others are dropped, as a box with a clock of its own does, where franka-sim takes them. What
-counts is judged, and states tell q_d, dq_d and ddq_d by these books. On UDP port 1340 it answers
-with its counts, and takes faults:
-    {"loss": 0.05},
-{"silence": 10}. {"lenient": 1} passes on everything instead, and nothing is judged.
+It sits between the driver and franka-sim. Only the first command for the newest state counts;
+others are dropped, as in a real box with its own clock, although franka-sim would accept them.
+Counted commands are checked, and states contain q_d, dq_d and ddq_d computed from them. On UDP port
+1340 it answers with its counts, and accepts faults such as {"loss": 0.05} or {"silence": 10}.
+{"lenient": 1} makes it forward everything without checks.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ _PR_SET_PDEATHSIG = 1
 
 
 class FciStream:
-    """One TCP connection, cut into messages."""
+    """One TCP connection, split into messages."""
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -43,7 +42,7 @@ class FciStream:
         self._rest = b""
 
     def messages(self) -> list[tuple[int, int, bytes]]:
-        """What has come: service, number, payload. Raises ConnectionError at the end."""
+        """Received messages: service, number, payload. Raises ConnectionError at the end."""
         received = self.connection.recv(65536)
         if not received:
             raise ConnectionError
@@ -58,14 +57,14 @@ class FciStream:
         return found
 
     def send(self, service: int, number: int, payload: bytes) -> None:
-        """One message."""
+        """Send one message."""
         self.connection.sendall(
             wire.HEADER.pack(service, number, wire.HEADER.size + len(payload)) + payload
         )
 
 
 class BoxProxy:
-    """One client at a time, as the FCI."""
+    """Serves one client at a time, like the FCI."""
 
     def __init__(self, host: str, upstream: str, seed: int) -> None:
         self._host, self._upstream = host, upstream
@@ -86,7 +85,7 @@ class BoxProxy:
         self._is_armed = False
 
     def run(self) -> None:
-        """Until the process ends."""
+        """Run until the process ends."""
         while True:
             try:
                 self._turn()
@@ -133,7 +132,7 @@ class BoxProxy:
         self._is_armed = False
 
     def _requested(self) -> None:
-        """Pass on what the client asks for over TCP, or refuse it."""
+        """Forward the client's TCP requests, or refuse them."""
         assert self._client is not None
         for service, number, payload in self._client.messages():
             if service == Service.CONNECT:
@@ -149,7 +148,7 @@ class BoxProxy:
                 self._client.send(service, number, refused)
 
     def _connected(self, payload: bytes) -> bytes:
-        """Connect to franka-sim, whose states come here and not to the client."""
+        """Connect to franka-sim, with its states redirected to this proxy."""
         upstream = socket.create_connection(
             (self._upstream, wire.PORT), _CONNECT_S, (self._host, 0)
         )
@@ -161,7 +160,7 @@ class BoxProxy:
         return payload[:2] + port.to_bytes(2, "little") + payload[4:]
 
     def _told(self, now_s: float) -> None:
-        """A state of franka-sim: a cycle ends, and another one begins."""
+        """Process a state of franka-sim: one cycle ends, and the next begins."""
         assert self._states is not None
         state, self._robot_address = self._states.recvfrom(2048)
         if len(state) != wire.STATE_BYTES:
@@ -181,7 +180,7 @@ class BoxProxy:
         self._to_client.put(state, now_s)
 
     def _commanded(self, now_s: float) -> None:
-        """A datagram of the client, before it is on the cable."""
+        """Process a datagram of the client before it enters the cable."""
         assert self._commands is not None
         command = self._commands.recv(2048)
         if len(command) != wire.COMMAND_BYTES:
@@ -203,7 +202,7 @@ class BoxProxy:
             self._count(command)
 
     def _count(self, command: bytes) -> None:
-        """Take a command that answers the newest state, once."""
+        """Count the first command that answers the newest state."""
         assert self._states is not None
         assert self._robot_address is not None
         if self._is_lenient:
@@ -222,7 +221,7 @@ class BoxProxy:
         self._states.sendto(command, self._robot_address)
 
     def _answer(self) -> None:
-        """Tell the counts; take new faults."""
+        """Report the counts; accept new faults."""
         data, sender = self._asking.recvfrom(4096)
         asked = json.loads(data)
         names = {field.name for field in fields(Faults)} & asked.keys()
@@ -248,7 +247,7 @@ def _datagrams(host: str, port: int) -> socket.socket:
 
 
 def main() -> None:
-    """Run until ended, or until whoever started it is gone."""
+    """Run until ended, or until the parent process ends."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--host", required=True)
     parser.add_argument("--upstream", required=True)

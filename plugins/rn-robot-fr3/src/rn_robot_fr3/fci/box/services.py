@@ -1,4 +1,4 @@
-"""Which TCP requests the box refuses, and with which status, as the real one is reported to."""
+"""TCP requests that the box refuses, with the status that the real one is reported to return."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rn_robot_fr3.fci.box.wire import Service
 _LARGEST = 1e4
 _HEAVIEST_KG = 10.0
 _LEAST_MOVE_BYTES = 56
-"""Newer clients add what asynchronous motions need."""
+"""Newer clients append data for asynchronous motions."""
 _DOUBLES = {
     Service.SET_COLLISION_BEHAVIOR: 52,
     Service.SET_JOINT_IMPEDANCE: 7,
@@ -24,13 +24,13 @@ _TORQUES, _FORCES = 7, 6
 
 
 def refusal(service: int, payload: bytes, mode: int, is_latched: bool) -> bytes | None:
-    """The payload of a refusal, or None for what is passed on.
+    """The payload of a refusal, or None to forward the request.
 
     Args:
-        service: of `Service`.
-        payload: what follows the header.
-        mode: of the newest state.
-        is_latched: settings are refused until an error recovery, whatever the mode says.
+        service: value of `Service`.
+        payload: data after the header.
+        mode: mode of the newest state.
+        is_latched: settings are refused until an error recovery, in any mode.
     """
     if service in wire.SETTERS:
         if mode != wire.IDLE or is_latched:
@@ -50,7 +50,7 @@ def refusal(service: int, payload: bytes, mode: int, is_latched: bool) -> bytes 
 
 
 def is_valid(service: int, payload: bytes) -> bool:
-    """Whether the arguments of a setter make sense."""
+    """True if the arguments of a setter are valid."""
     if service == Service.SET_GUIDING_MODE:
         return len(payload) == 7
     count = _DOUBLES[Service(service)]
@@ -73,8 +73,8 @@ def is_valid(service: int, payload: bytes) -> bool:
 
 
 def _are_thresholds(values: tuple[float, ...], size: int) -> bool:
-    """Lower and upper while accelerating, lower and upper otherwise: positive, and in this
-    order.
+    """True for lower and upper values while accelerating, then lower and upper otherwise: positive,
+    with lower <= upper.
     """
     parts = [values[begin : begin + size] for begin in range(0, 4 * size, size)]
     is_ordered = all(

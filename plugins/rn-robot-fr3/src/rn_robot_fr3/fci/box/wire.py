@@ -1,4 +1,4 @@
-"""The FCI's messages, protocol version 10, as far as the box reads or changes them.
+"""The FCI's messages, protocol version 10, as far as the box uses them.
 
 Source: research_interface/robot/{rbk_types,service_types}.h of libfranka 0.18, as transcribed in
 franka-sim 1.1.7.
@@ -11,7 +11,7 @@ from enum import IntEnum
 
 PORT = 1337
 HEADER = struct.Struct("<III")
-"""Of a TCP message: command, number, size with this header."""
+"""TCP header: command, number, size including this header."""
 STATE_BYTES, COMMAND_BYTES = 1377, 371
 _ID = struct.Struct("<Q")
 _DESIRED = struct.Struct("<7f")
@@ -60,7 +60,7 @@ def desired(state: bytes) -> list[float]:
 def with_desired(
     state: bytes, position: list[float], velocity: list[float], acceleration: list[float]
 ) -> bytes:
-    """The state with other q_d, dq_d and ddq_d."""
+    """Return the state with other q_d, dq_d and ddq_d."""
     changed = bytearray(state)
     for offset, values in ((_Q_D, position), (_DQ_D, velocity), (_DDQ_D, acceleration)):
         _DESIRED.pack_into(changed, offset, *values)
@@ -68,7 +68,7 @@ def with_desired(
 
 
 def is_following(state: bytes) -> bool:
-    """Whether a state says that joint positions are followed."""
+    """True if the state shows a joint position motion."""
     return state[_GENERATOR] == 1 and state[_MODE] == MOVE
 
 
@@ -83,5 +83,5 @@ def position(command: bytes) -> list[float]:
 
 
 def is_finish(command: bytes) -> bool:
-    """Whether a command ends the motion."""
+    """True if a command ends the motion."""
     return command[_FINISHED] == 1

@@ -1,5 +1,5 @@
-"""A robot of lerobot that a third party has installed: joints of its own names in radians, one of
-them the other way round, a gripper of which 0 is open, and no bus that lerobot knows.
+"""A robot of lerobot installed by a third party: joints with its own names in radians, one of them
+inverted, a gripper with 0 for open, and no bus known to lerobot.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ NAMES = ("j1", "j2", "j3", "j4", "j5", "claw")
 class ThirdArmConfig(RobotConfig):
     speed: float = 1.0
     fails_after: int = -1
-    """Readings until it fails; -1 for never."""
+    """Number of readings until it fails; -1 for never."""
     forgets: str = ""
-    """It does not fail then, but tells no more of this."""
+    """Instead of failing, it omits this value."""
 
 
 class ThirdArm(Robot):
@@ -55,7 +55,7 @@ class ThirdArm(Robot):
         raise AssertionError("a driver never calibrates")
 
     def configure(self) -> None:
-        """Nothing to configure."""
+        """Do nothing."""
 
     def get_observation(self) -> dict[str, Any]:
         if self._left != 0:
