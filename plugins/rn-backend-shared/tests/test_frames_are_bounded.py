@@ -357,7 +357,7 @@ def test_a_server_that_leaves_questions_open_is_left(
         with pytest.raises(TimeoutError):
             session.ask({}, time.monotonic() + 0.001)
         there.receive(time.monotonic() + 10.0)
-    with pytest.raises(FrameError, match="64 questions without an answer"):
+    with pytest.raises(FrameError, match="64 requests without an answer"):
         session.ask({}, time.monotonic() + 1.0)
 
 
