@@ -15,9 +15,9 @@ stdio, by sequences of numbered velocities at 10 Hz, 10 s each.
 
 - lost: numbers that the tool said it sent and that the base never noted, of robots that were not
   killed.
-- stop: from the call of emergency_stop (all robots) until the last robot was told to stand, while
-  all drive: by the zero command of the server, or by its own module, which looks at the latch and
-      then refuses all commands.
+- stop: from the call of emergency_stop (all robots) until the last robot was commanded to stand,
+  while all drive: by the server's zero command, or by its own module, which reads the latch and
+  then refuses all commands.
 - killed: half way one robot process is killed (SIGKILL). Lateness of a command is its arrival
   against the sequence's own clock (its number times 0.1 s), counted from the earliest command of
   that sequence. p99 of the others after the kill is held against p99 before.

@@ -1,5 +1,5 @@
-"""Faults that come once in a hundred trials or less: each one repeated under load, counted, and
-kept with its logs.
+"""Repeat under load the faults that occur once in a hundred trials or less, count them and keep
+their logs.
 
     python benchmarks/rare_faults.py --fault client-death --trials 500 --workers 3 --load 2 --folder
     /tmp/rare
@@ -7,12 +7,12 @@ kept with its logs.
 The faults: "client-death" (the client of a server is killed while a module starts: server and
 modules must be gone within GONE_S), "control-restart" (control is killed while the arm moves, and
 started again: the arm must move again) and "control-switch" (the controller is replaced warm while
-the arm moves, at 30 Hz; a request of the server that counts as foreign is a failure too). What is
-missed at a switch counts against what is missed elsewhere: that is the machine.
+the arm moves, at 30 Hz; a request of the server that counts as foreign is a failure too). Periods
+missed at a switch are compared with periods missed elsewhere, which are due to the machine.
 
-Results are lines in FOLDER/FAULT.jsonl: a run that was ended goes on there. Each trial that failed
-names the folder with the logs of its cell. Every wait has a bound, and workers that exceed theirs
-are ended and counted.
+Results are lines in FOLDER/FAULT.jsonl: an interrupted run is resumed from them. Each trial that
+failed names the folder with the logs of its cell. Every wait has a bound, and workers that exceed
+their bound are ended and counted.
 """
 
 from __future__ import annotations
@@ -44,15 +44,15 @@ import rare_trials
 sys.path.pop(0)
 
 BATCH = 20
-"""Trials of one worker process: each makes a cell of its own first."""
+"""Trials of one worker process; each worker first makes its own cell."""
 TRIAL_S, CELL_S = 60.0, 120.0
-"""Bounds on one trial and on the rest of a worker."""
+"""Time limits of one trial, and of the rest of a worker."""
 LOADING = "import time\nwhile True: sum(range(100000))"
 
 
 @contextlib.contextmanager
 def loaded(processes: int) -> Iterator[None]:
-    """Processes that never rest."""
+    """Run processes that use a whole core each."""
     busy = [subprocess.Popen([sys.executable, "-S", "-c", LOADING]) for _ in range(processes)]
     try:
         yield
@@ -63,7 +63,7 @@ def loaded(processes: int) -> Iterator[None]:
 
 
 class Results:
-    """What became of each trial, in a file that the next run reads; usable from any thread."""
+    """Outcome of each trial, in a file that the next run reads; usable from any thread."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -72,21 +72,21 @@ class Results:
         self.all: list[dict[str, Any]] = [json.loads(line) for line in lines]
 
     def add(self, result: Mapping[str, Any]) -> None:
-        """Keep one."""
+        """Append one result."""
         with self._lock, self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(result) + "\n")
             self.all.append(dict(result))
 
 
 class Shares:
-    """How many trials are still to be given to workers; usable from any thread."""
+    """Number of trials not yet given to workers; usable from any thread."""
 
     def __init__(self, trials: int) -> None:
         self._left = max(0, trials)
         self._lock = threading.Lock()
 
     def take(self) -> int:
-        """A share of at most BATCH; 0 when all are given away."""
+        """Take at most BATCH trials; 0 when none is left."""
         with self._lock:
             share = min(BATCH, self._left)
             self._left -= share
@@ -94,7 +94,7 @@ class Shares:
 
 
 def run_worker(fault: str, share: int, folder: Path, results: Results) -> None:
-    """One process with a cell of its own; keeps its folder when a trial failed."""
+    """Run one process with its own cell; keep its folder when a trial failed."""
     command = [sys.executable, str(Path(rare_trials.__file__)), fault, str(share), str(folder)]
     failed, told = False, 0
     with (folder / "worker.log").open("wb") as log:
@@ -151,18 +151,18 @@ def table_of(fault: str, results: list[dict[str, Any]]) -> Table:
 
 
 def main() -> None:
-    """Run what is missing to `--trials` and print the table of all."""
+    """Run the trials that are missing up to `--trials` and print the table of all."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--fault", required=True, choices=sorted(rare_trials.TRIALS))
     parser.add_argument(
-        "--trials", type=int, default=500, help="in all, those of earlier runs included"
+        "--trials", type=int, default=500, help="total, including those of earlier runs"
     )
-    parser.add_argument("--workers", type=int, default=3, help="cells side by side")
-    parser.add_argument("--load", type=int, default=2, help="processes that never rest beside them")
+    parser.add_argument("--workers", type=int, default=3, help="cells that run in parallel")
+    parser.add_argument("--load", type=int, default=2, help="processes that each keep a core busy")
     parser.add_argument(
-        "--minutes", type=float, default=600.0, help="give no more work away after this time"
+        "--minutes", type=float, default=600.0, help="start no more workers after this time"
     )
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "rare-faults")
     arguments = parser.parse_args()
@@ -180,7 +180,7 @@ def main() -> None:
             run_worker(arguments.fault, share, folder, results)
             progress.log(f"{len(results.all)}: {dict(Counter(r['outcome'] for r in results.all))}")
 
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the load ends with it
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the load processes end too
     with loaded(arguments.load):
         workers = [threading.Thread(target=work, daemon=True) for _ in range(arguments.workers)]
         for worker in workers:

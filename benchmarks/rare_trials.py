@@ -34,16 +34,16 @@ from roboneuron.server.loop import ClosedLoop
 sys.path.pop(0)
 
 GONE_S, MOVES_S, ANSWER_S = 15.0, 30.0, 60.0
-"""Bounds: server and modules are gone after their client's death; the arm moves again; a tool call
-is answered.
+"""Time limits: for server and modules to end after their client's death, for the arm to move again,
+and for a tool call to return.
 """
 LONGEST_START_S = 2.5
-"""The client dies at a random time up to this one after it asked for the start."""
+"""The client is killed at a random time between 0 and this after its request to start control."""
 SWITCH_RATE_HZ = 30.0
 GOOD = frozenset(
     {"all gone", "the start was over, all gone", "moved again", "switched", "switched, one missed"}
 )
-"""Outcomes that are no fault."""
+"""Outcomes that are not faults."""
 Trial = Callable[[], dict[str, Any]]
 CLIENT = """
 import json, os, subprocess, sys, threading
@@ -67,14 +67,14 @@ for number, tool in enumerate(sys.argv[3:], 2):
     said = answer(number)
     print(json.dumps(said)[:400], flush=True)
 """
-"""A client of nothing but pipes: it starts its server, calls the tools, and waits to be killed."""
+"""A client that only uses pipes: it starts its server, calls the tools, and waits to be killed."""
 
 
 def main() -> None:
-    """Run the trials and print what became of each."""
+    """Run the trials and print the outcome of each."""
     fault, trials, folder = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])
     wire = os.dup(1)
-    os.dup2(2, 1)  # whatever else is printed goes to the log
+    os.dup2(2, 1)  # everything else that is printed goes to the log
     with TRIALS[fault](folder) as trial:
         for _ in range(trials):
             started_s = time.monotonic()
@@ -147,7 +147,7 @@ def _one_client_death(folder: Path, server: list[str], number: int) -> dict[str,
 
 
 def _left(mark: str) -> dict[int, str]:
-    """Processes with that variable in their environment, and what they are."""
+    """Processes with this variable in their environment, by PID: "module" or "server"."""
     found = {}
     for entry in Path("/proc").iterdir():
         if not entry.name.isdecimal():
@@ -162,7 +162,7 @@ def _left(mark: str) -> dict[int, str]:
 
 
 def _describe(path: Path, pids: Mapping[int, str]) -> None:
-    """Stacks and open files of what was left behind."""
+    """Write the stacks and open files of the remaining processes."""
     with path.open("w", encoding="utf-8") as file:
         for pid, what in pids.items():
             file.write(f"== {what} {pid}\n")
@@ -196,7 +196,7 @@ def _signal(pid: int, number: int) -> None:
 
 @contextmanager
 def control_restart(folder: Path) -> Iterator[Trial]:
-    """A moving cell; control is killed and started again."""
+    """Make a moving cell whose control is killed and started again."""
     with moving_cell(folder, 30.0, backend="steady") as (loop, witness):
         yield lambda: _one_restart(loop, witness)
 
@@ -229,7 +229,7 @@ def _one_restart(loop: ClosedLoop, witness: JointWitness) -> dict[str, Any]:
 
 
 def _moves_well(witness: JointWitness) -> bool:
-    """By 5 mm within the last 0.3 s."""
+    """Whether the joint moved by more than 5 mm within the last 0.3 s."""
     recent = [x for at, x in witness.joints() if at > time.monotonic() - 0.3]
     return bool(recent) and max(recent) - min(recent) > 0.005
 
@@ -249,7 +249,7 @@ def _wait(fact: Callable[[], bool], timeout_s: float) -> bool:
 
 @contextmanager
 def control_switch(folder: Path) -> Iterator[Trial]:
-    """A moving loop; its controller is replaced warm, there and back."""
+    """Make a moving loop whose controller is replaced warm, back and forth."""
     with moving_loop(folder, SWITCH_RATE_HZ) as (switching, witness):
         yield lambda: _one_switch(switching, witness)
 
@@ -315,7 +315,7 @@ def _one_switch(switching: Switching, witness: Witness) -> dict[str, Any]:
 
 
 def _words(text: str) -> str:
-    """Without its numbers, so that like failures are counted together."""
+    """The text without its numbers, so that similar faults are counted together."""
     return " ".join("#" if any(c.isdigit() for c in word) else word for word in text.split())[:160]
 
 
@@ -324,7 +324,7 @@ TRIALS = {
     "control-restart": control_restart,
     "control-switch": control_switch,
 }
-"""How the cell of each fault is made."""
+"""How to make the cell of each fault."""
 
 if __name__ == "__main__":
     main()

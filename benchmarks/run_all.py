@@ -1,12 +1,11 @@
-"""Every benchmark of the closed loop, one after the other; what went wrong with any of them is told
-again at the end.
+"""Run every benchmark of the closed loop in turn and repeat all failures at the end.
 
     python benchmarks/run_all.py [--quick] [--only bench_ik bench_loop]
 
 A benchmark that takes longer than its bound is ended with all processes of its session. A line
-"missed: ..." of a benchmark says that a limit of time was missed: on a loaded machine that says
-little, so it is told again at the end and is no failure. Exit status 1 when a benchmark failed or
-was ended, 0 otherwise. `--quick` makes each as short as it can be.
+"missed: ..." of a benchmark reports a missed time limit: on a loaded machine that means little, so
+it is repeated at the end but is not a failure. Exit status 1 when a benchmark failed or was ended,
+0 otherwise. `--quick` makes each as short as possible.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 MISSED = "missed: "
-"""How a line begins by which a benchmark tells that a limit of time was missed."""
+"""Start of a line by which a benchmark reports a missed time limit."""
 ENDING_S = 20.0
-"""What a benchmark is given to end by itself at its bound, before it is killed."""
+"""Time for a benchmark to end by itself at its bound, before it is killed."""
 KILLED_S = 60.0
-"""What the kernel is given to end a killed process."""
+"""Time for the kernel to end a killed process."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -39,9 +38,9 @@ class Benchmark:
 
     Attributes:
         script: its name without `.py`.
-        arguments: given always.
-        quick: further ones for a run that shows only that it works.
-        bound_s: when it is ended: several times what it takes on a loaded machine.
+        arguments: always passed.
+        quick: further arguments of a run that only shows that the benchmark works.
+        bound_s: time limit: several times its usual time on a loaded machine.
     """
 
     script: str
@@ -51,11 +50,11 @@ class Benchmark:
 
     @property
     def title(self) -> str:
-        """The command as one would type it."""
+        """The command as typed in a terminal, without `python`."""
         return " ".join((f"{self.script}.py", *self.arguments))
 
     def command(self, is_quick: bool) -> list[str]:
-        """What is run."""
+        """Command line of the process."""
         return [
             sys.executable,
             str(HERE / f"{self.script}.py"),
@@ -109,8 +108,8 @@ class Ending:
 
     Attributes:
         title: its command.
-        failure: why it counts as failed; empty when it does not.
-        missed: limits of time that it missed.
+        failure: why it failed; empty when it did not.
+        missed: time limits that it missed.
         took_s: how long it ran.
     """
 
@@ -121,7 +120,7 @@ class Ending:
 
 
 def run(title: str, command: Sequence[str], bound_s: float) -> Ending:
-    """Run one command to its end or its bound, and pass on what it prints."""
+    """Run one command until it ends or reaches its bound, and relay its output."""
     ending = Ending(title=title)
     begun_s = time.monotonic()
     wide = {"COLUMNS": str(shutil.get_terminal_size((150, 24)).columns), "PYTHONUNBUFFERED": "1"}
@@ -153,13 +152,13 @@ def run(title: str, command: Sequence[str], bound_s: float) -> Ending:
         ending.failure = f"ended after {bound_s:g} s"
     finally:
         _end(process)
-    reader.join(ENDING_S)  # a process that left the session may hold the pipe
+    reader.join(ENDING_S)  # a process that left the session may keep the pipe open
     ending.took_s = time.monotonic() - begun_s
     return ending
 
 
 def _end(process: subprocess.Popen[str]) -> None:
-    """End what is left of the session, politely first."""
+    """End the remaining processes of the session: SIGINT first, then SIGKILL."""
     if process.poll() is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGINT)
@@ -171,7 +170,7 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 
 def report(endings: Sequence[Ending]) -> int:
-    """Print how each ended; returns the exit status."""
+    """Print how each benchmark ended; returns the exit status."""
     print(
         f"\n{len(endings)} benchmarks, load now {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
     )
@@ -184,15 +183,17 @@ def report(endings: Sequence[Ending]) -> int:
 
 
 def main() -> int:
-    """Run them and return the exit status."""
+    """Run the benchmarks and return the exit status."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--quick", action="store_true", help="as short as it can be: only whether all of them work"
+        "--quick",
+        action="store_true",
+        help="as short as possible: only checks that all of them work",
     )
     parser.add_argument(
-        "--only", nargs="+", choices=sorted({b.script for b in BENCHMARKS}), help="these alone"
+        "--only", nargs="+", choices=sorted({b.script for b in BENCHMARKS}), help="run only these"
     )
     arguments = parser.parse_args()
     endings = []

@@ -1,4 +1,4 @@
-"""One simulated scene that visual servoing plays, at once or with late answers."""
+"""One simulated scene solved by visual servoing, with immediate or late answers."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ PHRASES = (
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Job:
-    """One scene to try."""
+    """One scene to run."""
 
     seed: int
     latency_frames: int
@@ -53,7 +53,7 @@ class Job:
 
 
 def look(simulation: ArmSimulation, cameras: tuple[str, ...]) -> dict[str, Frame]:
-    """A frame by role of each camera, stamped with simulated time."""
+    """Render one frame of each named camera, by role, stamped with simulated time."""
     frames = {}
     for camera in fr3_profile().cameras:
         if camera.name in cameras:
@@ -68,7 +68,7 @@ def look(simulation: ArmSimulation, cameras: tuple[str, ...]) -> dict[str, Frame
 
 
 def save_strip(pictures: list[np.ndarray], path: Path) -> None:
-    """Every picture of an episode in rows of ten."""
+    """Save all pictures of an episode in rows of ten."""
     rows = [pictures[i : i + 10] for i in range(0, len(pictures), 10)]
     blank = np.zeros_like(pictures[0])
     rows[-1] += [blank] * (len(rows[0]) - len(rows[-1]))
@@ -77,7 +77,7 @@ def save_strip(pictures: list[np.ndarray], path: Path) -> None:
 
 
 class Episode:
-    """One scene: the simulated arm, the servo and the controller, and what is noted of them."""
+    """One scene: the simulated arm, the servo and the controller, with the results recorded."""
 
     def __init__(self, job: Job, simulation: ArmSimulation) -> None:
         random = np.random.default_rng([job.seed, 7])
@@ -98,7 +98,7 @@ class Episode:
         self.delayed = deque([look(simulation, job.cameras)], maxlen=job.latency_frames + 1)
 
     def look(self) -> None:
-        """Take the pictures of one period."""
+        """Render the images of one period."""
         self.delayed.append(look(self.simulation, self.job.cameras))
         if self.job.pictures and round(self.simulation.time_s / PERIOD_S) % 5 == 0:
             self.pictures.append(
@@ -106,7 +106,7 @@ class Episode:
             )
 
     def joints(self) -> JointSample:
-        """Measured now."""
+        """Measured joints now."""
         simulation = self.simulation
         return JointSample(
             names=JOINTS,
@@ -115,7 +115,9 @@ class Episode:
         )
 
     def observe(self) -> Observation | None:
-        """The newest images that have arrived and the newest state; None before the first."""
+        """The newest images that have arrived, with the newest state; None before the first
+        image.
+        """
         if len(self.delayed) <= self.job.latency_frames:
             return None
         frames, joints = self.delayed[0], self.joints()
@@ -129,7 +131,7 @@ class Episode:
         )
 
     def predict(self, observation: Observation) -> ActionChunk | None:
-        """Ask the servo; None when it refuses."""
+        """Ask the servo for a prediction; None when it refuses."""
         start = time.perf_counter()
         try:
             chunk = self.servo.predict(observation)
@@ -141,7 +143,7 @@ class Episode:
         return chunk
 
     def act(self, vector: np.ndarray) -> None:
-        """Carry one action out."""
+        """Execute one action."""
         answer = self.controller.compute(Action.from_vector(vector), self.joints(), PERIOD_S)
         if isinstance(answer, Hold):
             self.holds[answer.code] += 1
@@ -152,7 +154,7 @@ class Episode:
             self.reason = f"time ran out while {self.note}"
 
     def is_over(self) -> bool:
-        """The cube is held for long enough, or nothing can come of it any more."""
+        """Whether the cube was held long enough, or the episode can no longer succeed."""
         cubes = self.simulation.cubes()
         if cubes[self.colour].held_s >= HELD_S:
             others = [
@@ -164,7 +166,7 @@ class Episode:
 
 
 def play_at_once(episode: Episode) -> None:
-    """A prediction every period, carried out in the same moment."""
+    """Predict once per period and execute the action immediately."""
     while not episode.is_over():
         start = time.perf_counter()
         episode.simulation.step(round(PERIOD_S / STEP_S))
@@ -181,8 +183,8 @@ def play_at_once(episode: Episode) -> None:
 
 
 def play_overlapped(episode: Episode, added_latency_s: float) -> AdaptiveExecutor:
-    """Answers come late; the executor decides, by simulated time, when to predict and which row to
-    send.
+    """Deliver answers late; the executor decides, by simulated time, when to predict and which row
+    to send.
     """
     job, simulation = episode.job, episode.simulation
     abilities = Abilities(conditions_on_rows=roboneuron_backends()[0].conditions_on_rows)

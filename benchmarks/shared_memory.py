@@ -1,4 +1,4 @@
-"""The repair of shared memory for a control plane that is put together without a server."""
+"""The shared-memory repair for a control plane that is assembled without a server."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from roboneuron.supervisor.supervisor import Supervisor
 
 @contextmanager
 def repaired(supervisor: Supervisor) -> Iterator[None]:
-    """As a server does with rn-fastdds installed."""
+    """Repair shared memory as a server with rn-fastdds installed does."""
     repair = SharedMemoryRepair(None)
     supervisor.on_join += (FEATURE.on_join or "",)
     assert supervisor.link

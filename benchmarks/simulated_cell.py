@@ -1,4 +1,4 @@
-"""A cell of a task by the clock of a simulation, and a gripper that fails."""
+"""A task's cell on simulated time, and a gripper that fails."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from roboneuron import Backend, Observation, RoboNeuronError
 from roboneuron.server.tool import Picture
 
 CAMERA_S = 0.1
-"""Period of images and of the servo's actions."""
+"""Period of images and of the servo's actions [s]."""
 STILL_RAD_S = 0.01
 CLOSED_M, JAMMED_M = 0.01, 0.031
 LETS_GO_M = (0.03, 0.17)
 
 
 class FailingGripper:
-    """Stands between the driver's commands and the simulation."""
+    """Changes the driver's gripper commands on their way to the simulation, to fail some grasps."""
 
     def __init__(self, simulation: ArmSimulation, share: float, seed: int) -> None:
         self._simulation = simulation
@@ -40,7 +40,7 @@ class FailingGripper:
         simulation.set_target = self.command  # type: ignore[method-assign]
 
     def command(self, names: Any, position: Any, duration_s: float) -> Any:
-        """As `ArmSimulation.set_target`, with what goes wrong."""
+        """As `ArmSimulation.set_target`, with the current fault applied."""
         wanted = np.array(position, dtype=float)
         if FINGER_JOINT in names:
             finger = list(names).index(FINGER_JOINT)
@@ -57,7 +57,7 @@ class FailingGripper:
         return self._set_target(names, wanted, duration_s)
 
     def _note(self, target: float) -> None:
-        """Draw what becomes of a grasp when it begins."""
+        """Draw at random, when a grasp begins, whether and how it fails."""
         if target > CLOSED_M:
             self._open = True
             if self._fault != "lets go":
@@ -75,7 +75,7 @@ class FailingGripper:
 
 
 class SimulatedCell:
-    """Follows `rn_standard.tasks.runner.TaskRobot`, by the clock of a stepped simulation."""
+    """Implements `rn_standard.tasks.runner.TaskRobot` on the time of a stepped simulation."""
 
     def __init__(self, scene: CubesScene, backend: Backend, setup: Setup) -> None:
         self._scene, self._backend, self._setup = scene, backend, setup
@@ -86,7 +86,7 @@ class SimulatedCell:
         self._failure, self._done, self._acted = "", False, False
         self._still = StillClock()
         self.moved_s = 0.0
-        """Last time at which a joint of the arm moved."""
+        """Last simulated time at which a joint of the arm moved [s]."""
 
     def now_s(self) -> float:
         return self._tick * STEP_S
@@ -103,7 +103,7 @@ class SimulatedCell:
         return False
 
     def _act(self) -> None:
-        """A camera period: new images, and an action for them."""
+        """Run one camera period: new images, and an action for them."""
         self._scene.watch(self.now_s())
         self._observation = replace(
             self._scene.observe(round(self.now_s() * 1e9) + 1), instruction=""
@@ -149,7 +149,7 @@ class SimulatedCell:
 
 
 def lifted(colour: str) -> Predicate:
-    """The colour's cube is lifted and held for a second."""
+    """Whether the cube of this colour has been lifted and held for a second."""
     return parse_predicate(
         {
             "kind": "held",
@@ -170,7 +170,7 @@ def lifted(colour: str) -> Predicate:
 
 
 def on_the_way_up() -> Predicate:
-    """The gripper holds something and is in the middle of the lift."""
+    """Whether the gripper holds something and is in the middle of the lift."""
     box = {"kind": "tcp_in", "lower_m": [0, -1, 0.10], "upper_m": [1, 1, 1]}
     return parse_predicate(
         {"kind": "all", "of": [{"kind": "gripper_holds", "most_open": 0.8}, box]}

@@ -1,4 +1,4 @@
-"""A cable between two machines of tests that is late, lossy or narrow."""
+"""A simulated cable between two test machines, with delay, loss and limited bandwidth."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _MOST_FRAME = 65_536
 
 
 class Link(NamedTuple):
-    """What is between two machines.
+    """Properties of a cable between two machines.
 
     Attributes:
-        round_trip_ms: of a small frame [ms].
-        jitter_ms: most that is added one way [ms].
-        loss_percent: of frames, each way.
-        rate_mbit: bits per second, each way [Mbit/s].
+        round_trip_ms: round-trip time of a small frame [ms].
+        jitter_ms: maximum random delay added each way [ms].
+        loss_percent: frames lost, each way [%].
+        rate_mbit: bandwidth, each way [Mbit/s].
         burst_ms: mean length of bursts in which all frames of a way are lost [ms]; 0 for losses
             that are independent of each other.
     """
@@ -34,22 +34,22 @@ class Link(NamedTuple):
 
     @classmethod
     def of(cls, text: str) -> Link:
-        """As written in an argument: ROUND-TRIP/JITTER/LOSS~BURST/RATE."""
+        """Parse a command-line argument: ROUND-TRIP/JITTER/LOSS~BURST/RATE."""
         round_trip, jitter, loss, rate = text.split("/")
         loss, _, burst = loss.partition("~")
         return cls(float(round_trip), float(jitter), float(loss), float(rate), float(burst or 0))
 
 
 class Losses:
-    """Which frames of one way are lost.
+    """Decides which frames of one direction are lost.
 
-    With bursts it is a chain of two states in continuous time, good and bad, that are left after
-    times from exponential distributions. Source: Gilbert, Capacity of a burst-noise channel (1960);
+    With bursts it is a continuous-time Markov chain of two states, good and bad, whose durations
+    are exponentially distributed. Source: Gilbert, Capacity of a burst-noise channel (1960);
     Elliott, Estimates of error rates for codes on burst-noise channels (1963).
 
     Args:
-        link: with what share, in bursts of which length.
-        drawn: source of chance.
+        link: gives the share of lost frames and the mean burst length.
+        drawn: random generator.
     """
 
     def __init__(self, link: Link, drawn: random.Random) -> None:
@@ -61,7 +61,9 @@ class Losses:
         self._until_s: float | None = None
 
     def takes(self, now_s: float) -> bool:
-        """Whether a frame at that time is lost; times never go back [s]."""
+        """Whether a frame at time `now_s` [s] is lost; the times of successive calls must not
+        decrease.
+        """
         if not self._share or not self._mean_s[True]:
             return self._random.random() < self._share
         if self._until_s is None:
@@ -76,7 +78,7 @@ class Losses:
 
 
 class SlowCable:
-    """Hands frames on between two devices, in order, from `start` to `close`."""
+    """Relays frames between two devices, in order, from `start` to `close`."""
 
     def __init__(self, ends: tuple[int, int], link: Link) -> None:
         self._others = dict(zip(ends, reversed(ends), strict=True))
@@ -89,16 +91,16 @@ class SlowCable:
         self._thread = threading.Thread(target=self._run)
 
     def start(self) -> None:
-        """Begin on a thread of its own."""
+        """Start the relay thread."""
         self._thread.start()
 
     def close(self) -> None:
-        """End it."""
+        """Stop the relay thread."""
         self._stopping.set()
         self._thread.join(5.0)
 
     def _due_s(self, end: int, size: int) -> float | None:
-        """When a frame from that end comes out; None when it is lost."""
+        """Time at which a frame from this end is delivered [s, monotonic]; None when it is lost."""
         link, now_s = self._link, time.monotonic()
         if self._losses[end].takes(now_s):
             return None

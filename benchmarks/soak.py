@@ -1,14 +1,14 @@
-"""The loop for half an hour: 30 Hz, 640x480, a switch of the backend every minute, a random fault
-every two.
+"""Run the loop for half an hour: 30 Hz, 640x480, a switch of the backend every minute, a random
+fault every two minutes.
 
     python benchmarks/soak.py [--minutes 30] [--switch-s 60] [--fault-s 120] [--json out.json]
 
 With --rows 16 --delay-ms 100 the backends answer with chunks, which are executed as `auto` decides.
-A real server runs as an agent's client would start it, on stdio; the agent is this process. Memory
-(resident, without what is shared), open handles and threads of every process and Fast DDS's files
-in shared memory are sampled, and a line is fitted through what was sampled after the warm-up. It
-fails when something grows by more than `GROWTH` over that time, when a fault is not recovered from
-as configured, or when a switch misses its time.
+A real server runs over stdio, as an agent's client would start it; this process is the agent.
+Memory (resident without shared), open handles and threads of every process and Fast DDS's files in
+shared memory are sampled, and a line is fitted through the samples after the warm-up. The run fails
+when a quantity grows by more than `GROWTH` over that time, when the loop does not recover from a
+fault as configured, or when a switch takes too long.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from soak_cell import served_cell, until
 sys.path.pop(0)
 
 GROWTH = {"memory_mb": 8.0, "handles": 6.0, "threads": 4.0, "shm_files": 12.0, "shm_mb": 40.0}
-"""Most that each may grow by over the time after the warm-up, by the fitted line; noise of a minute
-stays below.
+"""Largest allowed growth of each quantity after the warm-up, by the fitted line; noise of one
+minute stays below it.
 """
 MOVES_AGAIN_S = 30.0
-"""A module that has to be started again is, within this time, on a machine that is busy."""
+"""Time within which a restarted module makes the arm move again, on a busy machine."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Settings:
-    """What a soak does; times in seconds."""
+    """Settings of a soak; times in seconds."""
 
     duration_s: float = 1800.0
     switch_s: float = 60.0
@@ -75,8 +75,8 @@ class Trend:
 
     Attributes:
         first, last: medians of the first and last tenth after the warm-up.
-        growth: of the fitted line over that time.
-        limit: what it may be.
+        growth: increase of the fitted line over that time.
+        limit: largest allowed growth.
     """
 
     process: str
@@ -88,13 +88,13 @@ class Trend:
 
     @property
     def ok(self) -> bool:
-        """Whether it does not grow."""
+        """Whether the growth is within its limit."""
         return self.growth <= self.limit
 
 
 @dataclass(kw_only=True, slots=True)
 class Report:
-    """What a soak saw."""
+    """Results of a soak."""
 
     seconds: float = 0.0
     actions: int = 0
@@ -140,7 +140,7 @@ def judge(
 
 
 def run(settings: Settings, folder: Path, tell: Callable[[str], None]) -> Report:
-    """Soak a loop; `tell` hears of every switch and fault."""
+    """Soak a loop; `tell` is called with a line about every switch and fault."""
     report = Report()
     chance = random.Random(settings.seed)
     policy = chunks(settings.rows, settings.delay_ms, settings.rate_hz)
@@ -191,11 +191,11 @@ def run(settings: Settings, folder: Path, tell: Callable[[str], None]) -> Report
 
 
 def main() -> None:
-    """Soak, print the tables, fail when something grew or did not recover."""
+    """Soak, print the tables, and fail when a quantity grew or the loop did not recover."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--minutes", type=float, default=30.0, help="how long")
+    parser.add_argument("--minutes", type=float, default=30.0, help="duration")
     parser.add_argument(
         "--switch-s", type=float, default=60.0, metavar="S", help="time between two switches"
     )
@@ -204,16 +204,21 @@ def main() -> None:
     )
     parser.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="images per second")
     parser.add_argument(
-        "--size", type=int, nargs=2, default=[640, 480], metavar=("W", "H"), help="of the images"
+        "--size",
+        type=int,
+        nargs=2,
+        default=[640, 480],
+        metavar=("W", "H"),
+        help="image size in pixels",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the order of the faults")
+    parser.add_argument("--seed", type=int, default=1, help="seed of the order of the faults")
     parser.add_argument(
-        "--rows", type=int, default=1, metavar="N", help="actions of a chunk, one each period"
+        "--rows", type=int, default=1, metavar="N", help="actions per chunk, one per period"
     )
     parser.add_argument(
-        "--delay-ms", type=float, default=0.0, metavar="MS", help="time that a prediction takes"
+        "--delay-ms", type=float, default=0.0, metavar="MS", help="duration of a prediction"
     )
-    parser.add_argument("--json", type=Path, help="write everything here")
+    parser.add_argument("--json", type=Path, help="write all results to this file")
     arguments = parser.parse_args()
     settings = Settings(
         duration_s=arguments.minutes * 60,

@@ -1,5 +1,5 @@
-"""What a soak runs on: a served loop with the faulty gantry, its agent, its faults, and samples of
-its processes.
+"""The test bed of a soak: a served loop with the faulty gantry, its agent, its faults, and samples
+of its processes.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mcp import Client, StdioServerParameters
 from roboneuron.ros.environment import prepare_environment
 
 SETTLE_S = 3.0
-"""A process younger than this is still loading: not sampled."""
+"""A process younger than this is still loading and is not sampled [s]."""
 
 
 class Agent:
@@ -31,7 +31,9 @@ class Agent:
         self._client, self._portal = client, portal
 
     def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
-        """Structured content of a call; RuntimeError with the server's reason when it fails."""
+        """Call a tool and return the structured content; RuntimeError with the server's reason when
+        it fails.
+        """
         answer = self._portal.call(self._client.call_tool, tool, arguments)
         if answer.is_error:
             raise RuntimeError(f"{tool}: {answer.content[0].text}")
@@ -43,7 +45,7 @@ class Agent:
 
 
 def until(fact: Callable[[], bool], timeout_s: float, what: str) -> None:
-    """Wait for a fact; RuntimeError when it does not come true in time."""
+    """Wait until `fact` returns True; RuntimeError when it does not in time."""
     deadline_s = time.monotonic() + timeout_s
     while not fact():
         if time.monotonic() > deadline_s:
@@ -61,20 +63,20 @@ class Cell:
         self._segments: set[str] = set()
 
     def pid(self, kind: str) -> int:
-        """Of the module's process now."""
+        """Current PID of the module's process."""
         pid = self.agent.modules()[kind]["pid"]
         assert isinstance(pid, int)
         return pid
 
     def start(self) -> None:
-        """Start everything."""
+        """Start all modules and wait until the arm moves."""
         for kind in ("robot", "perception", "control"):
             self.agent.do(f"start_{kind}")
         self.agent.do("start_inference", instruction="swing")
         until(self.witness.moves, 10.0, "the arm moves")
 
     def wrong_part(self, part: str, mode: str, duration_s: float, stands: bool = True) -> None:
-        """A part misbehaves for a while; the arm stands meanwhile, and moves afterwards by
+        """Let a part fail for a while; with `stands`, wait until the arm stands. It moves again by
         itself.
         """
         fail(self.folder, part, mode)
@@ -87,7 +89,7 @@ class Cell:
             fail(self.folder, part, "")
 
     def frozen(self, kind: str, duration_s: float) -> None:
-        """A process is stopped for a while."""
+        """Suspend a module's process with SIGSTOP for a while."""
         pid = self.pid(kind)
         os.kill(pid, signal.SIGSTOP)
         try:
@@ -100,21 +102,20 @@ class Cell:
         finally:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGCONT)
-        # Perception that was frozen for long was ended and started again, which ends what was asked
-        # for.
+        # Perception that is suspended for long is restarted, which ends the instruction.
         until(lambda: self.agent.modules()[kind]["phase"] == "running", 60.0, f"{kind} runs again")
         self.swing()
 
     def killed(self, kind: str, agent_starts: bool) -> None:
-        """A process dies; perception comes back by itself, what moves the arm when the agent says
-        so.
+        """Kill a process; perception restarts by itself, the modules that move the arm only when
+        the agent starts them.
         """
         pid = self.pid(kind)
         os.kill(pid, signal.SIGKILL)
         until(lambda: self.agent.modules()[kind].get("pid") != pid, 2.0, "it is noticed")
         until(self.witness.stands, 3.0, "the arm stands")
         if agent_starts:
-            time.sleep(1.0)  # long enough for a restart that must not happen
+            time.sleep(1.0)  # long enough to see a restart that must not happen
             if self.agent.modules()[kind]["phase"] != "exited":
                 raise RuntimeError(f"{kind} came back by itself")
             self.agent.do(f"start_{kind}")
@@ -125,13 +126,13 @@ class Cell:
         self.swing()
 
     def swing(self) -> None:
-        """No restart, release or recovery starts motion; this does, where something has taken the
-        instruction.
+        """Give the instruction again when it was cleared: no restart, release or recovery starts
+        motion.
         """
         inference = self.agent.modules()["inference"]
         if inference["phase"] == "running" and not inference["instruction"]:
-            # A camera that has just come back has not reached the policy yet, which refuses
-            # instructions until then.
+            # The policy does not receive images of a restarted camera immediately, and refuses
+            # instructions until it does.
             until(
                 lambda: self.agent.modules()["inference"]["health"] != "failing",
                 20.0,
@@ -140,14 +141,14 @@ class Cell:
             self.agent.do("set_instruction", instruction="swing")
 
     def stopped(self) -> None:
-        """The emergency stop, and its reset."""
+        """Latch the emergency stop, wait until the arm stands, and reset the stop."""
         self.agent.do("emergency_stop", reason="soak")
         until(self.witness.stands, 2.0, "the arm stands")
         self.agent.do("reset_emergency_stop")
         self.swing()
 
     def faults(self) -> dict[str, Callable[[], None]]:
-        """What can be done to it."""
+        """All faults by name."""
         return {
             "backend raises": lambda: self.wrong_part("backend", "raise", 1.0),
             "backend hangs": lambda: self.wrong_part("backend", "hang", 1.0),
@@ -169,12 +170,12 @@ class Cell:
         }
 
     def is_well(self) -> bool:
-        """Everything works and the arm moves."""
+        """Whether all modules are healthy and the arm moves."""
         healthy = all(module["health"] == "ok" for module in self.agent.modules().values())
         return healthy and self.witness.moves()
 
     def switch(self) -> str:
-        """Change the backend, warm; returns what was measured."""
+        """Switch the backend warm; returns the measured gap and misses."""
         now = self.agent.modules()["inference"]["started_with"]["backend"]
         result = self.agent.do(
             "switch_inference", backend="steadier" if now == "steady" else "steady"
@@ -182,7 +183,7 @@ class Cell:
         return f"gap {(result.get('gap_s') or 0.0) * 1e3:.0f} ms, missed {result['missed']}"
 
     def sample(self) -> dict[tuple[str, str], float]:
-        """Quantities by process; of processes that have settled."""
+        """Quantities by process and name, of processes old enough."""
         found: dict[tuple[str, str], float] = {}
         processes = {"server": self.server}
         for kind, module in self.agent.modules().items():
@@ -213,8 +214,8 @@ def _size(path: Path) -> int | None:
 
 
 def _mapped(pid: int) -> set[str]:
-    """Names of the shared-memory files that a process maps; what one that was killed leaves behind
-    is among them.
+    """Names of the Fast DDS shared-memory files that a process maps. Files that a killed process
+    leaves behind were recorded while it ran.
     """
     names: set[str] = set()
     with contextlib.suppress(OSError):
@@ -228,8 +229,8 @@ def _mapped(pid: int) -> set[str]:
 def served_cell(
     folder: Path, rate_hz: float, size_px: tuple[int, int], policy: str = ""
 ) -> Iterator[Cell]:
-    """The faulty gantry, its server, agent and witness, the backends with options `policy`;
-    everything is ended.
+    """Start the faulty gantry, its server, agent and witness, with the backend options `policy`;
+    everything is ended at exit.
     """
     camera = f"width = {size_px[0]}\nheight = {size_px[1]}"
     ops = "[ops]\nunresponsive_s = 1.5\nrestart_limit = 100\n"

@@ -1,5 +1,5 @@
-"""A closed loop in this process's control plane around `switch_plugin`, and a witness of the action
-topic.
+"""A closed loop in this process's control plane with `switch_plugin`, and a recorder of its
+topics.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ tag = 2
 
 
 def quiet(_: str) -> None:
-    """Nobody wants to know how far a call has come."""
+    """Ignore progress messages."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sent:
-    """One action: when it was sent (DDS source time), for which image, by which backend, moving how
-    far along x.
+    """One action: when it was sent (DDS source time [ns]), for which image, by which backend, and
+    its motion along x [m].
 
-    `row` is its place in a chunk. Camera and chunk have one period, so that `slot` numbers the
+    `row` is its index in the chunk. Camera and chunk have the same period, so `slot` numbers the
     periods of both.
     """
 
@@ -78,7 +78,7 @@ class Sent:
 
 
 class Witness:
-    """Keeps every action and joint command of one loop."""
+    """Records every action and joint command of one loop."""
 
     def __init__(self, supervisor: Supervisor, namespace: str) -> None:
         from rclpy.qos import QoSProfile
@@ -132,7 +132,7 @@ class Witness:
         )
 
     def forget(self) -> None:
-        """Begin anew: actions and commands count from now on."""
+        """Discard the actions and commands recorded so far."""
         with self._lock:
             self._actions.clear()
             self._commands.clear()
@@ -152,8 +152,8 @@ class Witness:
         return actions
 
     def stood_s(self) -> float:
-        """For how long the first joint has stood, by what was measured; 0 while nothing is
-        measured.
+        """How long the first joint has stood still by its measured states [s]; 0 while none
+        arrives.
         """
         with self._lock:
             joints = list(self._joints)
@@ -178,10 +178,10 @@ class Witness:
 def moving_loop(
     scratch: Path, rate_hz: float, camera_options: str = "", backend_options: str = ""
 ) -> Iterator[tuple[Switching, Witness]]:
-    """A gantry that follows backend "first" at `rate_hz`; everything is stopped at the end.
+    """Run a gantry that follows backend "first" at `rate_hz`; everything is stopped at the end.
 
-    `camera_options` is TOML: more keys of the camera, and sections after it; `backend_options`:
-    keys of both backends.
+    `camera_options` is TOML: further keys of the camera, then further sections; `backend_options`
+    is TOML: keys of both backends.
     """
     with installed(scratch, "rn-switch", ("switch_plugin",)):
         text = CONFIG.format(rate_hz=rate_hz, camera_options=camera_options)

@@ -1,11 +1,11 @@
-"""The plugin that change-overs are judged with: cameras that number their images, and backends that
-name them.
+"""Plugin for judging change-overs: its cameras number their images, and its backends mark each
+action with the image and the backend.
 
-The first four bytes of an image hold its number. An action's `ry` carries it back in nano-radians,
-and its `rz` says in nano-radians which backend acted; the motion along x is a slow sine of the
-images' time, the same for each backend. A chunk of several rows goes on along the sine. Rows of two
-chunks may be cross-faded, but grippers are not: their value says for which image, as which row and
-by which backend an action was sent (`code_of`, `named_by`).
+The first four bytes of an image hold its number. An action's `ry` returns it in nanoradians, and
+its `rz` holds the backend's tag in nanoradians; the motion along x is a slow sine of the image's
+time, the same for each backend. The rows of a chunk follow the sine. Rows of two chunks may be
+cross-faded, but gripper values are not: they encode image, row and backend of an action (`code_of`,
+`named_by`).
 """
 
 from __future__ import annotations
@@ -51,20 +51,18 @@ _ROWS, _TAGS = 64, 8
 
 
 def code_of(image: int, row: int, tag: int) -> float:
-    """The gripper's value, just below 1, that says for which image, as which row and by which
-    backend.
-    """
+    """Gripper value, at most 1, that encodes image, row and backend tag."""
     return 1.0 - ((image * _ROWS + row) * _TAGS + tag) * NANO
 
 
 def named_by(gripper: float) -> tuple[int, int, int] | None:
-    """Image, row and backend of a gripper's value; None when it says nothing."""
+    """Image, row and backend tag encoded in a gripper value; None when it is 1."""
     code = round((1.0 - gripper) / NANO)
     return (code // _TAGS // _ROWS, code // _TAGS % _ROWS, code % _TAGS) if code else None
 
 
 def _read(path: str) -> str:
-    """What is wrong now; empty when nothing is."""
+    """The current fault; empty when there is none."""
     try:
         return Path(path).read_text(encoding="ascii") if path else ""
     except FileNotFoundError:
@@ -77,12 +75,11 @@ class CameraOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     rate_hz: float = Field(default=10.0, gt=0, description="images per second")
-    tag: int = Field(default=0, description="who delivered, in the images")
-    scale: int = Field(
-        default=1, ge=1, description="images are smaller than the camera by this factor"
-    )
+    tag: int = Field(default=0, description="number of the source, written into the images")
+    scale: int = Field(default=1, ge=1, description="divisor of the camera's image size")
     mode_file: Annotated[str, AgentMaySet()] = Field(
-        default="", description='a file that says what is wrong: "frozen", "black", "small"'
+        default="",
+        description='file that names the current fault: "frozen", "black", "small", "hang"',
     )
 
 
@@ -91,17 +88,17 @@ class BackendOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    tag: int = Field(default=1, description="who acted, in the actions")
+    tag: int = Field(default=1, description="number of the backend, written into the actions")
     offset_m: float = Field(default=0.0, description="added to the motion along x")
-    step_s: float = Field(default=0.01, gt=0, description="shortest time between two actions")
-    rows: int = Field(default=1, ge=1, le=_ROWS, description="actions of a chunk, one each step_s")
-    delay_s: float = Field(default=0.0, ge=0, description="time that a prediction takes")
+    step_s: float = Field(default=0.01, gt=0, description="period of the actions of a chunk")
+    rows: int = Field(default=1, ge=1, le=_ROWS, description="actions per chunk, one per step_s")
+    delay_s: float = Field(default=0.0, ge=0, description="duration of a prediction")
     hang_file: Annotated[str, AgentMaySet()] = Field(
-        default="", description="a prediction lasts for as long as this file exists"
+        default="", description="a prediction waits for as long as this file exists"
     )
     mode_file: Annotated[str, AgentMaySet()] = Field(
         default="",
-        description='a file that says what is wrong: "raise", "hang", or how long to wait [ms]',
+        description='file that names the current fault: "raise", "hang", or a delay [ms]',
     )
     fail_file: Annotated[str, AgentMaySet()] = Field(
         default="", description="a prediction fails while this file exists"
@@ -109,7 +106,9 @@ class BackendOptions(BaseModel):
 
 
 class NumberingCamera:
-    """Follows the protocol `PerceptionSource`; exactly on time, whatever the readers do."""
+    """Implements the protocol `PerceptionSource`; keeps its period exactly, whatever the readers
+    do.
+    """
 
     def __init__(
         self, config: CameraOptions | None, topics: Topics, cameras: tuple[CameraProfile, ...]
@@ -121,7 +120,7 @@ class NumberingCamera:
         self._number = 0
 
     def open(self) -> None:
-        """The first image is due now."""
+        """Start the image clock."""
         self._start_s = time.monotonic()
 
     def read(self, timeout_s: float) -> Frame:
@@ -160,7 +159,7 @@ class NumberingCamera:
 
 
 class NamingBackend:
-    """Follows the protocol `Backend`."""
+    """Implements the protocol `Backend`."""
 
     def __init__(
         self, config: BackendOptions | None, runtime: Any = None, acceleration: Any = None
@@ -171,7 +170,9 @@ class NamingBackend:
         """Nothing to load."""
 
     def predict(self, observation: Observation) -> ActionChunk:
-        """Points of the sine from the image's time on, with the image's number."""
+        """Points of the sine from the image's time on, marked with the image's number and the
+        tag.
+        """
         import numpy as np
 
         from roboneuron.contract import ActionChunk
@@ -212,20 +213,18 @@ class ControllerOptions(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    tool_m: float = Field(
-        default=0.0, description="its TCP lies this far along z from the gantry's"
-    )
+    tool_m: float = Field(default=0.0, description="offset of its TCP along z from the gantry's")
     offset: float = Field(
         default=0.0, description="added to the commanded position of the first joint"
     )
     mode_file: Annotated[str, AgentMaySet()] = Field(
-        default="", description='a file that says what is wrong: "hold", "raise", "hang"'
+        default="", description='file that names the current fault: "hold", "raise", "hang"'
     )
 
 
 class FaultyController:
-    """Follows the protocol `Controller`: the gantry's, and what its options say is wrong with
-    it.
+    """Implements the protocol `Controller`: the gantry's controller with the faults of its
+    options.
     """
 
     def __init__(self, config: ControllerOptions | None, profile: RobotProfile) -> None:
@@ -235,11 +234,11 @@ class FaultyController:
         self._inner = GantryController(None, profile)
 
     def load(self) -> None:
-        """Nothing to load."""
+        """Load the gantry's controller."""
         self._inner.load()
 
     def forward(self, joints: JointSample) -> Pose:
-        """The gantry's pose, moved by `tool_m`."""
+        """The gantry's TCP pose, moved along z by `tool_m`."""
         from dataclasses import replace
 
         pose = self._inner.forward(joints)
@@ -248,7 +247,7 @@ class FaultyController:
         return replace(pose, position_m=position_m)
 
     def compute(self, action: Action, joints: JointSample, step_s: float) -> JointCommand | Hold:
-        """The gantry's command, moved by `offset`."""
+        """The gantry's command, with `offset` added to the first joint."""
         from dataclasses import replace
 
         from roboneuron.contract import Hold
@@ -267,13 +266,13 @@ class FaultyController:
         return replace(command, position=position)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Close the gantry's controller."""
         self._inner.close()
 
 
 @hookimpl
 def roboneuron_backends() -> Sequence[BackendSpec]:
-    """One policy under several names."""
+    """One policy under two names."""
     space = ActionSpace(step_s=0.01)
     return [
         BackendSpec(
@@ -303,7 +302,7 @@ def roboneuron_perceptions() -> Sequence[PerceptionSpec]:
 
 @hookimpl
 def roboneuron_controllers() -> Sequence[ControllerSpec]:
-    """The fake gantry's, and one with faults."""
+    """The fake gantry's controller, and one with faults."""
     from rn_testing.fakes.controller import FAKE_CONTROLLER
 
     faulty = ControllerSpec(

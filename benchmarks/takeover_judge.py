@@ -1,5 +1,5 @@
-"""A node that looks at an arm that is led, and judges what it has seen; it knows nothing of the
-page.
+"""A ROS 2 node that observes an arm under teleoperation, and the checks of what it recorded;
+independent of the page.
 """
 
 from __future__ import annotations
@@ -19,36 +19,41 @@ from roboneuron import JointLimits
 
 F64 = NDArray[np.float64]
 SPACING_S = 0.02
-"""Stamps that are nearer to one another make large differences of small errors."""
+"""Minimum spacing of joint states that are differenced: closer stamps turn small errors into large
+differences.
+"""
 WINDOW_S = 0.4
-"""About a hand-over, and of the policy alone that it is compared with."""
+"""Length of a span around a hand-over, and of the spans under the policy alone that it is compared
+with [s].
+"""
 STILL_RAD_S = 0.01
 TICK_S = 0.005
 JOINTS_S = 0.02
-"""Between two measurements of joints, at most."""
+"""Longest period of measured joint states [s]."""
 HELD_UP_S = 0.03
-"""A machine that wakes a process so late judges itself: its trials are counted apart."""
+"""A delay of the machine above this falsifies the trial: such trials are counted separately [s]."""
 REST_S = 0.2
 WAYS = ("closed", "silent", "killed", "released")
-"""How a page is lost."""
+"""How the page is lost."""
 ROUNDING, MEASURED = 1.02, 1.5
-"""Shares of limits. An arm whose commands keep its acceleration is measured at up to 1.4 of it
-under the undisturbed policy: differences of velocities whose stamps are late by milliseconds.
+"""Allowed multiples of the limits. An arm whose commands keep its acceleration limit is measured at
+up to 1.4 of it under the undisturbed policy, because stamps that are milliseconds late distort
+differences of velocities.
 """
 BORDER_S = 0.05
-"""Longest time from an action's being sent until control says that it acts."""
+"""Longest time from sending an action until control reports that it acts [s]."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Motion:
-    """Largest values of all joints in a span.
+    """Largest values over all joints in a span.
 
     Attributes:
         step_rad_s: change of velocity within 20 ms.
         acceleration: as a share of the joint's limit.
-        jerk_rad_s3: of measured velocities, twice differenced over 20 ms.
+        jerk_rad_s3: jerk: measured velocities differenced twice over 20 ms.
         velocity: as a share of the joint's limit.
-        outside_rad: how far beyond a position limit.
+        outside_rad: distance beyond a position limit.
     """
 
     step_rad_s: float
@@ -59,7 +64,9 @@ class Motion:
 
 
 class Onlooker:
-    """What was published; times are ns since 1970. Lists are read from any thread."""
+    """Records joint states, acting reports and actions; times are ns since 1970. Its lists may be
+    read from any thread.
+    """
 
     def __init__(self, robot: str, limits: JointLimits, stack: ExitStack) -> None:
         self._limits = limits
@@ -73,13 +80,13 @@ class Onlooker:
         threading.Thread(target=self._tick, args=(ended,), daemon=True).start()
 
     def moves(self, since_ns: int) -> bool:
-        """Whether a joint has moved since then."""
+        """Whether a joint has moved since `since_ns`."""
         return any(
             np.abs(v).max() > STILL_RAD_S for at, _, v in self.joints[-400:] if at > since_ns
         )
 
     def motion(self, begin_ns: int, end_ns: int) -> Motion | None:
-        """Largest values within a span; None for one that is too short or was not seen."""
+        """Largest values within a span; None when it has too few joint states."""
         rows = self.joints[self._first(begin_ns) :]
         apart: list[tuple[int, F64, F64]] = []
         for row in rows:
@@ -105,14 +112,14 @@ class Onlooker:
         )
 
     def windows(self, begin_ns: int, end_ns: int) -> list[Motion]:
-        """Each window of a span, one after another."""
+        """Motion in each consecutive window of a span."""
         length_ns = round(WINDOW_S * 1e9)
         starts = range(begin_ns, end_ns - length_ns, length_ns)
         found = [self.motion(start, start + length_ns) for start in starts]
         return [motion for motion in found if motion is not None]
 
     def rest_s(self, since_ns: int, until_ns: int) -> float:
-        """From `since_ns` to the last time at which a joint moved before `until_ns` [s]."""
+        """Time from `since_ns` to the last motion of a joint before `until_ns` [s]."""
         rows = self.joints[self._first(since_ns) :]
         moving = [
             at for at, _, v in rows if at <= until_ns and float(np.abs(v).max()) > STILL_RAD_S
@@ -120,12 +127,12 @@ class Onlooker:
         return (moving[-1] - since_ns) / 1e9 if moving else 0.0
 
     def who(self, begin_ns: int, end_ns: int) -> set[str]:
-        """Who has acted within a span."""
+        """Who acted within a span."""
         return {row.who for at, row in list(self.acting) if begin_ns <= at <= end_ns}
 
     def held_up_s(self, begin_ns: int, end_ns: int) -> float:
-        """How late this process was woken at worst within a span, or the robot's measurements were
-        [s]: what the machine does to everybody.
+        """Longest delay within a span of this process's timer or of the robot's measurements [s]:
+        delays by the machine, which affect all processes.
         """
         late = [late_s for at, late_s in list(self.late) if begin_ns <= at <= end_ns]
         stamps = [row[0] for row in self.joints[self._first(begin_ns) :] if row[0] <= end_ns]
@@ -133,9 +140,9 @@ class Onlooker:
         return max([0.0, *late, *gaps])
 
     def went_on_s(self, back_ns: int) -> tuple[float, float] | None:
-        """After a hand-back: until control executes an action of the policy, and how long before
-        that it was sent [s]. None while it has not. An action that was sent before the release does
-        not count: control says "policy" once at the release itself.
+        """Time from the hand-back until control executes an action of the policy, and the age of
+        that action then [s]; None while there is none. An action sent before the release does not
+        count: control reports "policy" once at the release itself.
         """
         told = [at for at, row in list(self.acting) if at > back_ns and row.who == "policy"]
         for at in told[1:]:
@@ -201,8 +208,8 @@ class Onlooker:
 
 
 def faults_of(row: dict[str, Any]) -> list[str]:
-    """What a trial has done that it must not. How soon and how smoothly is judged on a machine that
-    is not held up only.
+    """Faults of one trial. Times and smoothness are judged only in trials that the machine did not
+    delay.
     """
     whole, found = row["all"], list[str]()
     is_timed = row["held_up_s"] <= HELD_UP_S
@@ -245,7 +252,7 @@ def spread(values: list[float], digits: int = 2) -> str:
 
 
 def report(rows: list[dict[str, Any]]) -> bool:
-    """Print what the ledger says; whether every trial was as it has to be."""
+    """Print the results in the ledger; returns whether no trial had a fault."""
     good = True
     for part in ("takeovers", "lost"):
         mine = [row for row in rows if row["part"] == part]
@@ -269,7 +276,7 @@ def report(rows: list[dict[str, Any]]) -> bool:
 
 
 def tell_motions(rows: list[dict[str, Any]]) -> None:
-    """Print motions at hand-overs beside those of the policy alone."""
+    """Print the motions at hand-overs beside those under the policy alone."""
     for name in ("step_rad_s", "acceleration", "jerk_rad_s3"):
         alone = [window[name] for row in rows for window in row["alone"]]
         print(f"  {name}, the policy alone ({len(alone)} windows): {spread(alone)}")

@@ -1,10 +1,10 @@
-"""A page with a scripted person, in a process of its own so that it can be stopped or killed:
-requests as lines of JSON on its input, answers on its output.
+"""A page with a scripted operator, in its own process so that it can be stopped or killed. It reads
+requests as lines of JSON from its stdin and writes answers to its stdout.
 
     python benchmarks/takeover_page.py URL FILE [--browser CHROMIUM]
 
-FILE gets the time of the newest sample [ns since 1970, int64]. With a browser the person holds
-Space and keys; without one the samples are sent to the page's websocket as the page sends them.
+It writes the time of the newest sample to FILE [ns since 1970, int64]. With a browser the operator
+holds Space and keys; without one the samples are sent to the websocket as the page would send them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ KEYS = (("KeyW", "KeyS"), ("KeyA", "KeyD"), ("KeyR", "KeyF"))
 
 
 class PageProcess:
-    """The other process, as the benchmark sees it."""
+    """Handle of the page's process in the benchmark."""
 
     def __init__(self, url: str, folder: Path, browser: str = "") -> None:
         self._stamp = folder / f"sample-{time.monotonic_ns()}"
@@ -53,14 +53,16 @@ class PageProcess:
             self._is_ready = True
 
     def do(self, what: str, **facts: Any) -> dict[str, Any]:
-        """Ask and wait for the answer. Raises RuntimeError when the process has ended."""
+        """Send a request and wait for the answer. Raises RuntimeError when the process has
+        ended.
+        """
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"do": what, **facts}) + "\n")
         self.process.stdin.flush()
         return self.answer()
 
     def answer(self) -> dict[str, Any]:
-        """The next answer."""
+        """The next answer; RuntimeError when none comes within ANSWER_S."""
         try:
             answer = self._answers.get(timeout=ANSWER_S)
         except queue.Empty:
@@ -70,11 +72,11 @@ class PageProcess:
         return answer
 
     def sampled_ns(self) -> int:
-        """When the newest sample was sent."""
+        """Time at which the newest sample was sent [ns since 1970]."""
         return int.from_bytes(self._stamp.read_bytes(), "little")
 
     def end(self) -> None:
-        """Kill it; idempotent."""
+        """Kill the process; idempotent."""
         self.process.kill()
         self.process.wait(timeout=10.0)
         self._stamp.unlink(missing_ok=True)
@@ -87,7 +89,7 @@ class PageProcess:
 
 
 class SocketPerson:
-    """Sends samples at 50 Hz, as the page's script does while it leads."""
+    """Sends samples at 50 Hz, as the page's script does during teleoperation."""
 
     def __init__(self, url: str, sampled: Callable[[], object]) -> None:
         from lead_client import LeadPage
@@ -100,21 +102,21 @@ class SocketPerson:
         threading.Thread(target=self._send, daemon=True).start()
 
     def lead(self, mode: str, scale: float) -> str:
-        """Ask for the arm; why it is refused."""
+        """Request the arm; returns the reason of a refusal, or ""."""
         return self._page.lead(mode, scale)
 
     def drive(self, twist: list[float], held: bool) -> None:
-        """What the stick says from now on; the first sample is sent at once."""
+        """Set the twist and the dead-man switch from now on; the first sample is sent at once."""
         with self._sending:
             self._wish = twist, held
             self._one()
 
     def back(self) -> str:
-        """Hand back; why that is refused."""
+        """Hand back; returns the reason of a refusal, or ""."""
         return self._page.ask({"back": 1})
 
     def close(self) -> None:
-        """Close the websocket of the lead."""
+        """Close the page's websocket."""
         self._stopped.set()
         with self._sending:
             self._page.socket.close()
@@ -164,7 +166,7 @@ class BrowserPerson:
         return str(page.locator("#rn-lead-state").inner_text())
 
     def drive(self, twist: list[float], held: bool) -> None:
-        """See SocketPerson; the keys know only whether, not how far."""
+        """See SocketPerson; keys give only the direction, not the magnitude."""
         wanted = {"Space"} if held else set()
         for value, (more, less) in zip(twist[:3], KEYS, strict=True):
             if value:

@@ -1,8 +1,8 @@
-"""Clicks on the emergency stop of a page in a browser while a served, simulated FR3 moves, judged
-at its joints.
+"""Click the emergency stop of a page in a browser while a served, simulated FR3 moves, and measure
+the stop at its joints.
 
-Server, robot, browser and this witness are processes of their own, as on a robot; all clocks are
-this machine's.
+Server, robot, browser and this observer are separate processes, as on a robot; all use this
+machine's clock.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ enabled = true
 port = 0
 """
 JOINT, PLACES_RAD, MOTION_S = "fr3_joint7", (-2.0, 2.2), 5.0
-"""A long turn of the wrist, which leaves the workspace nowhere."""
+"""A long turn of the wrist that stays inside the workspace."""
 FAST_RAD_S, STILL_RAD_S, STILL_S = 0.25, 0.02, 0.3
 MOST_S = 60.0
 PAGE_MS = 180_000
@@ -45,13 +45,13 @@ NOTE_CLICKS = "() => addEventListener('click', () => { window.clicked = Date.now
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Stop:
-    """One click.
+    """One click and the stop that it caused.
 
     Attributes:
-        speed_rad_s: of the fastest joint when it was clicked.
-        file_ms: from the click to the latch's file.
-        rest_ms: from the click to the first of the states that all say that no joint moves.
-        way_rad: of the joint, from the click on.
+        speed_rad_s: speed of the fastest joint at the click.
+        file_ms: time from the click to the latch file.
+        rest_ms: time from the click to the first joint state from which on no joint moves.
+        way_rad: distance that JOINT moved after the click.
     """
 
     speed_rad_s: float
@@ -61,12 +61,12 @@ class Stop:
 
 
 class Cell:
-    """The served arm; times are of the wall clock [s]."""
+    """The served arm; times are wall-clock times [s]."""
 
     def __init__(self, portal: Any, client: Any, state: Path, url: str) -> None:
         from sensor_msgs.msg import JointState
 
-        from roboneuron.ros.link import RosLink  # the environment is prepared by now
+        from roboneuron.ros.link import RosLink  # imported when the environment is prepared
         from roboneuron.ros.qos import NEWEST
 
         self._portal, self._client, self._state = portal, client, state
@@ -88,7 +88,7 @@ class Cell:
             raise SystemExit(f"{tool} failed: {answer.content}")
 
     def begin_motion(self) -> None:
-        """Turn the wrist to the place that is farther away, and return when it is fast."""
+        """Turn the wrist to the farther place, and return once it is fast."""
         place = max(PLACES_RAD, key=lambda place: abs(place - self.states[-1][2]))
         arguments = {"positions": {JOINT: place}, "duration_s": MOTION_S}
         answer = self._portal.start_task_soon(self._client.call_tool, "move_joints", arguments)
@@ -99,7 +99,7 @@ class Cell:
             raise SystemExit(f"move_joints ended before it was fast: {answer.result(1.0).content}")
 
     def judge(self, clicked_s: float) -> Stop:
-        """What happened after a click; waits until the joints are at rest."""
+        """Measure the stop after a click; waits until the joints are at rest."""
         latch = self._state / ESTOP_FILE
         self.wait_until(latch.exists, "the stop was not latched")
         self.wait_until(lambda: self._rest_s(clicked_s) is not None, "the arm does not stop")
@@ -114,7 +114,7 @@ class Cell:
         )
 
     def release(self) -> None:
-        """What a person does: say yes in a terminal."""
+        """Reset the stop as a person does, with a "y" in a terminal."""
         person, terminal = pty.openpty()
         try:
             os.write(person, b"y\n")
@@ -133,14 +133,14 @@ class Cell:
             os.close(terminal)
 
     def _rest_s(self, since_s: float) -> float | None:
-        """When the joints came to rest; None as long as that is not sure."""
+        """Time at which the joints came to rest; None until they have rested for STILL_S."""
         rest_s = None
         for at_s, speed, _ in [state for state in self.states if state[0] > since_s]:
             rest_s = None if speed >= STILL_RAD_S else rest_s or at_s
         return rest_s if rest_s is not None and self.states[-1][0] - rest_s > STILL_S else None
 
     def wait_until(self, is_so: Callable[[], bool], failure: str) -> None:
-        """Wait for a condition; what never comes ends the benchmark."""
+        """Wait for a condition; ends the benchmark when it does not come true."""
         deadline_s = time.monotonic() + MOST_S
         while not is_so():
             if time.monotonic() > deadline_s:
@@ -150,7 +150,7 @@ class Cell:
 
 @contextmanager
 def served_cell(folder: Path) -> Iterator[Cell]:
-    """A server with the view and the simulated FR3, which runs."""
+    """Start a server with the live view and the simulated FR3."""
     state, config, log = folder / "state", folder / "roboneuron.toml", folder / "server.log"
     config.write_text(CONFIG.format(state=state))
     with ExitStack() as stack:
@@ -169,7 +169,7 @@ def served_cell(folder: Path) -> Iterator[Cell]:
 
 
 def measure_stops(browser: Any, folder: Path, clicks: int) -> list[Stop]:
-    """Click so many times while the arm moves."""
+    """Click `clicks` times, each while the arm moves."""
     stops = []
     with served_cell(folder) as cell:
         page = browser.new_page(viewport={"width": 700, "height": 500})

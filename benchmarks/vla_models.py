@@ -1,4 +1,4 @@
-"""The models of bench_vla.py: shapes of OpenVLA and OFT, random weights, a request."""
+"""The models of bench_vla.py: shapes of OpenVLA and OFT with random weights, and a request."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SMALL = replace(FULL, hidden=384, intermediate=1032, layers=8, heads=6, key_valu
 
 
 def shrink(tower: TowerShape) -> TowerShape:
-    """A tower of an eighth of the width and a quarter of the depth."""
+    """A tower with an eighth of the width and a quarter of the depth."""
     return replace(
         tower,
         width=tower.width // 8,
@@ -47,7 +47,7 @@ def shrink(tower: TowerShape) -> TowerShape:
 
 
 def make_checkpoint(size: str, path: Path) -> OpenvlaCheckpoint:
-    """Shapes alone; the weights are made on the device."""
+    """A checkpoint with shapes only; the weights are made on the device."""
     towers = BACKBONES["dinosiglip-vit-so-224px"]
     decoder = FULL if size == "full" else SMALL
     return OpenvlaCheckpoint(
@@ -68,7 +68,7 @@ def make_checkpoint(size: str, path: Path) -> OpenvlaCheckpoint:
 
 @contextmanager
 def random_weights(seed: int = 0) -> Iterator[None]:
-    """Engines built inside fill their parameters at random instead of reading files."""
+    """Let engines built inside fill their parameters at random instead of reading files."""
 
     def fill(shards: object, slots: dict[str, Tensor]) -> None:
         for index, slot in enumerate(slots.values()):

@@ -1,4 +1,4 @@
-"""What a device can do at best, measured, and the bound of a request by that."""
+"""Measured peak speed of a device, and the lower bound of a request's time that follows from it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PRUNED_AFTER = 2
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Speed:
-    """What the device was seen to do: bytes and FLOP per second."""
+    """Measured speed of the device: bandwidth [byte/s] and throughput [FLOP/s]."""
 
     bandwidth: float
     throughput: float
@@ -24,13 +24,13 @@ class Speed:
     def bound_s(
         self, parameters: float, tokens: float, attention_flop: float, itemsize: int
     ) -> float:
-        """Shortest time for `tokens` rows through `parameters` weights."""
+        """Shortest time for `tokens` rows through `parameters` weights [s]."""
         flop = 2 * parameters * tokens + attention_flop
         return max(parameters * itemsize / self.bandwidth, flop / self.throughput)
 
 
 def now_s() -> float:
-    """Processor time when one CPU thread computes, else wall time."""
+    """CPU time when a single CPU thread computes, else wall time [s]."""
     return (
         time.perf_counter()
         if torch.cuda.is_available() or torch.get_num_threads() > 1
@@ -39,7 +39,9 @@ def now_s() -> float:
 
 
 def measure_speed(device: torch.device, dtype: torch.dtype) -> Speed:
-    """Best of ten: a matrix-vector product of 256 MB or more, a square product."""
+    """Best of ten runs: a matrix-vector product of 256 MB or more for the bandwidth, a square
+    matrix product for the throughput.
+    """
     side, square = (16384, 8192) if device.type == "cuda" else (8192, 1536)
     wide, vector = (
         torch.randn(side, side, device=device).to(dtype),
@@ -64,7 +66,7 @@ def measure_speed(device: torch.device, dtype: torch.dtype) -> Speed:
 
 
 def synchronize(device: torch.device) -> None:
-    """Wait for the device."""
+    """Wait until the device has finished its work."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
 
@@ -72,7 +74,7 @@ def synchronize(device: torch.device) -> None:
 def roofline_ms(
     model: PolicyModel, vision: VisionShape, request: Request, share: float, speed: Speed, item: int
 ) -> float:
-    """Bound for one request; see the module."""
+    """Lower bound of the time of one request [ms]: the sum of the bounds of its parts."""
     decoder = model.decoder
     images = model.visual_tokens // vision.towers[0].patches
     total = 0.0

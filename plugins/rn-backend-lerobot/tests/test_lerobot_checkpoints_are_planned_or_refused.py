@@ -127,7 +127,7 @@ REFUSED: list[tuple[str, dict[str, Callable[[dict[str, Any]], None]], str]] = [
     (
         "act",
         {"config": lambda c: c.update(use_relative_actions=True, n_obs_steps=2)},
-        "relative actions of a policy that is asked row by row",
+        "relative actions of a policy that is queried row by row",
     ),
     (
         "act",

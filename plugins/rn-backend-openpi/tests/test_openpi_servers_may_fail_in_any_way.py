@@ -245,8 +245,8 @@ def test_a_traceback_frame_is_shown_by_its_last_line(
 @pytest.mark.parametrize(
     ("reply", "word"),
     [
-        (b"\xc1\xc1", "else than openpi's format"),
-        (b"\x81", "else than openpi's format"),
+        (b"\xc1\xc1", "data that is not in openpi's format"),
+        (b"\x81", "data that is not in openpi's format"),
         ([1, 2], "expected a map"),
         ({"action": np.zeros((1, 7))}, "no array 'actions'"),
         ({"actions": [[0.0] * 7]}, "no array 'actions'"),

@@ -84,10 +84,10 @@ def test_a_token_is_not_sent_in_clear(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="Others may read"):
         place_of(SharedOptions.model_validate(options))
     token.chmod(0o600)
-    with pytest.raises(ConfigurationError, match="not sent in clear"):
+    with pytest.raises(ConfigurationError, match="not sent unencrypted"):
         place_of(SharedOptions.model_validate(options))
     listen = {"host": "0.0.0.0", "keys": "token", "token_file": str(token)}
-    with pytest.raises(ConfigurationError, match="in clear"):
+    with pytest.raises(ConfigurationError, match="unencrypted"):
         Guard(ListenOptions.model_validate(listen))
     token.write_text("short")
     with pytest.raises(ConfigurationError, match="5 characters"):

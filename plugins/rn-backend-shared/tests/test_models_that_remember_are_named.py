@@ -49,7 +49,7 @@ def test_a_model_that_refuses_what_it_has_seen_is_said_to_remember(place: int, c
     far = Far(*[None] * place, UngroundedError("The image has not changed."))
     with pytest.raises(ConfigurationError) as caught:
         coder(coding).ask(SEEN, far.ask, float("inf"))
-    assert "remembers what it has seen" in caught.value.message
+    assert "keeps a history of observations" in caught.value.message
     assert "The image has not changed." in caught.value.message
     for word in ("stateless = true", "coding = 'raw'"):
         assert word in caught.value.hint
@@ -85,5 +85,5 @@ def test_the_visual_servoing_is_one_of_them() -> None:
         chunk = servo.predict(to_observation(document))
         return replace(chunk, metrics={"shared.link_ms": 1.0})
 
-    with pytest.raises(ConfigurationError, match="remembers what it has seen"):
+    with pytest.raises(ConfigurationError, match="keeps a history of observations"):
         coder().ask(case.observe(), ask, float("inf"))

@@ -195,7 +195,7 @@ def test_a_line_that_was_cut_short_has_not_happened(tmp_path: Path) -> None:
 
 def test_no_round_is_judged_by_scenes_that_were_trained_on() -> None:
     assert evaluation_seed(2) >= evaluation_seed(1) + RoundPlan.model_fields["seeds"].metadata[1].le
-    with pytest.raises(ConfigurationError, match="no scenes that were not seen"):
+    with pytest.raises(ConfigurationError, match="no unseen scenes"):
         evaluation_seed(900)
 
 

@@ -123,7 +123,7 @@ def test_a_data_set_without_corrections_is_refused(
     dataset: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(corrections, "_episodes", lambda path: iter(()))
-    with pytest.raises(InvalidInputError, match="no row in which a person corrected"):
+    with pytest.raises(InvalidInputError, match="no row from which a person corrected"):
         take_corrections(tmp_path, dataset)
 
 
