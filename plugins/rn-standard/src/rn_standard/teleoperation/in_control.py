@@ -78,6 +78,11 @@ class LeadInControl:
         control.on_limited.append(self._note_limited)
         control.deliver = self._deliver
 
+    def _forget(self) -> None:
+        """Forget the command before, ahead of another row or action."""
+        self._limited = None
+        self._executed.begin()
+
     def _note_limited(self, limited: LimitedCommand) -> None:
         self._limited = limited
         command = limited.command
@@ -93,8 +98,7 @@ class LeadInControl:
                 self._control.status.drop(reason)
             return
         row = self._authority.row
-        self._limited = None
-        self._executed.begin()
+        self._forget()
         if row is None:
             self._control.act(source_ns, read)
         else:
@@ -118,8 +122,7 @@ class LeadInControl:
         if self._is_ending:
             control.status.drop("lead_ended")
             return
-        self._limited = None
-        self._executed.begin()
+        self._forget()
         if row.mode in ("back", "lost"):
             self._end(row, source_ns)
             return
@@ -187,8 +190,7 @@ class LeadInControl:
 
     def _brake(self) -> bool:
         """See `Braking`."""
-        self._limited = None
-        self._executed.begin()
+        self._forget()
         self._control.act(time.time_ns(), lambda: Asked(now=partial(self._answer, _STILL)))
         command, measured = self._executed.command, self._control.watched.joints
         if self._limited is None or command is None or measured is None:
