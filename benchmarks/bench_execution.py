@@ -1,8 +1,8 @@
 """Chunks executed in real time: the fraction of its rate that a policy with late answers keeps, for
 each mode.
 
-    python benchmarks/bench_execution.py [--seconds 12] python benchmarks/bench_execution.py
-    --virtual [--seeds 3] [--duration 45]
+    python benchmarks/bench_execution.py [--seconds 12]
+    python benchmarks/bench_execution.py --virtual [--seeds 3] [--duration 45]
 
 The policy follows a target that circles in either direction, so that two chunks disagree; rows are
 50 ms long.

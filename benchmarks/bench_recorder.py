@@ -6,8 +6,8 @@ action, and the source measures the time from an image's stamp to its action. In
 recorder (JPEG) runs too. At the end the files are read to find published messages that are missing
 in them.
 
-    python benchmarks/bench_recorder.py                   # 2 minutes python
-    benchmarks/bench_recorder.py --minutes 10      # the figure that is asked for
+    python benchmarks/bench_recorder.py                   # 2 minutes
+    python benchmarks/bench_recorder.py --minutes 10      # the figure in benchmarks.md
 """
 
 from __future__ import annotations

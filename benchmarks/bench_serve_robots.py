@@ -1,7 +1,7 @@
 """Sixteen robots on one policy server, one of them greedy: the share of each.
 
-    python benchmarks/bench_serve_robots.py [--demand 0.4] [--seconds 20] [--replicas 1] python
-    benchmarks/bench_serve_robots.py --demand 1.8 --connections 50
+    python benchmarks/bench_serve_robots.py [--demand 0.4] [--seconds 20] [--replicas 1]
+    python benchmarks/bench_serve_robots.py --demand 1.8 --connections 50
 
 The model is small (one layer over mean colours) and takes at least 25 ms, like one on a GPU,
 independent of the CPU load. It answers one by one, behind `roboneuron serve-policy` over TLS 1.3

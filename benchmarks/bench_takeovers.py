@@ -1,15 +1,15 @@
 """A scripted person takes over a running policy at random times, or disconnects during a motion.
 
-    python benchmarks/bench_takeovers.py takeovers --trials 200 [--minutes 4] [--browser 10] python
-    benchmarks/bench_takeovers.py lost --trials 100 [--minutes 4] python
-    benchmarks/bench_takeovers.py report
+    python benchmarks/bench_takeovers.py takeovers --trials 200 [--minutes 4] [--browser 10]
+    python benchmarks/bench_takeovers.py lost --trials 100 [--minutes 4]
+    python benchmarks/bench_takeovers.py report
 
 A server whose simulated FR3 follows the servo policy; the person uses the page's websocket (or, in
 the first --browser trials, its keys in a headless Chromium), in a separate process. Every fourth
 trial gives a new instruction. Each waits for a random time, takes over (a third blended), drives,
 and hands back, half of the time while the arm moves; or the page is closed, stops sending with its
 connection open (SIGSTOP), is killed, or its switch is released. A separate node evaluates: see
-takeover_judge.py. A hand-over is compared with the undisturbed policy of the same trial. The ledger
+takeover_judge.py, and command_judge.py for the commands. A hand-over is compared with the undisturbed policy of the same trial. The ledger
 --out is continued; a trial's seed determines the person's actions.
 """
 
@@ -34,6 +34,8 @@ from typing import Any
 from anyio.from_thread import start_blocking_portal
 
 sys.path.insert(0, str(Path(__file__).parent))
+from command_judge import in_order, judged, largest, noted
+from plugin_site import installed
 from takeover_judge import REST_S, WAYS, WINDOW_S, Onlooker, faults_of, report
 from takeover_page import PageProcess
 
@@ -63,6 +65,8 @@ state_directory = "{state}"
 seed = {seed}
 """
 COLOURS = ("red", "green", "blue")
+NOTES = "limited.jsonl"
+"""See takeover_plugin.py."""
 EACH = 20
 """Trials with one server; a seed determines the cubes' positions."""
 PER_EPISODE = 4
@@ -88,6 +92,7 @@ class Cell:
         self.url = re.findall(pattern, log.read_text())[0]
         limits = fr3_profile().limits
         assert limits is not None
+        self._limits, self._notes = limits, folder / "state" / NOTES
         self.seen = Onlooker("fr3", limits, stack)
 
     def do(self, tool: str, **arguments: Any) -> dict[str, Any]:
@@ -96,6 +101,17 @@ class Cell:
         if answer.is_error:
             raise RuntimeError(str(answer.content))
         return dict(answer.structured_content or {})
+
+    def sent(self, since_ns: int, spans: dict[str, tuple[int, int]]) -> dict[str, Any]:
+        """What control has commanded within spans of a trial that began at `since_ns`."""
+        messages = [one for one in list(self.seen.commands) if one.at_ns >= since_ns]
+        # a note is a little earlier than its message
+        notes = noted(self._notes, since_ns - 1_000_000_000)
+        commands, unknown = in_order(notes, messages)
+        found = judged(commands, self._limits)
+        values = {name: largest(found, *span) for name, span in spans.items()}
+        told = {name: None if one is None else asdict(one) for name, one in values.items()}
+        return {"sent": told, "unknown": unknown}
 
     def needs_start(self) -> str:
         """Reason why control prevents motion; empty for none."""
@@ -167,7 +183,8 @@ def take_over(
         "all": (led["begun_ns"], end_ns),
     }
     motions = {name: seen.motion(*span) for name, span in spans.items()}
-    # the release itself comes up to a period before the page gets its answer
+    sent = cell.sent(begun_ns, {"alone": (begun_ns, led["begun_ns"]), **spans})
+    # the release itself comes up to a period before the page is answered
     inside = seen.who(led["done_ns"] + 100_000_000, asked_ns)
     return {
         "mode": mode,
@@ -177,6 +194,7 @@ def take_over(
         "went_on": went_on,
         "held_up_s": seen.held_up_s(*spans["all"]),
         "alone": [asdict(motion) for motion in alone],
+        **sent,
         **{name: None if one is None else asdict(one) for name, one in motions.items()},
     }
 
@@ -187,6 +205,7 @@ def lose(
     """Lose the page during a motion; returns the row of the ledger. `spare` opens the next page,
     once the arm should be at rest.
     """
+    begun_ns = time.time_ns()
     cell.follow_policy(draw, is_new=True)
     for _ in range(4):
         if text := page.do("lead", mode="person", scale=1.0)["text"]:
@@ -216,6 +235,7 @@ def lose(
     end_ns = time.time_ns()
     rest_s = cell.seen.rest_s(lost_ns, end_ns)
     motion = cell.seen.motion(lost_ns, end_ns)
+    sent = cell.sent(begun_ns, {"all": (begun_ns, end_ns)})
     told = "" if way == "released" else cell.needs_start()
     goes_on = False
     if way == "released":
@@ -228,6 +248,7 @@ def lose(
         "rest_s": rest_s,
         "held_up_s": cell.seen.held_up_s(lost_ns, lost_ns + round(2.0 * REST_S * 1e9)),
         "needs_start": told,
+        **sent,
         "goes_on": goes_on,
         "all": None if motion is None else asdict(motion),
     }
@@ -304,8 +325,9 @@ def main() -> int:
     if arguments.out.exists():
         rows = [json.loads(line) for line in arguments.out.read_text().splitlines()]
     end_s = time.monotonic() + 60.0 * arguments.minutes
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         prepare_environment(Path(name) / "log")
+        stack.enter_context(installed(Path(name), "takeover-notes", ("takeover_plugin",)))
         while arguments.part != "report" and time.monotonic() < end_s:
             if sum(row["part"] == arguments.part for row in rows) >= arguments.trials:
                 break

@@ -78,7 +78,10 @@ def test_the_policy_goes_on_by_an_action_from_after_the_release() -> None:
 
 
 GOOD = {"step_rad_s": 0.1, "acceleration": 0.9, "jerk_rad_s3": 1.0, "velocity": 0.5}
+SENT = {"all": {"count": 9, "acceleration": 1.0, "step_rad_s": 0.2, "velocity": 0.4}}
 TAKEN = {
+    "sent": SENT,
+    "unknown": 0,
     "part": "takeovers",
     "mode": "person",
     "refused": "",
@@ -88,6 +91,8 @@ TAKEN = {
     "all": {**GOOD, "outside_rad": 0.0},
 }
 LOST = {
+    "sent": SENT,
+    "unknown": 0,
     "part": "lost",
     "way": "killed",
     "rest_s": 0.15,
@@ -111,7 +116,10 @@ def test_what_is_right_has_no_fault(row: dict[str, Any]) -> None:
         {**TAKEN, "went_on": None},
         {**TAKEN, "went_on": [0.3, 0.09]},
         {**TAKEN, "refused": "no"},
-        {**TAKEN, "all": {**TAKEN["all"], "acceleration": 1.6}},
+        {**TAKEN, "sent": {"all": {**SENT["all"], "acceleration": 1.03}}},
+        {**LOST, "held_up_s": 0.5, "sent": {"all": {**SENT["all"], "velocity": 1.03}}},
+        {**LOST, "sent": {"all": None}},
+        {**TAKEN, "unknown": 1},
         {**TAKEN, "all": {**TAKEN["all"], "outside_rad": 0.01}},
         {**TAKEN, "all": None},
         {**LOST, "rest_s": 0.21},

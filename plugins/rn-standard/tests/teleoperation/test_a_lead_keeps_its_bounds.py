@@ -9,7 +9,14 @@ import pytest
 
 from rn_standard.teleoperation.rows import LeadRow
 from rn_standard.teleoperation.samples import LeadSample
-from rn_standard.teleoperation.session import GONE_S, SILENT_S, LeadSession, LeadSpeeds
+from rn_standard.teleoperation.session import (
+    GONE_S,
+    LATE_S,
+    LATEST_S,
+    SILENT_S,
+    LeadSession,
+    LeadSpeeds,
+)
 from rn_testing.fakes import gantry_profile
 from roboneuron import InvalidInputError, NotReadyError, RobotProfile, UnsafeError
 
@@ -78,13 +85,45 @@ def test_a_released_switch_brakes_first_and_then_rests(person: Person) -> None:
 
 def test_a_silent_source_brakes_and_needs_the_switch_anew(person: Person) -> None:
     assert person.act().kind == "twist"
-    assert person.wait(SILENT_S - 0.01).kind == "twist"
+    assert person.wait(SILENT_S - 0.01).kind == "still"
     assert person.wait(0.02).kind == "still"
     assert person.session.why_still == "silent: release the switch and press it again"
     assert person.act().kind == "still"
     assert person.session.why_still == "release the switch and press it again"
     person.act(held=False)
     assert person.act().kind == "twist"
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "late_s"), [(100.0, LATE_S), (50.0, LATE_S), (30.0, 2.2 / 30.0), (15.0, LATEST_S)]
+)
+def test_a_source_is_late_by_its_own_rate_and_led_on_at_once(rate_hz: float, late_s: float) -> None:
+    person = Person()
+    person.act(held=False)
+    for _ in range(20):
+        assert person.act(passed_s=1.0 / rate_hz).kind == "twist"
+    assert person.wait(late_s - 0.001).kind == "twist"
+    assert person.wait(0.002).kind == "still"
+    assert person.session.why_still == "late: the source is slow"
+    assert person.act(passed_s=0.001).kind == "twist"
+
+
+def test_a_correction_is_not_dropped_for_a_sample_that_is_late() -> None:
+    person = Person("blend")
+    person.act(held=False)
+    person.act()
+    assert person.wait(SILENT_S - 0.01).kind == "twist"
+    assert person.wait(0.02).kind == "still"
+
+
+def test_a_device_that_repeats_what_it_measured_is_silent(person: Person) -> None:
+    person.act()
+    sample = person.sample()
+    for number in range(10):
+        again = replace(sample, number=sample.number + number)
+        person.session.take(again, person.now_s)
+        person.now_s += 0.01
+    assert person.session.row(person.now_s, AT_ZERO).kind == "still"
 
 
 def test_a_source_that_is_gone_ends_the_lead(person: Person) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,11 +59,31 @@ def test_one_lead_at_a_time_and_in_order() -> None:
     assert authority.take(row(4), 10.02) == ""
 
 
+@pytest.mark.parametrize(("rate_hz", "late_s"), [(100.0, 0.05), (50.0, 0.05), (30.0, 2.5 / 30.0)])
+def test_a_person_who_is_late_is_waited_for_by_the_period_of_the_lead(
+    rate_hz: float, late_s: float
+) -> None:
+    authority = Authority()
+    authority.take(replace(row(1), rate_hz=rate_hz), 10.0)
+    assert authority.look(10.0 + late_s - 0.001) == ""
+    assert authority.look(10.0 + late_s + 0.001) == "late"
+    assert authority.take(row(2), 10.0 + late_s + 0.002) == ""
+    assert authority.look(10.0 + late_s + 0.003) == ""
+
+
+def test_a_correction_that_is_late_leaves_the_policy_at_work() -> None:
+    authority = Authority()
+    authority.take(row(1, mode="blend"), 10.0)
+    assert authority.look(10.0 + SILENT_S - 0.01) == ""
+    assert authority.why_no_policy(5) == ""
+
+
 @pytest.mark.parametrize("is_seen", [True, False])
 def test_after_a_silence_the_switch_is_needed_anew(is_seen: bool) -> None:
     authority = Authority()
     authority.take(row(1), 10.0)
-    assert authority.look(10.0 + SILENT_S - 0.01) == ""
+    assert authority.look(10.0 + SILENT_S - 0.01) == "late"
+    assert authority.who == "person"
     if is_seen:
         assert authority.look(10.0 + SILENT_S + 0.01) == "silent"
     back_s = 10.0 + SILENT_S + 0.02

@@ -8,8 +8,12 @@ from typing import Literal
 from rn_standard.teleoperation.rows import LeadRow
 
 Who = Literal["policy", "person", "blend", "nobody"]
+LATE_S, LATE_PERIODS = 0.05, 2.5
+"""Time without rows after which the arm of a person is braked, at least as many periods of the
+lead; it follows the next row again.
+"""
 SILENT_S = 0.12
-"""Time without rows after which a lead holds the arm; with the braking it rests within 0.3 s."""
+"""Time without rows after which the switch has to be pressed again."""
 LOST_S = 1.0
 """Silence after which a lead is over, and motion needs a new start."""
 
@@ -66,8 +70,8 @@ class Authority:
             self._ended = self.row.session
         self.row, self.released_ns, self._must_release = None, now_ns, False
 
-    def look(self, now_s: float) -> Literal["", "silent", "lost"]:
-        """State of a silent lead: "silent" if the arm has to hold, or "lost"."""
+    def look(self, now_s: float) -> Literal["", "late", "silent", "lost"]:
+        """State of a silent lead: "late" or "silent" if the arm has to be braked, or "lost"."""
         if self.row is None:
             return ""
         silent_s = now_s - self._row_s
@@ -76,7 +80,8 @@ class Authority:
         if silent_s > SILENT_S:
             self._must_release = True
             return "silent"
-        return ""
+        late_s = max(LATE_S, LATE_PERIODS / self.row.rate_hz)
+        return "late" if silent_s > late_s and self.row.mode == "person" else ""
 
     def why_no_policy(self, source_ns: int) -> str:
         """Word for the reason why an action of the policy is not executed; empty if it is.

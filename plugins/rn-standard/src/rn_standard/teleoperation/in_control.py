@@ -16,6 +16,7 @@ from std_msgs.msg import Float64MultiArray
 from rn_standard.control.module import ControlModule
 from rn_standard.direct_path.exposed import ACTING_TOPIC, LEAD_TOPIC
 from rn_standard.teleoperation.authority import Authority
+from rn_standard.teleoperation.braking import Braking, is_away, stoppable
 from rn_standard.teleoperation.correction import Correction
 from rn_standard.teleoperation.executed import Executed
 from rn_standard.teleoperation.rows import Acting, LeadRow
@@ -40,6 +41,8 @@ _STALE_S = 0.15
 _AHEAD_S = 0.1
 _SHARE_OF_REST = 0.5
 """As for the rows of a policy: fraction of a row's remaining time that is added to the next one."""
+_STILL = LeadRow(session="", number=0, mode="person", kind="still", values=np.zeros(0))
+"""Row that brakes the arm; lasts for one `_LOOK_S`."""
 _LOST = "the lead was lost: lead the arm again, or give an instruction"
 
 
@@ -66,12 +69,19 @@ class LeadInControl:
         self._authority = Authority()
         self._correction = Correction()
         self._executed = Executed(poses=control.poses)
+        self._braking = Braking(step=self._brake, is_holding=self._is_holding)
+        self._is_ending = False
         self._limited: LimitedCommand | None = None
         self._acting = self._node.advertise(Float64MultiArray, ACTING_TOPIC)
         self._node.subscribe(Float64MultiArray, LEAD_TOPIC, self._on_lead)
         self._node.repeat(_LOOK_S, self._look)
         control.on_limited.append(self._note_limited)
         control.deliver = self._deliver
+
+    def _forget(self) -> None:
+        """Forget the command before, ahead of another row or action."""
+        self._limited = None
+        self._executed.begin()
 
     def _note_limited(self, limited: LimitedCommand) -> None:
         self._limited = limited
@@ -88,8 +98,7 @@ class LeadInControl:
                 self._control.status.drop(reason)
             return
         row = self._authority.row
-        self._limited = None
-        self._executed.begin()
+        self._forget()
         if row is None:
             self._control.act(source_ns, read)
         else:
@@ -110,15 +119,17 @@ class LeadInControl:
         if not -_AHEAD_S <= age_s <= _STALE_S:
             control.status.drop("stale_lead")
             return
-        self._limited = None
-        self._executed.begin()
+        if self._is_ending:
+            control.status.drop("lead_ended")
+            return
+        self._forget()
         if row.mode in ("back", "lost"):
             self._end(row, source_ns)
             return
         reason = self._authority.take(row, now_s)
         if reason:
             control.status.drop(reason)
-            # its arm was held when the silence was detected
+            # its arm is braked since the silence was detected
             self._tell("nobody", source_ns, "" if reason != "lead_needs_release" else _AGAIN)
             return
         if row.mode == "person":
@@ -143,11 +154,13 @@ class LeadInControl:
             return
         self._authority.row = row
         if row.mode == "lost":
-            self._hold("lead_lost", _LOST)
+            self._is_ending = True
+            self._braking.reset()
+            self._look()
+            self._tell("nobody", source_ns)
+            return
         self._release(source_ns)
-        if row.mode == "lost":
-            self._require_start()
-        self._tell("policy" if row.mode == "back" else "nobody", source_ns)
+        self._tell("policy", source_ns)
 
     def _release(self, now_ns: int) -> None:
         """Return the authority to the policy, from its next action on. The present command comes to
@@ -157,14 +170,35 @@ class LeadInControl:
         self._authority.release(now_ns)
 
     def _look(self) -> None:
-        """Check for a silent lead."""
-        found = self._authority.look(time.monotonic())
-        if not found:
+        """Check for a silent lead, and brake the arm of one that is silent or lost."""
+        now_s = time.monotonic()
+        found = "lost" if self._is_ending else self._authority.look(now_s)
+        # after a silence, braking goes on although rows come again
+        if not found and self._authority.who != "nobody":
+            self._braking.reset()
             return
-        self._hold("lead_silent", "The lead is silent.")
+        if not self._braking.advance(now_s):
+            return
         if found == "lost":
+            self._is_ending = False
+            self._hold("lead_lost", _LOST)
             self._release(time.time_ns())
             self._require_start()
+            self._tell("nobody", time.time_ns())
+        elif found != "late":
+            self._hold("lead_silent", "The lead is silent.")
+
+    def _brake(self) -> bool:
+        """See `Braking`."""
+        self._forget()
+        self._control.act(time.time_ns(), lambda: Asked(now=partial(self._answer, _STILL)))
+        command, measured = self._executed.command, self._control.watched.joints
+        if self._limited is None or command is None or measured is None:
+            return False
+        return bool(self._limited.acted) or is_away(command, measured)
+
+    def _is_holding(self) -> bool:
+        return self._control.is_holding or not self._control.is_active
 
     def _require_start(self) -> None:
         """Require a new start of motion; in shadow this is left to the control that moves
@@ -206,7 +240,9 @@ class LeadInControl:
             )
         else:
             answer = self._joints(row, joints, period_s)
-        return answer if isinstance(answer, Hold) else self._without_gripper(answer, row)
+        if isinstance(answer, Hold):
+            return answer
+        return stoppable(self._without_gripper(answer, row), joints, profile)
 
     def _rotation(self, joints: JointSample) -> F64:
         """Rotation of the TCP in the base, float64 (3, 3)."""

@@ -5,7 +5,8 @@ the person is present. Independent of ROS and threads; time is an argument.
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
+import statistics
+from collections import OrderedDict, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -15,8 +16,15 @@ from rn_standard.teleoperation.rows import LeadRow, Mode, RowKind
 from rn_standard.teleoperation.samples import F64, LeadSample
 from roboneuron import InvalidInputError, NotReadyError, RobotProfile, UnsafeError
 
+LATE_S, LATEST_S, LATE_PERIODS = 0.045, 0.075, 2.2
+"""Shortest and longest time without a sample after which the arm of a person is braked, and the
+periods of the source that it is otherwise; the arm follows the next sample again. One lost sample
+brakes nothing at 30 Hz.
+"""
+_PERIODS = 9
+"""Intervals between samples whose median is the period of the source."""
 SILENT_S = 0.1
-"""Time without a sample after which the arm brakes; the switch then has to be pressed again."""
+"""Time without a sample after which the switch has to be pressed again."""
 GONE_S = 1.0
 """Time without a sample after which the lead is over."""
 _BRAKE_S = 0.3
@@ -93,6 +101,7 @@ class LeadSession:
         )
         self._sample: LeadSample | None = None
         self._heard_s = self._moved_s = now_s
+        self._intervals: deque[float] = deque(maxlen=_PERIODS)
         self._must_release = True
         self._number = 0
         self._sent: OrderedDict[int, tuple[int, float]] = OrderedDict()
@@ -117,7 +126,12 @@ class LeadSession:
             self._must_release = True
         if not sample.is_held:
             self._must_release = False
-        self._sample, self._heard_s = sample, now_s
+        self._sample = sample
+        # a device that repeats what it has measured before is silent
+        if before is None or sample.at_s > before.at_s:
+            if before is not None:
+                self._intervals.append(sample.at_s - before.at_s)
+            self._heard_s = now_s
 
     def row(self, now_s: float, measured: Mapping[str, float]) -> LeadRow:
         """Return the row for this period.
@@ -177,7 +191,17 @@ class LeadSession:
             return "silent: release the switch and press it again"
         if not sample.is_held:
             return "the switch is released"
-        return "release the switch and press it again" if self._must_release else ""
+        if self._must_release:
+            return "release the switch and press it again"
+        is_late = self.mode == "person" and silent_s > self._late_s()
+        return "late: the source is slow" if is_late else ""
+
+    def _late_s(self) -> float:
+        """Time without a sample after which the arm is braked, by the period of the source [s]."""
+        if not self._intervals:
+            return LATEST_S
+        period_s = statistics.median(self._intervals)
+        return min(max(LATE_S, LATE_PERIODS * period_s), LATEST_S)
 
     def _made(
         self,
