@@ -46,7 +46,7 @@ def operator() -> FakeOperator:
 
 @pytest.fixture
 def serve(source: FakeSource, operator: FakeOperator) -> Iterator[Callable[..., Viewer]]:
-    """Return a function that serves the page, with tokens if some are given."""
+    """Return a function that serves the page, with tokens if any are given."""
     viewers: list[Viewer] = []
 
     def start(*tokens: tuple[str, str], **options: Any) -> Viewer:
@@ -63,7 +63,7 @@ def serve(source: FakeSource, operator: FakeOperator) -> Iterator[Callable[..., 
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    """A headless Chromium of this machine. For one module: playwright keeps an event loop in this
+    """A headless Chromium of this machine. Module scope: playwright keeps an event loop in this
     thread.
     """
     if importlib.util.find_spec("playwright") is None:
@@ -80,7 +80,7 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture
 def look(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Return a function that opens a page; it is small, so that drawing it takes little."""
+    """Return a function that opens a page; the page is small, so that it renders quickly."""
     contexts: list[Any] = []
 
     def open_page(url: str, first: str = "EMERGENCY STOP") -> Any:

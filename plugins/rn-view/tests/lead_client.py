@@ -63,20 +63,20 @@ class LeadPage:
         return self.text
 
     def lead(self, mode: str = "person", scale: float = 1.0, *, operate: bool = True) -> str:
-        """Ask for the arm; the operator's right is taken first, unless it is not to be."""
+        """Ask for the arm, after becoming operator unless `operate` is false."""
         if operate:
             self.ask({"operate": 1})
         return self.ask({"begin": {"mode": mode, "scale": scale}})
 
     def send(self, twist: list[float] | None, *, held: bool = True, **facts: Any) -> None:
-        """One sample."""
+        """Send one sample."""
         self._number += 1
         self._sent[self._number] = time.monotonic()
         told = {"n": self._number, "t": time.monotonic(), "held": held, "grip": None}
         self.socket.send(json.dumps({**told, "twist": twist or [0.0] * 6, **facts}))
 
     def push(self, twist: list[float], seconds: float, *, held: bool = True, **facts: Any) -> None:
-        """Samples for a while, 50 a second."""
+        """Send samples at 50 Hz for a while."""
         end_s = due_s = time.monotonic()
         end_s += seconds
         while due_s < end_s:
@@ -85,7 +85,7 @@ class LeadPage:
             time.sleep(max(0.0, due_s - time.monotonic()))
 
     def press(self) -> None:
-        """Release the switch for a moment, so that it may be pressed."""
+        """Release the deadman switch for a moment, so that it can be pressed again."""
         self.push([0.0] * 6, 0.1, held=False)
 
     def _keys(self) -> list[str]:

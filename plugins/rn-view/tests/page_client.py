@@ -43,7 +43,7 @@ _HEAD_BYTES = 16
 
 
 def ask_stop(url: str, robot: str = "", **headers: str) -> str:
-    """What the button above the page does: a request; needs no page. Raises HTTPError when it is
+    """Send the request of the button above the page; needs no page. Raises HTTPError when it is
     refused.
     """
     path = f"{STOP_PATH}?robot={quote(robot)}" if robot else STOP_PATH
@@ -72,18 +72,18 @@ class PageClient:
         self._reading.start()
 
     def close(self) -> None:
-        """Leave."""
+        """Close the page."""
         self._socket.close()
         self._reading.join(10.0)
 
     @property
     def is_closed(self) -> bool:
-        """The server has ended the connection."""
+        """Whether the server has closed the connection."""
         return not self._reading.is_alive()
 
     @property
     def text(self) -> str:
-        """What its HTML elements say, one a line."""
+        """Text of the HTML elements, one per line."""
         contents = [str(props.get("content", "")) for _, props in self._snapshot()]
         return "\n".join(unescape(re.sub(r"<[^>]*>", " ", content)) for content in contents)
 
@@ -98,18 +98,20 @@ class PageClient:
         )
 
     def press_stop(self, robot: str = "") -> str:
-        """Press the emergency stop above the page, of one robot or of all; what it says then."""
+        """Press the emergency stop above the page, of one robot or of all; returns the text shown
+        then.
+        """
         return ask_stop(self._url, robot)
 
     def choose(self, label: str, value: object) -> None:
-        """Give an element a value."""
+        """Set the value of an element."""
         uuid = next(uuid for uuid, props in self._snapshot() if props.get("label") == label)
         message = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": value}}
         self._socket.send(msgspec.msgpack.encode(message))
 
     @property
     def labels(self) -> set[str]:
-        """Labels of what is on the page."""
+        """Labels of the elements on the page."""
         return {str(props.get("label")) for _, props in self._snapshot()}
 
     def _snapshot(self) -> list[tuple[str, dict[str, Any]]]:

@@ -70,7 +70,7 @@ class Tape:
         self.add(topic, "std_msgs/msg/String", at_s, to_string(json.dumps(facts)))
 
     def finish(self, *, whole: bool = True) -> list[Path]:
-        """The files; the last one without an index if not `whole`."""
+        """Close and return the files; the last one has no index if not `whole`."""
         self._parts[0].finish()
         if whole:
             self._parts[1].finish()
@@ -154,7 +154,7 @@ def picture(number: int) -> Image:
 
 
 def report(*, rate_hz: float, note: str) -> DiagnosticArray:
-    """What inference says of itself."""
+    """A report of inference."""
     values = {"state": "active", "ready": "true", "rate_hz": f"{rate_hz:g}", "note": note}
     pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
     return DiagnosticArray(

@@ -33,7 +33,7 @@ def leading(page: Any, operator: FakeOperator) -> PageTeleoperator:
 
 
 def sample_until(source: PageTeleoperator, is_so: Callable[[LeadSample], bool]) -> LeadSample:
-    """The first sample for which it is so."""
+    """The first sample that meets the condition."""
     found: list[LeadSample] = []
 
     def look() -> bool:

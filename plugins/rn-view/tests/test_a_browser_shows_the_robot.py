@@ -14,8 +14,8 @@ VIEWER, OPERATOR = ("a-token-for-looking-1", "viewer"), ("a-token-for-acting-22"
 
 
 def test_one_page_shows_everything_and_stops_the_robot(serve, look, source, operator):
-    """State, pictures, buttons and the stop on one page, which takes seconds to load; nothing comes
-    from elsewhere.
+    """One page has state, pictures, buttons and the stop, within seconds; nothing is loaded from
+    other hosts.
     """
     viewer = serve()
     assert not source.subscribed

@@ -58,7 +58,7 @@ SCENE = """() => {
 
 @pytest.fixture
 def sized(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Return a function that opens a page of a width and height."""
+    """Return a function that opens a page of a given width and height."""
     contexts: list[Any] = []
 
     def open_page(url: str, size: tuple[int, int]) -> Any:

@@ -31,7 +31,7 @@ def sources() -> dict[str, FakeSource]:
 
 @pytest.fixture
 def look(sources: dict[str, FakeSource]) -> Iterator[Callable[..., PageClient]]:
-    """Return a function that opens a page of both."""
+    """Return a function that opens a page with both."""
     viewers, pages = [], []
 
     def open_page(*tokens: tuple[str, str]) -> PageClient:

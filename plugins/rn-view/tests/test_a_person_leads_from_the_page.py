@@ -52,12 +52,12 @@ def clock() -> Clock:
 
 @pytest.fixture
 def lead(clock: Clock) -> PageLead:
-    """Of an arm whose joints go at most 2 rad/s."""
+    """The lead of an arm whose joint speeds are limited to 2 rad/s."""
     return PageLead(profile(), clock)
 
 
 def ask(url: str, robot: str = "twolink", **headers: str) -> tuple[int, dict]:
-    """Status and answer."""
+    """Status and body of the answer."""
     request = Request(f"{url}{LEAD_PATH}?robot={robot}", headers=headers)
     try:
         with urlopen(request, timeout=20) as answer:

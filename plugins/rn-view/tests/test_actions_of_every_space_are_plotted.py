@@ -46,7 +46,7 @@ class Shown(Plots):
 
 @pytest.fixture
 def plots() -> Iterator[Shown]:
-    """Plots in a tab of a server that nobody looks at."""
+    """Plots in a tab of a server without a client."""
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     yield Shown(server.gui, server.gui.add_tab_group().add_tab("Plots"))
     server.stop()

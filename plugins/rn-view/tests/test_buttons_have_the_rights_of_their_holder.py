@@ -26,7 +26,7 @@ def application(application_of):
 
 
 def press(application, holder, tool):
-    """What a page is told of its button."""
+    """The text that a page shows after its button was pressed."""
     operator = LiveOperator(application.host)
 
     async def call():

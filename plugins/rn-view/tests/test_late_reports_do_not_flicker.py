@@ -55,7 +55,7 @@ def test_a_jump_back_in_a_recording_is_shown_at_once():
 
 
 def _lines(*changes, module="perception"):
-    """Newest line first, of changes: time [s], health before and after."""
+    """Lines for these changes (time [s], health before and after), newest first."""
     now = [0.0]
     events = EventList(clock=lambda: now[0])
     lines = HealthLines(events)

@@ -32,7 +32,7 @@ PROTOCOL = f"viser-v{viser.__version__}"
 
 
 def is_let_in(url, **headers):
-    """Whether a connection is served: it gets the first message."""
+    """Whether the connection is served: it gets a first message."""
     origin = headers.pop("origin", None)
     try:
         with opened(url, origin=origin, additional_headers=headers) as page:
@@ -43,7 +43,7 @@ def is_let_in(url, **headers):
 
 
 def is_ended(page):
-    """The server ends the connection, after what it may have sent."""
+    """Whether the server closes the connection, possibly after messages."""
     try:
         for _ in range(1000):
             page.recv(timeout=20)

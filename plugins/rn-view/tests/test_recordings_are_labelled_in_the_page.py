@@ -80,7 +80,7 @@ def recorded(operator: FakeOperator) -> FakeOperator:
 
 
 def labels_of(operator: FakeOperator) -> list[dict[str, Any]]:
-    """What was said so far."""
+    """Labels stored so far."""
     return [given for _, tool, given in operator.calls if tool == "label_recording"]
 
 

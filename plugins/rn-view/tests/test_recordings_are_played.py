@@ -40,7 +40,7 @@ class Cinema:
         self.source.step()
 
     def wait(self, seconds: float) -> None:
-        """Let time pass as the player does."""
+        """Let time pass in steps, as the player does."""
         for _ in range(round(seconds / 0.02)):
             self.now_s += 0.02
             self.source.step()
@@ -57,7 +57,7 @@ class Cinema:
         }
 
     def texts(self) -> list[str]:
-        """What had happened, newest first."""
+        """Texts of the events so far, newest first."""
         return [event.text for event in self.source.shown_events.newest(99)]
 
 

@@ -16,7 +16,7 @@ from rn_view.source import ModuleRow, PageState, said_of
 
 
 def calls(result):
-    """What is listed of one call with that result."""
+    """Lines listed for one call with that result."""
     events = EventList()
     context = SimpleNamespace(
         method="tools/call", params={"name": "start_robot", "arguments": {"driver": "simulated"}}

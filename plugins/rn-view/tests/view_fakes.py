@@ -184,7 +184,7 @@ class FakeOperator:
 
 
 def admission(options: ViewOptions, *tokens: tuple[str, str]) -> ViewAccess:
-    """Tokens by role; none lets everybody in."""
+    """Access with these tokens by role; without any, everybody is let in."""
     table = TokenTable([(token, Holder(who=f"the {role}", role=role)) for token, role in tokens])
     return ViewAccess(tokens=table, rules=host_rules(options, HttpOptions()))
 

@@ -19,5 +19,7 @@ PIXEL = """() => {
 
 
 def wait_until(is_so: Callable[[], bool]) -> None:
-    """Wait for a condition; a page draws with the processor here, which others use too."""
+    """Wait for a condition; patient, because pages render on the CPU, which other programs use
+    too.
+    """
     waiting.wait_until(is_so, 90.0, poll_s=0.05)

@@ -39,8 +39,8 @@ Call = Callable[..., dict[str, Any]]
 
 @contextmanager
 def served_view(folder: Path) -> Iterator[tuple[Call, str]]:
-    """`roboneuron serve --view` of the fakes: a function that calls its tools, and the address of
-    its page.
+    """Run `roboneuron serve --view` with the fakes; gives a function that calls its tools, and the
+    address of its page.
     """
     PluginSite(path=folder / "site").install("rn-view-tests", "", value="rn_testing.fakes.ticking")
     config, log = folder / "roboneuron.toml", folder / "server.log"
@@ -66,7 +66,9 @@ def served_view(folder: Path) -> Iterator[tuple[Call, str]]:
 
 @contextmanager
 def attached_view(folder: Path) -> Iterator[str]:
-    """`roboneuron view` beside that server, within `served_view`: the address of its page."""
+    """Run `roboneuron view` beside that server, within `served_view`; gives the address of its
+    page.
+    """
     command = [
         sys.executable,
         "-m",

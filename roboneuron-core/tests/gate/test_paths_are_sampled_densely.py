@@ -33,11 +33,7 @@ def test_a_lever_is_the_way_along_the_links_from_a_joint_to_the_tcp_and_a_hand_m
             "flange": 0.1,
             "wrist": 0.1 + 0.2,
             "slide": 1.0,
-            "shoulder": 0.1
-            + 0.2
-            + 0.5
-            + 0.25
-            + 0.5,  # the slide may be extended by its whole travel
+            "shoulder": 0.1 + 0.2 + 0.5 + 0.25 + 0.5,  # the slide may be fully extended
         }
     )
 

@@ -46,9 +46,7 @@ def test_a_stop_while_a_command_is_sent_is_followed_by_a_hold(cell: Cell, word: 
     """The stop's own hold came before the command."""
     cell.while_sending = lambda: STOPS[word](cell)
     cell.command(0.1, 0.2)
-    for _ in range(
-        2
-    ):  # pending commands are dropped, though the module was not notified of the stop
+    for _ in range(2):  # pending commands are dropped, though nothing told the module to stop
         cell.play()
     assert [type(one).__name__ for one in cell.told] == ["JointCommand", "str"]
     assert not cell.robot._moving

@@ -124,9 +124,7 @@ class RealTimeThread:
                 advance(0, 0.0, True)
                 self._started.set()
                 self._keep_pace(advance)
-        except (
-            Exception
-        ) as error:  # the thread's border: raised again by start() and check_running()
+        except Exception as error:  # raised again by start() and check_running()
             self._failure = error
             self._started.set()
 

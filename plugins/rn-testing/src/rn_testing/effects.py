@@ -212,9 +212,7 @@ def open_files() -> frozenset[str]:
     for entry in folder.iterdir() if folder.is_dir() else ():
         try:
             found.add(f"{entry.name} {entry.readlink()}")
-        except (
-            OSError
-        ):  # the descriptor of this listing, and files closed by other threads meanwhile
+        except OSError:  # the descriptor of this listing, and files that other threads close
             continue
     return frozenset(found)
 

@@ -31,14 +31,14 @@ class ViewAccess:
     rules: HostRules
 
     def visitor(self, number: int) -> Holder | None:
-        """Who a new page is: None until it gives a token."""
+        """Identity of a new page; None until it gives a token."""
         if self.tokens:
             return None
         return Holder.local(f"view {number}")
 
     def allows(self, headers: Headers) -> bool:
-        """Whether a connection may be: its Host is this machine, and its page comes from there or
-        an allowed place.
+        """Whether to accept a connection: its Host must be this machine, and the Origin of its page
+        this machine or an allowed origin.
         """
         origin = headers.get("Origin")
         return self.rules.allows_host(headers.get_all("Host")) and (
@@ -47,7 +47,7 @@ class ViewAccess:
 
 
 def host_rules(options: ViewOptions, http: HttpOptions) -> HostRules:
-    """The rules of `[http]` for the page's own address, which is one more origin.
+    """The rules of `[http]`, with the page's own address as one more allowed origin.
 
     Raises:
         ConfigurationError: as HostRules.
@@ -59,7 +59,8 @@ def host_rules(options: ViewOptions, http: HttpOptions) -> HostRules:
 
 
 def check_address(options: ViewOptions, tokens: TokenTable) -> None:
-    """Check that the page may be served on its address; a running server may hold its port.
+    """Check that the page may be served on its address; the port may be in use, for instance by a
+    running server.
 
     Raises:
         ConfigurationError: as `rn_standard.http.addresses.check_address`.
@@ -68,7 +69,7 @@ def check_address(options: ViewOptions, tokens: TokenTable) -> None:
 
 
 def check_port(options: ViewOptions, tokens: TokenTable) -> None:
-    """Check that the page can be served here and now: as `check_address`, and its port is free.
+    """Check the address as `check_address` does, and that its port is free.
 
     Raises:
         ConfigurationError: as `rn_standard.http.addresses.bind`.

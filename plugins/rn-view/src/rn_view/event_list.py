@@ -45,11 +45,11 @@ class ShownEvents(Protocol):
 
     @property
     def count(self) -> int:
-        """Another number means another list."""
+        """Changes whenever the list changes."""
         ...
 
     def newest(self, most: int) -> list[ShownEvent]:
-        """The newest ones, newest first."""
+        """The newest events, newest first."""
         ...
 
 
@@ -64,7 +64,7 @@ class EventList:
         """How many there were; tells whether there is news."""
 
     def now_s(self) -> float:
-        """Time of an event that is added now: wall clock [s]."""
+        """Time given to an event that is added now: wall clock [s]."""
         return self._clock()
 
     def add(
@@ -90,7 +90,7 @@ class EventList:
         return event
 
     def newest(self, most: int) -> list[ShownEvent]:
-        """The newest ones, newest first."""
+        """The newest events, newest first."""
         with self._lock:
             return sorted(self._kept, key=lambda event: event.at_s, reverse=True)[:most]
 
@@ -132,8 +132,8 @@ class ToolCalls:
 
 
 def failure_of(result: object) -> str:
-    """The text of a failed call, as middleware gets it: as it goes over the wire. Empty when it did
-    not fail.
+    """Error text of a failed tool call, empty for a successful one; `result` is in wire format, as
+    middleware gets it.
     """
     if not (isinstance(result, Mapping) and result.get("isError")):
         return ""
@@ -144,7 +144,7 @@ def failure_of(result: object) -> str:
 
 
 def shown_arguments(arguments: object) -> str:
-    """The arguments of a call as one reads them in the list."""
+    """The arguments of a call as text for the list."""
     if not isinstance(arguments, dict) or not arguments:
         return ""
     return ", ".join(
@@ -165,8 +165,8 @@ class AuditReader:
         self._rest = b""
 
     def read_new(self) -> list[dict[str, object]]:
-        """Records since the last time; the end of the file the first time. Empty when there is no
-        file.
+        """Records written since the last call; the first call reads the end of the file. Empty when
+        there is no file.
         """
         data = b""
         with contextlib.suppress(OSError):
@@ -190,7 +190,9 @@ class AuditReader:
 
 
 def _record(line: bytes) -> dict[str, object] | None:
-    """A record; None for the first part of a line, and for what is none."""
+    """Parse a record; None for a line that is cut at its beginning, and for anything that is no
+    record.
+    """
     try:
         record = json.loads(line)
     except ValueError:

@@ -36,20 +36,20 @@ class ViewFeature(Feature[ViewOptions]):
     _shared: _SharedPage | None = None
 
     def check(self, config: Config) -> None:
-        """Check address, tokens and hosts, when they will be used."""
+        """Check address, tokens and hosts if the page is enabled."""
         if self.options.enabled:
             http = HttpOptions.of(config)
             host_rules(self.options, http)
             check_address(self.options, read_tokens(http.tokens, os.environ))
 
     def reserve(self, config: Config) -> None:
-        """Refuse to start beside another server that serves its page on this port."""
+        """Refuse to start while another server serves its page on this port."""
         if self.options.enabled:
             http = HttpOptions.of(config)
             check_port(self.options, read_tokens(http.tokens, os.environ))
 
     def tools(self, host: Host) -> Sequence[Tool]:
-        """None; what happens is listened to from now on."""
+        """No tools; starts to listen to the server's events."""
         if self.options.enabled:
             self._source = LiveSource(host)
             host.events.health.listen(self._source.on_health)
@@ -60,8 +60,8 @@ class ViewFeature(Feature[ViewOptions]):
         return ()
 
     def start(self, host: Host) -> None:
-        """Begin to serve the page; robots with the same address share one, with a choice of the
-        robot.
+        """Serve the page; robots with the same address share one page, on which the robot can be
+        chosen.
         """
         if not self.options.enabled:
             return
@@ -79,7 +79,9 @@ class ViewFeature(Feature[ViewOptions]):
         self.viewer = self._shared.viewer
 
     def close(self) -> None:
-        """End the page, with the first robot that shares it: the server is being closed."""
+        """Close the page: the first of the robots that share it does so, as the server is
+        closing.
+        """
         if self._shared is not None:
             self._shared.close()
 
@@ -105,7 +107,7 @@ class _SharedPage:
         admission: ViewAccess,
         operator: LiveOperator,
     ) -> _SharedPage:
-        """The page at that address, which shows this robot from now on."""
+        """The page at that address; it also shows this robot from now on."""
         from rn_view.viewer import Viewer  # heavy
 
         address = options.host, options.port
@@ -120,7 +122,7 @@ class _SharedPage:
             return made
 
     def close(self) -> None:
-        """End it; idempotent."""
+        """Close the page; idempotent."""
         with self._lock:
             if self._in_use.get(self._address) is self:
                 del self._in_use[self._address]

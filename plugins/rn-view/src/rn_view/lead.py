@@ -37,7 +37,7 @@ class PageLead:
 
     def __init__(self, profile: RobotProfile, clock: Callable[[], float] = time.monotonic) -> None:
         """Args:
-        profile: of the robot; one without limits cannot be led.
+        profile: profile of the robot; one without limits cannot be led.
         clock: monotonic [s].
         """
         self._clock = clock
@@ -61,7 +61,7 @@ class PageLead:
             self._speeds[gripper.joint] = (ends[1] - ends[0]) / _GRIPPER_S
 
     def begin(self, who: object, measured: Mapping[str, float]) -> dict[str, float]:
-        """Lead from where the arm is measured; returns these positions by joint.
+        """Begin to lead, from the measured positions; returns them by joint.
 
         Raises:
             RefusedError: another page leads.
@@ -85,14 +85,14 @@ class PageLead:
             return dict(self._aims)
 
     def aim(self, who: object, joint: str, position: float) -> None:
-        """Where that joint is wanted [rad or m]; of a page that does not lead it is ignored."""
+        """Set where a joint shall go [rad or m]; ignored unless the page leads."""
         low, high = self.bounds[joint]
         with self._lock:
             if self._leader is who:
                 self._aims[joint] = min(max(position, low), high)
 
     def renew(self, who: object) -> bool:
-        """The page of `who` is there; returns whether it still leads."""
+        """Record that the page of `who` is still open; returns whether it still leads."""
         with self._lock:
             if self._leader is not who or not self._is_led():
                 return False
@@ -105,13 +105,13 @@ class PageLead:
             return self._leader is who and self._is_led()
 
     def end(self, who: object) -> None:
-        """The page does not lead any more; there is no goal from now on."""
+        """End the lead of this page; there is no goal from now on."""
         with self._lock:
             if self._leader is who:
                 self._leader = None
 
     def goal(self, measured: Mapping[str, float]) -> dict[str, float] | None:
-        """Positions by joint on the way to where the person wants them; None when nobody leads.
+        """Goal by joint on the way to where the person wants the joints; None when nobody leads.
 
         Args:
             measured: by joint [rad or m]; the goal stays near it.
@@ -133,5 +133,5 @@ class PageLead:
             return dict(self._goals)
 
     def _is_led(self) -> bool:
-        """The lock is held."""
+        """Whether a page leads; the caller holds the lock."""
         return self._leader is not None and self._clock() - self._renewed_s < RENEWED_S

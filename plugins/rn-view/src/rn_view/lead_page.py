@@ -276,13 +276,13 @@ _SCRIPT = """
 
 
 def key_html(key: str, joints: dict[str, float], *, labels: bool) -> str:
-    """What tells the page that it may lead, and label recordings.
+    """HTML element that tells the page that it may lead and label recordings.
 
     Args:
-        key: of its websocket.
-        joints: speed of each joint while its button is held [rad/s, m/s]; empty for what cannot be
-            led.
-        labels: whether there are recordings to be labelled.
+        key: key of its websocket.
+        joints: speed of each joint while its button is held [rad/s, m/s]; empty if the robot cannot
+            be led.
+        labels: whether the page may label recordings.
     """
     told = escape(json.dumps(joints), quote=True)
     return (
@@ -292,7 +292,7 @@ def key_html(key: str, joints: dict[str, float], *, labels: bool) -> str:
 
 
 def with_lead(page: str) -> str:
-    """A page with both panels, which show once the page may lead or label."""
+    """The page with both panels added; they stay hidden until the page may lead or label."""
     config = {
         "key": _KEY_ID,
         "path": SOCKET_PATH,

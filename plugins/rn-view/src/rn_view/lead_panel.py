@@ -61,17 +61,17 @@ class LeadPanel:
         self._switch.on_update(lambda event: self._switched())
 
     def update(self) -> None:
-        """Show when this page does not lead any more."""
+        """Update the switch when this page has lost the lead."""
         if self._leads and not self._lead.is_led_by(self):
             self._switch.value = False  # type: ignore[misc]
             self._enable(False)
 
     def end(self) -> None:
-        """The page is gone."""
+        """End the lead: the page is closed."""
         self._lead.end(self)
 
     def remove(self) -> None:
-        """Take it off the page."""
+        """Remove the panel from the page."""
         self.end()
         self._folder.remove()
 
@@ -132,6 +132,6 @@ class LeadPanel:
 
 
 def _slides(profile: RobotProfile) -> set[str]:
-    """Joints whose positions are metres."""
+    """Joints with positions in metres."""
     space = robot_space("joint_position", profile)
     return {channel.name for channel in space.channels if channel.unit == "m"}

@@ -47,7 +47,7 @@ class PageTeleoperator:
         self.on_news: Callable[[dict[str, object]], object] = lambda news: None
 
     def open(self, subscribe: Subscribe) -> None:
-        """Begin anew. Raises NotReadyError when the page is not connected."""
+        """Start anew. Raises NotReadyError when the page is not connected."""
         with self._news:
             if isinstance(self._error, NotReadyError):
                 raise self._error
@@ -74,21 +74,21 @@ class PageTeleoperator:
         self.on_news({"led": False, "text": reason})
 
     def connected(self) -> None:
-        """The page's websocket is open."""
+        """Called when the page's websocket opens."""
         with self._news:
             self._error, self._offset_s = None, math.inf
 
     def lost(self, why: str) -> None:
-        """The page is gone."""
+        """Called when the page is gone."""
         with self._news:
             self._error = NotReadyError(f"{why}; the arm rests.", hint=_AGAIN)
             self._news.notify_all()
 
     def put(self, told: dict[str, Any], now_s: float) -> None:
-        """Take in what a page has sent; what cannot be understood ends its lead.
+        """Take a message of the page; one that cannot be understood ends its lead.
 
         Args:
-            told: of JSON.
+            told: the decoded JSON.
             now_s: monotonic time of its arrival.
         """
         try:
@@ -104,7 +104,9 @@ class PageTeleoperator:
             self._news.notify_all()
 
     def _sample_of(self, told: dict[str, Any], now_s: float) -> LeadSample:
-        """The sample with its time by our clock: by the quickest of all messages so far."""
+        """The sample, with its time on our clock: the offset between the clocks is that of the
+        message with the least delay so far.
+        """
         sent_s = _number(told["t"])
         self._offset_s = min(self._offset_s, now_s - sent_s)
         joint, grip = told.get("joint"), told.get("grip")
@@ -129,13 +131,13 @@ class LeadSeats:
         self._seats: dict[str, _Seat] = {}
 
     def add(self, name: str, source: PageTeleoperator, call: Call, fetch: Fetch) -> str:
-        """A page may lead; returns its key.
+        """Let a page lead; returns its key.
 
         Args:
-            name: of its teleoperator.
+            name: name of its teleoperator.
             source: gets its samples.
-            call: calls tools for it.
-            fetch: asks tools for it.
+            call: calls a tool for it.
+            fetch: reads from a tool for it.
         """
         key = secrets.token_urlsafe(24)
         with self._lock:
@@ -143,19 +145,19 @@ class LeadSeats:
         return key
 
     def remove(self, key: str) -> None:
-        """The page is gone, or may lead no more."""
+        """Remove a page that is closed or may no longer lead."""
         with self._lock:
             seat = self._seats.pop(key, None)
         if seat is not None:
             seat.source.lost("The page was closed")
 
     def is_asked(self, connection: ServerConnection) -> bool:
-        """Whether a websocket is one of these."""
+        """Whether this websocket is one of a page that leads."""
         request = connection.request
         return request is not None and urlsplit(request.path).path == SOCKET_PATH
 
     async def serve(self, connection: ServerConnection) -> None:
-        """Serve one websocket until it ends; on viser's event loop."""
+        """Serve one websocket until it closes; runs on viser's event loop."""
         assert connection.request is not None
         key = parse_qs(urlsplit(connection.request.path).query).get("key", [""])[0]
         with self._lock:
@@ -229,7 +231,7 @@ class _Seat:
         self._ask("lead_arm", arguments)
 
     def _list(self) -> None:
-        """Tell the page which recordings there are."""
+        """Send the list of recordings to the page."""
 
         def answered(future: Future[Mapping[str, object]]) -> None:
             found = {} if future.exception() else future.result()
@@ -238,7 +240,7 @@ class _Seat:
         self._fetch("list_recordings").add_done_callback(answered)
 
     def _label(self, asked: object) -> None:
-        """Note what a person says of a recording; the tool judges what it is given."""
+        """Store a person's label of a recording; the tool checks the arguments."""
         arguments = dict(asked) if isinstance(asked, dict) else {}
 
         def answered(future: Future[str]) -> None:
@@ -265,7 +267,9 @@ class _Seat:
             loop.call_soon_threadsafe(self._put, news)
 
     def _put(self, news: dict[str, object]) -> None:
-        """Echoes are many: of those that come together the newest is sent."""
+        """Queue a message to the page; of echoes that come close together only the newest is
+        sent.
+        """
         if "echo" not in news:
             self._out.put_nowait(news)
             return
@@ -288,7 +292,9 @@ class _Seat:
 
 
 def _number(value: object) -> float:
-    """A number of JSON; null is what a page makes of NaN. Raises TypeError for anything else."""
+    """A number from JSON; null is NaN, which JavaScript writes so. Raises TypeError for anything
+    else.
+    """
     if value is None:
         return math.nan
     if isinstance(value, bool) or not isinstance(value, (int, float)):

@@ -127,9 +127,7 @@ class LiveSource:
 
 
 def robot_profile(config: Config, registry: Registry) -> RobotProfile:
-    """The profile of the configured robot. Raises RoboNeuronError when its plugin cannot be
-    used.
-    """
+    """Profile of the configured robot. Raises RoboNeuronError when its plugin cannot be used."""
     return load_profile(registry, config.robot.name)
 
 
@@ -189,11 +187,11 @@ class LiveOperator:
         return self._host.tools.get(tool) is not None
 
     def present(self, holder: Holder) -> AbstractContextManager[None]:
-        """See Operator; an open page renews the lease as an open stream does."""
+        """See Operator; an open page renews the lease like an open stream."""
         return nullcontext() if self._lease is None else self._lease.present(holder.who)
 
     def leave(self, holder: Holder) -> None:
-        """See Operator; somebody with a token may have other clients."""
+        """See Operator; releases nothing for a holder with a token, who may have other clients."""
         if holder.client and self._lease is not None:
             self._lease.release(holder.who)
 
@@ -230,7 +228,9 @@ class _Context:
         on_cancel: Callable[[], object] = lambda: None,
         on_leave: Callable[[], object] | None = None,
     ) -> T:
-        """See CallContext; no button makes a motion that would end with its page."""
+        """See CallContext; `on_leave` is ignored, since no button starts a motion that ends with
+        its page.
+        """
         thread = anyio.CapacityLimiter(1)
         try:
             return await to_thread.run_sync(
@@ -241,5 +241,7 @@ class _Context:
             raise
 
     async def ask(self, question: str, what: str = "") -> str | None:
-        """See CallContext; a button asks nothing, so the emergency stop is not released here."""
+        """See CallContext; a button cannot ask a person, so the emergency stop is not released from
+        the page.
+        """
         return None

@@ -45,7 +45,7 @@ def stop_text(snapshot: PageState | None, label: str) -> str:
 
 
 def full_text(most: int) -> str:
-    """Why a page shows the stop only."""
+    """Why this page shows only the emergency stop."""
     return _line(
         "font-size:14px",
         f"{most} pages are open, which is <code>max_viewers</code> of [view]. This one has the "
@@ -55,9 +55,7 @@ def full_text(most: int) -> str:
 
 
 def recording_text(playback: Playback, snapshot: PageState | None) -> str:
-    """Which recording this is and what time it shows; whether the emergency stop was latched
-    then.
-    """
+    """Title of the recording, the time shown, and whether the emergency stop was latched then."""
     at_s = playback.begun_s + playback.position_s
     moment = f"{time.strftime('%Y-%m-%d %H:%M:%S', time.localtime(at_s))}.{int(at_s * 10) % 10}"
     text = (
@@ -70,14 +68,14 @@ def recording_text(playback: Playback, snapshot: PageState | None) -> str:
 
 
 def mark_text(mark: Mark, position_s: float) -> str:
-    """The newest event before the position, and how long before."""
+    """The newest event before the position, and how long ago it was."""
     return _line(
         "overflow-wrap:anywhere", f"{position_s - mark.at_s:.1f} s after {escape(mark.text[:160])}"
     )
 
 
 def instruction_text(snapshot: PageState) -> str:
-    """What the backend was told."""
+    """The instruction given to the backend."""
     text = escape(snapshot.instruction) or "none"
     return f'<div style="padding:4px 14px;font-size:14px">Instruction: <b>{text}</b></div>'
 
@@ -118,7 +116,7 @@ def _module_rows(row: ModuleRow) -> str:
 
 
 def joints_table(profile: RobotProfile, joints: Mapping[str, float]) -> str:
-    """Where each joint is within its limits."""
+    """Where each joint is within its limits, as a table."""
     limits = profile.limits
     if limits is None:
         return _line("", "This robot has no arm joints.")
@@ -147,7 +145,7 @@ def joints_table(profile: RobotProfile, joints: Mapping[str, float]) -> str:
 
 
 def event_rows(events: Sequence[ShownEvent]) -> str:
-    """The newest events."""
+    """The newest events as HTML."""
     if not events:
         return _line("", "Nothing has happened yet.")
     rows = "".join(

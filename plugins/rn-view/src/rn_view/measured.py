@@ -68,7 +68,7 @@ class TcpTrack:
             self.trail.append(position)
 
     def clear(self) -> None:
-        """Forget all."""
+        """Forget pose and trail."""
         self.pose = None
         self.trail.clear()
 
@@ -98,7 +98,7 @@ class MeasuredTopics:
         self.news = threading.Condition()
 
     def open(self) -> None:
-        """Subscribe. Raises RoboNeuronError when ROS cannot be joined."""
+        """Subscribe. Raises RoboNeuronError when the ROS graph cannot be joined."""
         from geometry_msgs.msg import PoseStamped  # heavy
         from sensor_msgs.msg import Image, JointState
         from std_msgs.msg import Float64MultiArray
@@ -124,7 +124,9 @@ class MeasuredTopics:
             self._ends.pop()()
 
     def clear(self) -> None:
-        """Forget what came before a jump in a recording; pictures stay until there are others."""
+        """Forget what was received before a jump in a recording; pictures stay until new ones
+        arrive.
+        """
         self.joints, self.commanded = {}, {}
         for track in self.tracks.values():
             track.clear()

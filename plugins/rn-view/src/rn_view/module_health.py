@@ -96,7 +96,7 @@ class HealthLines:
         self._troubles: dict[str, _Trouble] = {}
 
     def add(self, module: str, health: str, *, before: str, why: str = "") -> None:
-        """Add a change of `module` from `before` to `health` that happened now."""
+        """Add a change of `module` from `before` to `health`, made now."""
         is_bad = health in FAULTS
         text = f"{module}: {health}{f': {why}' if why else ''}"
         with self._lock:

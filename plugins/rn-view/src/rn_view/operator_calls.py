@@ -15,31 +15,31 @@ class Operator(Protocol):
     """Calls tools for a page; the page of a view without one has no buttons but the stop."""
 
     def call(self, holder: Holder, tool: str, arguments: dict[str, object]) -> Future[str]:
-        """Call a tool as `holder`; the text of its failure, empty when it did what it says. Returns
-        at once.
+        """Call a tool as `holder`. Returns at once; the future gives the error text, empty on
+        success.
         """
         ...
 
     def fetch(self, holder: Holder, tool: str) -> Future[Mapping[str, object]]:
-        """Ask a tool without arguments as `holder`; what it says, empty when it refuses. Returns at
-        once.
+        """Call a tool that needs no arguments, as `holder`. Returns at once; the future gives its
+        structured result, empty when the tool refuses.
         """
         ...
 
     def has(self, tool: str) -> bool:
-        """Whether there is such a tool."""
+        """Whether the server has this tool."""
         ...
 
     def present(self, holder: Holder) -> AbstractContextManager[None]:
-        """A page of this holder is open within the block."""
+        """Context in which a page of this holder counts as open."""
         ...
 
     def leave(self, holder: Holder) -> None:
-        """The page of this holder was closed."""
+        """Called when the page of this holder is closed."""
         ...
 
     def lend(self, name: str, source: PageTeleoperator | None) -> bool:
-        """Offer a teleoperator under a name, or take it back with None; whether arms can be led
-        here.
+        """Offer a teleoperator under a name, or withdraw it with None; returns whether this server
+        can lead arms.
         """
         ...

@@ -56,14 +56,14 @@ class Page:
         seats: LeadSeats,
     ) -> None:
         """Args:
-        sources: what can be shown by the robot's name, the first one first; of several one is
-            chosen.
-        operators: call tools for the buttons, by the robot's name; of a robot without one there
-            are none.
-        admit: whose token a text is; None for nobody's.
-        on_choice: called when another robot was chosen.
-        on_lead: called when this page begins to lead, with what it leads as.
-        seats: where pages that may lead by hand are known.
+        sources: what can be shown, by the robot's name; the first is shown first, and of several
+            one is chosen.
+        operators: call tools for the buttons, by the robot's name; a robot without an operator has
+            no buttons.
+        admit: returns the holder of a token; None if it is nobody's.
+        on_choice: called when another robot is chosen.
+        on_lead: called when this page begins to lead, with the object that it leads as.
+        seats: registry of the pages that may lead by hand.
         """
         self.client = client
         self.holder: Holder | None = None
@@ -96,14 +96,14 @@ class Page:
 
     @property
     def robot(self) -> str:
-        """The robot that the page says it shows."""
+        """Name of the robot that is chosen on the page."""
         first = next(iter(self._sources))
         chosen = first if self._choice is None else str(self._choice.value)
         return chosen if chosen in self._sources else first
 
     @property
     def is_admitted(self) -> bool:
-        """Whether it is known who looks."""
+        """Whether the page knows its holder."""
         return self._content is not None
 
     def ask_token(self, on_admitted: Callable[[], None]) -> None:
@@ -135,7 +135,7 @@ class Page:
         lead: PageLead,
         measured: Callable[[], MeasuredTopics | None],
     ) -> None:
-        """Build everything else, for the holder."""
+        """Build the rest of the page for its holder."""
         assert self.holder is not None
         if self._operator is not None:
             self._presence.enter_context(self._operator.present(self.holder))
@@ -163,12 +163,12 @@ class Page:
             self._let_lead(profile)
 
     def say_full(self, most: int) -> None:
-        """Too many pages are open for this one to show more than the stop."""
+        """Say that too many pages are open, so that this one shows only the emergency stop."""
         if self._full_text is None:
             self._full_text = self.client.gui.add_html(markup.full_text(most))
 
     def change(self) -> None:
-        """Take away what is shown of the robot before; `show` shows the one that was chosen."""
+        """Remove what belongs to the previous robot; call `show` for the chosen one."""
         self._leave_robot()
         with self._lock:
             content, self._content = self._content, None
@@ -180,7 +180,7 @@ class Page:
                 content.remove()
 
     def update_state(self, source: Source, snapshot: PageState, measured: MeasuredTopics) -> None:
-        """Show the state of `source`, unless the page shows another by now: a few times a
+        """Show the state of `source`, unless the page shows another by now; called a few times a
         second.
         """
         with self._lock:
@@ -192,7 +192,7 @@ class Page:
                 self._content.update_state(snapshot, measured)
 
     def update_motion(self, source: Source, measured: MeasuredTopics) -> None:
-        """As `update_state`, what moves: many times a second."""
+        """As `update_state`, for what moves; called many times a second."""
         with self._lock:
             if self._content is not None and not self._is_gone and source is self._source:
                 with self.client.atomic():
@@ -201,7 +201,7 @@ class Page:
     def show_picture(
         self, source: Source, camera: str, pixels: NDArray[np.uint8], *, in_scene: bool
     ) -> None:
-        """As `update_state`, a camera's picture."""
+        """As `update_state`, for a camera's picture."""
         with self._lock:
             if self._content is not None and not self._is_gone and source is self._source:
                 self._content.show_picture(camera, pixels, in_scene=in_scene)
@@ -214,7 +214,7 @@ class Page:
         )
 
     def leave(self) -> None:
-        """The client is gone."""
+        """Called when the client has disconnected."""
         self._is_gone = True
         with self._lock:
             if self._content is not None:
@@ -222,7 +222,9 @@ class Page:
         self._leave_robot()
 
     def _let_lead(self, profile: RobotProfile) -> None:
-        """Let whoever looks lead the arm by hand, and label recordings, where the server can."""
+        """Let the holder lead the arm by hand and label recordings, where the server supports
+        it.
+        """
         operator, limits = self._operator, profile.limits
         if operator is None:
             return
@@ -251,13 +253,13 @@ class Page:
             self._operator.leave(self.holder)
 
     def _start_call(self, tool: str, arguments: dict[str, object]) -> Future[str]:
-        """Call a tool as whoever looks."""
+        """Call a tool as the holder."""
         assert self._operator is not None
         assert self.holder is not None
         return self._operator.call(self.holder, tool, arguments)
 
     def _fetch(self, tool: str) -> Future[Mapping[str, object]]:
-        """Ask a tool as whoever looks."""
+        """Read from a tool as the holder."""
         assert self._operator is not None
         assert self.holder is not None
         return self._operator.fetch(self.holder, tool)
@@ -332,7 +334,9 @@ class _Content:
             self._lead.end()
 
     def remove(self) -> None:
-        """Take it off the page: of a robot among several, which has no player."""
+        """Remove everything from the page; only for one robot among several, which has no
+        player.
+        """
         if self._lead is not None:
             self._lead.remove()
         for part in self._parts:

@@ -54,21 +54,21 @@ class Playback:
 
     @property
     def position_s(self) -> float:
-        """Since the beginning of the recording [s]."""
+        """Position since the beginning of the recording [s]."""
         return self._position_s
 
     @property
     def is_playing(self) -> bool:
-        """Whether time goes on."""
+        """Whether the recording is playing."""
         return self._is_playing
 
     @property
     def speed(self) -> float:
-        """Seconds of the recording in a second."""
+        """Seconds of the recording per second."""
         return self._speed
 
     def play(self, *, speed: float | None = None) -> None:
-        """Go on, from the beginning if it is at its end; `speed` also holds later."""
+        """Play, from the beginning if the end was reached; `speed` is kept for later."""
         with self._lock:
             if self._position_s >= self.duration_s:
                 self._position_s, self._jumped = 0.0, True
@@ -76,22 +76,22 @@ class Playback:
             self._is_playing = True
 
     def pause(self) -> None:
-        """Stay."""
+        """Pause at the present position."""
         self._is_playing = False
 
     def set_speed(self, speed: float) -> None:
-        """Play so fast from now on."""
+        """Set the speed, also while playing."""
         self._speed = speed
 
     def seek(self, position_s: float) -> None:
-        """Jump there, or to the end that is nearer."""
+        """Jump to a position; one outside the recording becomes its nearer end."""
         with self._lock:
             self._position_s = min(max(0.0, position_s), self.duration_s)
             self._jumped = True
 
     def seek_mark(self, step: int) -> Mark | None:
-        """Jump to the next mark (1) or the one before (-1) and stay there; None, and no jump, when
-        there is none.
+        """Jump to the next mark (1) or the previous one (-1); None, without a jump, when there is
+        none.
         """
         here_s = self._position_s
         if step > 0:
@@ -106,7 +106,7 @@ class Playback:
         return found
 
     def advance(self, elapsed_s: float) -> tuple[float, bool]:
-        """Let so much time of the day pass; the position then, and whether it was reached by a
+        """Advance by `elapsed_s` of real time; returns the position and whether it was reached by a
         jump.
         """
         with self._lock:
@@ -117,13 +117,15 @@ class Playback:
             return self._position_s, jumped
 
     def listen(self, on_jump: Callable[[], None]) -> Callable[[], None]:
-        """Call `on_jump` before what is there after a jump is delivered; returns what ends that."""
+        """Call `on_jump` after a jump, before messages of the new position are delivered; returns a
+        function that ends this.
+        """
         self._listeners.append(on_jump)
         with self._lock:
             self._jumped = True  # who listens from now on has nothing yet
         return lambda: self._listeners.remove(on_jump)
 
     def tell_jump(self) -> None:
-        """Call the listeners; by whoever delivers."""
+        """Call the listeners; whoever delivers the messages calls this."""
         for listener in list(self._listeners):
             listener()

@@ -56,7 +56,7 @@ class Player:
         self._mark = gui.add_html("")
 
     def update(self, snapshot: PageState) -> None:
-        """Show where the recording is."""
+        """Show the present position."""
         playback = self._playback
         self._title.content = markup.recording_text(playback, snapshot)
         if time.monotonic() - self._moved_s > _HELD_S:

@@ -48,9 +48,7 @@ class History:
         )
 
     def add(self, snapshot: PageState, now_s: float) -> None:
-        """Keep what a snapshot says; what is later than `now_s`, the time of what is shown, was
-        before a jump back.
-        """
+        """Add a snapshot. Entries later than `now_s` are dropped: the recording was rewound."""
         while self._rows and self._rows[-1][0] > now_s:
             self._rows.pop()
         rates = {row.kind: row.rate_hz for row in snapshot.modules if row.rate_hz is not None}
@@ -60,8 +58,8 @@ class History:
         self._rows.append((now_s, rates, latencies))
 
     def series(self, index: int, now_s: float) -> tuple[F64, ...]:
-        """Ages [s] and values of each module: 1 for rates [Hz], 2 for latencies [ms]; 0 where
-        nothing was said.
+        """Ages [s] and the values of each module: 1 for rates [Hz], 2 for latencies [ms]; 0 where a
+        module reported none.
         """
         rows = [row for row in list(self._rows) if now_s - row[0] <= SPAN_S]
         ages = np.array([row[0] - now_s for row in rows])
@@ -90,7 +88,7 @@ class ActionPanel(NamedTuple):
 
 
 def action_panels(label: str) -> tuple[ActionPanel, ...]:
-    """The plots of actions whose control space has this label."""
+    """The plots for actions whose control space has this label."""
     if label == ACTION_LABEL:
         return (
             ActionPanel("action: translation [mm]", ("dx", "dy", "dz"), (0, 1, 2), 1000.0),
@@ -135,7 +133,7 @@ class Plots:
             self._rate = _plot(gui, "rate [Hz]", _KINDS, order=_BEHIND + 1.0)
 
     def update(self, actions: Sequence[ShownAction], history: History, now_s: float) -> None:
-        """Show the newest values; `now_s` as of `Source.now_s`."""
+        """Show the newest values; `now_s` is the time of `Source.now_s`."""
         label = actions[-1].label if actions else self._label
         if label != self._label:
             self._show_channels(label)
@@ -155,7 +153,7 @@ class Plots:
         self._rate.data = _filled(history.series(1, now_s))
 
     def _show_channels(self, label: str) -> None:
-        """Put plots of these channels in place of those before."""
+        """Replace the plots by those for the present channels."""
         for _, plot in self._actions:
             plot.remove()
         self._label = label
@@ -190,7 +188,7 @@ def _plot(
 
 
 def _filled(data: tuple[F64, ...]) -> tuple[F64, ...]:
-    """The data, or one point at zero: a plot needs at least one, and cannot scale one without a
+    """The data, or one point at zero: a plot needs at least one point and cannot scale without a
     value.
     """
     if data[0].size:

@@ -51,12 +51,12 @@ class RobotModel:
         self.urdf: yourdfpy.URDF = yourdfpy.URDF.load(io.BytesIO(profile.urdf.encode()))
 
     def configuration(self, joints: Mapping[str, float]) -> F64:
-        """Positions in the order of the URDF; 0 for a joint that is not known."""
+        """Joint positions in the order of the URDF; 0 for an unknown joint."""
         return np.array([joints.get(name, 0.0) for name in self.urdf.actuated_joint_names])
 
     def tcps_of(self, joints: Mapping[str, float]) -> dict[str, F64]:
-        """Pose (4, 4) of the TCP of each arm in the base frame at these positions; leaves the model
-        there.
+        """TCP pose (4, 4) of each arm in the base frame at these positions; leaves the model in
+        them.
         """
         self.urdf.update_cfg(self.configuration(joints))
         base = self.profile.base_link
@@ -96,12 +96,12 @@ class ArmScene:
         self._shown: tuple[object, int] = (None, 0)
 
     def target(self, position_m: F64) -> None:
-        """Show where the TCP was sent [m]."""
+        """Show the position that the TCP was sent to [m]."""
         self._target.position = position_m
         self._target.visible = True
 
     def update(self, track: TcpTrack, joints: Mapping[str, float]) -> None:
-        """Show what is measured now."""
+        """Show the newest measurement."""
         if track.pose is not None and track.pose is not self._shown[0]:
             self._tcp.position, self._tcp.wxyz = track.pose
             self._tcp.visible = True
@@ -166,7 +166,7 @@ class PageScene:
         self._look_from(client, limits)
 
     def update(self, measured: MeasuredTopics) -> None:
-        """Show what is measured now."""
+        """Show the newest measurements."""
         if self._model is not None and measured.joints is not self._joints:
             self._joints = measured.joints
             self._move(measured.joints)
@@ -183,7 +183,7 @@ class PageScene:
             self._arms[arm].update(track, measured.joints)
 
     def show_picture(self, camera: str, pixels: NDArray[np.uint8]) -> None:
-        """Show a picture where the camera stands."""
+        """Show a picture at the pose of its camera."""
         if camera in self._pictures:
             self._pictures[camera].image = pixels
 
@@ -209,14 +209,14 @@ class PageScene:
         )
 
     def _mount(self, mount: str) -> str:
-        """The frame of the scene that a camera is mounted on, "/" at its end."""
+        """Scene path of the frame that a camera is mounted on, with a trailing "/"."""
         if mount == "base":
             return "/cameras/"
         arm = mount.removesuffix("tcp").removesuffix("/") or next(iter(self._arms))
         return f"{self._arms[arm].place}/tcp/"
 
     def _add_limits(self, limits: MotionRules, config: Config) -> None:
-        """The workspace box as lines, forbidden zones and obstacles as boxes."""
+        """Show the workspace box as lines, and forbidden zones and obstacles as boxes."""
         if np.isfinite(limits.lower_m).all() and np.isfinite(limits.upper_m).all():
             lower, upper = limits.lower_m, limits.upper_m
             self._scene.add_line_segments(

@@ -68,7 +68,7 @@ class Showing:
             thread.start()
 
     def close(self) -> None:
-        """End everything; idempotent."""
+        """Stop filling pages; idempotent."""
         self._is_closing.set()
         self._looks.set()
         self._motion.close()
@@ -78,12 +78,14 @@ class Showing:
             self._stop_looking()
 
     def add(self, page: Page) -> None:
-        """A page of this robot; `admit` shows the rest of it."""
+        """Add a page of this robot; `admit` shows its contents."""
         with self._lock:
             self._pages.append(page)
 
     def admit(self, page: Page) -> None:
-        """Show everything to a page whose holder is known; the first one makes us look."""
+        """Show everything to a page whose holder is known; with the first page the subscriptions
+        begin.
+        """
         try:
             with self._lock:
                 if self.measured is None:
@@ -97,7 +99,7 @@ class Showing:
             page.tell("The robot cannot be shown", str(error), is_bad=True)
 
     def remove(self, page: Page) -> None:
-        """The page was closed, or shows another robot."""
+        """Remove a page that was closed or shows another robot."""
         with self._lock:
             if page in self._pages:
                 self._pages.remove(page)
@@ -105,7 +107,7 @@ class Showing:
                 self._stop_looking()
 
     def goal(self) -> dict[str, float] | None:
-        """Where whoever leads from a page wants the joints by now [rad or m]; None without one."""
+        """Present goal by joint [rad or m] of the page that leads; None when none does."""
         lead, measured = self._lead, self.measured
         return None if lead is None or measured is None else lead.goal(measured.joints)
 
@@ -175,7 +177,7 @@ class Showing:
                     log.exception("A picture of %s could not be shown.", camera)
 
     def _due(self, measured: MeasuredTopics) -> list[str]:
-        """Cameras with a picture that is new and not too soon after the one before."""
+        """Cameras with a new picture whose minimum interval since the last one is over."""
         now_s = time.monotonic()
         return [
             camera
@@ -203,9 +205,7 @@ class Showing:
 
 
 def fitted(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A picture of a width that fits the panel: whole numbers of pixels are repeated or left
-    out.
-    """
+    """Scale a picture to a width that fits the panel, by repeating or leaving out whole pixels."""
     width = pixels.shape[1]
     if width > _MOST_WIDTH_PX:
         step = -(-width // _MOST_WIDTH_PX)

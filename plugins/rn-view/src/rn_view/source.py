@@ -43,12 +43,11 @@ _PARTS = {part: f"backend.shared.{part}_ms" for part in ("round_trip", "link", "
 
 
 def said_of(note: str, metrics: Mapping[str, str]) -> str:
-    """What a module says of itself: its note, and where the answers of a policy on another machine
-    spend their time.
+    """A module's note, and, if its policy runs on another machine, how the response time is split.
 
     Args:
-        note: of the module.
-        metrics: of its report.
+        note: note of the module.
+        metrics: metrics of its report.
     """
     try:
         whole, *parts = (f"{part} {float(metrics[key]):.0f}" for part, key in _PARTS.items())
@@ -94,44 +93,47 @@ class Source(Protocol):
     def playback(self) -> Playback | None: ...
 
     def now_s(self) -> float:
-        """Time of what is shown [s]: monotonic, or in a recording; in a callback of `subscribe`
-        that of the message.
+        """Time of what is shown [s]: monotonic, or within a recording; in a callback of `subscribe`
+        the time of the message.
         """
         ...
 
     def config(self) -> Config:
-        """The configuration with the robot that runs now."""
+        """The configuration, with the robot that runs now."""
         ...
 
     def profile(self) -> RobotProfile:
-        """The robot's profile. Raises RoboNeuronError when its plugin cannot be used."""
+        """Profile of the robot. Raises RoboNeuronError when its plugin cannot be used."""
         ...
 
     def snapshot(self) -> PageState:
-        """The present state."""
+        """State at the time that is shown."""
         ...
 
     def is_latched(self) -> bool:
-        """Whether the emergency stop is latched; at once, also while nobody looks."""
+        """Whether the emergency stop is latched; answers at once, also while no page is open."""
         ...
 
     def look(self) -> None:
-        """Read what only a looker needs, such as the audit; adds to `shown_events`."""
+        """Read what is needed only while a page is open, such as the audit; adds to
+        `shown_events`.
+        """
         ...
 
     def subscribe(
         self, message_type: type[M], topic: str, callback: Callable[[M], None]
     ) -> Callable[[], None]:
-        """Call `callback` with each message of a topic under the robot's namespace; returns what
-        ends it.
+        """Call `callback` with each message of a topic under the robot's namespace; returns a
+        function that unsubscribes.
 
         Raises:
-            RoboNeuronError: ROS cannot be joined.
+            RoboNeuronError: the ROS graph cannot be joined.
         """
         ...
 
     def press_stop(self, who: str) -> str:
-        """Latch the emergency stop; blocks until it is confirmed and says by whom.
+        """Latch the emergency stop; blocks until it is confirmed and returns a text that says by
+        whom.
 
         Raises:
             RoboNeuronError: it could not be written or was not confirmed.

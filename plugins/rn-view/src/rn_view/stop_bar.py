@@ -144,7 +144,7 @@ def base_page() -> str:
     """viser's page.
 
     Raises:
-        PluginError: it is not what this package was made for.
+        PluginError: this version of viser has another page than this package expects.
     """
     import viser  # heavy
 
@@ -160,11 +160,11 @@ def base_page() -> str:
 
 
 def page_with_bar(base: str, robots: Sequence[str]) -> str:
-    """The page of these robots, with the stop.
+    """The page of these robots, with the emergency stop.
 
     Args:
-        base: of `base_page`.
-        robots: their names; of several each has a stop of its own beside the one of all.
+        base: result of `base_page`.
+        robots: their names; with several, each has its own stop beside the common one.
     """
     title = f"{', '.join(robots)} - {TITLE}" if any(robots) else TITLE
     several = len(robots) > 1
@@ -199,10 +199,10 @@ def page_with_bar(base: str, robots: Sequence[str]) -> str:
 
 
 def page_without_stop(base: str, title: str) -> str:
-    """The page of what is no robot: a recording."""
+    """The page of a recording: without the emergency stop, as there is no robot."""
     return base.replace(_HEAD, f"<title>{escape(title)} - {TITLE}</title>")
 
 
 def _json(value: object) -> str:
-    """JSON that may stand in a script element."""
+    """JSON that is safe within a script element."""
     return json.dumps(value).replace("<", "\\u003c")

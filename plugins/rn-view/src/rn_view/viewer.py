@@ -88,14 +88,14 @@ class Viewer:
 
     @property
     def measured(self) -> MeasuredTopics | None:
-        """What is measured of the first robot; None while nobody looks at it: nothing is subscribed
-        to then.
+        """Measurements of the first robot; None while no page shows it, as nothing is subscribed to
+        then.
         """
         return next(iter(self._showings.values())).measured
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         assert self._server is not None
         host = "127.0.0.1" if self._options.host in ("0.0.0.0", "::", "") else self._options.host
         return (
@@ -105,7 +105,7 @@ class Viewer:
         )
 
     def open(self) -> None:
-        """Begin to serve.
+        """Start to serve.
 
         Raises:
             ConfigurationError: as `check_port`.
@@ -137,7 +137,7 @@ class Viewer:
         log.info("The live view is at %s.", self.url)
 
     def join(self, name: str, source: Source, operator: Operator) -> None:
-        """Show one more robot; every page begins anew, with the choice."""
+        """Show one more robot; every page reloads, now with a choice of the robot."""
         with self._lock:
             self._sources = {**self._sources, name: source}
             self._operators = {**self._operators, name: operator}
@@ -148,7 +148,7 @@ class Viewer:
             self._begin_anew()
 
     def close(self) -> None:
-        """End everything; idempotent."""
+        """Stop serving and close all pages; idempotent."""
         for showing in self._showings.values():
             showing.close()
         for proof in tuple(self._proofs):
@@ -166,14 +166,14 @@ class Viewer:
             showing.close()
 
     def _begin_anew(self) -> None:
-        """Another robot runs: every page begins anew."""
+        """Disconnect all pages, so that they reload: another robot runs."""
         server = self._server
         if server is not None:
             server._websock_server.disconnect_all_clients()
 
     async def _check_connection(self, connection: Any) -> None:
-        """A websocket was opened: it has a while to become a page, before the oldest that did not
-        gives way to it.
+        """Give a new websocket `_SILENT_S` to become a page, and close the oldest ones that are no
+        page beyond `_MOST_SILENT`.
         """
         assert self._server is not None
         live = self._server._websock_server._live_connections
@@ -219,8 +219,8 @@ class Viewer:
         self._begin(page)
 
     def _abort(self, number: int) -> None:
-        """Cut a page that shows the stop only, for a newer one; its program comes again by
-        itself.
+        """Disconnect a page that shows only the stop, to make room for a newer one; it reconnects
+        by itself.
         """
         server = self._server
         found = None if server is None else server._websock_server._live_connections.get(number)
@@ -229,7 +229,7 @@ class Viewer:
             loop.call_soon_threadsafe(found.transport.abort)
 
     def _begin(self, page: Page) -> None:
-        """Show everything to a page whose holder is known; ask the others."""
+        """Show everything to a page whose holder is known; ask for a token on others."""
         if page.holder is not None:
             self._admit(page)
         else:
@@ -256,7 +256,7 @@ class Viewer:
         return None if showing is None else showing.goal()
 
     def _on_lead(self, page: Page, lead: PageLead, who: object) -> None:
-        """A page has begun to lead: it does so while its browser answers."""
+        """Keep the lead of a page alive for as long as its browser answers."""
         server = self._server
         loop = None if server is None else server._websock_server._background_event_loop
         if loop is not None:
@@ -276,7 +276,7 @@ class Viewer:
         lead.end(who)
 
     def _choose(self, page: Page) -> None:
-        """The page is to show another robot."""
+        """Switch a page to the robot chosen on it."""
         with self._lock:
             before, robot = self._shown.get(page), page.robot
             if before is None or robot == before:
@@ -300,7 +300,7 @@ class Viewer:
 
 
 def _set_theme(gui: viser.GuiApi, *, is_dark: bool) -> None:
-    """Of every page, or of one."""
+    """Set the theme of every page, or of one."""
     gui.configure_theme(
         show_logo=False, show_share_button=False, control_width="medium", dark_mode=is_dark
     )

@@ -34,36 +34,36 @@ class Visitors:
         self._dark: set[int] = set()
 
     def cookie(self, request: _PageRequest) -> str:
-        """The header that gives a browser its cookie, or the one it has once more."""
+        """Set-Cookie header for a browser; repeats the cookie that it has already."""
         value = _cookie_of(request) or secrets.token_urlsafe(16)
         return f"{_COOKIE}={value}; Path=/; HttpOnly; SameSite=Strict"
 
     def connect(self, number: int, request: _PageRequest) -> None:
-        """A page's websocket was opened."""
+        """Register a page whose websocket was opened."""
         with self._lock:
             self._cookies[number] = _cookie_of(request)
             if _DARK.search(request.headers.get("Cookie", "")):
                 self._dark.add(number)
 
     def wants_dark(self, number: int) -> bool:
-        """Whether the browser of that page prefers dark colours."""
+        """Whether that page's browser prefers dark colours."""
         with self._lock:
             return number in self._dark
 
     def name(self, number: int, who: str) -> None:
-        """It is known who looks at that page."""
+        """Register who looks at that page."""
         with self._lock:
             self._names[number] = who
 
     def disconnect(self, number: int) -> None:
-        """The page is gone."""
+        """Remove a page that was closed."""
         with self._lock:
             self._cookies.pop(number, None)
             self._names.pop(number, None)
             self._dark.discard(number)
 
     def who(self, request: _PageRequest, address: str) -> str:
-        """Who sends a request: whoever looks at the newest page of that browser."""
+        """Name of the sender of a request: the holder of that browser's newest page."""
         cookie = _cookie_of(request)
         with self._lock:
             pages = [

@@ -73,7 +73,7 @@ class Web:
         self._pages: dict[tuple[str, ...], tuple[bytes, bytes]] = {}
 
     async def answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """The answer to a request; None for a websocket, and for what viser answers."""
+        """The answer to a request; None for a websocket and for requests that viser answers."""
         if not self._admission.allows(request.headers):
             log.warning("A page of %s may not connect to the view.", request.headers.get("Origin"))
             return _answer(
@@ -158,10 +158,10 @@ class Web:
 
 @contextmanager
 def served_by(listener: BoundedListener, web: Web, seats: LeadSeats) -> Iterator[None]:
-    """Within the block viser's websockets server listens on this socket, and asks `web` and `seats`
+    """Within the block, viser's websocket server listens on this socket and asks `web` and `seats`
     first.
 
-    viser passes neither a socket nor a time-out nor a handler of requests on to websockets.
+    viser has no option to pass a socket, a time-out or a request handler on to websockets.
     """
     original = websockets_server.serve
 

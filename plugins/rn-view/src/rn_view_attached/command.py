@@ -111,7 +111,7 @@ def _chosen(config: Config, robot: str | None) -> dict[str, Config]:
 def _sources(
     arguments: Namespace, robots: dict[str, Config], registry: Registry
 ) -> tuple[dict[str, AttachedSource] | RecordedSource, ViewNode | RecordedSource]:
-    """What the pages show, and what is to be opened before and closed after that."""
+    """What the pages show, and the object to open before and close after that."""
     config = next(iter(robots.values()))
     if arguments.run is not None:
         if len(robots) > 1:

@@ -34,7 +34,7 @@ class ViewNode:
         self.diagnostics = DiagnosticsListener(state_directory)
 
     def open(self) -> None:
-        """Join; raises as `roboneuron.ros.environment.prepare_environment`."""
+        """Join the ROS graph; raises as `roboneuron.ros.environment.prepare_environment`."""
         self.diagnostics.open()
         from roboneuron.command import RosLink  # heavy
 
@@ -42,7 +42,7 @@ class ViewNode:
         self.link.open()
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the ROS graph."""
         self.link.close()
         self.diagnostics.close()
 
@@ -129,7 +129,7 @@ class AttachedSource:
         return link.follow(message_type, place, callback)
 
     def press_stop(self, who: str) -> str:
-        """See Source: written as `roboneuron estop` does."""
+        """See Source: writes the file that `roboneuron estop` writes."""
         latch = estop.EmergencyStopLatch.in_directory(self._state_directory)
         audit = AuditLog.in_directory(self._state_directory)
         latch.latch(who=who, reason="pressed in the attached view", audit=audit)
@@ -137,8 +137,8 @@ class AttachedSource:
         return "Latched in the file that every module looks at 50 times a second."
 
     def _modules(self) -> tuple[ReportedModule, ...]:
-        """Those of the robot; a server of one robot may run another one than the configuration
-        names.
+        """Modules of this robot. A server of one robot may run another robot than the configuration
+        names; its modules are shown then.
         """
         found = self._graph.diagnostics.read_status()
         own = [status for status in found if status.namespace == self._config.namespace]

@@ -58,25 +58,27 @@ class RunLog:
         self._times_ns = [round(event.at_s / _NS) for event in self._sorted]
 
     def lines(self, at_ns: int) -> list[ShownEvent]:
-        """What had happened until then, oldest first."""
+        """Events until then, oldest first."""
         return self._sorted[: bisect_right(self._times_ns, at_ns)]
 
     def health(self, module: str, at_ns: int) -> tuple[str, str]:
-        """What the server said of a module then, and why; empty when it had said nothing yet."""
+        """Health of a module at that time and its reason, as the server reported it; empty before
+        the first report.
+        """
         _, health, why = _newest(self._health.get(module, []), at_ns) or (0, "", "")
         return health, why
 
     def chosen(self, module: str, at_ns: int) -> str:
-        """What a module had been started with; empty when nobody said so."""
+        """What a module was started with, such as a backend; empty when not recorded."""
         return (_newest(self._chosen.get(module, []), at_ns) or (0, ""))[1]
 
     def stop(self, at_ns: int) -> tuple[bool, str]:
-        """Whether the emergency stop was latched then, and by whom and why."""
+        """Whether the emergency stop was latched then, and who caused it and why."""
         _, is_latched, cause = _newest(self._stops, at_ns) or (0, False, "")
         return is_latched, cause
 
     def instruction(self, at_ns: int) -> str:
-        """What the backend had been told."""
+        """The instruction given to the backend."""
         return (_newest(self._instructions, at_ns) or (0, ""))[1]
 
     def _add_event(self, told: Mapping[str, Any], at_ns: int, marks: list[Mark]) -> None:

@@ -85,16 +85,16 @@ class RecordedSource:
         self._player = Periodic("view-playback", _STEP_S, self.step)
 
     def open(self) -> None:
-        """Begin to play."""
+        """Start to play."""
         self._player.start()
 
     def close(self) -> None:
-        """End; idempotent."""
+        """Stop playing; idempotent."""
         self._player.close()
 
     @property
     def shown_events(self) -> _Then:
-        """See Source: those until the time that is shown."""
+        """See Source: the events until the time that is shown."""
         return _Then(self._log.lines(self._shown_ns))
 
     def config(self) -> Config:
@@ -131,7 +131,7 @@ class RecordedSource:
         return False
 
     def look(self) -> None:
-        """See Source: everything was read already."""
+        """See Source: does nothing, as all events were read already."""
 
     def subscribe(
         self, message_type: type[M], topic: str, callback: Callable[[M], None]
@@ -148,13 +148,13 @@ class RecordedSource:
         return lambda: self._callbacks[place].remove(callback)
 
     def press_stop(self, who: str) -> str:
-        """See Source; no page has the button."""
+        """See Source: always raises; no page of a recording has the button."""
         raise StateError(
             "This is a recording: no robot is stopped here.", hint="Use roboneuron estop."
         )
 
     def step(self) -> None:
-        """Deliver what is due now."""
+        """Deliver the messages that are due."""
         now_s = self._clock()
         elapsed_s, self._stepped_s = now_s - self._stepped_s, now_s
         if not any(self._callbacks.values()):
@@ -172,7 +172,7 @@ class RecordedSource:
             self._message_s = until_ns / 1e9
 
     def _due(self, topic: str, before_ns: int, until_ns: int, jumped: bool) -> list[Record]:
-        """Messages to deliver, oldest first."""
+        """Messages that are due, oldest first."""
         if topic.rpartition("/")[2] in _WHOLE:
             since_ns = until_ns - round(_HISTORY_S * 1e9) if jumped else before_ns
             found = list(self._timeline.between(topic, since_ns, until_ns))
@@ -198,7 +198,7 @@ class RecordedSource:
             callback(message)
 
     def _reports_at(self, at_ns: int) -> dict[str, Report]:
-        """What the modules had said last, by kind, unless that was long before."""
+        """Last report of each module by its kind, unless it is too old."""
         found: dict[str, Report] = {}
         seen: dict[tuple[int, int], list[tuple[str, Report]]] = {}
         for record in self._timeline.between("/diagnostics", at_ns - round(_FRESH_S * 1e9), at_ns):
@@ -250,16 +250,16 @@ class _Then:
         self.count = len(events)
 
     def newest(self, most: int) -> list[ShownEvent]:
-        """The newest ones, newest first."""
+        """The newest events, newest first."""
         return self._events[: -most - 1 : -1]
 
 
 def _recorded_config(about: dict[str, str], config: Config) -> Config:
-    """The configuration that the run was recorded with; `config` with its robot when the run does
-    not hold one.
+    """The configuration that the run was recorded with; if the run does not hold one, `config` with
+    the recorded robot.
 
     Raises:
-        InvalidInputError: it does not even say of which robot it is.
+        InvalidInputError: the run does not even name its robot.
     """
     try:
         found = Config.model_validate(json.loads(about["config"]))
@@ -278,7 +278,7 @@ def _recorded_config(about: dict[str, str], config: Config) -> Config:
 
 
 def _as_image(message: object, record: Record) -> object:
-    """A recorded picture as the message that its camera sent."""
+    """A recorded picture as the image message of its camera."""
     from sensor_msgs.msg import Image  # heavy
 
     pixels = pixels_of(message, record.type)

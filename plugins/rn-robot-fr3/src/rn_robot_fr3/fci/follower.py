@@ -205,9 +205,7 @@ class Follower:
         elif is_lost:
             self._arm = lost
         elif self._sent is not None and cycles > 1 and before.sent(self._sent).is_at(position):
-            assert (
-                taken is not None
-            )  # it came late, and the arm extrapolates from it over the whole gap
+            assert taken is not None  # it came late; the arm extrapolates over the whole gap
             self._arm = taken
         else:
             self._arm = CommandedState(list(position), list(velocity), list(acceleration))

@@ -117,9 +117,7 @@ def _check_once(case: PerceptionCase) -> None:
         raise NotApplicable("frames come by themselves")
     with opened(case) as (source, topics):
         first = read_frame(case, source, topics)
-        for _ in range(
-            FRAMES
-        ):  # a source may have created more frames from the input, but not endlessly
+        for _ in range(FRAMES):  # the input may have given more frames, but not endlessly many
             try:
                 again = source.read(SHORT_READ_S)
             except NotReadyError:
