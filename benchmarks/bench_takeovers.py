@@ -9,8 +9,9 @@ the first --browser trials, its keys in a headless Chromium), in a separate proc
 trial gives a new instruction. Each waits for a random time, takes over (a third blended), drives,
 and hands back, half of the time while the arm moves; or the page is closed, stops sending with its
 connection open (SIGSTOP), is killed, or its switch is released. A separate node evaluates: see
-takeover_judge.py, and command_judge.py for the commands. A hand-over is compared with the undisturbed policy of the same trial. The ledger
---out is continued; a trial's seed determines the person's actions.
+takeover_judge.py, and command_judge.py for the commands. A hand-over is compared with the
+undisturbed policy of the same trial. The ledger --out is continued; a trial's seed determines the
+person's actions.
 """
 
 from __future__ import annotations
