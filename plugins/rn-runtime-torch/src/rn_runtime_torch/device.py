@@ -31,7 +31,7 @@ def choose_device(config: TorchRuntimeConfig) -> torch.device:
     device = torch.device(config.device)
     if device.type == "cuda" and (device.index or 0) >= count:
         raise ConfigurationError(
-            f"Runtime 'torch' should use {config.device!r}, but torch {torch.__version__} has "
+            f"Runtime 'torch' should use {config.device!r}, but torch {torch.__version__} sees "
             f"{count} CUDA devices.",
             hint='Set device = "auto" or "cpu", or install a CUDA build of torch.',
         )
