@@ -6,15 +6,19 @@ from __future__ import annotations
 
 import json
 import os
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import patch
 
 import anyio
 from anyio import to_thread
 from way_count import Call, Recorder, Way
 
+from roboneuron import Host
 from roboneuron.config import parse_config
 from roboneuron.server.app import Application
 from roboneuron.supervisor.connection import Connection
@@ -73,6 +77,8 @@ class Unjoined(Connection):
         self._link: Any = SimpleNamespace(
             node=node,
             on_executor=lambda task: task(),
+            advertise=lambda *arguments: lambda message: None,
+            subscribe=lambda *arguments: lambda: None,
             send_if_possible=lambda publisher, message: publisher.publish(message),
         )
 
@@ -105,7 +111,10 @@ def trace_publish(folder: Path, *, lasting: bool) -> Way:
     application = Application(parse_config(text), connect=Unjoined)
     recorder = Recorder()
     try:
-        anyio.run(_call, application, recorder, lasting)
+        with patch.object(
+            Host, "end_soon", staticmethod(lambda: None)
+        ):  # it would end this process
+            anyio.run(_call, application, recorder, lasting)
     finally:
         recorder.remove()
         application.close()
@@ -151,9 +160,9 @@ async def _call(application: Application, recorder: Recorder, lasting: bool) -> 
             os.close(incoming[1])
 
     recorder.install()
-    async with anyio.create_task_group() as group:
-        group.start_soon(transport, anyio.Event())
-        with anyio.fail_after(WAIT_S):
+    with anyio.fail_after(WAIT_S):
+        async with anyio.create_task_group() as group:
+            group.start_soon(transport, anyio.Event())
             await to_thread.run_sync(client, abandon_on_cancel=True)
 
 
@@ -172,14 +181,16 @@ def carried(calls: list[Call]) -> Way:
 
 
 def main() -> None:
-    """Print both ways."""
-    import tempfile
-
-    for lasting in (False, True):
-        with tempfile.TemporaryDirectory() as name:
-            way = trace_publish(Path(name), lasting=lasting)
-        print(way.counts())
-        print(way.listing())
+    """Print both ways, or with --json their counts."""
+    ways: dict[str, Way] = {}
+    for name, lasting in (("once", False), ("lasting", True)):
+        with tempfile.TemporaryDirectory() as folder:
+            ways[name] = trace_publish(Path(folder), lasting=lasting)
+    if "--json" in sys.argv:
+        print(json.dumps({name: way.counts() for name, way in ways.items()}))
+        return
+    for name, way in ways.items():
+        print(f"publish_velocity, {name}: {way.told()}\n{way.listing()}")
 
 
 if __name__ == "__main__":

@@ -61,14 +61,19 @@ class Way:
         runs = groupby(self.calls, key=lambda call: call.file)
         return [(file, [call.function for call in calls]) for file, calls in runs]
 
-    def counts(self) -> str:
-        """The counts in words."""
+    def counts(self) -> dict[str, int]:
+        """The counts by name."""
         visits, files = len(self.visits), len(self.files)
-        packages = len({file.rpartition("/")[0] for file in self.files})
-        return (
-            f"{self.functions} functions in {files} files of {packages} packages, "
-            f"{visits} visits, {visits - files} returns"
-        )
+        return {
+            "functions": self.functions,
+            "files": files,
+            "visits": visits,
+            "returns": visits - files,
+        }
+
+    def told(self) -> str:
+        """The counts in words."""
+        return ", ".join(f"{count} {name}" for name, count in self.counts().items())
 
     def listing(self) -> str:
         """The visits, one a line."""
@@ -105,7 +110,7 @@ class Recorder:
         code = frame.f_code
         name = self._names.get(code)
         if name is None:
-            name = self._names[code] = _file_of(code)
+            name = self._names[code] = file_of(code)
         if not name or (code.co_flags & _RESUMED and not _begins(frame)):
             return
         thread = threading.current_thread().name
@@ -125,7 +130,7 @@ def _begins(frame: FrameType) -> bool:
     return frame.f_code.co_code[frame.f_lasti + 1] == 0
 
 
-def _file_of(code: CodeType) -> str:
+def file_of(code: CodeType) -> str:
     """The file of a function, from its package on; empty for one that is not of the project."""
     if code.co_name.startswith("<") and code.co_name != "<lambda>":
         return ""
