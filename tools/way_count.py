@@ -115,7 +115,11 @@ class Recorder:
             return
         thread = threading.current_thread().name
         root = self._root_of(frame)
-        self.calls.append(Call(time.monotonic_ns(), thread, root, name, code.co_qualname))
+        self.keep(Call(time.monotonic_ns(), thread, root, name, code.co_qualname))
+
+    def keep(self, call: Call) -> None:
+        """Note a call."""
+        self.calls.append(call)
 
     def _root_of(self, frame: FrameType) -> str:
         root, at = frame.f_code.co_qualname, frame.f_back
