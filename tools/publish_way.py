@@ -159,10 +159,13 @@ async def _call(application: Application, recorder: Recorder, lasting: bool) -> 
         finally:
             os.close(incoming[1])
 
+    async def serve() -> None:
+        await transport(anyio.Event())
+
     recorder.install()
     with anyio.fail_after(WAIT_S):
         async with anyio.create_task_group() as group:
-            group.start_soon(transport, anyio.Event())
+            group.start_soon(serve)
             await to_thread.run_sync(client, abandon_on_cancel=True)
 
 
