@@ -1,15 +1,12 @@
-"""Trace three paths through the code in a running server, and print the files of each in the order
-of their first call.
+"""Trace the way of an image to a joint command through running modules.
 
-    python tools/trace_ways.py            # about a minute
+    python tools/trace_ways.py    # needs ROS and the packages of `make demo`; at most five minutes
 
-It needs ROS, the packages of `make demo` and rn-robot-bases.
-
-The paths are: from a call of `publish_velocity` to its message, from an image to its joint command,
-and from the key `control.action_timeout_s` to its use. Every called function of the project is
-recorded per process and thread: for the first two paths while a window is open, for the third if it
-gets a configuration or a part of it. Periodic code such as the status also appears in a window;
-docs/architecture.md separates it from the path.
+`publish_way.py` and `key_way.py` trace the two other ways that docs/architecture.md lists, without
+ROS. Here the default configuration is served and started, and every function of the project that a
+module calls is noted once, until control has acted on an action. What counts is on the threads that
+carry the image, below callbacks that do: timers and watches that run beside are left out
+(`BESIDE`).
 """
 
 from __future__ import annotations
@@ -18,178 +15,138 @@ import json
 import os
 import sys
 import tempfile
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import anyio
 from mcp import Client, StdioServerParameters
 from mcp.client.stdio import stdio_client
+from way_count import Call, Way
 
 from rn_testing.domain import free_ros_domain
 from roboneuron.config import default_text
 
+RUN_S = 300.0
+CALL_S = 120.0
+WINDOW_S = 2.0
+END = "MotionLimiter.limit"
+"""The last stage of the way, which control reaches only with an action."""
+CARRIERS = {"perception": "perception", "inference": "inference", "control": "MainThread"}
+"""By module the thread that carries the image, or what was made of it."""
+BESIDE = frozenset(
+    {
+        "ModuleNode._on_loop",
+        "HoldingModule._watch",
+        "Signals.take_stop",
+        "LeadInControl._look",
+        "ControlModule._on_joint_state",
+        "_count_listeners.<locals>.look",
+    }
+)
+"""Callbacks of timers and other topics on those threads."""
 HOOK = """
 import json, os, sys, threading, time
+from dataclasses import asdict
+from way_count import Recorder
+
+class Once(Recorder):
+    def keep(self, call):
+        seen.setdefault((call.thread, call.root, call.file, call.function), call)
+
+seen, recorder = {}, Once()
 folder = os.environ["TRACE_WAYS"]
-seen, window, facts = {}, "", {}
-def source(name):
-    for mark in ("/roboneuron/", "/rn_"):
-        place = name.rfind(mark)
-        if place >= 0 and "/src/" in name:
-            return name[place + 1:].removeprefix("roboneuron/")
-    return ""
-names = {}
-def told(frame):
-    for value in list(frame.f_locals.values()):
-        kind = type(value)
-        if kind.__module__ == "roboneuron.config.models" and kind.__name__ in ("Config", "ControlConfig"):
-            return True
-        if kind.__name__ == "ModuleSettings":
-            facts.setdefault("kind", value.kind)
-        if kind.__name__ == "ModuleSettings" or kind.__name__.endswith("Plan"):
-            return True
-    return False
-def hook(frame, event, argument):
-    if event != "call":
-        return
-    code = frame.f_code
-    name = names.get(code)
-    if name is None:
-        name = names[code] = source(code.co_filename)
-    if not name or code.co_name.startswith("<"):
-        return
-    thread = threading.current_thread().name
-    if window and (window, thread, name, code.co_qualname) not in seen:
-        seen[window, thread, name, code.co_qualname] = time.monotonic_ns()
-    if ("key", thread, name, code.co_qualname) not in seen and told(frame):
-        seen["key", thread, name, code.co_qualname] = time.monotonic_ns()
+
 def look():
-    global window
+    was_on = False
     while True:
-        try:
-            window = open(os.path.join(folder, "window")).read()
-        except OSError:
-            window = ""
+        recorder.is_on = os.path.exists(os.path.join(folder, "window"))
+        if was_on and not recorder.is_on:
+            path = os.path.join(folder, f"{os.getpid()}.json")
+            with open(path + ".new", "w") as file:
+                json.dump([asdict(call) for call in list(seen.values())], file)
+            os.replace(path + ".new", path)
+        was_on = recorder.is_on
         time.sleep(0.02)
-        rows = [[at, *key] for key, at in list(seen.items())]
-        path = os.path.join(folder, f"{os.getpid()}.json")
-        with open(path + ".new", "w") as file:
-            json.dump({"words": sys.argv, **facts, "rows": rows}, file)
-        os.replace(path + ".new", path)
-threading.setprofile(None)
-threading.Thread(target=look, daemon=True, name="trace").start()
-threading.setprofile(hook)
-sys.setprofile(hook)
-"""  # noqa: E501
+
+if "roboneuron.modules" in sys.orig_argv:
+    threading.Thread(target=look, daemon=True, name="trace").start()
+    recorder.install()
+"""
 
 
-@contextmanager
-def window(folder: Path, name: str) -> Iterator[None]:
-    """Record every call within the block."""
-    (folder / "window").write_text(name)
-    time.sleep(0.2)
-    yield
-    (folder / "window").unlink()
-    time.sleep(0.2)
+async def trace(folder: Path) -> None:
+    """Serve the default configuration, start it, and note the calls of a window.
 
-
-def print_way(folder: Path, way: str, kinds: tuple[str, ...]) -> None:
-    """Print the files of a path by process and thread, in the order of their first call, with the
-    first called function and the number of other functions called later.
+    Raises:
+        TimeoutError: it did not end in time.
     """
-    rows = [
-        (kind, row)
-        for kind in kinds
-        for process, found in read(folder)
-        if process == kind
-        for row in sorted(found)
-        if row[1] == way
-    ]
-    threads: dict[tuple[str, str], dict[str, list[str]]] = {}
-    for kind, (_, _, thread, name, function) in rows:
-        threads.setdefault((kind, thread), {}).setdefault(name, []).append(function)
-    for (kind, thread), files in threads.items():
-        places = [
-            f"{name} ({called[0]}{f' +{len(called) - 1}' if called[1:] else ''})"
-            for name, called in files.items()
-        ]
-        print(f"  {kind}, {thread}: {', '.join(places)}")
-    functions = {(row[3], row[4]) for _, row in rows}
-    names = {name for name, _ in functions}
-    packages = {name.rpartition("/")[0] for name in names}
-    print(
-        f"  {len(functions)} functions in {len(names)} files of {len(packages)} packages, "
-        f"{sum(not name.startswith('rn_') for name in names)} of the files in core\n"
-    )
-
-
-def read(folder: Path) -> Iterator[tuple[str, list[list[Any]]]]:
-    """Records of each process: "serve" or the kind of its module, and its first calls."""
-    for path in sorted(folder.glob("*.json")):
-        told = json.loads(path.read_text())
-        yield "serve" if "serve" in told["words"] else told.get("kind", ""), told["rows"]
-
-
-async def trace(
-    folder: Path, config: str, ways: dict[str, list[tuple[str, dict[str, Any]]]]
-) -> None:
-    """Serve a configuration, and make the calls of each path within its window."""
-    folder.mkdir()
     (folder / "sitecustomize.py").write_text(HOOK)
-    (folder / "roboneuron.toml").write_text(config)
+    (folder / "roboneuron.toml").write_text(default_text())
     environment = {
         **os.environ,
         "TRACE_WAYS": str(folder),
-        "PYTHONPATH": str(folder),
+        "PYTHONPATH": os.pathsep.join(
+            [str(folder), str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+        ),
         "ROS_DOMAIN_ID": str(free_ros_domain()),
         "XDG_STATE_HOME": str(folder / "state"),
     }
-    words = [
-        "-m",
-        "roboneuron.cli.main",
-        "serve",
-        "--config",
-        str(folder / "roboneuron.toml"),
-        "--log-level",
-        "error",
-    ]
+    words = ["-m", "roboneuron.cli.main", "serve", "--config", str(folder / "roboneuron.toml")]
+    words += ["--log-level", "error"]
     server = StdioServerParameters(command=sys.executable, args=words, env=environment)
-    async with Client(stdio_client(server), read_timeout_seconds=120) as client:
-        for way, calls in ways.items():
-            with window(folder, way):
-                for tool, arguments in calls:
-                    answer = await client.call_tool(tool, arguments)
-                    assert not answer.is_error, answer.content
-                await anyio.sleep(2.0)
-        await client.call_tool("stop_all", {})
+    starts: list[tuple[str, dict[str, Any]]] = [
+        (f"start_{kind}", {}) for kind in ("robot", "perception", "control")
+    ]
+    starts.append(("start_inference", {"instruction": "pick up the red cube"}))
+    with anyio.fail_after(RUN_S):
+        async with Client(stdio_client(server), read_timeout_seconds=CALL_S) as client:
+            for tool, arguments in starts:
+                answer = await client.call_tool(tool, arguments)
+                assert not answer.is_error, answer.content
+            while not is_complete(folder):
+                for path in folder.glob("*.json"):
+                    path.unlink()
+                (folder / "window").touch()
+                await anyio.sleep(WINDOW_S)
+                (folder / "window").unlink()
+                while len(list(folder.glob("*.json"))) < len(starts):
+                    await anyio.sleep(0.05)
+            await client.call_tool("stop_all", {})
+
+
+def is_complete(folder: Path) -> bool:
+    """Whether control was seen to act on an action; on a busy machine that takes several
+    windows.
+    """
+    return any(END in path.read_text() for path in folder.glob("*.json"))
+
+
+def read(folder: Path) -> dict[str, list[Call]]:
+    """The calls on the carrying thread of each module, in the order of their first occurrence."""
+    found: dict[str, list[Call]] = {}
+    for path in sorted(folder.glob("*.json")):
+        calls = [Call(**call) for call in json.loads(path.read_text())]
+        files = {call.file for call in calls}
+        for kind, thread in CARRIERS.items():
+            if f"rn_standard/{kind}/module.py" in files:
+                found[kind] = sorted(
+                    (c for c in calls if c.thread == thread and c.root not in BESIDE),
+                    key=lambda call: call.at_ns,
+                )
+    assert found.keys() == CARRIERS.keys(), found.keys()
+    return found
 
 
 def main() -> None:
-    """Trace and print the three paths."""
-    twist = {"linear": {"x": 0.1, "y": 0.0, "z": 0.0}, "angular": {"x": 0.0, "y": 0.0, "z": 0.0}}
-    start: list[tuple[str, dict[str, Any]]] = [
-        (f"start_{kind}", {}) for kind in ("robot", "perception", "control")
-    ]
-    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as root:
-        base, arm = Path(root) / "base", Path(root) / "arm"
-        publish = ("publish_velocity", {"message": twist, "duration_s": 0.3})
-        anyio.run(
-            trace,
-            base,
-            '[robot]\nname = "diffdrive"\n',
-            {"start": start[:1], "warm": [publish], "a": [publish]},
-        )
-        begin = ("start_inference", {"instruction": "pick up the red cube"})
-        anyio.run(trace, arm, default_text(), {"start": [*start, begin], "b": []})
-        print("publish_velocity, from the call to the message on cmd_vel")
-        print_way(base, "a", ("serve",))
-        print("an image to a joint command")
-        print_way(arm, "b", ("perception", "inference", "control"))
-        print("control.action_timeout_s, from the file to its use")
-        print_way(arm, "key", ("serve", "control"))
+    """Trace and print the way."""
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
+        anyio.run(trace, Path(name))
+        ways = read(Path(name))
+    way = Way([call for kind in CARRIERS for call in ways[kind]])
+    print(f"an image to a joint command: {way.functions} functions, {len(way.files)} files")
+    for kind in CARRIERS:
+        part = Way(ways[kind])
+        print(f"  {kind}: {part.functions} functions, {', '.join(part.files)}")
 
 
 if __name__ == "__main__":

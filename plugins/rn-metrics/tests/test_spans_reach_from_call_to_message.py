@@ -14,7 +14,7 @@ from opentelemetry.sdk.trace.export import SimpleSpanProcessor
 from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
 
 from rn_metrics.spans import Spans, otlp_exporter
-from rn_standard.direct_path import delivery
+from rn_standard.direct_path.writer import TopicWriter
 from roboneuron.gate.audit import AuditLog, AuditRecord
 
 SENT = AuditRecord(
@@ -48,12 +48,13 @@ def finished(tmp_path):
 def test_a_call_has_the_decisions_and_the_message_below_it(finished):
     audit, kept, provider = finished
     published = []
-    writer = SimpleNamespace(topic="/robot/cmd_vel", publish=published.append)
+    writer = TopicWriter(None, str, "std_msgs/msg/String", "/robot/cmd_vel")
+    writer._publisher = SimpleNamespace(publish=published.append)
 
     def work():
         audit.write(REFUSED)
         audit.write(SENT)
-        delivery.send(writer, "forward", stamped=False)
+        writer.send("forward", stamped=False)
 
     async def call():
         with provider.get_tracer("mcp-python-sdk").start_as_current_span(

@@ -22,6 +22,7 @@ from rn_standard.direct_path.fields import filled, load_type
 from rn_standard.direct_path.gate import Gate
 from rn_standard.direct_path.motion_gate import DirectGate
 from rn_standard.direct_path.request import AllowedEndpoint
+from rn_standard.direct_path.writer import TopicWriter
 from rn_testing.gate_fixtures import Clock
 from roboneuron.contract import Endpoint, GripperProfile, JointLimits, JointSample, RobotProfile
 from roboneuron.estop import EmergencyStopLatch
@@ -165,6 +166,7 @@ class Writer:
         self.takes_s = 0.0
         self.on_connect: Callable[[], object] = lambda: None
         self._clock = clock
+        self._publisher = self
 
     def listening(self) -> int:
         return self.listeners
@@ -182,6 +184,9 @@ class Writer:
         self.published.append(message)
 
     publish_if_possible = publish
+
+    def send(self, message: Any, stamped: bool) -> None:
+        TopicWriter.send(self, message, stamped)  # type: ignore[arg-type]
 
 
 class Traffic:

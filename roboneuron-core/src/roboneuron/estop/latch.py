@@ -27,7 +27,6 @@ from roboneuron.estop.latch_file import (
     ESTOP_FILE,
     RESET_SUFFIX,
     LatchState,
-    identity_of,
     read_cause,
     sync,
     write_cause,
@@ -105,7 +104,7 @@ class EmergencyStopLatch:
         """True if motion is forbidden; about 1 us."""
         with self._lock:
             try:
-                self._seen = identity_of(self.path)
+                self._seen = _identity_of(self.path)
             except FileNotFoundError:
                 return self._held is not None and not self._was_reset()
             # a directory that cannot be entered, a failing disk: unknown counts as latched
@@ -118,7 +117,7 @@ class EmergencyStopLatch:
     def _was_reset(self) -> bool:
         """Check a missing file: True after a reset; otherwise it is written again."""
         with suppress(OSError):
-            if self._seen is not None and identity_of(self._reset_path) == self._seen:
+            if self._seen is not None and _identity_of(self._reset_path) == self._seen:
                 self._held = self._seen = None
                 return True
         self._restore()
@@ -289,7 +288,7 @@ class EmergencyStopLatch:
             )
         except FileExistsError:
             with suppress(OSError):
-                self._seen = identity_of(self.path)
+                self._seen = _identity_of(self.path)
             return
         try:
             # of the created file, not of the one that has its name by now
@@ -351,3 +350,9 @@ class EmergencyStopLatch:
                 )
                 raise StateError(text) from error
             self._held = self._seen = None
+
+
+def _identity_of(path: Path) -> tuple[int, int]:
+    """Device and inode; a rename keeps them, a copy and a new file do not."""
+    found = os.lstat(path)
+    return found.st_dev, found.st_ino

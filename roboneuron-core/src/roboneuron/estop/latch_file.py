@@ -58,12 +58,6 @@ def write_cause(descriptor: int, state: LatchState) -> None:
     os.write(descriptor, json.dumps(content).encode())
 
 
-def identity_of(path: Path) -> tuple[int, int]:
-    """Device and inode; a rename keeps them, a copy and a new file do not."""
-    found = os.lstat(path)
-    return found.st_dev, found.st_ino
-
-
 def sync(path: Path) -> None:
     """Flush a file or directory to the disk. Raises OSError on failure."""
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC)

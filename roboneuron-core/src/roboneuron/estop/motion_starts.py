@@ -112,7 +112,6 @@ class MotionStarts:
         self.note_stop(reason, holds_arm=kind in ARM_KINDS, is_asked=is_asked)
         self._take_back()
 
-    @property
     def are_needed(self) -> bool:
         """True if a stop keeps a module still until `permit`."""
         with self._supervisor.changes.lock:

@@ -89,7 +89,6 @@ class Application:
             raise ConfigurationError(
                 "This works with one robot; the configuration has [robots.<name>]."
             )
-        self._is_joining = False
         self._joining = anyio.Lock()
         self.events = Events()
         self.supervisor = Supervisor(
@@ -109,7 +108,6 @@ class Application:
         self.tools = ToolRegistry(
             [*stop_tools(self.loop), emergency_tool(self.loop)],
             most_calls=config.server.max_concurrent_calls,
-            ready=self._join_ros,
             on_call=self.events.call.tell,
             on_change=self.events.tools.tell,
             acts_on=lambda: str(self.loop.robot_facts),
@@ -192,7 +190,7 @@ class Application:
         self.loop.emergency_stop.file.reserve()
         self.supervisor.open()
         self.events.open.tell()
-        self._is_joining = True
+        self.tools.ready = self._join_ros
         self._watch.start()
 
     async def _join_ros(self) -> None:
@@ -202,14 +200,12 @@ class Application:
         Features start afterwards. If ROS cannot be joined, the tools that need it report the
         reason.
         """
-        if not self._is_joining:
-            return  # no call waits for an iteration of the event loop, as it would for a free lock
         async with self._joining:
-            if self._is_joining:
+            if self.tools.ready is not None:
                 with suppress(RoboNeuronError):
                     await to_thread.run_sync(lambda: self.supervisor.link)
                 await to_thread.run_sync(self.features.start, self.host)
-                self._is_joining = False
+                self.tools.ready = None  # no later call waits for the lock
 
     async def settle(self) -> None:
         """Subscribe to emergency stops of other nodes once ROS is joined, and call

@@ -35,6 +35,7 @@ class ExposedEndpoint:
         require_subscriber: a message without a subscriber is an error.
         moves: it moves the robot, and is refused while a policy does.
         hidden: it has no tools; another tool uses it.
+        topic: absolute name of the topic, service or action.
     """
 
     robot: str
@@ -47,12 +48,12 @@ class ExposedEndpoint:
     require_subscriber: bool = True
     moves: bool = True
     hidden: bool = False
+    topic: str = field(init=False)
 
-    @property
-    def topic(self) -> str:
-        """Absolute name of the topic, service or action."""
+    def __post_init__(self) -> None:
         name = self.endpoint.topic
-        return name if name.startswith("/") else f"/{self.namespace}/{name}"
+        absolute = name if name.startswith("/") else f"/{self.namespace}/{name}"
+        object.__setattr__(self, "topic", absolute)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -63,12 +63,13 @@ class ToolRegistry:
         most_calls: maximum number of concurrent calls by clients of one role, so that viewers
             cannot block operators; a stop is never refused.
         on_change: called, from any thread, when the listed derived tools changed.
-        ready: awaited before a known and permitted tool is called; urgent work is done before.
         on_call: called after each answered call, as `Events.call`.
         acts_on: the robot in words; part of every answer of a tool that acts on it.
 
     Attributes:
         admissions: called in this order before each call; features add checks of who may act.
+        ready: awaited before a known and permitted tool is called; urgent work is done before. None
+            when there is nothing to wait for.
     """
 
     def __init__(
@@ -76,7 +77,6 @@ class ToolRegistry:
         tools: Iterable[Tool[Any]] = (),
         *,
         most_calls: int = 64,
-        ready: Callable[[], Awaitable[None]] | None = None,
         on_change: Callable[[], object] = lambda: None,
         on_call: Callable[[str, Mapping[str, Any], str, str, float], object] = lambda *_: None,
         acts_on: Callable[[], str] | None = None,
@@ -84,7 +84,7 @@ class ToolRegistry:
         self._acts_on = acts_on
         self._on_call = on_call
         self.admissions: list[Admission] = []
-        self._ready = ready
+        self.ready: Callable[[], Awaitable[None]] | None = None
         self._on_change = on_change
         self._lock = threading.Lock()
         self._most_calls = most_calls
@@ -178,51 +178,36 @@ class ToolRegistry:
         """Validate, run, and answer; every failure becomes an MCP error result, except
         UnfinishedCallError.
         """
-        begun_s = time.monotonic()
-        result = await self._answer(name, arguments, context)
-        code = str((result.meta or {})[ERROR_META]["code"]) if result.is_error else ""
-        self._on_call(name, arguments, context.who, code, time.monotonic() - begun_s)
-        return result
-
-    async def _answer(
-        self, name: str, arguments: Mapping[str, Any], context: CallContext
-    ) -> types.CallToolResult:
+        begun_s, code = time.monotonic(), ""
         try:
-            tool = self.get(name)
-            if tool is None:
-                raise InvalidInputError(
-                    f"There is no tool {shortened(name)}.", hint="See tools/list.", path="tool"
-                )
-            tool.check_caller(context)
-            if tool.urgent is not None:
-                tool.urgent(arguments, context)
-            if self._ready is not None:
-                await self._ready()
-            answer = await self._carry_out(tool, arguments, context)
+            tool, answer = await self._carry_out(name, arguments, context)
+            result = self._success(tool, answer)
         except RoboNeuronError as error:
             log.info("%s was refused: %s: %s", shortened(name), error.code, _clipped(str(error)))
-            return self.failure(error)
+            code, result = error.code, self.failure(error)
         except UnfinishedCallError:
             raise
         except Exception:  # tool-call border: the agent gets an error, the log the traceback
             incident = uuid.uuid4().hex[:8]
             log.exception("%s failed (incident %s)", name, incident)
-            return self.failure(
-                InternalError(
-                    f"{name} failed unexpectedly (incident {incident}).",
-                    hint="The server's log has the details; get_status tells what is running.",
-                )
+            unexpected = InternalError(
+                f"{name} failed unexpectedly (incident {incident}).",
+                hint="The server's log has the details; get_status tells what is running.",
             )
+            code, result = unexpected.code, self.failure(unexpected)
+        self._on_call(name, arguments, context.who, code, time.monotonic() - begun_s)
+        return result
+
+    def _success(self, tool: Tool[Any], answer: Answer) -> types.CallToolResult:
+        """Return the answer to a call that succeeded. Raises InvalidInputError: it is too long."""
         structured = dict(answer.structured)
         if tool.open_world and not tool.read_only and self._acts_on is not None:
             structured["acts_on"] = self._acts_on()
         text = json.dumps(structured)
         if tool.read_only and len(text) > _MOST_ANSWER:
-            return self.failure(
-                InvalidInputError(
-                    f"The answer of {name} has {len(text)} characters: too many.",
-                    hint="Ask for less: its arguments narrow what it answers.",
-                )
+            raise InvalidInputError(
+                f"The answer of {tool.name} has {len(text)} characters: too many.",
+                hint="Ask for less: its arguments narrow what it answers.",
             )
         content: list[types.ContentBlock] = [
             types.TextContent(type="text", text=text),
@@ -254,8 +239,18 @@ class ToolRegistry:
         )
 
     async def _carry_out(
-        self, tool: Tool[Any], arguments: Mapping[str, Any], context: CallContext
-    ) -> Answer:
+        self, name: str, arguments: Mapping[str, Any], context: CallContext
+    ) -> tuple[Tool[Any], Answer]:
+        tool = self.get(name)
+        if tool is None:
+            raise InvalidInputError(
+                f"There is no tool {shortened(name)}.", hint="See tools/list.", path="tool"
+            )
+        tool.check_caller(context)
+        if tool.urgent is not None:
+            tool.urgent(arguments, context)
+        if self.ready is not None:
+            await self.ready()
         self._calls[context.role] += 1
         try:
             if self._calls[context.role] > self._most_calls and not tool.always:
@@ -267,7 +262,7 @@ class ToolRegistry:
                 )
             for admit in self.admissions:
                 admit(tool, context)
-            return await tool.call(arguments, context)
+            return tool, await tool.call(arguments, context)
         finally:
             self._calls[context.role] -= 1
 

@@ -256,9 +256,7 @@ class RequestContext:
             try:
                 # a separate thread: a stop never waits for threads of other calls
                 thread = anyio.CapacityLimiter(1)
-                return await to_thread.run_sync(
-                    lambda: work(stage), abandon_on_cancel=True, limiter=thread
-                )
+                return await to_thread.run_sync(work, stage, abandon_on_cancel=True, limiter=thread)
             except anyio.get_cancelled_exc_class():
                 on_cancel()
                 raise

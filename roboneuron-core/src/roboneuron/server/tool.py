@@ -221,9 +221,10 @@ class Tool(Generic[A]):
 
     def check_caller(self, context: CallContext) -> None:
         """Raise RefusedError, which names the roles, unless the caller may call it."""
-        if not self.least_role.is_held_by(context.role):
+        least = self.least_role
+        if not least.is_held_by(context.role):
             raise RefusedError(
-                f"{self.name} needs the role '{self.least_role}'; {context.who} has "
+                f"{self.name} needs the role '{least}'; {context.who} has "
                 f"{context.role or 'none'!r}.",
                 hint="Use a token with that role, or ask a person who has one.",
                 rule="role",
@@ -240,7 +241,7 @@ class Tool(Generic[A]):
 
     def parsed(self, arguments: Mapping[str, Any]) -> A:
         """Parse the arguments of a call. Raises InvalidInputError: they do not fit."""
-        return parse(self.arguments, arguments, self._choices())
+        return parse(self.arguments, arguments, self._choices() if self.choices else {})
 
     async def call(self, arguments: Mapping[str, Any], context: CallContext) -> Answer:
         """Check the arguments and call the handler. Raises as `parsed`, and the handler's

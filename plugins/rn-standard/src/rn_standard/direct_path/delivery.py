@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from opentelemetry import trace
 
 from rn_standard.direct_path.arbiter import ActiveMotion, Ending, MotionEnd
 from rn_standard.direct_path.exposed import ACTION_LABELS, LEAD_LABEL, stop_message
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
     from rn_standard.direct_path.writer import TopicWriter
 
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
-_tracer = trace.get_tracer("roboneuron")
-"""Active once a feature has set up the SDK."""
 _HOLD_S = 0.1
 """Time of the trajectory that returns the joints to their measured positions."""
 
@@ -75,7 +72,7 @@ def run(
                     )
                 if id(command.message) not in judged:
                     gate.check_next(replace(request, messages=(command.message,)))
-                send(writer, command.message, command.stamped)
+                writer.send(command.message, command.stamped)
                 last, sent = command.message, sent + 1
             motion.sleep_until(command.due_s)
         failed = False
@@ -95,18 +92,6 @@ def run(
         cause=cause,
         sent=sent + int(ending in (Ending.STOP_MESSAGE, Ending.HOLD)),
     )
-
-
-def send(writer: TopicWriter, message: Any, stamped: bool) -> None:
-    """Publish, with the present time in the header if `stamped`."""
-    if stamped:
-        stamp = message.header.stamp
-        stamp.sec, stamp.nanosec = divmod(time.time_ns(), 1_000_000_000)
-    if isinstance(trace.get_tracer_provider(), trace.ProxyTracerProvider):
-        writer.publish(message)  # tracing is off: entering and leaving an empty span costs 20 us
-        return
-    with _tracer.start_as_current_span(f"publish {writer.topic}", kind=trace.SpanKind.PRODUCER):
-        writer.publish(message)
 
 
 def _end(

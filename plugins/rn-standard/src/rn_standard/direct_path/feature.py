@@ -61,6 +61,7 @@ class DirectPath(Feature[DirectPathOptions]):
         InvalidInputError or ConfigurationError for an invalid source of transforms.
         """
         self._host = host
+        self._modules = host.modules
         self.judge = Gate(
             (),
             latch=host.loop.emergency_stop.file,
@@ -84,7 +85,7 @@ class DirectPath(Feature[DirectPathOptions]):
         traffic = Traffic(lambda: host.link(self))
         self._gate = DirectGate(
             self.judge, self.arbiter, traffic, self.allow_list, self.options.max_duration_s,
-            self._permit, lambda: host.loop.starts.are_needed,
+            self._permit, host.loop.starts.are_needed,
         )  # fmt: skip
         host.events.change.listen(self._on_module)
         host.events.health.listen(HealthDiagnostics(lambda: host.link(self)).publish)
@@ -138,7 +139,7 @@ class DirectPath(Feature[DirectPathOptions]):
         """
         if exposed.hidden and exposed.label == LEAD_LABEL:
             return ""
-        modules = self._host.modules
+        modules = self._modules
         # evaluated for every call: the whole view costs as much as the rest of the answer
         if modules.slot("inference").phase not in ("starting", "running"):
             return ""
@@ -153,7 +154,7 @@ class DirectPath(Feature[DirectPathOptions]):
         """True if control has acted since its last hold; a frozen control module reports nothing
         and reaches no hold.
         """
-        view = self._host.modules.view("control")
+        view = self._modules.view("control")
         if (
             view.plan is None
             or view.plan.config.namespace != exposed.namespace

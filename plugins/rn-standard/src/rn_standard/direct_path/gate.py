@@ -23,7 +23,7 @@ from rn_standard.direct_path.plans import check_plan_only
 from rn_standard.direct_path.rate import RateLimit
 from rn_standard.direct_path.request import ROLE_BY_KIND, AllowedEndpoint
 from rn_standard.direct_path.way_watch import WayWatch, watch_of
-from roboneuron import Endpoint, JointSample, RefusedError, RoboNeuronError
+from roboneuron import JointSample, RefusedError, RoboNeuronError
 from roboneuron.feature import (
     AuditLog,
     AuditRecord,
@@ -52,6 +52,7 @@ class Gate:
     Attributes:
         latch: the emergency stop.
         audit: log of decisions.
+        transforms: as given.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class Gate:
         self.audit = audit
         self._clock = clock
         self._dry_run = dry_run
-        self._transforms = transforms
+        self.transforms = transforms
         self._entries: dict[_Key, _GatedEndpoint] = {}
         self._rates: dict[tuple[str, ...], RateLimit] = {}
         self.replace(allowed)
@@ -109,10 +110,6 @@ class Gate:
                 allowed=entry, rate=rates[use], checks=MessageChecks(entry)
             )
         self._entries, self._rates = entries, rates
-
-    def may_block(self, endpoint: Endpoint) -> bool:
-        """True if a request for an endpoint may have to wait for transforms."""
-        return bool(endpoint.frame) and self._transforms is not None
 
     def allowed(self) -> tuple[AllowedEndpoint, ...]:
         """The allow list."""
@@ -231,23 +228,25 @@ class Gate:
         yield "finite"
         for message in request.messages:
             checks.check_finite(message)
-        if self._transforms is not None and (endpoint.frame or checks.has_plans):
+        if self.transforms is not None and (endpoint.frame or checks.has_plans):
             yield "frame"
             for message in request.messages:
                 if endpoint.frame:
-                    clamped += to_frame(endpoint, message, self._transforms)
+                    clamped += to_frame(endpoint, message, self.transforms)
                 if checks.has_plans and entry.profile is not None:
                     base = entry.profile.base_link
-                    clamped += constraints_to_frame(message, base, self._transforms)
+                    clamped += constraints_to_frame(message, base, self.transforms)
         yield "bounds"
         for message in request.messages:
             clamped += checks.apply_bounds(message)
-        yield "steering"
-        for message in request.messages:
-            check_steering(endpoint, message)
-        yield "place"
-        for message in request.messages:
-            check_places(endpoint, message)
+        if endpoint.min_turning_radius_m > 0.0:
+            yield "steering"
+            for message in request.messages:
+                check_steering(endpoint, message)
+        if endpoint.frame:
+            yield "place"
+            for message in request.messages:
+                check_places(endpoint, message)
         is_planned = endpoint.joint_limited and checks.has_plans
         if is_planned:
             yield "goal"

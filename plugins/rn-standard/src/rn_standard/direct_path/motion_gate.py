@@ -146,10 +146,10 @@ class DirectGate:
         self, exposed: ExposedEndpoint, request: GateRequest, *, stamped: bool = False
     ) -> Sent | None:
         """As `MotionGate.publish_now`."""
-        writer = self._traffic.known_writer(exposed)
-        if writer is None or request.dry_run or exposed.endpoint.joint_limited or self._is_still():
+        writer, endpoint = self._traffic.known_writer(exposed), exposed.endpoint
+        if writer is None or request.dry_run or endpoint.joint_limited or self._is_still():
             return None
-        if self._gate.may_block(exposed.endpoint):
+        if endpoint.frame and self._gate.transforms is not None:  # it may wait for them
             return None
         matched = writer.matched()
         if not matched or writer.has_new_misfit:
@@ -158,7 +158,7 @@ class DirectGate:
         self.check_free(exposed)
         verdict = self._gate.check(request)
         if verdict.may_send:
-            delivery.send(writer, request.messages[0], stamped)
+            writer.send(request.messages[0], stamped)
         return Sent(
             verdict=verdict,
             messages=int(verdict.may_send),
@@ -186,7 +186,7 @@ class DirectGate:
         matched = self._connect(exposed, writer, request, timeout_s, owned=False)
         self._permit(exposed)
         started_s = time.monotonic()
-        delivery.send(writer, request.messages[0], stamped)
+        writer.send(request.messages[0], stamped)
         return Sent(
             verdict=verdict,
             messages=1,

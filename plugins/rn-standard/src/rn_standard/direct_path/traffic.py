@@ -51,7 +51,9 @@ class Traffic:
         return self._writers.get((exposed.topic, exposed.endpoint.type))
 
     def writer(self, exposed: ExposedEndpoint) -> TopicWriter:
-        """Return the writer of a topic."""
+        """Return the writer of a topic; the first time as `link`."""
+        if (known := self.known_writer(exposed)) is not None:
+            return known
         from rn_standard.direct_path.writer import TopicWriter  # heavy
 
         link, key = self.link(), (exposed.topic, exposed.endpoint.type)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mcp import types
 from mcp.server import NotificationOptions
-from mcp.server.context import CallNext, HandlerResult, ServerRequestContext
+from mcp.server.context import HandlerResult, ServerRequestContext
 from mcp.server.subscriptions import ListenHandler
 
 from rn_standard.ops.asking import Questions
@@ -28,10 +28,14 @@ class Clients(Feature[None]):
         host.events.resource.listen(self._notices.resource_updated)
         notices, server = self._notices, host.server
 
-        async def remember(ctx: ServerRequestContext, call_next: CallNext) -> HandlerResult:
-            if ctx.method == "tools/list":
-                notices.remember(ctx)
-            return await call_next(ctx)
+        listed = server.get_request_handler("tools/list")
+        assert listed is not None
+
+        async def list_tools(
+            context: ServerRequestContext, params: types.PaginatedRequestParams
+        ) -> HandlerResult:
+            notices.remember(context)
+            return await listed.handler(context, params)
 
         async def subscribe(
             context: ServerRequestContext, params: types.SubscribeRequestParams
@@ -46,7 +50,8 @@ class Clients(Feature[None]):
             notices.unsubscribe(context, str(params.uri))
             return types.EmptyResult()
 
-        server.middleware.append(remember)
+        # this method only: a middleware would be passed by every request
+        server.add_request_handler("tools/list", types.PaginatedRequestParams, list_tools)
         server.add_request_handler("resources/subscribe", types.SubscribeRequestParams, subscribe)
         server.add_request_handler(
             "resources/unsubscribe", types.UnsubscribeRequestParams, unsubscribe

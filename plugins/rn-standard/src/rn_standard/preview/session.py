@@ -141,10 +141,10 @@ class Session:
         self._play(request.messages[0])
 
     def _trajectory(self, handler: Publishing, arguments: Publish) -> None:
-        exposed = handler.targets.of(arguments.robot)
+        exposed, interface = handler.endpoints[arguments.robot]
         if exposed.namespace != self._exposed.namespace:
             raise NotReadyError("Only trajectories of this server's own arm can be previewed.")
-        self._play(encode_step(exposed, arguments.message, 0.0).message)
+        self._play(encode_step(interface, arguments.message, 0.0).message)
 
     def _play(self, message: Any) -> None:
         """A joint trajectory: judged as the gate does, then played."""

@@ -21,7 +21,13 @@ from anyio import EndOfStream
 from anyio.abc import ObjectReceiveStream, ObjectSendStream
 from mcp.shared.dispatcher import coerce_request_id
 from mcp.shared.message import ServerMessageMetadata, SessionMessage
-from mcp.types import JSONRPCError, JSONRPCMessage, JSONRPCRequest, JSONRPCResponse
+from mcp.types import (
+    JSONRPCError,
+    JSONRPCMessage,
+    JSONRPCNotification,
+    JSONRPCRequest,
+    JSONRPCResponse,
+)
 
 from rn_standard.stdio.envelope import (
     INVALID_REQUEST,
@@ -36,6 +42,7 @@ _CHUNK = 65536
 _FLUSH_S = 1.0
 _URGENT, _OTHER, _PING = 0, 1, 2
 """Lanes of waiting messages, in the order of their priority."""
+_CANCELLED = "notifications/cancelled"
 _MOST_PINGS = 16
 _MOST_WAITING = 1000
 _MOST_WAITING_BYTES = 64 * 1024 * 1024
@@ -192,16 +199,17 @@ class MessageStream(ObjectReceiveStream[SessionMessage], ObjectSendStream[Sessio
                 what = f"A line is longer than {MAX_LINE_BYTES} bytes."
                 raise EnvelopeError(INVALID_REQUEST, what)
             message = read_message(line)
+            method, params = getattr(message, "method", ""), getattr(message, "params", None)
+            urgent = is_urgent(method, params)
+            lane = _URGENT if urgent else _PING if method == "ping" else _OTHER
             with self._lock:
-                self._add(message, len(line))
+                self._add(message, len(line), lane)
         except EnvelopeError as error:
             self._answer(error.answer)
 
-    def _add(self, message: JSONRPCMessage, size: int) -> None:
-        method, params = getattr(message, "method", ""), getattr(message, "params", None)
-        lane = _URGENT if is_urgent(method, params) else _PING if method == "ping" else _OTHER
-        if method == "notifications/cancelled":
-            self._drop((params or {}).get("requestId"))
+    def _add(self, message: JSONRPCMessage, size: int, lane: int) -> None:
+        if isinstance(message, JSONRPCNotification) and message.method == _CANCELLED:
+            self._drop((message.params or {}).get("requestId"))
         if isinstance(message, JSONRPCRequest):
             key = coerce_request_id(message.id)
             if key in self._ids:

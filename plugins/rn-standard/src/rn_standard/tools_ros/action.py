@@ -15,7 +15,7 @@ from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
 from rn_standard.direct_path.message_types import RosMessage
 from rn_standard.direct_path.places import check_way
-from rn_standard.tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
+from rn_standard.tools_ros.calls import Judged, SendingCall, Value, verdict_fields
 from rn_standard.tools_ros.exposed_types import action_of
 from rn_standard.tools_ros.goals import GoalEnd, send_goal
 from rn_standard.tools_ros.interfaces import ActionInterface
@@ -80,7 +80,7 @@ class GoalSending:
         exposed = self._targets.of(arguments.robot)
         interface = action_of(exposed)
         timeout_s = arguments.timeout_s or self.timeout_s
-        message = encode_argument(interface.goal, arguments.goal, "goal")
+        message = interface.goal.encode(arguments.goal, now_ns=time.time_ns(), argument="goal")
         request = gate_request(
             context,
             self._tool,

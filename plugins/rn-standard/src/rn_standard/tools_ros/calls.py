@@ -1,17 +1,12 @@
-"""Common parts of the derived tools' handlers: arguments, results, encoding of messages, the gate's
-verdict.
-"""
+"""Common parts of the derived tools' handlers: arguments, results, the gate's verdict."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, TypedDict
 
 from pydantic import Field
 
-from rn_standard.tools_ros.interfaces import MessageInterface
-from roboneuron import Arguments, InvalidInputError, Result
+from roboneuron import Arguments, Result
 from roboneuron.feature import Verdict
 
 if TYPE_CHECKING:
@@ -65,17 +60,6 @@ def verdict_fields(verdict: Verdict) -> JudgedFields:
         "rule": verdict.rule,
         "reason": verdict.reason,
     }
-
-
-def encode_argument(part: MessageInterface, value: Mapping[str, object], name: str) -> object:
-    """Encode the value of argument `name` as a message; raises InvalidInputError with the path
-    inside the arguments.
-    """
-    try:
-        return part.encode(value, now_ns=time.time_ns())
-    except InvalidInputError as error:
-        path = f"{name}.{error.path}" if error.path else name
-        raise InvalidInputError(f"{name}: {error.message}", hint=error.hint, path=path) from error
 
 
 def duration_s(trajectory: JointTrajectory) -> float:

@@ -5,7 +5,9 @@ message.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Mapping
+from functools import partial
 
 from pydantic import Field
 
@@ -14,7 +16,6 @@ from rn_standard.tools_ros.calls import (
     Judged,
     PublishingCall,
     Value,
-    encode_argument,
     verdict_fields,
 )
 from rn_standard.tools_ros.calls import duration_s as trajectory_s
@@ -23,7 +24,7 @@ from rn_standard.tools_ros.interfaces import MessageInterface
 from rn_standard.tools_ros.steps import MessageStep, publish_steps
 from rn_standard.tools_ros.targets import Targets
 from roboneuron import CallContext, InvalidInputError, Result
-from roboneuron.feature import ExposedEndpoint, MotionGate, Sent, Stage
+from roboneuron.feature import ExposedEndpoint, MotionGate, Sent
 
 
 class ClampedValue(Result):
@@ -63,19 +64,26 @@ class Publishing:
     """The handler of one publish tool.
 
     Attributes:
-        targets: whose topics these are.
+        endpoints: the endpoint and the interface of its topic, by the argument `robot`.
     """
 
     def __init__(self, gate: MotionGate, targets: Targets, tool: str) -> None:
         self._gate = gate
-        self.targets = self._targets = targets
+        self._targets = targets
+        is_only = len(targets.endpoints) == 1  # the call names no robot then
+        self.endpoints = {
+            "" if is_only else exposed.robot: (exposed, message_of(exposed))
+            for exposed in targets.endpoints
+        }
         self._tool = tool
 
     async def __call__(self, arguments: Publish, context: CallContext) -> Delivery:
         """Raises InvalidInputError, RefusedError, NotReadyError, StateError, ConfigurationError."""
-        exposed = self._targets.of(arguments.robot)
+        exposed, interface = self.endpoints[arguments.robot]
         step = encode_step(
-            exposed, arguments.message, arguments.duration_s if self._targets.lasting else 0.0
+            interface,
+            arguments.message,
+            arguments.duration_s if self._targets.lasting else 0.0,
         )
         if self._targets.trajectory:
             step.duration_s = trajectory_s(step.message)
@@ -100,37 +108,30 @@ class Publishing:
             if sent is not None:
                 return to_delivery(exposed, sent)
         halt = threading.Event()
-
-        def work(stage: Stage) -> Sent:
-            return publish_steps(
-                self._gate,
-                exposed,
-                request,
-                [step],
-                timeout_s=arguments.timeout_s,
-                stage=stage,
-                halt=halt,
-            )
-
+        work = partial(
+            publish_steps,
+            self._gate,
+            exposed,
+            request,
+            [step],
+            timeout_s=arguments.timeout_s,
+            halt=halt,
+        )
         return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
 
 
 def encode_step(
-    exposed: ExposedEndpoint, value: Mapping[str, object], duration_s: float
+    interface: MessageInterface, value: Mapping[str, object], duration_s: float
 ) -> MessageStep:
-    """Encode the message of a call. Raises InvalidInputError with the path inside the arguments."""
-    interface = message_of(exposed)
-    message = encode_argument(interface, value, "message")
-    stamped = is_stamp_omitted(interface, value)
-    return MessageStep(message=message, duration_s=duration_s, stamped=stamped)
-
-
-def is_stamp_omitted(interface: MessageInterface, value: Mapping[str, object]) -> bool:
-    """True if the message has a header whose stamp the agent omitted."""
-    if not hasattr(interface.ros_type, "header"):
-        return False
+    """Encode the message of a call; it is stamped when it is sent if it has a header whose stamp
+    the agent omitted. Raises InvalidInputError with the path inside the arguments.
+    """
+    message = interface.encode(value, now_ns=time.time_ns(), argument="message")
     header = value.get("header")
-    return not (isinstance(header, Mapping) and header.get("stamp") is not None)
+    has_stamp = isinstance(header, Mapping) and header.get("stamp") is not None
+    return MessageStep(
+        message=message, duration_s=duration_s, stamped=interface.has_header and not has_stamp
+    )
 
 
 def to_delivery(exposed: ExposedEndpoint, sent: Sent) -> Delivery:

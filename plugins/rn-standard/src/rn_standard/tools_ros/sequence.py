@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import threading
+from functools import partial
 from typing import Annotated
 
 from pydantic import Field
@@ -15,7 +16,7 @@ from rn_standard.tools_ros.publish import Delivery, encode_step, to_delivery
 from rn_standard.tools_ros.steps import MessageStep, publish_steps
 from rn_standard.tools_ros.targets import Targets
 from roboneuron import Arguments, CallContext, InvalidInputError
-from roboneuron.feature import ExposedEndpoint, MotionGate, Sent, Stage
+from roboneuron.feature import ExposedEndpoint, MotionGate
 
 MAX_STEPS = 500
 
@@ -73,26 +74,24 @@ class Sequencing:
             dry_run=arguments.dry_run,
         )
         halt = threading.Event()
-
-        def work(stage: Stage) -> Sent:
-            return publish_steps(
-                self._gate,
-                exposed,
-                request,
-                played,
-                timeout_s=arguments.timeout_s,
-                stage=stage,
-                halt=halt,
-            )
-
+        work = partial(
+            publish_steps,
+            self._gate,
+            exposed,
+            request,
+            played,
+            timeout_s=arguments.timeout_s,
+            halt=halt,
+        )
         return to_delivery(exposed, await context.run(work, on_cancel=halt.set, on_leave=halt.set))
 
     def _step(self, exposed: ExposedEndpoint, entry: SequenceStep, index: int) -> MessageStep:
+        interface = message_of(exposed)
         try:
-            if message_of(exposed).fields and "message" not in entry.model_fields_set:
+            if interface.fields and "message" not in entry.model_fields_set:
                 raise InvalidInputError("Argument 'message' is missing.", path="message")
             if self._targets.trajectory and entry.duration_s is None:
-                step = encode_step(exposed, entry.message, 0.0)
+                step = encode_step(interface, entry.message, 0.0)
                 step.duration_s = duration_s(step.message)
                 return step
             if entry.duration_s is None:
@@ -103,7 +102,7 @@ class Sequencing:
                     f"Argument 'duration_s' is {entry.duration_s:g}, expected up to {most_s:g}.",
                     path="duration_s",
                 )
-            return encode_step(exposed, entry.message, entry.duration_s)
+            return encode_step(interface, entry.message, entry.duration_s)
         except InvalidInputError as error:
             where = f"steps[{index}]"
             raise InvalidInputError(

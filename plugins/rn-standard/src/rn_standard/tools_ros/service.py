@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import threading
+import time
 from typing import Any
 
 from pydantic import Field
 
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
-from rn_standard.tools_ros.calls import Judged, SendingCall, Value, encode_argument, verdict_fields
+from rn_standard.tools_ros.calls import Judged, SendingCall, Value, verdict_fields
 from rn_standard.tools_ros.exposed_types import service_of
 from rn_standard.tools_ros.schemas import decoded_schema
 from rn_standard.tools_ros.service_calls import Response, call
@@ -59,7 +60,9 @@ class Calling:
         """Raises InvalidInputError, RefusedError, NotReadyError."""
         exposed = self._targets.of(arguments.robot)
         interface = service_of(exposed)
-        message = encode_argument(interface.request, arguments.request, "request")
+        message = interface.request.encode(
+            arguments.request, now_ns=time.time_ns(), argument="request"
+        )
         request = gate_request(
             context, self._tool, exposed, [message], arguments.given(), dry_run=arguments.dry_run
         )  # fmt: skip

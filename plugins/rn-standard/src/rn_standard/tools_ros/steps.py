@@ -24,9 +24,9 @@ def publish_steps(
     exposed: ExposedEndpoint,
     request: GateRequest,
     steps: Sequence[MessageStep],
+    stage: Stage,
     *,
     timeout_s: float,
-    stage: Stage,
     halt: threading.Event,
 ) -> Sent:
     """Send one message, or consecutive steps with durations; blocks.
@@ -36,8 +36,8 @@ def publish_steps(
         exposed: the endpoint.
         request: contains the messages of the steps.
         steps: at least one.
-        timeout_s: longest wait for a subscriber.
         stage: called with the progress.
+        timeout_s: longest wait for a subscriber.
         halt: set when the call is cancelled.
 
     Raises:

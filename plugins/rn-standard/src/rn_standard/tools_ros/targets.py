@@ -46,7 +46,7 @@ class Targets:
 
     def of(self, robot: str) -> ExposedEndpoint:
         """Return the endpoint of a call; that of the only robot if there is one."""
-        return self.first if len(self.endpoints) == 1 else self._by_robot[robot]
+        return self.endpoints[0] if len(self.endpoints) == 1 else self._by_robot[robot]
 
     def describe(self) -> str:
         """Describe each robot's endpoint: topic, limits, rate."""

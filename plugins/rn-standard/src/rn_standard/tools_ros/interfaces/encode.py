@@ -30,10 +30,14 @@ class MessageEncoder:
         self.has_stamp: bool = message.is_header
         self._nested: dict[str, MessageEncoder] = {}
         self._values: dict[str, Encoder] = {}
+        # their encoder would return a finite float as it is
+        self._doubles: set[str] = set()
         self._stamped_lists: dict[str, MessageEncoder] = {}
         for field in message.fields:
             if isinstance(field.type, Scalar):
                 self._values[field.name] = make_scalar_encoder(field.type, field.choices)
+                if field.type.ros == "double":
+                    self._doubles.add(field.name)
             elif isinstance(field.type, Nested):
                 self._nested[field.name] = encoder_for(field.type.message, made)
             elif isinstance(field.type.element, Scalar):
@@ -64,11 +68,13 @@ class MessageEncoder:
         """
         if value.__class__ is not dict and not isinstance(value, Mapping):
             raise Mismatch(describe_value(value), self._describe())
-        nested, values = self._nested, self._values
+        nested, values, doubles = self._nested, self._values, self._doubles
         for name, item in value.items():
             try:
                 encode = values.get(name)
-                if encode is not None:
+                if item.__class__ is float and name in doubles and item - item == 0.0:
+                    setattr(message, name, item)
+                elif encode is not None:
                     setattr(message, name, encode(item, budget))
                 elif name in nested:
                     nested[name].fill(getattr(message, name), item, budget)

@@ -49,6 +49,7 @@ class MessageInterface:
 
     Attributes:
         message: the description tree.
+        has_header: it has a field `header`.
     """
 
     kind: ClassVar[str] = "msg"
@@ -56,6 +57,7 @@ class MessageInterface:
     def __init__(self, message: MessageType, *, name: InterfaceName | None = None) -> None:
         self.message = message
         self._name = name
+        self.has_header = hasattr(message.ros_type, "header")
         self._encoder: MessageEncoder = encoder_for(message, {})
         self._decoder = MessageDecoder(message)
 
@@ -91,6 +93,7 @@ class MessageInterface:
         *,
         now_ns: int | None,
         limits: InputLimits = _DEFAULT_INPUT,
+        argument: str = "",
     ) -> object:
         """Return a new rosidl message with exactly `value`.
 
@@ -98,6 +101,7 @@ class MessageInterface:
             value: plain values as in `json_schema`, or an instance of `model`.
             now_ns: ROS time for omitted header stamps [ns]; None leaves them zero.
             limits: size limits of the value.
+            argument: name of the argument that holds the value, for the error.
 
         Raises:
             InvalidInputError: a value does not fit; names its path, the value and what is allowed.
@@ -108,7 +112,12 @@ class MessageInterface:
             if value.__class__ is not dict and isinstance(value, BaseModel)
             else value
         )
-        return _encode(self._encoder, self.message, plain, now_ns, limits)
+        made = self.message.ros_type()
+        try:
+            self._encoder.fill(made, plain, Budget(limits, limits.items, now_ns))
+        except Mismatch as mismatch:
+            raise mismatch.to_error(self.message.type_name, argument) from None
+        return made
 
     def decode(self, message: object, limits: DecodeLimits = _DEFAULT_DECODE) -> dict[str, Plain]:
         """Return a received message as JSON-serialisable values within `limits`; never refuses
@@ -290,25 +299,12 @@ def _is_float(field: MessageField) -> bool:
     return not isinstance(element, Nested) and element.is_float
 
 
-def _encode(
-    encoder: MessageEncoder,
-    message: MessageType,
-    value: object,
-    now_ns: int | None,
-    limits: InputLimits,
-) -> object:
-    try:
-        return encoder.make(value, Budget(limits, limits.items, now_ns))
-    except Mismatch as mismatch:
-        raise mismatch.to_error(message.type_name) from None
-
-
 def _canonical(message: MessageType, value: Mapping[str, object]) -> dict[str, Plain]:
     """Return the checked content of a model: all given fields, as plain values without
     summaries.
     """
-    made = _encode(encoder_for(message, {}), message, value, None, _DEFAULT_INPUT)
-    return MessageDecoder(message).decode(made, LOSSLESS)
+    made = MessageInterface(message)
+    return made.decode(made.encode(value, now_ns=None), LOSSLESS)
 
 
 def _find_pictures(

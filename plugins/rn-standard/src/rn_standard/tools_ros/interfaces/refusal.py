@@ -23,11 +23,18 @@ class Mismatch(Exception):
         self.allowed = allowed
         self.steps: list[str | int] = list(steps)
 
-    def to_error(self, type_name: str) -> InvalidInputError:
-        """The public error, with the path written as `points[3].positions[2]`."""
+    def to_error(self, type_name: str, argument: str = "") -> InvalidInputError:
+        """The public error, with the path written as `points[3].positions[2]`; `argument` is the
+        one that holds the value.
+        """
         path = format_path(reversed(self.steps))
         where = f"Field '{path}' of {type_name}" if path else f"The value for {type_name}"
-        return InvalidInputError(f"{where}: got {self.got}, allowed is {self.allowed}.", path=path)
+        text = f"{where}: got {self.got}, allowed is {self.allowed}."
+        if not argument:
+            return InvalidInputError(text, path=path)
+        return InvalidInputError(
+            f"{argument}: {text}", path=f"{argument}.{path}" if path else argument
+        )
 
 
 def format_path(steps: Iterable[str | int]) -> str:
