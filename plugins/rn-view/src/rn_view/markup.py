@@ -117,8 +117,10 @@ def _module_rows(row: ModuleRow) -> str:
     )
 
 
-def joints_table(profile: RobotProfile, joints: Mapping[str, float]) -> str:
-    """Where each joint is within its limits."""
+def joints_table(
+    profile: RobotProfile, joints: Mapping[str, float], limited: Sequence[str] = ()
+) -> str:
+    """Where each joint is within its limits, and at which of them a limit acts now."""
     limits = profile.limits
     if limits is None:
         return _line("", "This robot has no arm joints.")
@@ -138,8 +140,9 @@ def joints_table(profile: RobotProfile, joints: Mapping[str, float]) -> str:
             '<div style="position:relative;height:6px;background:#dee2e6;border-radius:3px">'
             f"{mark}</div>"
         )
+        acts = f' <b style="color:{_BAD}">limit</b>' if name in limited else ""
         rows.append(
-            f'<tr><td style="white-space:nowrap">{escape(name)}</td><td '
+            f'<tr><td style="white-space:nowrap">{escape(name)}{acts}</td><td '
             f'style="width:45%">{bar}</td>'
             f'<td style="text-align:right">{_number(at, 2)}</td></tr>'
         )

@@ -11,13 +11,15 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from rn_view import markup
+from rn_view import markup, records_page
+from rn_view.acting_limits import limit_place
 from rn_view.lead import PageLead
 from rn_view.lead_page import FULL_SHARE, key_html
 from rn_view.lead_panel import LeadPanel
 from rn_view.lead_socket import LeadSeats, PageTeleoperator
 from rn_view.measured import MeasuredTopics
 from rn_view.operator_calls import Operator
+from rn_view.page_requests import PageSeat, PageSeats
 from rn_view.player import Player
 from rn_view.plots import History, Plots
 from rn_view.scene import PageScene
@@ -54,6 +56,7 @@ class Page:
         on_choice: Callable[[Page], object],
         on_lead: Callable[[Page, PageLead, object], object],
         seats: LeadSeats,
+        page_seats: PageSeats,
     ) -> None:
         """Args:
         sources: what can be shown by the robot's name, the first one first; of several one is
@@ -64,6 +67,7 @@ class Page:
         on_choice: called when another robot was chosen.
         on_lead: called when this page begins to lead, with what it leads as.
         seats: where pages that may lead by hand are known.
+        page_seats: where open pages are known whose holder is known.
         """
         self.client = client
         self.holder: Holder | None = None
@@ -72,7 +76,7 @@ class Page:
         self._operators = operators
         self._operator = operators.get(next(iter(sources)))
         self._admit = admit
-        self._on_lead, self._seats = on_lead, seats
+        self._on_lead, self._seats, self._page_seats = on_lead, seats, page_seats
         self._lock = threading.Lock()
         self._content: _Content | None = None
         self._tries = _TRIES
@@ -134,9 +138,15 @@ class Page:
         history: History,
         lead: PageLead,
         measured: Callable[[], MeasuredTopics | None],
+        state: Callable[[], PageState],
     ) -> None:
         """Build everything else, for the holder."""
         assert self.holder is not None
+        if self._source.playback is None:
+            key = self._page_seats.add(PageSeat(self.holder, self._source, state))
+            self._presence.callback(self._page_seats.remove, key)
+            place = self.client.gui.add_html(records_page.key_html(key))
+            self._presence.callback(self._forget, place)
         if self._operator is not None:
             self._presence.enter_context(self._operator.present(self.holder))
         buttons = (
@@ -346,7 +356,10 @@ class _Content:
             self._lead.update()
         self._instruction.content = markup.instruction_text(snapshot)
         self._modules.content = markup.modules_table(snapshot.modules)
-        self._joints.content = markup.joints_table(self._profile, measured.joints)
+        place = limit_place(snapshot.limits, snapshot.limit, self._profile.arm_joints, ())
+        self._joints.content = markup.joints_table(self._profile, measured.joints, place.joints)
+        self.scene.update_limit(snapshot)
+        self.scene.update_chunk(measured, self._source.now_s())
         count = self._source.shown_events.count
         if count != self._count:
             self._list.content = markup.event_rows(self._source.shown_events.newest(_LINES))
