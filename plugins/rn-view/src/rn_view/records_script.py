@@ -203,6 +203,7 @@ SCRIPT = """
     }
     strip(); glance();
     if (shown === "alarms" || shown === "service") draw();
+    if (shown === "tasks" && !body.firstChild) { say(""); loadTasks(); }  // it was not answered
   };
   new MutationObserver(() => { const place = el(CONFIG.id); if ((place ? place.dataset.key : "") !== key) look(); })
     .observe(document.getElementById("root"), {childList: true, subtree: true});
