@@ -35,7 +35,8 @@ class ActingLimits:
         """The state with the limits that act at `now_s` [s], a time that may jump back."""
         before, self._counts = self._counts, state.limit_counts
         # not at the first look: how long ago it acted is not known
-        for name, count in () if before is None else state.limit_counts.items():
+        before = state.limit_counts if before is None else before
+        for name, count in state.limit_counts.items():
             if count > before.get(name, 0):
                 self._acted_s[name] = now_s
                 self._reason = state.limit

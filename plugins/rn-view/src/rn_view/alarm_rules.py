@@ -52,7 +52,7 @@ class AlarmRules:
                 self._silent[module] = since_s
                 return
         if health in FAULTS:
-            meaning = EXPLANATIONS[health]  # type: ignore[index]
+            meaning = EXPLANATIONS[health]
             cause = why or f"The module: {meaning}."
             advice = hint or _ADVICE.get(health, "See its log.")
             self._book.add(module, health, cause, advice)

@@ -71,6 +71,7 @@ class Page:
         """
         self.client = client
         self.holder: Holder | None = None
+        self.width_px = 0
         self._sources = sources
         self._source = next(iter(sources.values()))
         self._operators = operators
@@ -168,7 +169,9 @@ class Page:
             )
 
         with self._lock:
-            self._content = _Content(self.client, self._source, profile, history, buttons, add_lead)
+            self._content = _Content(
+                self.client, self._source, profile, history, buttons, add_lead, self.width_px
+            )
         if buttons is not None:
             self._let_lead(profile)
 
@@ -292,6 +295,7 @@ class _Content:
         history: History,
         call: Callable[[str, dict[str, object]], None] | None,
         add_lead: Callable[[], LeadPanel | None],
+        width_px: int,
     ) -> None:
         gui = client.gui
         self._source = source
@@ -304,7 +308,7 @@ class _Content:
         buttons = () if call is None else (self._add_buttons(call),)
         self._modules = gui.add_html("")
         self._lead = add_lead()
-        is_narrow = _PHONE_PX < client.camera.image_width < _WIDE_PX
+        is_narrow = _PHONE_PX < width_px < _WIDE_PX
         tabs = gui.add_tab_group() if is_narrow else gui.add_panel()
         folder = gui.add_folder("What happened")
         with folder:
@@ -334,7 +338,7 @@ class _Content:
         if not isinstance(tabs, viser.GuiTabGroupHandle):
             tabs.dock_left()
             tabs.set_width(_LEFT_PX)
-        self.scene = PageScene(client, profile, source.config())
+        self.scene = PageScene(client, profile, source.config(), is_phone=width_px <= _PHONE_PX)
         self._count = -1
 
     def end_lead(self) -> None:

@@ -9,7 +9,7 @@ import logging
 import math
 import threading
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -173,7 +173,9 @@ class TaskPictures:
             first = self._first = []
             self._start(lambda: first.extend(self._take()))
 
-    def on_call(self, tool: str, arguments: dict[str, Any], who: str, code: str, s: float) -> None:
+    def on_call(
+        self, tool: str, arguments: Mapping[str, Any], who: str, code: str, took_s: float
+    ) -> None:
         """Listener of `Events.call`."""
         if tool == TASK_TOOL:
             first, instruction = self._first, str(arguments.get("instruction", ""))

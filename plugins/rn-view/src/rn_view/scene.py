@@ -33,17 +33,15 @@ _BOX_RGB, _OBSTACLE_RGB, _ZONE_RGB, _TARGET_RGB = (
 )
 _TRAIL_RGB, _CAMERA_RGB = (40, 160, 110), (90, 90, 100)
 _PATH_RGB, _ACTING_RGB = (150, 70, 210), (224, 49, 49)
-_GHOST_RGBA = (*(value / 255.0 for value in _TARGET_RGB), 0.35)
+_GHOST_RGBA = (0.92, 0.47, 0.08, 0.35)
 _GHOST_FROM = 0.02
 """Distance of a commanded joint from the measured one [rad or m] from which the ghost is shown."""
 _FRUSTUM_M = 0.12
 _TARGET_M = 0.018
 _BESIDE_TCP_M = np.array([0.0, 0.0, 0.12])
 """Where the name of an arm stands, from its TCP."""
-_PHONE_PX = 576
-"""viser puts the panel over the lower part of a page up to this wide."""
 _BELOW_M = 1.0
-"""There one looks at a place so far below the workspace, which then is above the panel."""
+"""On a phone one looks at a place so far below the workspace, which then is above the panel."""
 
 
 class ArmScene:
@@ -139,7 +137,9 @@ class ArmScene:
 class PageScene:
     """What one page shows in three dimensions; `update` moves it. Used by one thread at a time."""
 
-    def __init__(self, client: viser.ClientHandle, profile: RobotProfile, config: Config) -> None:
+    def __init__(
+        self, client: viser.ClientHandle, profile: RobotProfile, config: Config, *, is_phone: bool
+    ) -> None:
         from viser.extras import ViserUrdf  # heavy
 
         self._scene = client.scene
@@ -174,7 +174,7 @@ class PageScene:
         }
         limits = motion_rules(config.limits, profile)
         self._add_limits(limits, config)
-        self._look_from(client, limits)
+        self._look_from(client, limits, is_phone=is_phone)
 
     def update(self, measured: MeasuredTopics) -> None:
         """Show what is measured now."""
@@ -232,7 +232,8 @@ class PageScene:
             found = self._model.joint_place(place.joints[0], self._measured)
             if found is not None:
                 return found
-        return next(iter(self._arms.values())).tcp_m + _BESIDE_TCP_M
+        tcp_m: F64 = next(iter(self._arms.values())).tcp_m
+        return np.add(tcp_m, _BESIDE_TCP_M)
 
     def _show_ghost(self, measured: MeasuredTopics) -> None:
         """Show the posture that was commanded last, where it is another than the measured one."""
@@ -339,14 +340,15 @@ class PageScene:
         )
         self._boxes[box.name] = handle, rgb, opacity
 
-    def _look_from(self, client: viser.ClientHandle, limits: MotionRules) -> None:
+    def _look_from(
+        self, client: viser.ClientHandle, limits: MotionRules, *, is_phone: bool
+    ) -> None:
         box = np.stack([limits.lower_m, limits.upper_m])
         centre = (
             box.mean(axis=0) * np.array([0.8, 1.0, 0.9])
             if np.isfinite(box).all()
             else np.array([0.3, 0.0, 0.3])
         )
-        is_phone = client.camera.image_width <= _PHONE_PX
         client.camera.position = centre + np.array([0.95, -1.15, 0.65]) * (
             1.25 if is_phone else 0.85
         )

@@ -22,10 +22,13 @@ TITLE = "RoboNeuron"
 _HEAD, _BODY = "<title>Viser</title>", '<div id="root"></div>'
 """What is replaced in viser's page."""
 
-DARK_COOKIE = "roboneuron_dark"
+DARK_COOKIE, WIDTH_COOKIE = "roboneuron_dark", "roboneuron_width"
 _TELL_DARK = f"""document.cookie = "{DARK_COOKIE}=" +
-  Number(matchMedia("(prefers-color-scheme: dark)").matches) + "; path=/; SameSite=Strict";"""
-"""Before viser's program connects: it is the server that says whether its part is dark."""
+  Number(matchMedia("(prefers-color-scheme: dark)").matches) + "; path=/; SameSite=Strict";
+document.cookie = "{WIDTH_COOKIE}=" + Math.round(innerWidth) + "; path=/; SameSite=Strict";"""
+"""Before viser's program connects: it is the server that says whether its part is dark, and where
+the panels are. The width of the scene is another, once a panel is beside it.
+"""
 _STYLE = """
 :root { --rn-bar: 84px; }
 :root { --rn-paper: #fff; --rn-ink: #212529; --rn-dim: #495057; --rn-edge: #adb5bd; --rn-line: #868e96; --rn-soft: #e9ecef; --rn-blue: #1864ab;

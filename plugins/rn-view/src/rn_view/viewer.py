@@ -210,6 +210,7 @@ class Viewer:
             self._page_seats,
         )
         page.holder = self._admission.visitor(client.client_id)
+        page.width_px = self._visitors.width_px(client.client_id) or client.camera.image_width
         if self._visitors.wants_dark(client.client_id):
             _set_theme(client.gui, is_dark=True)
         with self._lock:
