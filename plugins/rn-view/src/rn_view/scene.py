@@ -232,8 +232,8 @@ class PageScene:
             found = self._model.joint_place(place.joints[0], self._measured)
             if found is not None:
                 return found
-        tcp_m: F64 = next(iter(self._arms.values())).tcp_m
-        return np.add(tcp_m, _BESIDE_TCP_M)
+        beside: F64 = next(iter(self._arms.values())).tcp_m + _BESIDE_TCP_M
+        return beside
 
     def _show_ghost(self, measured: MeasuredTopics) -> None:
         """Show the posture that was commanded last, where it is another than the measured one."""
