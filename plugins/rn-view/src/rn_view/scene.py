@@ -165,6 +165,7 @@ class PageScene:
         self._chunk: PlannedChunk | None = None
         self._boxes: dict[str, tuple[viser.BoxHandle, tuple[int, int, int], float]] = {}
         self._workspace: viser.LineSegmentsHandle | None = None
+        self._limited: tuple[tuple[str, ...], str] = ((), "")
         self._limit = self._scene.add_label("/limit", "", font_screen_scale=1.0, visible=False)
         self._arms = {arm.name: ArmScene(self._scene, arm) for arm in profile.each_arm}
         self._pictures = {
@@ -209,6 +210,9 @@ class PageScene:
 
     def update_limit(self, state: PageState) -> None:
         """Show the limit that acts at its place: at a joint, a zone, the workspace or the TCP."""
+        if (state.limits, state.limit) == self._limited:
+            return
+        self._limited = state.limits, state.limit
         place = limit_place(state.limits, state.limit, self._profile.arm_joints, tuple(self._boxes))
         for name, (box, rgb, opacity) in self._boxes.items():
             acts = name in place.zones
@@ -216,7 +220,7 @@ class PageScene:
         if self._workspace is not None:
             colours = _ACTING_RGB if place.box else _BOX_RGB
             shape = np.asarray(self._workspace.points).shape
-            self._workspace.colors = np.broadcast_to(np.array(colours, dtype=np.uint8), shape)
+            self._workspace.colors = np.full(shape, colours, dtype=np.uint8)
         self._limit.visible = bool(state.limits)
         if not state.limits:
             return
