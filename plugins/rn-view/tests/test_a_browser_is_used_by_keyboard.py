@@ -60,11 +60,13 @@ def test_everything_can_be_read_and_reached(
         assert page.evaluate(CONTRAST, "rn-records") >= LEAST
         assert page.evaluate(UNLABELLED) == []
     switch.begin("ann", "admin", "cable")
-    page.get_by_role("button", name="Out of service").wait_for()
+    page.locator("#rn-service-open.out").wait_for()
+    page.get_by_role("button", name="Put the robot back in service").wait_for()
     for part in ("rn-bar", "rn-strip", "rn-records"):
         assert page.evaluate(CONTRAST, part) >= LEAST
     assert page.locator("#rn-state").get_attribute("aria-live") == "assertive"
 
+    page.locator("#rn-lead-open").wait_for()
     page.locator("#rn-stop").focus()
     seen: list[str] = []
     for _ in range(_MOST_TABS):
