@@ -50,6 +50,7 @@ PUBLISHED = {
     "http": "addresses authentication bounded_server connections feature listener operator_lease "
     "options origins plugin tokens",
     "inference": "agreement execution instruction_text module planning",
+    "ops": "maintenance",
     "selection": "choosing options requests restricted",
     "stdio": "envelope",
     "tasks": "contract_cases history hooks judging monitor moving run_task runner snapshot",

@@ -4,7 +4,7 @@ tools, and a browser.
     .venv/bin/python tools/view_screenshots.py    # into docs/assets; one to two minutes
 
 Nothing is staged: the screenshots show what a person would see, the calls are those of the client,
-and the third one plays the recording made meanwhile. Each is taken when the page shows the required
+and the last one plays the recording made meanwhile. Each is taken when the page shows the required
 state; if one fails, none is replaced. A machine that renders the page on its processor shows lower
 rates than others.
 """
@@ -20,7 +20,7 @@ import tempfile
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import anyio
 from mcp import Client
@@ -63,7 +63,8 @@ width = 320
 height = 320
 """
 FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-WIDE, PHONE = (1440, 860), (412, 840)
+WIDE, TABLET, PHONE = (1440, 900), (820, 1180), (390, 844)
+QUALITY = 72
 MOST_S = 180.0
 WORKS = ("lifting", "holding")
 """Reports of the policy in the live screenshots; the second one persists."""
@@ -89,9 +90,13 @@ FRAMES = """() => new Promise(done => {
 })"""
 
 
-async def look(browser: Browser, url: str, size: tuple[int, int]) -> Page:
+async def look(
+    browser: Browser, url: str, size: tuple[int, int], scheme: Literal["light", "dark"] = "light"
+) -> Page:
     """Open the page."""
-    page = await browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page = await browser.new_page(
+        viewport={"width": size[0], "height": size[1]}, color_scheme=scheme
+    )
     page.set_default_timeout(MOST_S * 1e3)
     await page.goto(url)
     await page.get_by_text("Instruction:").wait_for()
@@ -111,7 +116,7 @@ async def shoot(page: Page, path: Path, words: tuple[str, ...]) -> None:
     await close_notice(page)
     await page.evaluate(FRAMES)  # until the notice has faded and the current scene is drawn
     await anyio.sleep(0.7)
-    await page.screenshot(path=path, type="jpeg", quality=88)
+    await page.screenshot(path=path, type="jpeg", quality=QUALITY)
     print(path.name, flush=True)
 
 
@@ -130,7 +135,7 @@ async def served(state: Path) -> AsyncIterator[tuple[Client, str]]:
 
 
 async def live(folder: Path, state: Path, browser: Browser) -> None:
-    """Make an agent's calls, and take screenshots of two pages."""
+    """Make an agent's calls, and take screenshots of of three sizes, by day and by night, of three sizes, by day and by night,."""
     async with served(state) as (client, url):
 
         async def call(tool: str, **arguments: Any) -> None:
@@ -144,23 +149,28 @@ async def live(folder: Path, state: Path, browser: Browser) -> None:
             await call(f"start_{kind}")
         await call("start_inference", instruction=INSTRUCTION)
         await shoot(wide, folder / "view-live.jpg", WORKS)
-        await wide.close()  # two pages are too much for a machine that renders on its processor
-        phone = await look(browser, url, PHONE)
-        await shoot_phone(phone, folder / "view-phone.jpg")
-        await phone.close()
+        await wide.close()  # two pages are too much for a machine that draws with its processor
+        await shoot_one(browser, url, WIDE, "dark", folder / "view-live-night.jpg")
+        for name, size in (("tablet", TABLET), ("phone", PHONE)):
+            await shoot_one(browser, url, size, "light", folder / f"view-{name}.jpg")
+            await shoot_one(browser, url, size, "dark", folder / f"view-{name}-night.jpg")
         await call("stop_all")
 
 
-async def shoot_phone(page: Page, path: Path) -> None:
-    """Take the screenshot for phones; their camera images are in a section that is closed at
-    first.
+async def shoot_one(
+    browser: Browser, url: str, size: tuple[int, int], scheme: Literal["light", "dark"], path: Path
+) -> None:
+    """Take a picture of a page that is opened for it. On a phone the pictures of the cameras are in
+    a section of their own, which is closed at first.
     """
+    page = await look(browser, url, size, scheme)
     await page.wait_for_function(
         "word => document.body.textContent.includes(word)", arg=WORKS[1], polling=100
     )
     await close_notice(page)
-    await anyio.sleep(4.0)  # until the joints arrive
-    await page.screenshot(path=path, type="jpeg", quality=88)
+    await anyio.sleep(4.0)  # the joints come
+    await page.screenshot(path=path, type="jpeg", quality=QUALITY)
+    await page.close()
     print(path.name, flush=True)
 
 

@@ -19,6 +19,7 @@ from rn_standard.http.tokens import TokenTable
 from rn_view.access import ViewAccess, host_rules
 from rn_view.event_list import EventList
 from rn_view.options import ViewOptions
+from rn_view.records import RobotRecords
 from rn_view.source import ModuleRow, PageState
 from roboneuron import CameraCalibration, CameraProfile, JointLimits, RobotProfile, Workspace
 from roboneuron.config import Config, parse_config
@@ -81,6 +82,8 @@ class FakeSource:
     playback = None
 
     def __init__(self) -> None:
+        self.records: RobotRecords | None = None
+        self.limited: tuple[str, dict[str, int]] = ("", {})
         self.shown_events = EventList()
         self.subscribed: dict[str, Callable[[Any], None]] = {}
         self.stops: list[str] = []
@@ -113,6 +116,8 @@ class FakeSource:
             is_latched=bool(self.stops),
             cause=cause,
             instruction="lift the <cup>",
+            limit=self.limited[0],
+            limit_counts=self.limited[1],
         )
 
     def is_latched(self) -> bool:

@@ -2,7 +2,15 @@
 
 import pytest
 
-from rn_standard.ops.plugin import CLIENTS, COMMAND, FEATURE, REAL_ROBOT, RECOVERY
+from rn_standard.ops.plugin import (
+    CLIENTS,
+    COMMAND,
+    FEATURE,
+    MAINTENANCE,
+    MAINTENANCE_COMMAND,
+    REAL_ROBOT,
+    RECOVERY,
+)
 from rn_testing import (
     CommandCase,
     CommandContract,
@@ -35,6 +43,18 @@ class TestRealRobot(FeatureContract):
     @pytest.fixture
     def plugin(self) -> FeatureCase:
         return FeatureCase(spec=REAL_ROBOT)
+
+
+class TestMaintenance(FeatureContract):
+    @pytest.fixture
+    def plugin(self) -> FeatureCase:
+        return FeatureCase(spec=MAINTENANCE)
+
+
+class TestMaintenanceCommand(CommandContract):
+    @pytest.fixture
+    def plugin(self) -> CommandCase:
+        return CommandCase(spec=MAINTENANCE_COMMAND)
 
 
 class TestDoctor(CommandContract):

@@ -19,8 +19,9 @@ from rn_view.access import ViewAccess, check_address, check_port, host_rules
 from rn_view.event_list import ToolCalls
 from rn_view.live import LiveOperator, LiveSource
 from rn_view.options import ViewOptions
+from rn_view.past_tasks import Camera, TaskPictures
 from roboneuron import Feature, Host, Tool
-from roboneuron.feature import Config
+from roboneuron.feature import Config, load_profile
 
 if TYPE_CHECKING:
     from rn_view.viewer import Viewer
@@ -54,6 +55,9 @@ class ViewFeature(Feature[ViewOptions]):
             self._source = LiveSource(host)
             host.events.health.listen(self._source.on_health)
             host.events.fault.listen(self._source.on_fault)
+            pictures = TaskPictures(self._source.past_tasks, partial(_main_camera, host))
+            host.tools.admissions.append(pictures.admit)
+            host.events.call.listen(pictures.on_call)
             calls = ToolCalls(self._source.shown_events, partial(_is_quiet, host))
             # not there before
             host.events.open.listen(lambda: host.server.middleware.append(calls))
@@ -127,6 +131,16 @@ class _SharedPage:
             if self._in_use.get(self._address) is self:
                 del self._in_use[self._address]
         self.viewer.close()
+
+
+def _main_camera(host: Host) -> Camera | None:
+    cameras = load_profile(host.registry, host.config.robot.name).cameras
+    if not cameras:
+        return None
+    from sensor_msgs.msg import Image  # heavy
+
+    chosen = next((camera for camera in cameras if camera.role == "primary"), cameras[0])
+    return partial(host.subscribe, Image, f"camera/{chosen.name}/image")
 
 
 def _is_quiet(host: Host, name: str) -> bool:

@@ -13,12 +13,18 @@ import anyio
 from anyio import to_thread
 
 from rn_standard.http.operator_lease import OperatorLease
+from rn_standard.ops.maintenance import MaintenanceFeature
 from rn_standard.teleoperation.feature import TELEOPERATION, Teleoperation
 from rn_standard.tools_loop.results import ModuleStatus
+from rn_view.acting_limits import limit_counts
+from rn_view.alarm_rules import AlarmRules
+from rn_view.alarms import AlarmBook
 from rn_view.event_list import AuditReader, EventList, add_record, failure_of
 from rn_view.lead_page import RATE_HZ
 from rn_view.lead_socket import PageTeleoperator
 from rn_view.module_health import HealthLines
+from rn_view.past_tasks import TASK_TOOL, PastTasks
+from rn_view.records import RobotRecords
 from rn_view.source import ModuleRow, PageState, said_of
 from roboneuron import Host, RobotProfile
 from roboneuron.feature import (
@@ -59,17 +65,34 @@ class LiveSource:
         self._audit = AuditReader(host.audit.path)
         self.shown_events = EventList()
         self._health_lines = HealthLines(self.shown_events)
+        self._alarms = AlarmBook(host.state_directory, host.audit)
+        self._rules = AlarmRules(self._alarms)
+        self.past_tasks = PastTasks(host.state_directory)
+
+    @property
+    def records(self) -> RobotRecords:
+        """See Source."""
+        maintenance = self._host.features.loaded.get("maintenance")
+        has_tasks = self._host.tools.get(TASK_TOOL) is not None
+        return RobotRecords(
+            alarms=self._alarms,
+            maintenance=maintenance if isinstance(maintenance, MaintenanceFeature) else None,
+            tasks=self.past_tasks if has_tasks else None,
+        )
 
     def on_health(self, view: ModuleView, before: Health, health: Health) -> None:
         """Listener of `Events.health`."""
-        why = view.report.error if view.report is not None and health in FAULTS else ""
+        report = view.report if health in FAULTS else None
+        why, hint = ("", "") if report is None else (report.error, report.error_hint)
         self._health_lines.add(view.kind, health, before=before, why=why)
+        self._rules.on_health(view.kind, health, why, hint)
 
     def on_fault(self, module: str, what: str, facts: Mapping[str, object]) -> None:
         """Listener of `Events.fault`."""
         self.shown_events.add(
             "fault", f"{module}: {what}: {facts.get('explanation', '')}", is_bad=True
         )
+        self._rules.on_fault(module, what, facts)
 
     def now_s(self) -> float:
         """See Source."""
@@ -91,11 +114,14 @@ class LiveSource:
         instruction = next(
             (status.instruction for status in statuses if status.module == "inference"), ""
         )
+        control = next(status.metrics for status in statuses if status.module == "control")
         return PageState(
             modules=tuple(_row(status) for status in statuses),
             is_latched=is_latched,
             cause=stop.cause() if is_latched else "",
             instruction=instruction,
+            limit=control.get("limit", ""),
+            limit_counts=limit_counts(control),
         )
 
     def is_latched(self) -> bool:
@@ -107,6 +133,11 @@ class LiveSource:
         for record in self._audit.read_new():
             if record["verdict"] in _SHOWN_VERDICTS:
                 add_record(self.shown_events, record)
+            self._rules.on_record(record)
+        self._rules.look()
+        report = self._host.modules.view("inference").report
+        self._rules.on_metrics({} if report is None else report.metrics)
+        self._alarms.save()
 
     def subscribe(
         self, message_type: type[M], topic: str, callback: Callable[[M], None]

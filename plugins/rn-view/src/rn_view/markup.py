@@ -115,7 +115,9 @@ def _module_rows(row: ModuleRow) -> str:
     )
 
 
-def joints_table(profile: RobotProfile, joints: Mapping[str, float]) -> str:
+def joints_table(
+    profile: RobotProfile, joints: Mapping[str, float], limited: Sequence[str] = ()
+) -> str:
     """Where each joint is within its limits, as a table."""
     limits = profile.limits
     if limits is None:
@@ -136,8 +138,9 @@ def joints_table(profile: RobotProfile, joints: Mapping[str, float]) -> str:
             '<div style="position:relative;height:6px;background:#dee2e6;border-radius:3px">'
             f"{mark}</div>"
         )
+        acts = f' <b style="color:{_BAD}">limit</b>' if name in limited else ""
         rows.append(
-            f'<tr><td style="white-space:nowrap">{escape(name)}</td><td '
+            f'<tr><td style="white-space:nowrap">{escape(name)}{acts}</td><td '
             f'style="width:45%">{bar}</td>'
             f'<td style="text-align:right">{_number(at, 2)}</td></tr>'
         )

@@ -14,20 +14,21 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_view.predicted_path import PlannedChunk
 from rn_view.source import Source
 from roboneuron import ACTION_LABEL, RobotProfile, frame_from_buffer
 
 if TYPE_CHECKING:
     from geometry_msgs.msg import PoseStamped
     from sensor_msgs.msg import Image, JointState
-    from std_msgs.msg import Float64MultiArray
+    from std_msgs.msg import Float64MultiArray, String
     from trajectory_msgs.msg import JointTrajectory
 
 log = logging.getLogger(__name__)
 U8 = NDArray[np.uint8]
 F64 = NDArray[np.float64]
 M = TypeVar("M")
-_ACTIONS, _TRAIL = 1200, 400
+_ACTIONS, _TRAIL = 6000, 400
 _LEAST_STEP_M = 0.002
 """The trail gets a point when the TCP has moved this far."""
 
@@ -82,6 +83,7 @@ class MeasuredTopics:
         tracks: the TCP of each arm by its name; "" for the only one.
         commanded: positions by joint name that were commanded last; empty before the first command.
         actions: the newest, oldest first.
+        chunk: the policy's newest one; None where nobody tells it.
         images: number, pixels (H, W, 3) and capture time [ns] of each camera's newest picture.
         news: notified with every picture.
     """
@@ -93,6 +95,7 @@ class MeasuredTopics:
         self.joints: dict[str, float] = {}
         self.tracks = {arm.name: TcpTrack() for arm in profile.each_arm}
         self.commanded: dict[str, float] = {}
+        self.chunk: PlannedChunk | None = None
         self.actions: deque[ShownAction] = deque(maxlen=_ACTIONS)
         self.images: dict[str, tuple[int, U8, int]] = {}
         self.news = threading.Condition()
@@ -101,7 +104,7 @@ class MeasuredTopics:
         """Subscribe. Raises RoboNeuronError when the ROS graph cannot be joined."""
         from geometry_msgs.msg import PoseStamped  # heavy
         from sensor_msgs.msg import Image, JointState
-        from std_msgs.msg import Float64MultiArray
+        from std_msgs.msg import Float64MultiArray, String
         from trajectory_msgs.msg import JointTrajectory
 
         control = self._source.config().control
@@ -109,6 +112,7 @@ class MeasuredTopics:
         for arm, track in self.tracks.items():
             self._take(PoseStamped, f"{arm}/ee_pose" if arm else "ee_pose", track.add)
         self._take(Float64MultiArray, "action", self._on_action)
+        self._take(String, "predictions", self._on_prediction)
         if control is not None and control.command == "joint_state":
             self._take(JointState, "joint_command", self._on_command_state)
         else:
@@ -127,7 +131,7 @@ class MeasuredTopics:
         """Forget what was received before a jump in a recording; pictures stay until new ones
         arrive.
         """
-        self.joints, self.commanded = {}, {}
+        self.joints, self.commanded, self.chunk = {}, {}, None
         for track in self.tracks.values():
             track.clear()
         self.actions.clear()
@@ -144,6 +148,9 @@ class MeasuredTopics:
         # rows that are planned after it may follow
         values = message.data[: dims[0].size] if len(dims) > 1 else message.data
         self.actions.append(ShownAction(self._source.now_s(), label, tuple(values)))
+
+    def _on_prediction(self, message: String) -> None:
+        self.chunk = PlannedChunk.parse(message.data, self._source.now_s()) or self.chunk
 
     def _on_command(self, message: JointTrajectory) -> None:
         if message.points:

@@ -11,13 +11,15 @@ import numpy as np
 import viser
 from numpy.typing import NDArray
 
-from rn_view import markup
+from rn_view import markup, records_page
+from rn_view.acting_limits import limit_place
 from rn_view.lead import PageLead
 from rn_view.lead_page import FULL_SHARE, key_html
 from rn_view.lead_panel import LeadPanel
 from rn_view.lead_socket import LeadSeats, PageTeleoperator
 from rn_view.measured import MeasuredTopics
 from rn_view.operator_calls import Operator
+from rn_view.page_requests import PageSeat, PageSeats
 from rn_view.player import Player
 from rn_view.plots import History, Plots
 from rn_view.scene import PageScene
@@ -54,6 +56,7 @@ class Page:
         on_choice: Callable[[Page], object],
         on_lead: Callable[[Page, PageLead, object], object],
         seats: LeadSeats,
+        page_seats: PageSeats,
     ) -> None:
         """Args:
         sources: what can be shown, by the robot's name; the first is shown first, and of several
@@ -67,12 +70,13 @@ class Page:
         """
         self.client = client
         self.holder: Holder | None = None
+        self.width_px = 0
         self._sources = sources
         self._source = next(iter(sources.values()))
         self._operators = operators
         self._operator = operators.get(next(iter(sources)))
         self._admit = admit
-        self._on_lead, self._seats = on_lead, seats
+        self._on_lead, self._seats, self._page_seats = on_lead, seats, page_seats
         self._lock = threading.Lock()
         self._content: _Content | None = None
         self._tries = _TRIES
@@ -134,9 +138,15 @@ class Page:
         history: History,
         lead: PageLead,
         measured: Callable[[], MeasuredTopics | None],
+        state: Callable[[], PageState],
     ) -> None:
         """Build the rest of the page for its holder."""
         assert self.holder is not None
+        if self._source.playback is None:
+            key = self._page_seats.add(PageSeat(self.holder, self._source, state))
+            self._presence.callback(self._page_seats.remove, key)
+            place = self.client.gui.add_html(records_page.key_html(key))
+            self._presence.callback(self._forget, place)
         if self._operator is not None:
             self._presence.enter_context(self._operator.present(self.holder))
         buttons = (
@@ -158,7 +168,9 @@ class Page:
             )
 
         with self._lock:
-            self._content = _Content(self.client, self._source, profile, history, buttons, add_lead)
+            self._content = _Content(
+                self.client, self._source, profile, history, buttons, add_lead, self.width_px
+            )
         if buttons is not None:
             self._let_lead(profile)
 
@@ -284,6 +296,7 @@ class _Content:
         history: History,
         call: Callable[[str, dict[str, object]], None] | None,
         add_lead: Callable[[], LeadPanel | None],
+        width_px: int,
     ) -> None:
         gui = client.gui
         self._source = source
@@ -296,7 +309,7 @@ class _Content:
         buttons = () if call is None else (self._add_buttons(call),)
         self._modules = gui.add_html("")
         self._lead = add_lead()
-        is_narrow = _PHONE_PX < client.camera.image_width < _WIDE_PX
+        is_narrow = _PHONE_PX < width_px < _WIDE_PX
         tabs = gui.add_tab_group() if is_narrow else gui.add_panel()
         folder = gui.add_folder("What happened")
         with folder:
@@ -326,7 +339,7 @@ class _Content:
         if not isinstance(tabs, viser.GuiTabGroupHandle):
             tabs.dock_left()
             tabs.set_width(_LEFT_PX)
-        self.scene = PageScene(client, profile, source.config())
+        self.scene = PageScene(client, profile, source.config(), is_phone=width_px <= _PHONE_PX)
         self._count = -1
 
     def end_lead(self) -> None:
@@ -350,7 +363,10 @@ class _Content:
             self._lead.update()
         self._instruction.content = markup.instruction_text(snapshot)
         self._modules.content = markup.modules_table(snapshot.modules)
-        self._joints.content = markup.joints_table(self._profile, measured.joints)
+        place = limit_place(snapshot.limits, snapshot.limit, self._profile.arm_joints, ())
+        self._joints.content = markup.joints_table(self._profile, measured.joints, place.joints)
+        self.scene.update_limit(snapshot)
+        self.scene.update_chunk(measured, self._source.now_s())
         count = self._source.shown_events.count
         if count != self._count:
             self._list.content = markup.event_rows(self._source.shown_events.newest(_LINES))

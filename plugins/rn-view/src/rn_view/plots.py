@@ -18,8 +18,11 @@ if TYPE_CHECKING:
     import viser
 
 F64 = NDArray[np.float64]
+SPANS_S = {"5 s": 5.0, "30 s": 30.0, "2 min": 120.0}
 SPAN_S = 30.0
 _MOST_POINTS = 240
+_KEPT_ROWS = 480
+"""States of two minutes."""
 _COLOURS = (
     *("#1f77b4", "#d62728", "#2ca02c", "#9467bd"),
     *("#ff7f0e", "#8c564b", "#e377c2", "#7f7f7f"),
@@ -44,7 +47,7 @@ class History:
 
     def __init__(self) -> None:
         self._rows: deque[tuple[float, dict[str, float], dict[str, float]]] = deque(
-            maxlen=_MOST_POINTS
+            maxlen=_KEPT_ROWS
         )
 
     def add(self, snapshot: PageState, now_s: float) -> None:
@@ -57,11 +60,11 @@ class History:
         }
         self._rows.append((now_s, rates, latencies))
 
-    def series(self, index: int, now_s: float) -> tuple[F64, ...]:
+    def series(self, index: int, now_s: float, span_s: float = SPAN_S) -> tuple[F64, ...]:
         """Ages [s] and the values of each module: 1 for rates [Hz], 2 for latencies [ms]; 0 where a
         module reported none.
         """
-        rows = [row for row in list(self._rows) if now_s - row[0] <= SPAN_S]
+        rows = [row for row in list(self._rows) if now_s - row[0] <= span_s]
         ages = np.array([row[0] - now_s for row in rows])
         values = [np.array([_value(row, index, kind) for row in rows]) for kind in _KINDS]
         return (ages, *values)
@@ -126,14 +129,26 @@ class Plots:
     def __init__(self, gui: viser.GuiApi, place: AbstractContextManager[object]) -> None:
         self._gui, self._place = gui, place
         self._label = ""
+        self._span_s = SPAN_S
+        with place:
+            spans = gui.add_button_group(
+                "Time span",
+                tuple(SPANS_S),
+                hint="Drag over a plot to enlarge a part; press here, or twice on it, to see all.",
+                order=-2.0,
+            )
+            self._still = gui.add_checkbox("Hold still", False, order=-1.0)
+        spans.on_click(lambda _: self._show_span(SPANS_S[str(spans.value)]))
         self._actions: list[tuple[ActionPanel, viser.GuiUplotHandle]] = []
         self._show_channels(ACTION_LABEL)
         with place:
-            self._latency = _plot(gui, "latency [ms]; 0: not said", _KINDS, order=_BEHIND)
-            self._rate = _plot(gui, "rate [Hz]", _KINDS, order=_BEHIND + 1.0)
+            self._latency = self._plot("latency [ms]; 0: not said", _KINDS, order=_BEHIND)
+            self._rate = self._plot("rate [Hz]", _KINDS, order=_BEHIND + 1.0)
 
     def update(self, actions: Sequence[ShownAction], history: History, now_s: float) -> None:
         """Show the newest values; `now_s` is the time of `Source.now_s`."""
+        if self._still.value:
+            return
         label = actions[-1].label if actions else self._label
         if label != self._label:
             self._show_channels(label)
@@ -141,7 +156,7 @@ class Plots:
         rows = [
             row
             for row in actions
-            if now_s - row.at_s <= SPAN_S and row.label == label and len(row.values) == size
+            if now_s - row.at_s <= self._span_s and row.label == label and len(row.values) == size
         ]
         rows = rows[:: 1 + len(rows) // _MOST_POINTS]
         ages = np.array([row.at_s - now_s for row in rows])
@@ -149,8 +164,15 @@ class Plots:
         for panel, plot in self._actions:
             shown = values[:, panel.columns].T * panel.scale
             plot.data = _filled((ages, *shown))
-        self._latency.data = _filled(history.series(2, now_s))
-        self._rate.data = _filled(history.series(1, now_s))
+        self._latency.data = _filled(history.series(2, now_s, self._span_s))
+        self._rate.data = _filled(history.series(1, now_s, self._span_s))
+
+    def _show_span(self, span_s: float) -> None:
+        """Show so much time; a part of a plot that was enlarged is left."""
+        self._span_s = span_s
+        self._still.value = False  # type: ignore[misc]
+        for plot in (*(plot for _, plot in self._actions), self._latency, self._rate):
+            plot.scales = _scales(span_s)
 
     def _show_channels(self, label: str) -> None:
         """Replace the plots by those for the present channels."""
@@ -159,32 +181,36 @@ class Plots:
         self._label = label
         with self._place:
             self._actions = [
-                (panel, _plot(self._gui, panel.title, panel.names, order=float(place)))
+                (panel, self._plot(panel.title, panel.names, order=float(place)))
                 for place, panel in enumerate(action_panels(label))
             ]
 
+    def _plot(self, title: str, names: Sequence[str], *, order: float) -> viser.GuiUplotHandle:
+        from viser import uplot
 
-def _plot(
-    gui: viser.GuiApi, title: str, names: Sequence[str], *, order: float
-) -> viser.GuiUplotHandle:
+        series = [
+            uplot.Series(label="s"),
+            *(
+                uplot.Series(label=n, stroke=_COLOURS[i % len(_COLOURS)], width=1.5)
+                for i, n in enumerate(names)
+            ),
+        ]
+        return self._gui.add_uplot(
+            data=_filled(tuple(np.empty(0) for _ in series)),
+            series=tuple(series),
+            title=title,
+            scales=_scales(self._span_s),
+            legend=uplot.Legend(show=True),
+            height=_HEIGHT_PX,
+            order=order,
+        )
+
+
+def _scales(span_s: float) -> dict[str, viser.uplot.Scale]:
     from viser import uplot
 
-    series = [
-        uplot.Series(label="s"),
-        *(
-            uplot.Series(label=n, stroke=_COLOURS[i % len(_COLOURS)], width=1.5)
-            for i, n in enumerate(names)
-        ),
-    ]
-    return gui.add_uplot(
-        data=_filled(tuple(np.empty(0) for _ in series)),
-        series=tuple(series),
-        title=title,
-        scales={"x": uplot.Scale(time=False, range=(-SPAN_S, 0.0)), "y": uplot.Scale(auto=True)},
-        legend=uplot.Legend(show=True),
-        height=_HEIGHT_PX,
-        order=order,
-    )
+    x = uplot.Scale(time=False, range=(-span_s, 0.0))
+    return {"x": x, "y": uplot.Scale(auto=True)}
 
 
 def _filled(data: tuple[F64, ...]) -> tuple[F64, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
@@ -10,13 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_view.acting_limits import LimitPlace, limit_place
 from rn_view.measured import MeasuredTopics, TcpTrack
+from rn_view.predicted_path import PlannedChunk
+from rn_view.robot_model import RobotModel
+from rn_view.source import PageState
 from roboneuron import ArmProfile, RobotProfile
 from roboneuron.feature import Config, MotionRules, motion_rules
 
 if TYPE_CHECKING:
     import viser
-    import yourdfpy
+    from viser.extras import ViserUrdf
+
+    from roboneuron import Obstacle
 
 log = logging.getLogger(__name__)
 F64 = NDArray[np.float64]
@@ -27,43 +32,16 @@ _BOX_RGB, _OBSTACLE_RGB, _ZONE_RGB, _TARGET_RGB = (
     (235, 120, 20),
 )
 _TRAIL_RGB, _CAMERA_RGB = (40, 160, 110), (90, 90, 100)
+_PATH_RGB, _ACTING_RGB = (150, 70, 210), (224, 49, 49)
+_GHOST_RGBA = (0.92, 0.47, 0.08, 0.35)
+_GHOST_FROM = 0.02
+"""Distance of a commanded joint from the measured one [rad or m] from which the ghost is shown."""
 _FRUSTUM_M = 0.12
 _TARGET_M = 0.018
 _BESIDE_TCP_M = np.array([0.0, 0.0, 0.12])
 """Where the name of an arm stands, from its TCP."""
-_PHONE_PX = 576
-"""viser puts the panel over the lower part of a page up to this wide."""
 _BELOW_M = 1.0
-"""There one looks at a place so far below the workspace, which then is above the panel."""
-
-
-class RobotModel:
-    """A robot's kinematics and shapes from its URDF.
-
-    Raises:
-        ValueError: yourdfpy cannot read the URDF.
-    """
-
-    def __init__(self, profile: RobotProfile) -> None:
-        import yourdfpy  # heavy
-
-        self.profile = profile
-        self.urdf: yourdfpy.URDF = yourdfpy.URDF.load(io.BytesIO(profile.urdf.encode()))
-
-    def configuration(self, joints: Mapping[str, float]) -> F64:
-        """Joint positions in the order of the URDF; 0 for an unknown joint."""
-        return np.array([joints.get(name, 0.0) for name in self.urdf.actuated_joint_names])
-
-    def tcps_of(self, joints: Mapping[str, float]) -> dict[str, F64]:
-        """TCP pose (4, 4) of each arm in the base frame at these positions; leaves the model in
-        them.
-        """
-        self.urdf.update_cfg(self.configuration(joints))
-        base = self.profile.base_link
-        return {
-            arm.name: np.asarray(self.urdf.get_transform(arm.tcp_link, base), dtype=np.float64)
-            for arm in self.profile.each_arm
-        }
+"""On a phone one looks at a place so far below the workspace, which then is above the panel."""
 
 
 class ArmScene:
@@ -93,12 +71,36 @@ class ArmScene:
             visible=False,
         )
         self._trail: viser.LineSegmentsHandle | None = None
+        self._path: viser.LineSegmentsHandle | None = None
         self._shown: tuple[object, int] = (None, 0)
 
     def target(self, position_m: F64) -> None:
         """Show the position that the TCP was sent to [m]."""
         self._target.position = position_m
         self._target.visible = True
+
+    def show_path(self, points: F64 | None) -> None:
+        """Show where the running chunk leads [m] (k, 3); None for nowhere."""
+        if points is None or len(points) < 2:
+            if self._path is not None:
+                self._path.visible = False
+            return
+        lines = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+        if self._path is None:
+            self._path = self._scene.add_line_segments(
+                f"{self.place}/predicted",
+                points=lines,
+                colors=_PATH_RGB,
+                thickness=4.0,
+                thickness_units="screen",
+            )
+        self._path.points = lines
+        self._path.visible = True
+
+    @property
+    def tcp_m(self) -> F64:
+        """Where the TCP is shown [m]."""
+        return np.asarray(self._tcp.position, dtype=np.float64)
 
     def update(self, track: TcpTrack, joints: Mapping[str, float]) -> None:
         """Show the newest measurement."""
@@ -135,12 +137,15 @@ class ArmScene:
 class PageScene:
     """What one page shows in three dimensions; `update` moves it. Used by one thread at a time."""
 
-    def __init__(self, client: viser.ClientHandle, profile: RobotProfile, config: Config) -> None:
+    def __init__(
+        self, client: viser.ClientHandle, profile: RobotProfile, config: Config, *, is_phone: bool
+    ) -> None:
         from viser.extras import ViserUrdf  # heavy
 
         self._scene = client.scene
         self._profile = profile
         self._joints: object = None
+        self._measured: Mapping[str, float] = {}
         self._target_at: Mapping[str, float] = {}
         self._model = RobotModel(profile) if profile.urdf else None
         self._arm = (
@@ -155,6 +160,13 @@ class PageScene:
                 else dict(zip(profile.arm_joints, profile.home_rad, strict=True))
             )
             self._move(home)
+        self._ghost: ViserUrdf | None = None
+        self._client = client
+        self._chunk: PlannedChunk | None = None
+        self._boxes: dict[str, tuple[viser.BoxHandle, tuple[int, int, int], float]] = {}
+        self._workspace: viser.LineSegmentsHandle | None = None
+        self._limited: tuple[tuple[str, ...], str] = ((), "")
+        self._limit = self._scene.add_label("/limit", "", font_screen_scale=1.0, visible=False)
         self._arms = {arm.name: ArmScene(self._scene, arm) for arm in profile.each_arm}
         self._pictures = {
             camera.name: self._add_camera(camera)
@@ -163,7 +175,7 @@ class PageScene:
         }
         limits = motion_rules(config.limits, profile)
         self._add_limits(limits, config)
-        self._look_from(client, limits)
+        self._look_from(client, limits, is_phone=is_phone)
 
     def update(self, measured: MeasuredTopics) -> None:
         """Show the newest measurements."""
@@ -179,8 +191,85 @@ class PageScene:
             poses = self._model.tcps_of({**measured.joints, **measured.commanded})
             for arm, pose in poses.items():
                 self._arms[arm].target(pose[:3, 3])
+        self._show_ghost(measured)
         for arm, track in measured.tracks.items():
             self._arms[arm].update(track, measured.joints)
+
+    def update_chunk(self, measured: MeasuredTopics, now_s: float) -> None:
+        """Show where the running chunk leads the TCP; `now_s` as of `Source.now_s`."""
+        chunk = measured.chunk
+        if chunk is not None and chunk.is_over(now_s):
+            chunk = None
+        if chunk is self._chunk:
+            return
+        self._chunk = chunk
+        forward = None if self._model is None else self._model.tcps_of
+        paths = {} if chunk is None else chunk.paths(forward)
+        for arm, scene in self._arms.items():
+            scene.show_path(paths.get(arm))
+
+    def update_limit(self, state: PageState) -> None:
+        """Show the limit that acts at its place: at a joint, a zone, the workspace or the TCP."""
+        if (state.limits, state.limit) == self._limited:
+            return
+        self._limited = state.limits, state.limit
+        place = limit_place(state.limits, state.limit, self._profile.arm_joints, tuple(self._boxes))
+        for name, (box, rgb, opacity) in self._boxes.items():
+            acts = name in place.zones
+            box.color, box.opacity = (_ACTING_RGB, 0.6) if acts else (rgb, opacity)
+        if self._workspace is not None:
+            colours = _ACTING_RGB if place.box else _BOX_RGB
+            shape = np.asarray(self._workspace.points).shape
+            self._workspace.colors = np.full(shape, colours, dtype=np.uint8)
+        self._limit.visible = bool(state.limits)
+        if not state.limits:
+            return
+        where = ", ".join((*place.joints, *place.zones))
+        self._limit.text = f"limit: {', '.join(state.limits)}{f' ({where})' if where else ''}"
+        self._limit.position = self._limit_position(place)
+
+    def _limit_position(self, place: LimitPlace) -> F64:
+        """Where the name of the limit stands [m]."""
+        if place.zones:
+            return np.asarray(self._boxes[place.zones[0]][0].position, dtype=np.float64)
+        if place.joints and self._model is not None:
+            found = self._model.joint_place(place.joints[0], self._measured)
+            if found is not None:
+                return found
+        beside: F64 = next(iter(self._arms.values())).tcp_m + _BESIDE_TCP_M
+        return beside
+
+    def _show_ghost(self, measured: MeasuredTopics) -> None:
+        """Show the posture that was commanded last, where it is another than the measured one."""
+        self._measured = measured.joints
+        if self._model is None or not measured.commanded or not measured.joints:
+            if self._ghost is not None:
+                self._ghost.show_visual = False
+            return
+        far = max(
+            (
+                abs(at - measured.joints[name])
+                for name, at in measured.commanded.items()
+                if name in measured.joints
+            ),
+            default=0.0,
+        )
+        if far < _GHOST_FROM:
+            if self._ghost is not None:
+                self._ghost.show_visual = False
+            return
+        if self._ghost is None:
+            from viser.extras import ViserUrdf  # heavy
+
+            self._ghost = ViserUrdf(
+                self._client,
+                self._model.urdf,
+                root_node_name="/commanded",
+                mesh_color_override=_GHOST_RGBA,
+            )
+        self._ghost.show_visual = True
+        posture = {**measured.joints, **measured.commanded}
+        self._ghost.update_cfg(self._model.configuration(posture))
 
     def show_picture(self, camera: str, pixels: NDArray[np.uint8]) -> None:
         """Show a picture at the pose of its camera."""
@@ -219,7 +308,7 @@ class PageScene:
         """Show the workspace box as lines, and forbidden zones and obstacles as boxes."""
         if np.isfinite(limits.lower_m).all() and np.isfinite(limits.upper_m).all():
             lower, upper = limits.lower_m, limits.upper_m
-            self._scene.add_line_segments(
+            self._workspace = self._scene.add_line_segments(
                 "/workspace",
                 points=_edges(lower, upper),
                 colors=_BOX_RGB,
@@ -232,36 +321,38 @@ class PageScene:
                 "/workspace/label", "workspace of the TCP", position=behind, font_screen_scale=0.8
             )
         for zone in limits.zones:
-            self._add_box(f"/zones/{zone.name}", zone.lower_m, zone.upper_m, _ZONE_RGB, 0.25)
+            self._add_box("zones", zone, _ZONE_RGB, 0.25)
         collision = limits.collision
         boxes = collision.obstacles if collision is not None else ()
         for box in boxes:
-            self._add_box(f"/obstacles/{box.name}", box.lower_m, box.upper_m, _OBSTACLE_RGB, 0.35)
+            self._add_box("obstacles", box, _OBSTACLE_RGB, 0.35)
         floor_m = min((float(box.lower_m[2]) for box in boxes), default=0.0)
         self._scene.add_grid(
             "/grid", 6.0, 6.0, cell_size=0.1, section_size=0.5, position=(0.0, 0.0, floor_m)
         )
 
     def _add_box(
-        self, name: str, lower: F64, upper: F64, rgb: tuple[int, int, int], opacity: float
+        self, group: str, box: Obstacle, rgb: tuple[int, int, int], opacity: float
     ) -> None:
-        self._scene.add_box(
-            name,
+        handle = self._scene.add_box(
+            f"/{group}/{box.name}",
             color=rgb,
-            dimensions=upper - lower,
-            position=(lower + upper) / 2.0,
+            dimensions=box.upper_m - box.lower_m,
+            position=(box.lower_m + box.upper_m) / 2.0,
             opacity=opacity,
             cast_shadow=False,
         )
+        self._boxes[box.name] = handle, rgb, opacity
 
-    def _look_from(self, client: viser.ClientHandle, limits: MotionRules) -> None:
+    def _look_from(
+        self, client: viser.ClientHandle, limits: MotionRules, *, is_phone: bool
+    ) -> None:
         box = np.stack([limits.lower_m, limits.upper_m])
         centre = (
             box.mean(axis=0) * np.array([0.8, 1.0, 0.9])
             if np.isfinite(box).all()
             else np.array([0.3, 0.0, 0.3])
         )
-        is_phone = client.camera.image_width <= _PHONE_PX
         client.camera.position = centre + np.array([0.95, -1.15, 0.65]) * (
             1.25 if is_phone else 0.85
         )

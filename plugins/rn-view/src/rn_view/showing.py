@@ -11,12 +11,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rn_view.acting_limits import ActingLimits
 from rn_view.lead import PageLead
 from rn_view.measured import MeasuredTopics
 from rn_view.module_health import SteadyHealth
 from rn_view.page import Page
 from rn_view.plots import History
-from rn_view.source import Source
+from rn_view.source import PageState, Source
 from roboneuron import RoboNeuronError, RobotProfile
 from roboneuron.feature import Periodic
 
@@ -37,6 +38,7 @@ class Showing:
     Attributes:
         source: see above.
         measured: None while nobody looks: nothing is subscribed to then.
+        state: the newest that the pages show.
     """
 
     def __init__(
@@ -44,6 +46,7 @@ class Showing:
     ) -> None:
         self.source = source
         self.measured: MeasuredTopics | None = None
+        self.state = PageState()
         self._image_hz = image_hz
         self._on_other_robot = on_other_robot
         self._lock = threading.RLock()
@@ -52,7 +55,7 @@ class Showing:
         self._lead: PageLead | None = None
         self._place: tuple[str, str] = ("", "")
         self._history = History()
-        self._steady = SteadyHealth()
+        self._steady, self._limits = SteadyHealth(), ActingLimits()
         self._shown: dict[str, tuple[int, float, float]] = {}
         self._is_closing = threading.Event()
         self._motion = Periodic("view-motion", _MOTION_S, self._show_motion)
@@ -92,7 +95,13 @@ class Showing:
                     self._start_looking()
                 assert self._profile is not None
                 assert self._lead is not None
-                page.show(self._profile, self._history, self._lead, lambda: self.measured)
+                page.show(
+                    self._profile,
+                    self._history,
+                    self._lead,
+                    lambda: self.measured,
+                    lambda: self.state,
+                )
                 self._shown = {}  # it gets the pictures that are there, also if no others come
         except RoboNeuronError as error:
             log.error("The view cannot show the robot: %s", error)
@@ -144,6 +153,7 @@ class Showing:
     def _show_state(self) -> None:
         measured = self.measured
         if measured is None:
+            self.source.look()
             self._looks.wait(_IDLE_S)
             return
         config = self.source.config()
@@ -158,6 +168,8 @@ class Showing:
         now_s = self.source.now_s()
         self._history.add(snapshot, now_s)
         snapshot = replace(snapshot, modules=self._steady.rows(snapshot.modules, now_s))
+        snapshot = self._limits.look(snapshot, now_s)
+        self.state = snapshot
         for page in self._all_pages():
             page.update_state(self.source, snapshot, measured)
 

@@ -5,11 +5,12 @@ its files.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, TypeVar
 
 from rn_view.event_list import ShownEvents
 from rn_view.playback import Playback
+from rn_view.records import RobotRecords
 from roboneuron import RobotProfile
 from roboneuron.feature import Config
 
@@ -65,12 +66,19 @@ class PageState:
         modules: in the usual order of starting.
         is_latched, cause: the emergency stop, and who pressed it and why.
         instruction: what the backend was told.
+        limit: control's words on the limit that acted last; after `ActingLimits` on the one that
+            acts now, empty without one.
+        limit_counts: how often each limit has acted, by its name as in `[limits] on_<name>`.
+        limits: those that act now, see `ActingLimits`.
     """
 
     modules: tuple[ModuleRow, ...] = ()
     is_latched: bool = False
     cause: str = ""
     instruction: str = ""
+    limit: str = ""
+    limit_counts: Mapping[str, int] = field(default_factory=dict)
+    limits: tuple[str, ...] = ()
 
 
 class Source(Protocol):
@@ -81,6 +89,7 @@ class Source(Protocol):
         label: says on the page which kind of view it is.
         playback: plays a recording; None for a robot that is there. Without a robot the page has no
             emergency stop.
+        records: alarms, maintenance and past tasks; None where only the server has them.
     """
 
     @property
@@ -91,6 +100,9 @@ class Source(Protocol):
 
     @property
     def playback(self) -> Playback | None: ...
+
+    @property
+    def records(self) -> RobotRecords | None: ...
 
     def now_s(self) -> float:
         """Time of what is shown [s]: monotonic, or within a recording; in a callback of `subscribe`
@@ -115,9 +127,7 @@ class Source(Protocol):
         ...
 
     def look(self) -> None:
-        """Read what is needed only while a page is open, such as the audit; adds to
-        `shown_events`.
-        """
+        """Read what nobody tells, such as the audit: a few times a second; fills `shown_events`."""
         ...
 
     def subscribe(

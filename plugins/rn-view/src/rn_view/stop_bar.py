@@ -22,18 +22,21 @@ TITLE = "RoboNeuron"
 _HEAD, _BODY = "<title>Viser</title>", '<div id="root"></div>'
 """What is replaced in viser's page."""
 
-DARK_COOKIE = "roboneuron_dark"
+DARK_COOKIE, WIDTH_COOKIE = "roboneuron_dark", "roboneuron_width"
 _TELL_DARK = f"""document.cookie = "{DARK_COOKIE}=" +
-  Number(matchMedia("(prefers-color-scheme: dark)").matches) + "; path=/; SameSite=Strict";"""
-"""Before viser's program connects: it is the server that says whether its part is dark."""
+  Number(matchMedia("(prefers-color-scheme: dark)").matches) + "; path=/; SameSite=Strict";
+document.cookie = "{WIDTH_COOKIE}=" + Math.round(innerWidth) + "; path=/; SameSite=Strict";"""
+"""Before viser's program connects: it is the server that says whether its part is dark, and where
+the panels are. The width of the scene is another, once a panel is beside it.
+"""
 _STYLE = """
 :root { --rn-bar: 84px; }
 :root { --rn-paper: #fff; --rn-ink: #212529; --rn-dim: #495057; --rn-edge: #adb5bd; --rn-line: #868e96; --rn-soft: #e9ecef; --rn-blue: #1864ab;
-  --rn-on-blue: #fff; --rn-chosen: #d0ebff; --rn-good: #d3f9d8; --rn-warn: #fff3bf; --rn-bad: #ffe3e3; --rn-well: #f1f3f5; --rn-hair: #ced4da; }
+  --rn-on-blue: #fff; --rn-chosen: #d0ebff; --rn-good: #d3f9d8; --rn-warn: #fff3bf; --rn-bad: #ffe3e3; --rn-well: #f1f3f5; --rn-hair: #ced4da; --rn-red: #b01e1e; }
 @media (prefers-color-scheme: dark) {
   :root { --rn-paper: #25262b; --rn-ink: #e9ecef; --rn-dim: #ced4da; --rn-edge: #5c5f66; --rn-line: #868e96; --rn-soft: #373a40; --rn-blue: #74c0fc;
-    --rn-on-blue: #101113; --rn-chosen: #1c3d5a; --rn-good: #1e4620; --rn-warn: #5c4a00; --rn-bad: #5c1f1f; --rn-well: #2c2e33; --rn-hair: #5c5f66; }
-  #rn-bar, #rn-lead { color-scheme: dark; }
+    --rn-on-blue: #101113; --rn-chosen: #1c3d5a; --rn-good: #1e4620; --rn-warn: #5c4a00; --rn-bad: #5c1f1f; --rn-well: #2c2e33; --rn-hair: #5c5f66; --rn-red: #ff8787; }
+  #rn-bar, #rn-lead, #rn-strip, #rn-records { color-scheme: dark; }
 }
 #root { position: fixed; top: var(--rn-bar); left: 0; right: 0; bottom: 0; transform: translateZ(0); }
 #root, body { --mantine-color-blue-filled: #1864ab; --mantine-color-blue-filled-hover: #0b4a86;
@@ -42,7 +45,7 @@ _STYLE = """
   #root, body { --mantine-color-blue-outline: #74c0fc; --mantine-color-blue-text: #74c0fc; --mantine-color-dimmed: #ced4da; }
   #root .mantine-Tabs-tab[data-active] { color: #74c0fc; }
 }
-#rn-bar { position: fixed; top: 0; left: 0; right: 0; height: var(--rn-bar); z-index: 2147483647; display: flex;
+#rn-bar { position: fixed; top: 0; left: 0; right: 0; height: 84px; z-index: 2147483647; display: flex;
   gap: 12px; align-items: stretch; padding: 8px; box-sizing: border-box; background: var(--rn-paper);
   border-bottom: 1px solid var(--rn-edge); font: 15px/1.3 system-ui, sans-serif; color: var(--rn-ink); }
 #rn-bar button { border: 0; border-radius: 6px; background: #b01e1e; color: #fff; font: inherit; font-weight: 700;
@@ -180,7 +183,7 @@ def page_with_bar(base: str, robots: Sequence[str]) -> str:
         f'<button id="rn-stop" type="button" data-robot="" aria-keyshortcuts="{KEY}" title="Key '
         f"{KEY}, anywhere on "
         f'this page">{what}<kbd>{KEY}</kbd></button>{ones}<div id="rn-state" '
-        'role="status"></div></div>'
+        'role="status" aria-live="assertive"></div></div>'
     )
     told = {
         "robots": list(robots),

@@ -23,6 +23,7 @@ from rn_view.measured import MeasuredTopics
 from rn_view.operator_calls import Operator
 from rn_view.options import ViewOptions
 from rn_view.page import Page
+from rn_view.page_requests import PageSeats
 from rn_view.showing import Showing
 from rn_view.source import Source
 from rn_view.visitors import Visitors
@@ -84,7 +85,7 @@ class Viewer:
         }
         self._shown: dict[Page, str] = {}
         self._proofs: set[Future[None]] = set()
-        self._seats = LeadSeats()
+        self._seats, self._page_seats = LeadSeats(), PageSeats()
 
     @property
     def measured(self) -> MeasuredTopics | None:
@@ -116,6 +117,7 @@ class Viewer:
             self._visitors.who,
             self._visitors.cookie,
             self._goal,
+            self._page_seats,
         )
         bound = bind("view", self._options.host, self._options.port, self._admission.tokens)
         self._listener = BoundedListener(bound, other_bounds(_CONNECTIONS))
@@ -205,8 +207,10 @@ class Viewer:
             self._choose,
             self._on_lead,
             self._seats,
+            self._page_seats,
         )
         page.holder = self._admission.visitor(client.client_id)
+        page.width_px = self._visitors.width_px(client.client_id) or client.camera.image_width
         if self._visitors.wants_dark(client.client_id):
             _set_theme(client.gui, is_dark=True)
         with self._lock:

@@ -8,11 +8,12 @@ import threading
 from collections.abc import Mapping
 from typing import Protocol
 
-from rn_view.stop_bar import DARK_COOKIE
+from rn_view.stop_bar import DARK_COOKIE, WIDTH_COOKIE
 
 _COOKIE = "roboneuron_view"
 _PATTERN = re.compile(rf"(?:^|;\s*){_COOKIE}=([\w-]{{10,80}})(?:;|$)")
 
+_WIDTH = re.compile(rf"(?:^|;\s*){WIDTH_COOKIE}=(\d{{1,5}})(?:;|$)")
 _DARK = re.compile(rf"(?:^|;\s*){DARK_COOKIE}=1(?:;|$)")
 
 
@@ -32,6 +33,7 @@ class Visitors:
         self._cookies: dict[int, str] = {}
         self._names: dict[int, str] = {}
         self._dark: set[int] = set()
+        self._widths: dict[int, int] = {}
 
     def cookie(self, request: _PageRequest) -> str:
         """Set-Cookie header for a browser; repeats the cookie that it has already."""
@@ -42,6 +44,8 @@ class Visitors:
         """Register a page whose websocket was opened."""
         with self._lock:
             self._cookies[number] = _cookie_of(request)
+            width = _WIDTH.search(request.headers.get("Cookie", ""))
+            self._widths[number] = int(width.group(1)) if width else 0
             if _DARK.search(request.headers.get("Cookie", "")):
                 self._dark.add(number)
 
@@ -49,6 +53,11 @@ class Visitors:
         """Whether that page's browser prefers dark colours."""
         with self._lock:
             return number in self._dark
+
+    def width_px(self, number: int) -> int:
+        """Width of that page when it was loaded; 0 when its browser did not say it."""
+        with self._lock:
+            return self._widths.get(number, 0)
 
     def name(self, number: int, who: str) -> None:
         """Register who looks at that page."""
@@ -61,6 +70,7 @@ class Visitors:
             self._cookies.pop(number, None)
             self._names.pop(number, None)
             self._dark.discard(number)
+            self._widths.pop(number, None)
 
     def who(self, request: _PageRequest, address: str) -> str:
         """Name of the sender of a request: the holder of that browser's newest page."""

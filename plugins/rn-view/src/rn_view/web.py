@@ -21,11 +21,13 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from rn_standard.http.listener import BACKLOG, BoundedListener
-from rn_view import stop_bar
+from rn_view import page_requests, stop_bar
 from rn_view.access import ViewAccess
 from rn_view.lead import LEAD_PATH
 from rn_view.lead_page import with_lead
 from rn_view.lead_socket import LeadSeats
+from rn_view.page_requests import PageSeats
+from rn_view.records_page import with_records
 from rn_view.source import Source
 from roboneuron import RoboNeuronError
 
@@ -54,6 +56,7 @@ class Web:
         who: who sends a request, for the audit.
         visited: a page was asked for; returns its cookie.
         goal: where whoever leads the robot of that name wants its joints; None when nobody does.
+        pages: answers requests of open pages.
     """
 
     def __init__(
@@ -63,12 +66,14 @@ class Web:
         who: Callable[[Request, str], str],
         visited: Callable[[Request], str],
         goal: Callable[[str], dict[str, float] | None],
+        pages: PageSeats,
     ) -> None:
         self._admission = admission
         self._sources = sources
         self._who = who
         self._visited = visited
         self._goal = goal
+        self._seats = pages
         self._base = stop_bar.base_page()
         self._pages: dict[tuple[str, ...], tuple[bytes, bytes]] = {}
 
@@ -89,6 +94,9 @@ class Web:
         if asked.path == stop_bar.STATE_PATH:
             latched = {name: source.is_latched() for name, source in self._robots().items()}
             return _json(HTTPStatus.OK, {"latched": latched})
+        if asked.path.startswith(page_requests.PATH):
+            status, body, kind = await self._seats.answer(request.path, request.headers)
+            return _answer(status, body, {"Content-Type": kind, "Cache-Control": "no-store"})
         if asked.path == LEAD_PATH:
             return self._lead(request, parse_qs(asked.query).get("robot", [""])[0])
         if asked.path == stop_bar.STOP_PATH:
@@ -114,7 +122,7 @@ class Web:
                     [name or one.config().namespace for name, one in self._robots().items()],
                 )
             )
-            page = page if recorded else with_lead(page)
+            page = page if recorded else with_records(with_lead(page))
             self._pages[names] = page.encode(), gzip.compress(page.encode())
         plain, packed = self._pages[names]
         headers = {**_PAGE_HEADERS, "Set-Cookie": self._visited(request)}

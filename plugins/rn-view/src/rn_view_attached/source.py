@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from rn_standard.console.diagnostics import DiagnosticsListener
 from rn_standard.console.status import ReportedModule, ServerStatus
+from rn_view.acting_limits import limit_counts
 from rn_view.event_list import AuditReader, EventList, add_record
 from rn_view.live import robot_profile
 from rn_view.module_health import HealthLines
@@ -61,6 +62,7 @@ class AttachedSource:
 
     label = "attached"
     playback = None
+    records = None
 
     def __init__(
         self,
@@ -97,6 +99,7 @@ class AttachedSource:
         """See Source."""
         modules = {module.module: module for module in self._modules()}
         inference = modules.get("inference")
+        control = modules["control"].metrics if "control" in modules else {}
         rows = tuple(_row(kind, modules.get(kind)) for kind in _ORDER)
         for row in rows:
             before = self._healths.get(row.kind, "stopped")
@@ -109,6 +112,8 @@ class AttachedSource:
             is_latched=latch.latched,
             cause=latch.cause,
             instruction=inference.instruction if inference is not None else "",
+            limit=control.get("limit", ""),
+            limit_counts=limit_counts(control),
         )
 
     def is_latched(self) -> bool:

@@ -18,6 +18,7 @@ from rn_recorder_runs.episodes import stamp_of
 from rn_recorder_runs.files import Record
 from rn_recorder_runs.images import pixels_of
 from rn_recorder_runs.timeline import Timeline
+from rn_view.acting_limits import limit_counts
 from rn_view.event_list import ShownEvent
 from rn_view.live import robot_profile
 from rn_view.playback import Playback
@@ -55,6 +56,7 @@ class RecordedSource:
     """
 
     label = "recorded"
+    records = None
 
     def __init__(
         self,
@@ -117,13 +119,16 @@ class RecordedSource:
             at_ns = self._shown_ns
             reports = self._reports_at(at_ns)
             latched, cause = self._log.stop(at_ns)
-            told = reports.get("inference")
+            told, control = reports.get("inference"), reports.get("control")
+            metrics = {} if control is None else control.metrics
             return PageState(
                 modules=tuple(self._row(kind, reports.get(kind), at_ns) for kind in _KINDS),
                 is_latched=latched,
                 cause=cause,
                 instruction=(told.instruction if told is not None else "")
                 or self._log.instruction(at_ns),
+                limit=metrics.get("limit", ""),
+                limit_counts=limit_counts(metrics),
             )
 
     def is_latched(self) -> bool:

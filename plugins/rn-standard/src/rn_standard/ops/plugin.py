@@ -35,6 +35,20 @@ REAL_ROBOT = FeatureSpec(
 )
 """Descriptor of the feature that asks before the start of a real robot."""
 
+MAINTENANCE = FeatureSpec(
+    name="maintenance",
+    summary="A person takes the robot out of service: nothing moves it, also after restarts.",
+    target="rn_standard.ops.maintenance:MaintenanceFeature",
+)
+"""Descriptor of the feature that refuses what acts while the robot is out of service."""
+
+MAINTENANCE_COMMAND = CommandSpec(
+    name="maintenance",
+    summary="take the robot out of service, or put it back",
+    target="rn_standard.ops.maintenance_command:Maintenance",
+)
+"""Descriptor of the command."""
+
 COMMAND = CommandSpec(
     name="doctor",
     summary="check whether this machine and a configuration are ready",
@@ -46,10 +60,10 @@ COMMAND = CommandSpec(
 @hookimpl
 def roboneuron_features() -> tuple[FeatureSpec, ...]:
     """The features of this package."""
-    return (FEATURE, CLIENTS, RECOVERY, REAL_ROBOT)
+    return (FEATURE, CLIENTS, RECOVERY, REAL_ROBOT, MAINTENANCE)
 
 
 @hookimpl
 def roboneuron_commands() -> tuple[CommandSpec, ...]:
     """The commands of this package."""
-    return (COMMAND,)
+    return (COMMAND, MAINTENANCE_COMMAND)

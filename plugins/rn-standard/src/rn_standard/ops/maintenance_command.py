@@ -1,0 +1,84 @@
+"""The command `roboneuron maintenance`."""
+
+from __future__ import annotations
+
+import getpass
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+
+class Maintenance:
+    """Take the robot out of service, put it back, or say whether it is (exit status 1 if it is out
+    of service).
+
+    Out of service the emergency stop is latched, and every call that acts is refused with who and
+    why. Back in service the stop is still latched: release it as always.
+    """
+
+    def configure(self, parser: ArgumentParser) -> None:
+        """Add the arguments of `roboneuron maintenance`."""
+        parser.add_argument(
+            "--config",
+            type=Path,
+            metavar="FILE",
+            help="a roboneuron.toml that names the state directory",
+        )
+        parser.add_argument(
+            "--state", type=Path, metavar="DIRECTORY", help="the state directory itself"
+        )
+        parser.add_argument(
+            "--robot", metavar="NAME", help="one of several robots; all of them without it"
+        )
+        action = parser.add_mutually_exclusive_group()
+        action.add_argument("--begin", metavar="WHY", help="take it out of service")
+        action.add_argument(
+            "--end", action="store_true", help="put it back in service; asks for a yes"
+        )
+
+    def run(self, arguments: Namespace) -> int:
+        """Run `roboneuron maintenance`.
+
+        Raises:
+            RefusedError: there is no terminal for --end, or neither file nor audit can be written.
+        """
+        from rn_standard.ops.maintenance import MaintenanceFile
+        from roboneuron import RefusedError
+        from roboneuron.command import AuditLog, Role, environment, estop, reading
+
+        configured = reading.read_state_directory(arguments.config) if arguments.config else None
+        directory = environment.state_directory(
+            str(arguments.state) if arguments.state else configured
+        )
+        of_robots = reading.robot_folder(directory).parent
+        folders = sorted(of_robots.glob("*")) or [directory]
+        if arguments.robot:
+            folders = [of_robots / arguments.robot]
+        who, status = f"{getpass.getuser()} at the command line", 0
+        if arguments.end and not sys.stdin.isatty():
+            raise RefusedError(
+                "Only a person in a terminal can put the robot back in service, and this is no "
+                "terminal.",
+                hint="Run the same command in a terminal (over ssh: `ssh -t`).",
+                rule="person",
+            )
+        for folder in folders:
+            file, audit = MaintenanceFile(folder), AuditLog.in_directory(folder)
+            if arguments.begin is not None:
+                state = file.begin(who, Role.ADMIN, arguments.begin, audit)
+                latch = estop.EmergencyStopLatch.in_directory(folder)
+                latch.latch(who=state.who, reason=f"maintenance: {state.reason}", audit=audit)
+                print(f"{folder}: {state}. The emergency stop is latched.")
+                continue
+            found = file.read()
+            print(f"{folder}: {found or 'in service'}")
+            if found is None:
+                continue
+            if not arguments.end:
+                status = 1
+            elif input("Is everybody away from the robot? Back in service? [y/N] ") in ("y", "yes"):
+                file.end(who, Role.ADMIN, audit)
+                print("In service. The emergency stop is latched: roboneuron estop --reset.")
+            else:
+                status = 1
+        return status

@@ -1,0 +1,91 @@
+"""Which limit acts on the commands now, and where: at a joint, at a zone, or at the TCP."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from rn_view.source import PageState
+
+SHOWN_S = 0.8
+"""A limit is shown for so long after it acted: status reports come five times a second."""
+_COUNTER = "limited."
+_OF_BOX = ("workspace", "height")
+
+
+def limit_counts(metrics: Mapping[str, str]) -> dict[str, int]:
+    """How often each limit acted since control started, as it reports it."""
+    return {
+        key.removeprefix(_COUNTER): int(value)
+        for key, value in metrics.items()
+        if key.startswith(_COUNTER) and value.isdecimal()
+    }
+
+
+class ActingLimits:
+    """Filter for the states of one robot. For one thread."""
+
+    def __init__(self) -> None:
+        self._counts: Mapping[str, int] | None = None
+        self._acted_s: dict[str, float] = {}
+        self._reason = ""
+
+    def look(self, state: PageState, now_s: float) -> PageState:
+        """The state with the limits that act at `now_s` [s], a time that may jump back."""
+        before, self._counts = self._counts, state.limit_counts
+        # not at the first look: how long ago it acted is not known
+        before = state.limit_counts if before is None else before
+        for name, count in state.limit_counts.items():
+            if count > before.get(name, 0):
+                self._acted_s[name] = now_s
+                self._reason = state.limit
+        self._acted_s = {
+            name: at_s for name, at_s in self._acted_s.items() if 0.0 <= now_s - at_s <= SHOWN_S
+        }
+        acting = tuple(self._acted_s)
+        return replace(state, limits=acting, limit=self._reason if acting else "")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class LimitPlace:
+    """Where a limit acts.
+
+    Attributes:
+        joints: names of the joints that it names.
+        zones: names of zones or bodies that it names.
+        box: the workspace, or its height.
+        tcp: the TCP, and nothing nearer is named.
+    """
+
+    joints: tuple[str, ...] = ()
+    zones: tuple[str, ...] = ()
+    box: bool = False
+    tcp: bool = False
+
+
+def limit_place(
+    limits: Sequence[str], reason: str, joints: Sequence[str], zones: Sequence[str]
+) -> LimitPlace:
+    """Where these limits act.
+
+    Args:
+        limits: that act.
+        reason: control's sentence for the last of them, which names joint or zone.
+        joints: of the robot.
+        zones: names of zones and obstacles.
+    """
+    named, places = _named(joints, reason), _named(zones, reason)
+    box = any(limit in _OF_BOX for limit in limits)
+    found = named or places or box
+    return LimitPlace(joints=named, zones=places, box=box, tcp=bool(limits) and not found)
+
+
+def _named(names: Sequence[str], reason: str) -> tuple[str, ...]:
+    """Those of the names that a sentence contains; not "table" in "table edge" if there is one."""
+    found = set()
+    for name in sorted(names, key=len, reverse=True):
+        reason, count = re.subn(rf"(?<!\w){re.escape(name)}(?!\w)", "", reason)
+        if count:
+            found.add(name)
+    return tuple(name for name in names if name in found)

@@ -1,0 +1,172 @@
+"""Requests of an open page beside viser's websocket: alarms, rates, maintenance, past tasks.
+
+A page proves by its key, which it got over its own websocket, as whom it asks.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from http import HTTPStatus
+from typing import Any
+from urllib.parse import parse_qs, urlsplit
+
+from rn_view.past_tasks import success_rates
+from rn_view.source import PageState, Source
+from roboneuron import InvalidInputError, NotReadyError, RefusedError, RoboNeuronError
+from roboneuron.feature import Holder, Role
+
+PATH = "/page/"
+"""GET `state`, `acknowledge?alarm=`, `maintenance?begin=WHY`, `maintenance?end=1`, `tasks`,
+`picture?task=&end=`.
+"""
+KEY_HEADER = "X-RoboNeuron-Page"
+"""Pages of other origins cannot send it without being allowed to, and no link or image can."""
+_MOST_TEXT = 300
+Body = tuple[HTTPStatus, bytes, str]
+"""Status, body and content type of an answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class PageSeat:
+    """An open page: who looks, at what, and the newest state that it shows."""
+
+    holder: Holder
+    source: Source
+    state: Callable[[], PageState]
+
+
+class PageSeats:
+    """The open pages by their keys; usable from any thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._seats: dict[str, PageSeat] = {}
+
+    def add(self, seat: PageSeat) -> str:
+        """A page is open; returns its key."""
+        key = secrets.token_urlsafe(24)
+        with self._lock:
+            self._seats[key] = seat
+        return key
+
+    def remove(self, key: str) -> None:
+        """The page is gone, or shows another robot."""
+        with self._lock:
+            self._seats.pop(key, None)
+
+    async def answer(self, path: str, headers: Mapping[str, str]) -> Body:
+        """Answer one request of a page."""
+        with self._lock:
+            seat = self._seats.get(headers.get(KEY_HEADER, ""))
+        if seat is None:
+            return _told(HTTPStatus.UNAUTHORIZED, {"text": "This page is not known; load it again"})
+        asked = urlsplit(path)
+        given = {key: values[0] for key, values in parse_qs(asked.query).items()}
+        try:
+            return await asyncio.to_thread(_answer, seat, asked.path.removeprefix(PATH), given)
+        except InvalidInputError as error:
+            return _told(HTTPStatus.NOT_FOUND, {"text": str(error)})
+        except RefusedError as error:
+            return _told(HTTPStatus.FORBIDDEN, {"text": str(error)})
+        except (RoboNeuronError, OSError) as error:
+            return _told(HTTPStatus.SERVICE_UNAVAILABLE, {"text": str(error)})
+
+
+def _answer(seat: PageSeat, what: str, given: Mapping[str, str]) -> Body:
+    if what == "state":
+        return _told(HTTPStatus.OK, _state(seat))
+    if what == "acknowledge":
+        return _acknowledge(seat, given)
+    if what == "maintenance":
+        return _maintain(seat, given)
+    if what == "tasks":
+        return _tasks(seat)
+    if what == "picture":
+        return _picture(seat, given)
+    raise InvalidInputError(f"A page cannot ask for {what[:40]!r}.", path="path")
+
+
+def _state(seat: PageSeat) -> dict[str, object]:
+    """Everything that the bar shows."""
+    records, state = seat.source.records, seat.state()
+    told: dict[str, object] = {
+        "may_operate": Role.OPERATOR.is_held_by(seat.holder.role),
+        "may_end": Role.ADMIN.is_held_by(seat.holder.role),
+        "modules": [
+            {
+                "kind": row.kind,
+                "health": row.health,
+                "rate_hz": row.rate_hz,
+                "latency_ms": row.latency_ms,
+            }
+            for row in state.modules
+        ],
+        "limit": state.limit,
+    }
+    if records is not None:
+        maintenance = records.maintenance
+        told["alarms"] = [
+            {**asdict(alarm), "is_open": alarm.is_open} for alarm in records.alarms.newest()
+        ]
+        told["has_tasks"] = records.tasks is not None
+        told["maintenance"] = None if maintenance is None else str(maintenance.state or "")
+    return told
+
+
+def _acknowledge(seat: PageSeat, given: Mapping[str, str]) -> Body:
+    records = seat.source.records
+    _check_operator(seat, "Acknowledging an alarm")
+    number = given.get("alarm", "")
+    if records is None or not number.isdecimal():
+        raise InvalidInputError(f"There is no alarm {number[:20]!r}.", path="alarm")
+    alarm = records.alarms.acknowledge(int(number), seat.holder.who, seat.holder.role)
+    return _told(HTTPStatus.OK, asdict(alarm))
+
+
+def _maintain(seat: PageSeat, given: Mapping[str, str]) -> Body:
+    records = seat.source.records
+    if records is None or records.maintenance is None:
+        raise NotReadyError("This server has no maintenance mode.")
+    who, role = seat.holder.who, seat.holder.role
+    if "begin" in given:
+        records.maintenance.begin(who, role, given["begin"][:_MOST_TEXT])
+    elif "end" in given:
+        records.maintenance.end(who, role)
+    return _told(HTTPStatus.OK, {"maintenance": str(records.maintenance.state or "")})
+
+
+def _tasks(seat: PageSeat) -> Body:
+    records = seat.source.records
+    if records is None or records.tasks is None:
+        raise NotReadyError("This server keeps no tasks.")
+    found = records.tasks.newest()
+    rates = [asdict(rate) for rate in success_rates(found)]
+    return _told(HTTPStatus.OK, {"tasks": [asdict(task) for task in found], "rates": rates})
+
+
+def _picture(seat: PageSeat, given: Mapping[str, str]) -> Body:
+    records = seat.source.records
+    data = None
+    if records is not None and records.tasks is not None:
+        data = records.tasks.picture(given.get("task", ""), is_end=given.get("end") == "1")
+    if data is None:
+        raise InvalidInputError("No picture of this was kept.", path="task")
+    return HTTPStatus.OK, data, "image/jpeg"
+
+
+def _check_operator(seat: PageSeat, what: str) -> None:
+    if not Role.OPERATOR.is_held_by(seat.holder.role):
+        raise RefusedError(
+            f"{what} needs the role '{Role.OPERATOR}'; {seat.holder.who} has "
+            f"{seat.holder.role or 'none'!r}.",
+            rule="role",
+        )
+
+
+def _told(status: HTTPStatus, value: Mapping[str, Any]) -> Body:
+    return status, json.dumps(value).encode(), "application/json"
