@@ -135,7 +135,7 @@ async def served(state: Path) -> AsyncIterator[tuple[Client, str]]:
 
 
 async def live(folder: Path, state: Path, browser: Browser) -> None:
-    """Make an agent's calls, and take screenshots of of three sizes, by day and by night, of three sizes, by day and by night,."""
+    """Make an agent's calls, and take screenshots at three sizes, by day and by night."""
     async with served(state) as (client, url):
 
         async def call(tool: str, **arguments: Any) -> None:
@@ -160,8 +160,8 @@ async def live(folder: Path, state: Path, browser: Browser) -> None:
 async def shoot_one(
     browser: Browser, url: str, size: tuple[int, int], scheme: Literal["light", "dark"], path: Path
 ) -> None:
-    """Take a picture of a page that is opened for it. On a phone the pictures of the cameras are in
-    a section of their own, which is closed at first.
+    """Take a screenshot of a new page. The layout for phones keeps the camera images in a section
+    that is closed at first.
     """
     page = await look(browser, url, size, scheme)
     await page.wait_for_function(

@@ -127,7 +127,9 @@ class Source(Protocol):
         ...
 
     def look(self) -> None:
-        """Read what nobody tells, such as the audit: a few times a second; fills `shown_events`."""
+        """Poll the audit and other files a few times a second; adds to `shown_events`. Not needed
+        while no page is open and nothing raises alarms.
+        """
         ...
 
     def subscribe(
