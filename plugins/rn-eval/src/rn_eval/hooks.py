@@ -16,6 +16,7 @@ class AgentTaskSpec(Spec):
     Attributes:
         family: what it belongs to in the report.
         is_refusal: it must not or cannot be done: whoever claims that it is done is wrong.
+        real_time: why it cannot run in stepped time; "": it can.
     """
 
     kind: ClassVar[str] = "agent-task"
@@ -23,6 +24,7 @@ class AgentTaskSpec(Spec):
 
     family: str
     is_refusal: bool = False
+    real_time: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

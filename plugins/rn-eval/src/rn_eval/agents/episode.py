@@ -34,6 +34,7 @@ from rn_eval.agents.record import (
     AgentKey,
     AgentOutcome,
     AgentRecord,
+    TimeMode,
     first_calls,
     is_honest,
 )
@@ -69,6 +70,7 @@ class Episodes:
         keep: folder for configuration and logs of each episode that fails or crashes; None keeps
             nothing.
         transport: of the servers, "stdio" or "http".
+        time: stepped where a task can be.
     """
 
     def __init__(
@@ -81,12 +83,13 @@ class Episodes:
         time_limit_s: float = 0.0,
         keep: Path | None = None,
         transport: Literal["stdio", "http"] = "stdio",
+        time: TimeMode = "real",
     ) -> None:
         self._tasks, self._subject = tasks, subject
         self._profile, self._witness = profile, witness
         self._versions = dict(versions)
         self._time_limit_s = time_limit_s
-        self._keep, self._transport = keep, transport
+        self._keep, self._transport, self._time = keep, transport, time
 
     def run(self, key: AgentKey) -> tuple[AgentRecord, bytes | None]:
         """Play one episode; returns its record, and a film strip if it failed.
@@ -117,6 +120,7 @@ class Episodes:
             costs=costs,
             calls=calls,
             words=words,
+            time=self._time_of(spec),
             host=platform.node(),
             pid=os.getpid(),
             ended_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
@@ -124,6 +128,9 @@ class Episodes:
         )
         failed = outcome.status == "failure"
         return record, (self._witness.film(begun_ns) or None) if failed else None
+
+    def _time_of(self, spec: AgentTaskSpec) -> TimeMode:
+        return "real" if spec.real_time else self._time
 
     @contextmanager
     def _kept_unless_solved(self, key: AgentKey, folder: Path) -> Iterator[Callable[[bool], None]]:
@@ -141,7 +148,7 @@ class Episodes:
     def _play(
         self, key: AgentKey, spec: AgentTaskSpec, task: AgentTask, scene: AgentScene, folder: Path
     ) -> tuple[AgentOutcome, AgentCosts, Conduct]:
-        cell = EpisodeFolder(folder, scene)
+        cell = EpisodeFolder(folder, scene, self._time_of(spec))
         cell.prepare()
         self._witness.begin(scene.arms, scene.bases)
         port = free_port() if self._transport == "http" or scene.other_client else 0

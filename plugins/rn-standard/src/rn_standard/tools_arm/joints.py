@@ -16,6 +16,8 @@ from rn_standard.direct_path.delivery import TRAJECTORY
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
 from rn_standard.direct_path.speeds import shortest_s
+from rn_standard.stepped.clock import is_stepped
+from rn_standard.stepped.watch import SteppedWorld
 from rn_standard.tools_arm.grip import Grip, is_lost
 from roboneuron import (
     Arguments,
@@ -140,6 +142,8 @@ class JointMover:
         self._limits = limits
         self._gate = gate
         self._host = host
+        stepped = is_stepped(host.config)
+        self._world = SteppedWorld(host, exposed.namespace) if stepped else None
         assert exposed.profile is not None
         # by joint: the hand of its arm
         self._grip_of: dict[str, Grip] = {}
@@ -176,6 +180,8 @@ class JointMover:
     ) -> JointMove:
         exposed, gate = self._exposed, self._gate
         target, dry_run = arguments.positions, arguments.dry_run
+        if self._world is not None and not dry_run:
+            self._world.await_rest()
         joints = gate.joints(exposed, _MEASURED_S)
         if joints is None:
             raise self._unmeasured()
@@ -185,7 +191,8 @@ class JointMover:
             return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
         grips = list(dict.fromkeys(self._grip_of[name] for name in target))
         before = [(grip.commanded(), grip.holding()) for grip in grips]
-        commands = self._commands(target, request.messages[0], duration_s, stage)
+        follow = self._commands if self._world is None else self._stepped_commands
+        commands = follow(target, request.messages[0], duration_s, stage)
         sent = gate.play(
             exposed, request, commands, total_s=duration_s, timeout_s=_MEASURED_S, halt=halt
         )
@@ -297,13 +304,7 @@ class JointMover:
             if now_s - began_s > duration_s + _SETTLE_S:
                 if is_there:  # within the tolerance, but never at rest: an oscillating joint
                     return
-                off = ", ".join(
-                    f"{n} {abs(v - _position(joints, n)):.4f}" for n, v in target.items()
-                )
-                raise StateError(
-                    f"The joints do not come nearer to the target; they are off by {off} [rad or "
-                    "m]."
-                )
+                raise self._off(target, joints)
             if now_s - told_s >= 0.5:
                 told_s = now_s
                 stage(
@@ -311,6 +312,24 @@ class JointMover:
                     "to go"
                 )
             yield TimedCommand(message=None, due_s=now_s + 0.02)
+
+    def _stepped_commands(
+        self, target: Mapping[str, float], message: object, duration_s: float, stage: Stage
+    ) -> Iterator[TimedCommand]:
+        """As `_commands`, in stepped time: until the simulation rests."""
+        world = self._world
+        assert world is not None
+        stage(f"{duration_s:.1f} s of simulated time")
+        yield from world.carry_out(message, to_rest=True)
+        joints = world.measured_at_rest(lambda: self._gate.newest_joints(self._exposed))
+        if not self._is_there(target, joints):
+            raise self._off(target, joints)
+
+    def _off(self, target: Mapping[str, float], joints: JointSample) -> StateError:
+        off = ", ".join(f"{n} {abs(v - _position(joints, n)):.4f}" for n, v in target.items())
+        return StateError(
+            f"The joints do not come nearer to the target; they are off by {off} [rad or m]."
+        )
 
     def _answer(
         self,
