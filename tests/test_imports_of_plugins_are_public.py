@@ -21,22 +21,31 @@ PROGRAMS = ("lerobot_robot_roboneuron", "lerobot_teleoperator_roboneuron")
 """Packages that run in a program that a person starts, as commands do: they join the graph
 themselves, and what they send passes control's limits and stops.
 """
-COMMANDS_APART = {"doctor": "ops", "limits": "tools_arm"}
-"""Packages of rn_standard without a plugin module, by the plugin that their command belongs to."""
+COMMANDS_APART = {"doctor": "ops", "limits": "tools_arm", "stepped": "control"}
+"""Packages of rn_standard without a plugin module, by the plugin that they belong to."""
 NEEDS = {
     "console": {"selection"},
+    "control": {"stepped"},
     "demo": {"console"},
     "doctor": {"direct_path"},
     "execution": {"inference"},
     "http": {"stdio"},
+    "inference": {"stepped"},
     "limits": {"tools_arm"},
     "ops": {"tools_loop"},
     "preview": {"direct_path", "tasks", "tools_arm", "tools_ros"},
     "selection": {"inference"},
     "switching": {"control", "inference", "selection", "tools_loop"},
-    "tasks": {"direct_path", "inference", "selection", "teleoperation", "tools_loop"},
+    "tasks": {
+        "direct_path",
+        "inference",
+        "selection",
+        "stepped",
+        "teleoperation",
+        "tools_loop",
+    },
     "teleoperation": {"control", "direct_path"},
-    "tools_arm": {"control", "direct_path"},
+    "tools_arm": {"control", "direct_path", "stepped"},
     "tools_loop": {"inference"},
     "tools_ros": {"direct_path"},
 }
@@ -52,6 +61,7 @@ PUBLISHED = {
     "inference": "agreement execution instruction_text module planning",
     "selection": "choosing options requests restricted",
     "stdio": "envelope",
+    "stepped": "clock watch",
     "tasks": "contract_cases history hooks judging monitor moving run_task runner snapshot",
     "teleoperation": "contract_cases feature hooks rows samples",
     "tools_arm": "ee_move end_effector joints prediction tightening tools",

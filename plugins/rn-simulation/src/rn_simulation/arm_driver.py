@@ -193,8 +193,6 @@ class SimulatedArmDriver:
                 velocity = np.zeros_like(velocity)  # its time stands
             cubes = simulation.cubes() if publish else None
             clock = to_clock(self._stepped, simulation.time_s)
-        if self._tell_clock is not None and (publish or stands):
-            self._tell_clock(clock)
         stamp_ns = self._topics.now_ns()
         if cubes is not None and self._publish is not None:
             state = SceneState(
@@ -223,3 +221,5 @@ class SimulatedArmDriver:
             gripper_open=self._cell.opening(position),
             detail=self._detail,
         )
+        if self._tell_clock is not None and (publish or stands):
+            self._tell_clock(clock)

@@ -14,7 +14,7 @@ time [s] of a stepped simulation.
 """
 SETTLE_S = 1.5
 """Simulated time that passes after the last command, in which arm and objects come to rest."""
-PATIENCE_S = 1.5
+PATIENCE_S = 3.0
 """Wall time without a command after which a row of commands counts as ended."""
 
 

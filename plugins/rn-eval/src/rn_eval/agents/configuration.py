@@ -27,7 +27,7 @@ _ARM = """\
 source = "fr3-sim-camera"
 [{table}inference]
 backend = "{backend}"
-[{table}control]
+{inference}[{table}control]
 controller = "urdf"
 {control}[{table}plugins.fr3]
 seed = {seed}
@@ -35,6 +35,7 @@ colours = [{colours}]
 """
 _ALONE = '[robot]\nname = "fr3"\ndriver = "simulated"\n'
 _STEPPED_ROBOT = "command_timeout_s = 15.0\n"
+_STEPPED_INFERENCE = "max_image_age_s = 10.0\n"
 _STEPPED_CONTROL = "action_timeout_s = 10.0\nstate_timeout_s = 5.0\n"
 """On a busy machine commands come late, and the simulation waits for them: nothing moves meanwhile.
 Control holds 7.5 s after the last action, when the simulation rests.
@@ -95,5 +96,12 @@ def _arm(
 ) -> str:
     listed = ", ".join(f'"{colour}"' for colour in colours)
     control = _STEPPED_CONTROL if is_stepped else ""
-    text = _ARM.format(table=table, backend=backend, control=control, seed=seed, colours=listed)
+    text = _ARM.format(
+        table=table,
+        backend=backend,
+        inference=_STEPPED_INFERENCE if is_stepped else "",
+        control=control,
+        seed=seed,
+        colours=listed,
+    )
     return text + ("stepped = true\n" if is_stepped else "")

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
-from rn_standard.stepped.clock import CLOCK_TOPIC, WorldClock, clock_from_message
+from rn_standard.stepped.clock import CLOCK_TOPIC, UNANSWERED_S, WorldClock, clock_from_message
 from roboneuron import Host, JointSample, NotReadyError
 from roboneuron.feature import TimedCommand
 
@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 
 _LOOK_S = 0.005
 _FIRST_S = 5.0
-_UNANSWERED_S = 2.0
-"""Wall time after which a command that moved nothing counts as refused by control or robot."""
 _REST_S = 30.0
 """Longest wall time until a simulation rests: a policy that acts keeps it from that."""
 
@@ -62,7 +60,7 @@ class SteppedWorld:
         yield TimedCommand(message=message, due_s=began_s)
         while not self._is_done(count, to_rest=to_rest):
             now_s = time.monotonic()
-            limit_s = _UNANSWERED_S if self.clock().count <= count else _REST_S
+            limit_s = UNANSWERED_S if self.clock().count <= count else _REST_S
             if self.clock().stands and now_s - began_s > limit_s:
                 return
             yield TimedCommand(message=None, due_s=now_s + _LOOK_S)

@@ -19,6 +19,7 @@ from rn_standard.direct_path.speeds import shortest_s
 from rn_standard.stepped.clock import is_stepped
 from rn_standard.stepped.watch import SteppedWorld
 from rn_standard.tools_arm.grip import Grip, is_lost
+from rn_standard.tools_arm.joint_rest import JointRest, position_of
 from roboneuron import (
     Arguments,
     CallContext,
@@ -43,8 +44,6 @@ _EASY, _EASY_ACCELERATION = 0.4, 0.5
 """Fractions of the velocity and acceleration limits used by a move without a given duration."""
 _NEARLY = 0.95
 """Fraction of a joint's permitted velocity this close to its limit."""
-_REST, _REST_S = 5e-4, 0.1
-"""A joint that moves by less than this [rad or m] in this time is at rest."""
 _SETTLE_S = 3.0
 _MEASURED_S = 2.0
 """Longest wait for a measurement, and for the robot's subscription."""
@@ -251,7 +250,7 @@ class JointMover:
         """Duration at which every joint uses at most a fraction of its velocity limit."""
         needed = [0.5]
         for name, value in target.items():
-            limit, start = self._limits[name], _position(joints, name)
+            limit, start = self._limits[name], position_of(joints, name)
             distance, fastest = abs(value - start), limit.fastest(value, value > start)
             needed.append(
                 distance / min(_EASY * limit.velocity, _NEARLY * fastest or limit.velocity)
@@ -264,7 +263,7 @@ class JointMover:
         assert profile is not None
         left = self._left(target, joints)
         return all(
-            abs(value - _position(joints, name)) < profile.tolerance(name)
+            abs(value - position_of(joints, name)) < profile.tolerance(name)
             for name, value in left.items()
         )
 
@@ -276,7 +275,7 @@ class JointMover:
         for gripper in {self._grip_of[name].profile for name in target}:
             if gripper is None or gripper.joint not in target:
                 continue
-            asked, measured = target[gripper.joint], _position(joints, gripper.joint)
+            asked, measured = target[gripper.joint], position_of(joints, gripper.joint)
             if gripper.to_opening(measured) > gripper.to_opening(asked):
                 del left[gripper.joint]
         return left
@@ -290,7 +289,7 @@ class JointMover:
             StateError: the joints are no longer measured, or do not arrive.
         """
         began_s = told_s = time.monotonic()
-        rest = _Rest(target)
+        rest = JointRest(target)
         yield TimedCommand(message=message, due_s=began_s)
         while True:
             now_s = time.monotonic()
@@ -326,7 +325,7 @@ class JointMover:
             raise self._off(target, joints)
 
     def _off(self, target: Mapping[str, float], joints: JointSample) -> StateError:
-        off = ", ".join(f"{n} {abs(v - _position(joints, n)):.4f}" for n, v in target.items())
+        off = ", ".join(f"{n} {abs(v - position_of(joints, n)):.4f}" for n, v in target.items())
         return StateError(
             f"The joints do not come nearer to the target; they are off by {off} [rad or m]."
         )
@@ -342,7 +341,7 @@ class JointMover:
     ) -> JointMove:
         return JointMove(
             robot=self._exposed.robot,
-            position={name: round(_position(joints, name), 5) for name in target},
+            position={name: round(position_of(joints, name), 5) for name in target},
             error=round(_error(self._left(target, joints), joints), 5),
             duration_s=round(duration_s, 3),
             dry_run=dry_run,
@@ -378,34 +377,7 @@ def _message(target: Mapping[str, float], duration_s: float) -> object:
     return JointTrajectory(joint_names=list(target), points=[point])
 
 
-def _position(joints: JointSample, name: str) -> float:
-    if name not in joints.names:
-        raise NotReadyError(f"Joint {name!r} is not measured.", hint="See get_status.")
-    return float(joints.position[joints.names.index(name)])
-
-
 def _error(target: Mapping[str, float], joints: JointSample) -> float:
     return max(
-        (abs(value - _position(joints, name)) for name, value in target.items()), default=0.0
+        (abs(value - position_of(joints, name)) for name, value in target.items()), default=0.0
     )
-
-
-class _Rest:
-    """Detects from successive measurements that joints are at rest."""
-
-    def __init__(self, names: Iterable[str]) -> None:
-        self._names = tuple(names)
-        self._since_s: float | None = None
-        self._there: list[float] = []
-
-    def note(self, joints: JointSample, now_s: float) -> bool:
-        """Add a measurement; return True if no joint has moved for a tenth of a second."""
-        here = [_position(joints, name) for name in self._names]
-        has_moved = (
-            not self._there
-            or max(abs(a - b) for a, b in zip(here, self._there, strict=True)) > _REST
-        )
-        if self._since_s is None or has_moved:
-            self._since_s, self._there = now_s, here
-            return False
-        return now_s - self._since_s >= _REST_S
