@@ -20,6 +20,7 @@ from rn_testing.waiting import wait_until
 from roboneuron.contract import JointCommand
 
 MOST_S = 60.0
+HOME = np.array(HOME_RAD)
 
 
 class SteppedRun:
@@ -62,7 +63,7 @@ def test_pauses_between_commands_change_nothing(engine: Engine, opened: list[Ste
         opened.append(run)
         states = []
         for number in range(1, 4):
-            run.command(HOME_RAD + 0.02 * number)
+            run.command(HOME + 0.02 * number)
             run.await_phase(Phase.WAITING, number)
             states.append(run.positions())
             time.sleep(pause_s)
@@ -70,13 +71,13 @@ def test_pauses_between_commands_change_nothing(engine: Engine, opened: list[Ste
         states.append(run.positions())
         seen.append(np.array(states))
     np.testing.assert_array_equal(seen[0], seen[1])
-    assert np.abs(seen[0][2, :7] - HOME_RAD).max() > 0.02
+    assert np.abs(seen[0][2, :7] - HOME).max() > 0.02
 
 
 def test_a_hold_at_rest_changes_nothing(engine: Engine, opened: list[SteppedRun]):
     run = SteppedRun(engine)
     opened.append(run)
-    run.command(HOME_RAD + 0.05)
+    run.command(HOME + 0.05)
     run.await_phase(Phase.RESTING, 1)
     before = run.positions()
     run.command(before[:7], 0.05)

@@ -192,7 +192,8 @@ class SimulatedArmDriver:
             if self.waits_for_commands and self._stepped.phase is Phase.RESTING:
                 velocity = np.zeros_like(velocity)  # its time stands
             cubes = simulation.cubes() if publish else None
-            clock = to_clock(self._stepped, simulation.time_s)
+            is_told = self._tell_clock is not None and (publish or stands)
+            clock = to_clock(self._stepped, simulation.time_s) if is_told else None
         stamp_ns = self._topics.now_ns()
         if cubes is not None and self._publish is not None:
             state = SceneState(
@@ -221,5 +222,5 @@ class SimulatedArmDriver:
             gripper_open=self._cell.opening(position),
             detail=self._detail,
         )
-        if self._tell_clock is not None and (publish or stands):
+        if self._tell_clock is not None and clock is not None:
             self._tell_clock(clock)
