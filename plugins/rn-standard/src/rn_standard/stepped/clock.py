@@ -16,12 +16,8 @@ CLOCK_TOPIC = "sim/clock"
 """std_msgs/Float64MultiArray under the robot's namespace: phase (0 moving, 1 waiting, 2 settling, 3
 resting), count of commands, since (seconds, nanoseconds; ROS time) and simulated time [s].
 """
-TURN_PARAMETER, FREE = "stepped_turn", -1
-"""ROS parameter of inference: a new positive number gives the policy a turn of one row, 0 none, and
-`FREE` any.
-"""
 UNANSWERED_S = 2.0
-"""Wall time after which a row or command that moved nothing counts as refused."""
+"""Wall time after which a command that moved nothing counts as refused."""
 OPTION = "stepped"
 """Option of a simulated robot. A robot without it refuses it when it starts."""
 _VALUES = 5
