@@ -21,10 +21,11 @@ PROGRAMS = ("lerobot_robot_roboneuron", "lerobot_teleoperator_roboneuron")
 """Packages that run in a program started by a person, like commands: they join the graph
 themselves, and their messages pass control's limits and stops.
 """
-COMMANDS_APART = {"doctor": "ops", "limits": "tools_arm"}
-"""Packages of rn_standard without a plugin module, by the plugin of their command."""
+COMMANDS_APART = {"doctor": "ops", "limits": "tools_arm", "stepped": "control"}
+"""Packages of rn_standard without a plugin module, by the plugin of their command or the one that uses them."""
 NEEDS = {
     "console": {"selection"},
+    "control": {"stepped"},
     "demo": {"console"},
     "doctor": {"direct_path"},
     "execution": {"inference"},
@@ -36,7 +37,7 @@ NEEDS = {
     "switching": {"control", "inference", "selection", "tools_loop"},
     "tasks": {"direct_path", "inference", "selection", "teleoperation", "tools_loop"},
     "teleoperation": {"control", "direct_path"},
-    "tools_arm": {"control", "direct_path"},
+    "tools_arm": {"control", "direct_path", "stepped"},
     "tools_loop": {"inference"},
     "tools_ros": {"direct_path"},
 }
@@ -53,6 +54,7 @@ PUBLISHED = {
     "ops": "maintenance",
     "selection": "choosing options requests restricted",
     "stdio": "envelope",
+    "stepped": "clock watch",
     "tasks": "contract_cases history hooks judging monitor moving run_task runner snapshot",
     "teleoperation": "contract_cases feature hooks rows samples",
     "tools_arm": "ee_move end_effector joints prediction tightening tools",

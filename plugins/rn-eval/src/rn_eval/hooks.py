@@ -23,6 +23,7 @@ class AgentTaskSpec(Spec):
 
     family: str
     is_refusal: bool = False
+    real_time: str = ""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 from std_msgs.msg import Float64, Float64MultiArray
 
 from rn_simulation.arm_cell import STEP_S
@@ -20,6 +22,7 @@ from rn_simulation.scene_state import (
     to_message,
 )
 from rn_simulation.slip import slips_after_s
+from rn_simulation.stepped import CLOCK_TOPIC, Phase, SteppedTime, to_clock
 from rn_simulation.twin import CellTwin
 from roboneuron import (
     ConfigurationError,
@@ -59,8 +62,11 @@ class SimulatedArmDriver:
         self._profile = profile
         self._topics = topics
         self._publish: Callable[[Float64MultiArray], None] | None = None
+        self._tell_clock: Callable[[Float64MultiArray], None] | None = None
         self._tell: Callable[[Float64], None] | None = None
         self._cell = simulation.arm_cell
+        self.waits_for_commands = options.stepped
+        self._stepped = SteppedTime(STEP_S)
         self._time = RealTimeThread(
             title,
             step_s=STEP_S,
@@ -90,6 +96,9 @@ class SimulatedArmDriver:
             self._publish = self._topics.advertise(TOPIC, Float64MultiArray)
             if len(self._cell.arms) > 1:
                 self._tell = self._topics.advertise(HANDED_OVER_TOPIC, Float64)
+            if self.waits_for_commands:
+                self._tell_clock = self._topics.advertise(CLOCK_TOPIC, Float64MultiArray)
+        self._stepped = SteppedTime(STEP_S)
         self._simulation.let_slip(slips_after_s())
         self._time.start(self._simulation, self._advance)
 
@@ -130,7 +139,10 @@ class SimulatedArmDriver:
         """
         self._time.check_running()
         with self._time.stepping:
+            if self.waits_for_commands and self._rests_at(command):
+                return command
             sent = self._simulation.set_target(command.names, command.position, command.duration_s)
+            self._stepped.command(command.duration_s, self._topics.now_ns())
         return replace(command, position=sent.position, duration_s=sent.duration_s)
 
     def hold(self) -> None:
@@ -138,18 +150,46 @@ class SimulatedArmDriver:
         self._time.check_running()
         with self._time.stepping:
             self._simulation.hold()
+            self._stepped.settle(self._topics.now_ns())
 
     def close(self) -> None:
         """End the simulation; may be called twice and before `open`."""
         self._time.stop()
         self._state = None
 
+    def _rests_at(self, command: JointCommand) -> bool:
+        """Whether the joints of a command rest exactly where it sends them, as after a hold, which
+        comes at a wall time.
+
+        It would otherwise move the set points by what the motors are off, at any time.
+        """
+        state, names = self._state, self._cell.joints
+        if state is None or self._stepped.phase is not Phase.RESTING:
+            return False
+        if not set(command.names) <= set(names):
+            return False
+        measured = state.joints.position[[names.index(name) for name in command.names]]
+        return bool(np.array_equal(measured, command.position))
+
+    def _make(self, due: int) -> bool:
+        """Make steps; returns True if that ended a phase of stepped time."""
+        stepped, now_ns = self._stepped, self._topics.now_ns
+        if not self.waits_for_commands:
+            self._simulation.step(due)
+            return False
+        self._simulation.step(stepped.grant(due, time.monotonic(), now_ns()))
+        return stepped.note_made(time.monotonic(), now_ns())
+
     def _advance(self, steps: int, factor: float, publish: bool) -> None:
         simulation = self._simulation
         with self._time.stepping:
-            simulation.step(steps)
+            stands = self._make(steps)
             position, velocity = simulation.joint_states()
+            if self.waits_for_commands and self._stepped.phase is Phase.RESTING:
+                velocity = np.zeros_like(velocity)  # its time stands
             cubes = simulation.cubes() if publish else None
+            is_told = self._tell_clock is not None and (publish or stands)
+            clock = to_clock(self._stepped, simulation.time_s) if is_told else None
         stamp_ns = self._topics.now_ns()
         if cubes is not None and self._publish is not None:
             state = SceneState(
@@ -178,3 +218,5 @@ class SimulatedArmDriver:
             gripper_open=self._cell.opening(position),
             detail=self._detail,
         )
+        if self._tell_clock is not None and clock is not None:
+            self._tell_clock(clock)

@@ -23,6 +23,11 @@ class SimulatedArmOptions(BaseModel):
     real_time_factor: float = Field(
         default=1.0, gt=0.0, le=10.0, description="Simulated seconds per second of wall time."
     )
+    stepped: bool = Field(
+        default=False,
+        description="Time passes only while commands are carried out, so that an evaluation can "
+        "be repeated; see `roboneuron eval agents --time`.",
+    )
     state_rate_hz: float = Field(
         default=60.0,
         ge=1.0,

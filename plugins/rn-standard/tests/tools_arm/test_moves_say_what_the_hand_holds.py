@@ -13,7 +13,7 @@ import anyio
 import numpy as np
 import pytest
 
-from rn_standard.tools_arm import end_effector, grip, joints
+from rn_standard.tools_arm import grip, joints, pace
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
 from rn_standard.tools_arm.joints import JointMover, MoveJoints
@@ -126,7 +126,12 @@ class Arm:
         modules = SimpleNamespace(view=view, require_running=lambda kind: None)
         loop = SimpleNamespace(limits=LimitsConfig())
         return SimpleNamespace(
-            modules=modules, loop=loop, config=SimpleNamespace(namespace="arm"), gate=self
+            modules=modules,
+            loop=loop,
+            config=SimpleNamespace(
+                namespace="arm", robot=SimpleNamespace(name="arm"), options=lambda name: {}
+            ),
+            gate=self,
         )
 
 
@@ -141,7 +146,7 @@ def arm(monkeypatch: pytest.MonkeyPatch) -> Arm:
         return work(lambda _: None)
 
     CONTEXT.run = run
-    for module in (end_effector, grip, joints):
+    for module in (grip, joints, pace):
         monkeypatch.setattr(module, "time", arm)
     return arm
 

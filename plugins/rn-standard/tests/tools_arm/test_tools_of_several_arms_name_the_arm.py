@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rn_standard.direct_path.delivery import _hold
 from rn_standard.direct_path.exposed import POSES_LABEL, action_endpoint
-from rn_standard.tools_arm import end_effector, grip, joints
+from rn_standard.tools_arm import grip, joints, pace
 from rn_standard.tools_arm.arm_rows import ArmRows, Rest, of_named_arm
 from rn_standard.tools_arm.ee_move import MoveEndEffector
 from rn_standard.tools_arm.end_effector import EndEffectorMover
@@ -165,7 +165,9 @@ class Pair:
         return SimpleNamespace(
             modules=SimpleNamespace(view=view, require_running=lambda kind: None),
             loop=SimpleNamespace(limits=LimitsConfig()),
-            config=SimpleNamespace(namespace="pair"),
+            config=SimpleNamespace(
+                namespace="pair", robot=SimpleNamespace(name="pair"), options=lambda name: {}
+            ),
             gate=self,
         )
 
@@ -184,7 +186,7 @@ def pair(monkeypatch: pytest.MonkeyPatch) -> Pair:
         return work(lambda _: None)
 
     CONTEXT.run = run
-    for module in (end_effector, grip, joints):
+    for module in (grip, joints, pace):
         monkeypatch.setattr(module, "time", made)
     return made
 

@@ -127,9 +127,7 @@ class Source(Protocol):
         ...
 
     def look(self) -> None:
-        """Poll the audit and other files a few times a second; adds to `shown_events`. Not needed
-        while no page is open and nothing raises alarms.
-        """
+        """Read the audit and other files; called a few times a second; adds to `shown_events`."""
         ...
 
     def subscribe(

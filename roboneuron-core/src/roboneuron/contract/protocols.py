@@ -250,6 +250,9 @@ class PostureInspector(Protocol):
 class RobotDriver(Protocol):
     """Moves one robot. Built as `target(config, profile, topics)`; called from the robot module's
     threads.
+
+    The driver of a simulation whose time passes only while commands are carried out has the
+    attribute `waits_for_commands`, which is True: no command is late there.
     """
 
     def open(self) -> None:

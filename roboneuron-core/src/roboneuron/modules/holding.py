@@ -53,6 +53,8 @@ class HoldingModule(Module):
         reference, remaining_s: of the command in progress, see `MotionLimiter`; from `limit_with`
             on.
         watched: the newest accepted joint state.
+        clock: the arm's time [s], by which steps and set points are counted; watchdogs and ages go
+            by the real one. Another one is only for simulations that wait for commands.
         is_active: commands may be sent.
         is_holding: the newest command was a hold.
         action_s, action_ns: the newest action: when it was acted on [monotonic s], and when it was
@@ -74,8 +76,8 @@ class HoldingModule(Module):
         profile = load_profile(self.registry, self.config.robot.name)
         self.profile = replace(profile, collision=collision_of(self.config.limits, profile))
         self.watched = JointWatch(self.profile, self.section.state_timeout_s)
-        self.action_s = 0.0
-        self.action_ns = 0
+        self.clock: Callable[[], float] = time.monotonic
+        self.action_s, self.action_ns = 0.0, 0
         self.is_active = False
         self.is_holding = True
         # there was no joint state to hold at: the next one is held
@@ -128,8 +130,7 @@ class HoldingModule(Module):
     def activate(self) -> None:
         """Hold until the first action."""
         self.status.set_waiting(f"joint states on {JOINT_STATES} (is the robot running?)")
-        self.is_holding = True
-        self._hold_is_due = False
+        self.is_holding, self._hold_is_due = True, False
         self.is_active = True
 
     def deactivate(self) -> None:
@@ -203,15 +204,15 @@ class HoldingModule(Module):
         joints = self.watched.joints
         if joints is None:  # excluded by `why_not`
             return
-        now_s = time.monotonic()
-        wanted = asked.now(joints, self._step_s(source_ns, now_s), now_s)
+        began_s, now_s = time.monotonic(), self.clock()
+        wanted = asked.now(joints, self.step_s(source_ns, began_s), now_s)
         if self.handover.is_shadow(source_ns):
             self.handover.withhold(wanted)
             return
         outcome: JointCommand | Hold | None = wanted
         if isinstance(outcome, JointCommand):
             outcome = self._limit(outcome, joints, now_s)
-        self.status.set_value("compute_ms", (time.monotonic() - now_s) * 1e3)
+        self.status.set_value("compute_ms", (time.monotonic() - began_s) * 1e3)
         message = None
         if isinstance(outcome, JointCommand):
             planned = self._limiter.plan(
@@ -222,7 +223,7 @@ class HoldingModule(Module):
             # the arm must not go on to rows that were planned before this one was refused
             reason = "A row was refused; what was planned after the one before it is withdrawn."
             outcome = Hold(code="plan_withdrawn", reason=reason)
-        took_s = time.monotonic() - now_s
+        took_s = time.monotonic() - began_s
         if message is not None and (late := self.why_not(age_s + took_s, source_ns)):
             # A slow controller, or a process that was frozen meanwhile: the command is outdated.
             # Checked last, because a process that is frozen after this check sends the command when
@@ -234,7 +235,7 @@ class HoldingModule(Module):
         # refused: the previous command comes to its end, then the watchdog holds
         if outcome is None:
             return
-        self.action_s = now_s
+        self.action_s = began_s
         if isinstance(outcome, Hold):
             self.status.drop(outcome.code)
             self.hold(outcome.code, outcome.reason)
@@ -282,11 +283,15 @@ class HoldingModule(Module):
             return "stale_joint_state"
         return None
 
-    def _step_s(self, source_ns: int, now_s: float) -> float:
+    def step_s(self, source_ns: int, now_s: float) -> float:
         """Time available for an action: the time since the previous one [s].
 
         The larger of the intervals by sending (bounded) and by arrival: delayed actions arrive
         together, but were not meant to follow each other at once.
+
+        Args:
+            source_ns: time at which the action was sent [ROS time, ns].
+            now_s: monotonic time.
         """
         spacing_s = (source_ns - self.action_ns) / 1e9 if self.action_ns else 0.0
         self.action_ns = source_ns
@@ -360,7 +365,7 @@ class HoldingModule(Module):
         position = pick(joints.names, joints.position, arm)
         command = JointCommand(names=arm, position=position, duration_s=HOLD_DURATION_S)
         self._commands.publish(self._to_message(command))
-        self._limiter.rest(joints, time.monotonic())
+        self._limiter.rest(joints, self.clock())
 
     def _are_joints_stale(self) -> bool:
         return self.watched.age_s(time.monotonic()) > self.section.state_timeout_s

@@ -183,10 +183,11 @@ class RobotModule(Module):
             began_s = time.monotonic()
             is_late = began_s - self._due_s > self.config.robot.command_timeout_s
             # A command that is played late starts from the measured posture; with its own timing
-            # the arm would have to catch up.
-            command = replace(
-                command, duration_s=command.duration_s + max(0.0, began_s - self._due_s)
-            )
+            # the arm would have to catch up, but not where its time waits for commands.
+            if not getattr(self.driver, "waits_for_commands", False):
+                command = replace(
+                    command, duration_s=command.duration_s + max(0.0, began_s - self._due_s)
+                )
             # this process was frozen, or the driver did not return: the rest of the plan is
             # outdated
             if is_late:

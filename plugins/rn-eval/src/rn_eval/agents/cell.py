@@ -17,6 +17,7 @@ import anyio
 from rn_eval.agents.client import ToolClient
 from rn_eval.agents.configuration import configuration_of
 from rn_eval.agents.http_tap import ending_with_parent
+from rn_eval.agents.record import TimeMode
 from rn_eval.agents.tap import end_module, module_pid
 from rn_eval.agents.task import AgentScene, InjectedFault
 from rn_simulation.ground_truth import SWITCH as TRUTH_SWITCH
@@ -44,9 +45,9 @@ class EpisodeFolder:
         configuration: its roboneuron.toml.
     """
 
-    def __init__(self, folder: Path, scene: AgentScene) -> None:
+    def __init__(self, folder: Path, scene: AgentScene, time: TimeMode = "real") -> None:
         """Store the arguments; writes nothing."""
-        self._folder, self._scene = folder, scene
+        self._folder, self._scene, self._time = folder, scene, time
         self.state = folder / "state"
         self.configuration = folder / "roboneuron.toml"
         self._latch = estop.EmergencyStopLatch.in_directory(self.state)
@@ -58,7 +59,8 @@ class EpisodeFolder:
             NotReadyError: a server failed while producing it.
         """
         scene = self._scene
-        self.configuration.write_text(configuration_of(scene, self.state), encoding="utf-8")
+        text = configuration_of(scene, self.state, self._time)
+        self.configuration.write_text(text, encoding="utf-8")
         self.state.mkdir(parents=True, exist_ok=True)
         history = TaskHistory(self.state)
         for past in scene.past:

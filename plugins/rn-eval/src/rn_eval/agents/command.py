@@ -45,6 +45,14 @@ def configure(parser: ArgumentParser) -> None:
         help="how agents reach the server; with http, AGENT_EVAL_SERVER is a URL and "
         "AGENT_EVAL_TOKEN the bearer token (default: stdio)",
     )
+    add(
+        "--time",
+        choices=("real", "stepped"),
+        default="real",
+        help="stepped: the simulation waits for commands, so that scripted agents play the same "
+        "episode again, whatever the machine does; tasks that cannot be stepped run in real time "
+        "(default: real)",
+    )
     add("--out", type=Path, default=DEFAULT_OUT, help=f"folder of the run (default: {DEFAULT_OUT})")
     add("--resume", type=Path, metavar="FOLDER", help="go on with a run, as it was begun")
     add("--report", type=Path, metavar="FOLDER", help="only write the report of a run")
@@ -135,6 +143,7 @@ def _plan(arguments: Namespace) -> AgentPlan:
             first_seed=arguments.seed,
             time_limit_s=arguments.time_limit_s,
             transport=arguments.transport,
+            time=arguments.time,
         )
     return plan.model_copy(update={"versions": agent_versions(packages_of(plan, registry))})
 
@@ -155,7 +164,8 @@ def _list() -> int:
         print(f"agent   {name}  {subject.summary}")
     tasks = registry.specs(AgentTaskSpec).values()
     for task in sorted(tasks, key=lambda task: (task.family, task.name)):
-        print(f"{task.family:8}{task.name}  {task.summary}")
+        real = f" (real time: {task.real_time})" if task.real_time else ""
+        print(f"{task.family:8}{task.name}  {task.summary}{real}")
     return 0
 
 

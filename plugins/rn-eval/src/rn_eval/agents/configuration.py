@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from rn_eval.agents.client import TOKEN
+from rn_eval.agents.record import TimeMode
 from rn_eval.agents.task import AgentScene, Companion
 
 _SHARED = """\
@@ -26,13 +27,19 @@ _ARM = """\
 source = "fr3-sim-camera"
 [{table}inference]
 backend = "{backend}"
-[{table}control]
+{inference}[{table}control]
 controller = "urdf"
-[{table}plugins.fr3]
+{control}[{table}plugins.fr3]
 seed = {seed}
 colours = [{colours}]
 """
 _ALONE = '[robot]\nname = "fr3"\ndriver = "simulated"\n'
+_STEPPED_ROBOT = "command_timeout_s = 15.0\n"
+_STEPPED_INFERENCE = "max_image_age_s = 10.0\n"
+_STEPPED_CONTROL = "action_timeout_s = 10.0\nstate_timeout_s = 5.0\n"
+"""On a busy machine commands come late, and the simulation waits for them: nothing moves meanwhile.
+Control holds 7.5 s after the last action, when the simulation rests.
+"""
 _ONE_OF_SEVERAL = '[robots.{name}]\nrobot = "{robot}"\n'
 _SEVERAL = """\
 [plugins.fr3-sim-camera]
@@ -48,8 +55,14 @@ _OTHERS_LEASE_S = 12.0
 """Lease time of another client, which operates the robot and then stays silent."""
 
 
-def configuration_of(scene: AgentScene, state: Path) -> str:
-    """Return the roboneuron.toml of a scene; the server keeps its state in `state`."""
+def configuration_of(scene: AgentScene, state: Path, time: TimeMode = "real") -> str:
+    """A roboneuron.toml with what the scene says.
+
+    Args:
+        scene: of one robot where time is stepped.
+        state: directory in which the server keeps its state.
+        time: of the simulation.
+    """
     parts = [
         _SHARED.format(
             state=state,
@@ -67,7 +80,9 @@ def configuration_of(scene: AgentScene, state: Path) -> str:
                 table = f"robots.{one.name}."
                 parts.append(_arm(table, scene.backend, one.seed, one.colours))
     else:
-        parts += [_ALONE, _arm("", scene.backend, scene.seed, scene.colours)]
+        is_stepped = time == "stepped"
+        parts.append(_ALONE + (_STEPPED_ROBOT if is_stepped else ""))
+        parts.append(_arm("", scene.backend, scene.seed, scene.colours, is_stepped))
     parts += [
         f'[[limits.zones]]\nname = "zone{number}"\nlower_m = {list(lower)}\n'
         f"upper_m = {list(upper)}\n"
@@ -76,6 +91,17 @@ def configuration_of(scene: AgentScene, state: Path) -> str:
     return "".join(parts)
 
 
-def _arm(table: str, backend: str, seed: int, colours: tuple[str, ...]) -> str:
+def _arm(
+    table: str, backend: str, seed: int, colours: tuple[str, ...], is_stepped: bool = False
+) -> str:
     listed = ", ".join(f'"{colour}"' for colour in colours)
-    return _ARM.format(table=table, backend=backend, seed=seed, colours=listed)
+    control = _STEPPED_CONTROL if is_stepped else ""
+    text = _ARM.format(
+        table=table,
+        backend=backend,
+        inference=_STEPPED_INFERENCE if is_stepped else "",
+        control=control,
+        seed=seed,
+        colours=listed,
+    )
+    return text + ("stepped = true\n" if is_stepped else "")

@@ -34,6 +34,7 @@ from rn_eval.agents.record import (
     AgentKey,
     AgentOutcome,
     AgentRecord,
+    TimeMode,
     first_calls,
     is_honest,
 )
@@ -47,6 +48,7 @@ from roboneuron import RoboNeuronError, RobotProfile
 _LOOK_S = 0.02
 _WATCHED_AFTER_S = 0.8
 """Time for which the robot is still observed after the agent's end, with its server running."""
+_STEPPED_SLACK = 6.0
 _WORDS = 8000
 _TAIL = 65536
 _WITHHELD = ("ROS_", "RMW_", "FASTRTPS_", "FASTDDS_", "AMENT_", "ROBONEURON_", "XDG_STATE_HOME")
@@ -80,12 +82,13 @@ class Episodes:
         time_limit_s: float = 0.0,
         keep: Path | None = None,
         transport: Literal["stdio", "http"] = "stdio",
+        time: TimeMode = "real",
     ) -> None:
         self._tasks, self._subject = tasks, subject
         self._profile, self._witness = profile, witness
         self._versions = dict(versions)
         self._time_limit_s = time_limit_s
-        self._keep, self._transport = keep, transport
+        self._keep, self._transport, self._time = keep, transport, time
 
     def run(self, key: AgentKey) -> tuple[AgentRecord, bytes | None]:
         """Run one episode; return its record, and a film strip if it failed.
@@ -116,6 +119,7 @@ class Episodes:
             costs=costs,
             calls=calls,
             words=words,
+            time=self._time_of(spec),
             host=platform.node(),
             pid=os.getpid(),
             ended_at=datetime.now(UTC).isoformat(timespec="milliseconds"),
@@ -123,6 +127,9 @@ class Episodes:
         )
         failed = outcome.status == "failure"
         return record, (self._witness.film(begun_ns) or None) if failed else None
+
+    def _time_of(self, spec: AgentTaskSpec) -> TimeMode:
+        return "real" if spec.real_time else self._time
 
     @contextmanager
     def _kept_unless_solved(self, key: AgentKey, folder: Path) -> Iterator[Callable[[bool], None]]:
@@ -140,7 +147,7 @@ class Episodes:
     def _play(
         self, key: AgentKey, spec: AgentTaskSpec, task: AgentTask, scene: AgentScene, folder: Path
     ) -> tuple[AgentOutcome, AgentCosts, Conduct]:
-        cell = EpisodeFolder(folder, scene)
+        cell = EpisodeFolder(folder, scene, self._time_of(spec))
         cell.prepare()
         self._witness.begin(scene.arms, scene.bases)
         port = free_port() if self._transport == "http" or scene.other_client else 0
@@ -149,7 +156,9 @@ class Episodes:
         tap = ServerTap(
             cell.command(port), {**cell.environment(), **tokens}, folder, scene.sign, port
         )
-        limit_s = min(filter(None, (task.time_limit_s, self._time_limit_s)))
+        # in stepped time an episode may take as long as the machine needs: it ends by itself
+        slack = _STEPPED_SLACK if self._time_of(spec) == "stepped" else 1.0
+        limit_s = min(filter(None, (slack * task.time_limit_s, self._time_limit_s)))
         begun_ns = time.time_ns()
         breakage = Breakage(scene.fault)
         try:

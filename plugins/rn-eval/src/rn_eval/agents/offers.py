@@ -113,6 +113,26 @@ _BASES = Requirement(
     module="rn_robot_bases",
     install="pip install ./plugins/rn-robot-bases (in RoboNeuron's source folder)",
 )
+_MODULES_FAIL = "processes fail at a wall time"
+_OTHERS_ACT = "other clients and persons act at wall times"
+_POLICY_ACTS = "a policy predicts, and run_task judges, at wall times"
+_REAL_TIME = {
+    "pick": _POLICY_ACTS,
+    "place": "the height at which the hand has closed is measured at a wall time",
+    "again": _POLICY_ACTS,
+    "limits-slow-pick": _POLICY_ACTS,
+    "refuse-two": _POLICY_ACTS,
+    "stop": "motions are stopped at wall times",
+    "recover": _MODULES_FAIL,
+    "explain": _MODULES_FAIL,
+    "clients": _OTHERS_ACT,
+    "several": "each robot would wait for its own commands",
+    "record": "names of recordings hold the wall time",
+    "text-sign-holding": "the cube is held for a wall time",
+    "text-note": "names of recordings hold the wall time",
+    "refuse-release": _OTHERS_ACT,
+}
+"""Why families and tasks cannot be stepped."""
 _WITH_BASE = ("several-drive", "several-turn", "several-arm-and-base")
 
 TASKS = tuple(
@@ -122,6 +142,7 @@ TASKS = tuple(
         target=f"rn_eval.agents.tasks.{family}:{attribute}",
         family=family,
         is_refusal=family == "refuse",
+        real_time=_REAL_TIME.get(name, _REAL_TIME.get(family, "")),
         requires=(_BASES,) if name in _WITH_BASE else (),
     )
     for family, tasks in _TASKS.items()

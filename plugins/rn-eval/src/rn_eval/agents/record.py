@@ -12,6 +12,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from rn_eval.agents.conduct import Claim, ToolCall
 from rn_eval.versions import package_versions
 
+TimeMode = Literal["real", "stepped"]
+"""Whether the simulation follows the wall clock, or waits for commands."""
 _MOST_CALLS = 200
 """Maximum number of calls stored in a line; counts include all calls."""
 
@@ -43,6 +45,7 @@ class AgentPlan(BaseModel):
         seeds, first_seed: number of seeds of each task, and the first.
         time_limit_s: upper bound of the tasks' time limits [s]; 0 for none.
         transport: how agents reach the server.
+        time: stepped where a task can be; the others run in real time.
         versions, later_versions: as of `rn_eval.plan.EvalPlan`.
     """
 
@@ -55,6 +58,7 @@ class AgentPlan(BaseModel):
     first_seed: int = Field(default=0, ge=0)
     time_limit_s: float = Field(default=0.0, ge=0.0)
     transport: Literal["stdio", "http"] = "stdio"
+    time: TimeMode = "real"
     versions: dict[str, str] = Field(default_factory=dict)
     later_versions: tuple[dict[str, str], ...] = ()
 
@@ -153,6 +157,7 @@ class AgentRecord(BaseModel):
         outcome, costs: see `AgentOutcome` and `AgentCosts`.
         calls: the first `_MOST_CALLS` calls.
         words: the agent's last words.
+        time: in which it ran.
         strip: name of the film strip in the folder `strips`; "" without one.
         host, pid, ended_at: machine, process, and end time (UTC, ISO 8601).
         versions: package versions in the process that ran it.
@@ -168,6 +173,7 @@ class AgentRecord(BaseModel):
     costs: AgentCosts = AgentCosts()
     calls: tuple[ToolCall, ...] = ()
     words: str = ""
+    time: TimeMode = "real"
     strip: str = ""
     host: str = ""
     pid: int = 0

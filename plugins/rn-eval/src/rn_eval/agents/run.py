@@ -115,9 +115,10 @@ def evaluate_agents(
 def told(record: AgentRecord) -> str:
     """Summarise an episode in one line."""
     outcome, key = record.outcome, record.key
+    time = " stepped" if record.time == "stepped" else ""
     reason = f": {outcome.reason}" if outcome.reason else ""
     return (
-        f"{key.subject} {key.task} {key.seed} {outcome.status} "
+        f"{key.subject} {key.task} {key.seed}{time} {outcome.status} "
         f"({outcome.calls} calls, {record.costs.wall_s:.1f} s){reason}"
     )
 
@@ -228,6 +229,7 @@ def open_episodes(plan: AgentPlan, directory: Path) -> Iterator[Episodes]:
             plan.time_limit_s,
             directory / FAILED,
             plan.transport,
+            plan.time,
         )
     finally:
         witness.close()

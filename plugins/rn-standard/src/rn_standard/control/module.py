@@ -14,6 +14,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from rn_standard.control.planning import find_controller
+from rn_standard.control.stepped import SteppedActions
+from rn_standard.stepped.clock import is_stepped
 from roboneuron import (
     EE_DELTA,
     F64,
@@ -95,7 +97,10 @@ class ControlModule(HoldingModule):
             node.advertise(PoseStamped, f"{arm.name}/{topics.EE_POSE}") for arm in self.profile.arms
         ]
         node.subscribe(JointState, topics.JOINT_STATES, self._on_joint_state)
-        node.subscribe(Float64MultiArray, topics.ACTION, self._on_action)
+        arrive = self._on_action
+        if is_stepped(self.config):
+            arrive = SteppedActions(self, arrive).take
+        node.subscribe(Float64MultiArray, topics.ACTION, arrive)
         self.status.set_value("controller", spec.name)
 
     def _report_collision_check(self) -> None:

@@ -5,7 +5,6 @@ executes policies.
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -28,6 +27,7 @@ from rn_standard.tools_arm.ee_move import AXES, EndEffectorMove, MoveEndEffector
 from rn_standard.tools_arm.grip import Grip, is_lost
 from rn_standard.tools_arm.measured import MeasuredPose
 from rn_standard.tools_arm.options import ArmToolsOptions
+from rn_standard.tools_arm.pace import Pace, pacer
 from rn_standard.tools_arm.prediction import DrivenArm, PredictedArm, control_of
 from roboneuron import (
     CallContext,
@@ -41,18 +41,21 @@ from roboneuron import (
 )
 from roboneuron.feature import ExposedEndpoint, GateRequest, Stage, TimedCommand
 
-_MEASURED_S, _POSE_S = 2.0, 0.5
-"""Longest wait for control and the first measurement, and for later measurements."""
+_MEASURED_S, _POSE_S, _AFTER_S = 2.0, 0.5, 1.0
+"""Longest wait for control and the first measurement, for later measurements, and for that after
+the move.
+"""
 
 
 @dataclass(kw_only=True, slots=True)
 class _Line:
     """A move in progress; `start`, and `held` (the hand holds an object), are measured at its
-    beginning.
+    beginning, with which its `pace` begins.
     """
 
     order: Order
     start: Pose | None = None
+    pace: Pace | None = None
     held: bool | None = None
     kept: float | None = None
 
@@ -91,6 +94,7 @@ class EndEffectorMover:
         self._options = options
         self._arm = arm
         self._tcp, self._tcps = tcps[arm], tcps
+        self._pace = pacer(host, exposed.namespace)
         self._grips = {name: Grip(host, self._gate, exposed, name) for name in tcps}
         self._grip = self._grips[arm]
         self._number = [part.name for part in profile.each_arm].index(arm)
@@ -210,10 +214,16 @@ class EndEffectorMover:
                 reason=verdict.reason,
                 dry_run=True,
             )
-        answer = self._answer(
-            order, sent.messages, sent.duration_s, line.start, self._tcp.wait(1.0)
-        )
+        end = self._end(line)
+        answer = self._answer(order, sent.messages, sent.duration_s, line.start, end)
         return answer.model_copy(update=self._grip_at_the_end(line))
+
+    def _end(self, line: _Line) -> Pose:
+        """The TCP after a move. Raises NotReadyError."""
+        if line.pace is None:
+            return self._tcp.wait(_AFTER_S)
+        line.pace.settle()
+        return line.pace.pose(self._tcp, _AFTER_S)
 
     def _judge(self, order: Order, request: GateRequest) -> EndEffectorMove:
         """Answer a dry run: predicted TCP, duration, and reasons for a refusal."""
@@ -257,24 +267,20 @@ class EndEffectorMover:
             StateError: the arm did not arrive.
         """
         order = line.order
-        poses = {name: tcp.wait(_MEASURED_S) for name, tcp in self._tcps.items()}
+        pace = line.pace = self._pace()
+        poses = {name: pace.pose(tcp, _MEASURED_S) for name, tcp in self._tcps.items()}
         start = line.start = poses[self._arm]
         rows = self._rows(poses)
         line.kept, line.held = self._grip.kept(), self._grip.holding()
         gripper = line.kept if order.gripper_open is None else order.gripper_open
-        began_s = time.monotonic()
         steps = self._steps(
-            order,
-            start,
-            lambda: self._tcp.wait(_POSE_S),
-            lambda: time.monotonic() - began_s,
-            self._note,
+            order, start, lambda: pace.pose(self._tcp, _POSE_S), pace.elapsed_s, self._note
         )
         for sent, (fraction, distance_m, here, delta) in enumerate(steps):
             if sent % 5 == 0:
                 stage(f"{100 * fraction:.0f} % of the way, {distance_m * 1000:.0f} mm to go")
             message = to_message(rows.space, rows.row(here, delta, gripper))
-            yield TimedCommand(message=message, due_s=time.monotonic() + STEP_S)
+            yield from pace.play(message)
 
     def _predict(self, order: Order, forecast: _Forecast) -> None:
         """Raise RefusedError unless control would complete the move; its path is that of

@@ -16,7 +16,10 @@ from rn_standard.direct_path.delivery import TRAJECTORY
 from rn_standard.direct_path.derived import Derived
 from rn_standard.direct_path.exposed import gate_request
 from rn_standard.direct_path.speeds import shortest_s
+from rn_standard.stepped.clock import is_stepped
+from rn_standard.stepped.watch import SteppedWorld
 from rn_standard.tools_arm.grip import Grip, is_lost
+from rn_standard.tools_arm.joint_rest import JointRest, position_of
 from roboneuron import (
     Arguments,
     CallContext,
@@ -41,8 +44,6 @@ _EASY, _EASY_ACCELERATION = 0.4, 0.5
 """Fractions of the velocity and acceleration limits used by a move without a given duration."""
 _NEARLY = 0.95
 """Fraction of a joint's permitted velocity this close to its limit."""
-_REST, _REST_S = 5e-4, 0.1
-"""A joint that moves by less than this [rad or m] in this time is at rest."""
 _SETTLE_S = 3.0
 _MEASURED_S = 2.0
 """Longest wait for a measurement, and for the robot's subscription."""
@@ -140,6 +141,8 @@ class JointMover:
         self._limits = limits
         self._gate = gate
         self._host = host
+        stepped = is_stepped(host.config)
+        self._world = SteppedWorld(host, exposed.namespace) if stepped else None
         assert exposed.profile is not None
         # by joint: the hand of its arm
         self._grip_of: dict[str, Grip] = {}
@@ -176,6 +179,8 @@ class JointMover:
     ) -> JointMove:
         exposed, gate = self._exposed, self._gate
         target, dry_run = arguments.positions, arguments.dry_run
+        if self._world is not None and not dry_run:
+            self._world.await_rest()
         joints = gate.joints(exposed, _MEASURED_S)
         if joints is None:
             raise self._unmeasured()
@@ -185,7 +190,8 @@ class JointMover:
             return self._answer(target, joints, duration_s, verdict.allowed, verdict.reason, True)
         grips = list(dict.fromkeys(self._grip_of[name] for name in target))
         before = [(grip.commanded(), grip.holding()) for grip in grips]
-        commands = self._commands(target, request.messages[0], duration_s, stage)
+        follow = self._commands if self._world is None else self._stepped_commands
+        commands = follow(target, request.messages[0], duration_s, stage)
         sent = gate.play(
             exposed, request, commands, total_s=duration_s, timeout_s=_MEASURED_S, halt=halt
         )
@@ -244,7 +250,7 @@ class JointMover:
         """Duration at which every joint uses at most a fraction of its velocity limit."""
         needed = [0.5]
         for name, value in target.items():
-            limit, start = self._limits[name], _position(joints, name)
+            limit, start = self._limits[name], position_of(joints, name)
             distance, fastest = abs(value - start), limit.fastest(value, value > start)
             needed.append(
                 distance / min(_EASY * limit.velocity, _NEARLY * fastest or limit.velocity)
@@ -257,7 +263,7 @@ class JointMover:
         assert profile is not None
         left = self._left(target, joints)
         return all(
-            abs(value - _position(joints, name)) < profile.tolerance(name)
+            abs(value - position_of(joints, name)) < profile.tolerance(name)
             for name, value in left.items()
         )
 
@@ -269,7 +275,7 @@ class JointMover:
         for gripper in {self._grip_of[name].profile for name in target}:
             if gripper is None or gripper.joint not in target:
                 continue
-            asked, measured = target[gripper.joint], _position(joints, gripper.joint)
+            asked, measured = target[gripper.joint], position_of(joints, gripper.joint)
             if gripper.to_opening(measured) > gripper.to_opening(asked):
                 del left[gripper.joint]
         return left
@@ -283,7 +289,7 @@ class JointMover:
             StateError: the joints are no longer measured, or do not arrive.
         """
         began_s = told_s = time.monotonic()
-        rest = _Rest(target)
+        rest = JointRest(target)
         yield TimedCommand(message=message, due_s=began_s)
         while True:
             now_s = time.monotonic()
@@ -297,13 +303,7 @@ class JointMover:
             if now_s - began_s > duration_s + _SETTLE_S:
                 if is_there:  # within the tolerance, but never at rest: an oscillating joint
                     return
-                off = ", ".join(
-                    f"{n} {abs(v - _position(joints, n)):.4f}" for n, v in target.items()
-                )
-                raise StateError(
-                    f"The joints do not come nearer to the target; they are off by {off} [rad or "
-                    "m]."
-                )
+                raise self._off(target, joints)
             if now_s - told_s >= 0.5:
                 told_s = now_s
                 stage(
@@ -311,6 +311,24 @@ class JointMover:
                     "to go"
                 )
             yield TimedCommand(message=None, due_s=now_s + 0.02)
+
+    def _stepped_commands(
+        self, target: Mapping[str, float], message: object, duration_s: float, stage: Stage
+    ) -> Iterator[TimedCommand]:
+        """As `_commands`, in stepped time: until the simulation rests."""
+        world = self._world
+        assert world is not None
+        stage(f"{duration_s:.1f} s of simulated time")
+        yield from world.carry_out(message, to_rest=True)
+        joints = world.measured_at_rest(lambda: self._gate.newest_joints(self._exposed))
+        if not self._is_there(target, joints):
+            raise self._off(target, joints)
+
+    def _off(self, target: Mapping[str, float], joints: JointSample) -> StateError:
+        off = ", ".join(f"{n} {abs(v - position_of(joints, n)):.4f}" for n, v in target.items())
+        return StateError(
+            f"The joints do not come nearer to the target; they are off by {off} [rad or m]."
+        )
 
     def _answer(
         self,
@@ -323,7 +341,7 @@ class JointMover:
     ) -> JointMove:
         return JointMove(
             robot=self._exposed.robot,
-            position={name: round(_position(joints, name), 5) for name in target},
+            position={name: round(position_of(joints, name), 5) for name in target},
             error=round(_error(self._left(target, joints), joints), 5),
             duration_s=round(duration_s, 3),
             dry_run=dry_run,
@@ -359,34 +377,7 @@ def _message(target: Mapping[str, float], duration_s: float) -> object:
     return JointTrajectory(joint_names=list(target), points=[point])
 
 
-def _position(joints: JointSample, name: str) -> float:
-    if name not in joints.names:
-        raise NotReadyError(f"Joint {name!r} is not measured.", hint="See get_status.")
-    return float(joints.position[joints.names.index(name)])
-
-
 def _error(target: Mapping[str, float], joints: JointSample) -> float:
     return max(
-        (abs(value - _position(joints, name)) for name, value in target.items()), default=0.0
+        (abs(value - position_of(joints, name)) for name, value in target.items()), default=0.0
     )
-
-
-class _Rest:
-    """Detects from successive measurements that joints are at rest."""
-
-    def __init__(self, names: Iterable[str]) -> None:
-        self._names = tuple(names)
-        self._since_s: float | None = None
-        self._there: list[float] = []
-
-    def note(self, joints: JointSample, now_s: float) -> bool:
-        """Add a measurement; return True if no joint has moved for a tenth of a second."""
-        here = [_position(joints, name) for name in self._names]
-        has_moved = (
-            not self._there
-            or max(abs(a - b) for a, b in zip(here, self._there, strict=True)) > _REST
-        )
-        if self._since_s is None or has_moved:
-            self._since_s, self._there = now_s, here
-            return False
-        return now_s - self._since_s >= _REST_S

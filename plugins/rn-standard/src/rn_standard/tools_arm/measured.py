@@ -36,8 +36,9 @@ class MeasuredPose:
         self.listeners: list[Callable[[float], object]] = []
         """Called with the height of the TCP [m] of each message, on the thread of the ROS node."""
 
-    def wait(self, timeout_s: float) -> Pose:
-        """Return the pose, not older than 0.5 s; waits for one.
+    def wait(self, timeout_s: float, newer_than_ns: int = 0) -> Pose:
+        """Return the pose, not older than 0.5 s and measured after `newer_than_ns` [ROS time, ns];
+        waits for one.
 
         Raises:
             NotReadyError: control publishes none.
@@ -48,7 +49,9 @@ class MeasuredPose:
         while True:
             newest = self._newest
             if newest is not None and time.monotonic() - newest[0] <= _AGE_S:
-                return _pose(newest[1])
+                pose = _pose(newest[1])
+                if pose.stamp_ns > newer_than_ns:
+                    return pose
             if time.monotonic() > deadline_s:
                 raise NotReadyError(
                     "Control publishes no pose of the end effector.", hint="See get_status."

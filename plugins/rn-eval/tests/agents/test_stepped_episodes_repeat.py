@@ -1,0 +1,73 @@
+"""In stepped time the same seed gives the same episode, whatever the machine does meanwhile."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from rn_eval.agents.configuration import configuration_of
+from rn_eval.agents.offers import TASKS
+from rn_eval.agents.record import AgentRecord
+from rn_eval.agents.task import AgentScene
+from rn_eval.ledger import read_records_of
+from rn_testing.domain import free_ros_domain
+
+BUSY = "while True: pass"
+
+
+def evaluate(folder: Path, *options: str) -> dict[str, AgentRecord]:
+    """Records by task."""
+    command = [sys.executable, "-m", "roboneuron.cli.main", "eval", "agents", "--time", "stepped"]
+    subprocess.run(
+        [*command, "--out", str(folder), *options],
+        env={k: v for k, v in os.environ.items() if not k.startswith("PYTEST_")},
+        timeout=400,
+        check=True,
+    )
+    return {record.key.task: record for record in read_records_of(folder, AgentRecord)}
+
+
+def test_only_a_stepped_cell_waits_for_commands(tmp_path: Path):
+    scene = AgentScene(seed=3, instruction="Move.")
+    real = tomllib.loads(configuration_of(scene, tmp_path))
+    stepped = tomllib.loads(configuration_of(scene, tmp_path, "stepped"))
+    assert "stepped" not in real["plugins"]["fr3"]
+    assert "action_timeout_s" not in real["control"]
+    assert stepped["plugins"]["fr3"]["stepped"] is True
+
+
+def test_what_depends_on_the_wall_clock_says_so():
+    real = {task.family for task in TASKS if task.real_time}
+    stepped = {task.family for task in TASKS if not task.real_time}
+    assert {"look", "move"} <= stepped - real
+    assert {"recover", "clients", "several"} <= real - stepped
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_a_busy_machine_and_two_workers_play_the_same_episodes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    pytest.importorskip("ray", reason="needs the extra rn-eval[ray]")
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(free_ros_domain()))
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    options = ("--subject", "perfect", "--tasks", "look-count,move-by,move-and-home,move-joint")
+    alone = evaluate(tmp_path / "alone", *options)
+    busy = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(2)]
+    try:
+        beside = evaluate(tmp_path / "beside", *options, "--workers", "2")
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    assert {record.outcome.status for record in alone.values()} == {"success"}
+    assert {record.time for record in alone.values()} == {"stepped"}
+    digests = {task: record.outcome.digest for task, record in alone.items()}
+    assert all(digests.values())
+    assert {task: record.outcome.digest for task, record in beside.items()} == digests

@@ -1,0 +1,71 @@
+"""Stepped time passes as commands last, not as they come."""
+
+from __future__ import annotations
+
+from rn_simulation.stepped import PATIENCE_S, SETTLE_S, Phase, SteppedTime
+
+STEP_S = 1 / 240
+SETTLING = round(SETTLE_S / STEP_S)
+
+
+def run(stepped: SteppedTime, now_s: float = 0.0, due: int = 7) -> int:
+    """Make steps until it stands; returns how many."""
+    made = 0
+    while not stepped.stands:
+        made += stepped.grant(due, now_s, round(now_s * 1e9))
+        stepped.note_made(now_s, round(now_s * 1e9))
+    return made
+
+
+def rested() -> SteppedTime:
+    stepped = SteppedTime(STEP_S)
+    assert run(stepped) == SETTLING
+    assert stepped.phase is Phase.RESTING
+    return stepped
+
+
+def test_it_begins_by_settling_and_then_rests_for_ever():
+    stepped = rested()
+    assert stepped.grant(1000, 1e6, 10**15) == 0
+    assert stepped.phase is Phase.RESTING
+    assert stepped.count == 0
+
+
+def test_a_command_lasts_as_long_as_it_says_whatever_the_wall_clock_does():
+    for due in (1, 5, 1000):
+        stepped = rested()
+        stepped.command(0.1, 0)
+        assert run(stepped, 1.0, due) == 24
+        assert (stepped.phase, stepped.count) == (Phase.WAITING, 1)
+        assert stepped.grant(1000, 1.0 + 0.9 * PATIENCE_S, 0) == 0
+
+
+def test_a_newer_command_replaces_the_rest_of_the_one_before():
+    stepped = rested()
+    stepped.command(0.1, 0)
+    assert stepped.grant(10, 0.0, 0) == 10
+    stepped.note_made(0.0, 0)
+    stepped.command(0.05, 0)
+    assert run(stepped) == 12
+    assert stepped.count == 1
+
+
+def test_it_settles_when_no_command_comes():
+    stepped = rested()
+    stepped.command(0.1, 0)
+    run(stepped, 1.0)
+    stepped.note_made(1.0, 0)
+    now_s = 1.01 + PATIENCE_S
+    assert stepped.grant(5, now_s, 7) == 5
+    assert (stepped.phase, stepped.since_ns) == (Phase.SETTLING, 7)
+    assert run(stepped, now_s) == SETTLING - 5
+    assert (stepped.phase, stepped.count) == (Phase.RESTING, 1)
+
+
+def test_a_hold_settles_at_once_and_moves_no_time_at_rest():
+    stepped = rested()
+    stepped.settle(5)
+    assert stepped.phase is Phase.RESTING
+    stepped.command(0.1, 6)
+    stepped.settle(7)
+    assert stepped.phase is Phase.SETTLING

@@ -1,0 +1,1 @@
+"""Stepped time: what modules and tools do where a simulated robot waits for commands."""

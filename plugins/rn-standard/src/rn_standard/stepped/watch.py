@@ -1,0 +1,108 @@
+"""The clock of a simulation in stepped time, as the server's tools follow it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+from rn_standard.stepped.clock import CLOCK_TOPIC, UNANSWERED_S, WorldClock, clock_from_message
+from roboneuron import Host, JointSample, NotReadyError
+from roboneuron.feature import TimedCommand
+
+if TYPE_CHECKING:
+    from std_msgs.msg import Float64MultiArray
+
+_LOOK_S = 0.005
+_FIRST_S = 5.0
+_REST_S = 30.0
+"""Longest wall time until a simulation rests: a policy that acts keeps it from that."""
+
+
+class SteppedWorld:
+    """Waits for the simulation of one robot; usable from any thread."""
+
+    def __init__(self, host: Host, namespace: str) -> None:
+        """Remember where; subscribes on first use."""
+        self._host, self._topic = host, f"/{namespace}/{CLOCK_TOPIC}"
+        self._lock = threading.Lock()
+        self._is_open = False
+        self._newest: WorldClock | None = None
+
+    def clock(self) -> WorldClock:
+        """The newest clock; waits for the first one.
+
+        Raises:
+            NotReadyError: the simulation tells none.
+            RoboNeuronError: ROS cannot be joined.
+        """
+        self._open()
+        deadline_s = time.monotonic() + _FIRST_S
+        while self._newest is None:
+            if time.monotonic() > deadline_s:
+                raise NotReadyError(
+                    f"No simulation tells its time on {self._topic}.",
+                    hint="Is the robot running? `stepped` is for a simulated one.",
+                )
+            time.sleep(_LOOK_S)
+        return self._newest
+
+    def carry_out(self, message: object, *, to_rest: bool = False) -> Iterator[TimedCommand]:
+        """Yield a command, then nothing until the simulation has carried it out and stands.
+
+        Args:
+            message: of the command.
+            to_rest: until it rests.
+        """
+        count = self.clock().count
+        began_s = time.monotonic()
+        yield TimedCommand(message=message, due_s=began_s)
+        while not self._is_done(count, to_rest=to_rest):
+            now_s = time.monotonic()
+            limit_s = UNANSWERED_S if self.clock().count <= count else _REST_S
+            if self.clock().stands and now_s - began_s > limit_s:
+                return
+            yield TimedCommand(message=None, due_s=now_s + _LOOK_S)
+
+    def _is_done(self, count: int, *, to_rest: bool) -> bool:
+        clock = self.clock()
+        return clock.count > count and (clock.rests if to_rest else clock.stands)
+
+    def await_rest(self) -> WorldClock:
+        """Wait until the simulation rests; blocks. Raises NotReadyError if it does not."""
+        deadline_s = time.monotonic() + _REST_S
+        while not (clock := self.clock()).rests:
+            if time.monotonic() > deadline_s:
+                raise NotReadyError("The simulation does not come to rest.", hint="A policy acts?")
+            time.sleep(_LOOK_S)
+        return clock
+
+    def measured_at_rest(self, newest: Callable[[], JointSample | None]) -> JointSample:
+        """Joints that were measured since the simulation rests; blocks.
+
+        Args:
+            newest: the newest joints.
+
+        Raises:
+            NotReadyError: it does not rest, or they are not measured.
+        """
+        since_ns = self.await_rest().since_ns
+        deadline_s = time.monotonic() + _FIRST_S
+        while (joints := newest()) is None or joints.stamp_ns <= since_ns:
+            if time.monotonic() > deadline_s:
+                raise NotReadyError("The joints are not measured any more.", hint="See get_status.")
+            time.sleep(_LOOK_S)
+        return joints
+
+    def _open(self) -> None:
+        _ = self._host.graph  # first: two threads must not import rclpy at the same time
+        from std_msgs.msg import Float64MultiArray  # heavy
+
+        with self._lock:
+            if not self._is_open:
+                self._host.subscribe(Float64MultiArray, self._topic, self._take)
+                self._is_open = True
+
+    def _take(self, message: Float64MultiArray) -> None:
+        self._newest = clock_from_message(message)
