@@ -22,7 +22,9 @@ PROGRAMS = ("lerobot_robot_roboneuron", "lerobot_teleoperator_roboneuron")
 themselves, and their messages pass control's limits and stops.
 """
 COMMANDS_APART = {"doctor": "ops", "limits": "tools_arm", "stepped": "control"}
-"""Packages of rn_standard without a plugin module, by the plugin of their command or the one that uses them."""
+"""Packages of rn_standard without a plugin module, by the plugin of their command or the plugin that
+uses them.
+"""
 NEEDS = {
     "console": {"selection"},
     "control": {"stepped"},
