@@ -22,8 +22,8 @@ PROGRAMS = ("lerobot_robot_roboneuron", "lerobot_teleoperator_roboneuron")
 themselves, and their messages pass control's limits and stops.
 """
 COMMANDS_APART = {"doctor": "ops", "limits": "tools_arm", "stepped": "control"}
-"""Packages of rn_standard without a plugin module, by the plugin of their command or the plugin that
-uses them.
+"""Packages of rn_standard without a plugin module, by the plugin that uses them or brings their
+command.
 """
 NEEDS = {
     "console": {"selection"},
