@@ -77,7 +77,8 @@ class HoldingModule(Module):
         self.profile = replace(profile, collision=collision_of(self.config.limits, profile))
         self.watched = JointWatch(self.profile, self.section.state_timeout_s)
         self.clock: Callable[[], float] = time.monotonic
-        self.action_s, self.action_ns = 0.0, 0
+        self.action_s = 0.0
+        self.action_ns = 0
         self.is_active = False
         self.is_holding = True
         # there was no joint state to hold at: the next one is held
@@ -130,7 +131,8 @@ class HoldingModule(Module):
     def activate(self) -> None:
         """Hold until the first action."""
         self.status.set_waiting(f"joint states on {JOINT_STATES} (is the robot running?)")
-        self.is_holding, self._hold_is_due = True, False
+        self.is_holding = True
+        self._hold_is_due = False
         self.is_active = True
 
     def deactivate(self) -> None:
@@ -204,7 +206,8 @@ class HoldingModule(Module):
         joints = self.watched.joints
         if joints is None:  # excluded by `why_not`
             return
-        began_s, now_s = time.monotonic(), self.clock()
+        began_s = time.monotonic()
+        now_s = self.clock()
         wanted = asked.now(joints, self.step_s(source_ns, began_s), now_s)
         if self.handover.is_shadow(source_ns):
             self.handover.withhold(wanted)

@@ -52,8 +52,9 @@ class ExposedEndpoint:
 
     def __post_init__(self) -> None:
         name = self.endpoint.topic
-        absolute = name if name.startswith("/") else f"/{self.namespace}/{name}"
-        object.__setattr__(self, "topic", absolute)
+        object.__setattr__(
+            self, "topic", name if name.startswith("/") else f"/{self.namespace}/{name}"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

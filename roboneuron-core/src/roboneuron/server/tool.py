@@ -221,10 +221,9 @@ class Tool(Generic[A]):
 
     def check_caller(self, context: CallContext) -> None:
         """Raise RefusedError, which names the roles, unless the caller may call it."""
-        least = self.least_role
-        if not least.is_held_by(context.role):
+        if not self.least_role.is_held_by(context.role):
             raise RefusedError(
-                f"{self.name} needs the role '{least}'; {context.who} has "
+                f"{self.name} needs the role '{self.least_role}'; {context.who} has "
                 f"{context.role or 'none'!r}.",
                 hint="Use a token with that role, or ask a person who has one.",
                 rule="role",
